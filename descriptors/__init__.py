@@ -1,0 +1,1 @@
+"""Images to NetVLAD vectors: ONNX inference and its container; training and export apart."""

@@ -1,0 +1,1 @@
+"""Images to the five VO files: datasets, cameras, ORB, tracking, mapping, vocabulary."""

@@ -1,0 +1,1 @@
+"""Agents: contract net, policies, place recognition between agents, transports, metrics, the environment."""
