@@ -1,0 +1,220 @@
+"""What an agent is given: the SEQS folder, written by preprocessing, read by the multi-agent system."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from frontend.cameras import PinholeCamera, Rig, RigKind
+from frontend.trajectory import Trajectory, read_tum, stamp_ns_from_s
+from frontend.vofiles import VoTrack, read_tracks
+from mas.errors import MasError
+
+if TYPE_CHECKING:
+    from descriptors.container import PlaceVectors
+
+MANIFEST = "manifest.json"
+TRAJECTORY = "trajectory.tum"
+GROUNDTRUTH = "groundtruth.tum"
+PLACES = "netvlad.npz"
+
+# Times pass through text files in seconds: half a millisecond is far above their rounding, far below a frame
+# interval.
+STAMP_TOLERANCE_NS = 500_000
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class CameraEntry(_Entry):
+    """A rectified rig as JSON: pixels, metres."""
+
+    kind: Literal["mono", "stereo", "rgbd"]
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    baseline_m: float | None = None
+
+    @classmethod
+    def from_rig(cls, rig: Rig) -> CameraEntry:
+        c = rig.camera
+        return cls(
+            kind=rig.kind.value,
+            width=c.width,
+            height=c.height,
+            fx=c.fx,
+            fy=c.fy,
+            cx=c.cx,
+            cy=c.cy,
+            baseline_m=rig.baseline_m,
+        )
+
+    def rig(self) -> Rig:
+        camera = PinholeCamera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        return Rig(RigKind(self.kind), camera, self.baseline_m)
+
+
+class LostEntry(_Entry):
+    """An interval without a pose: first and last frame of the agent's block, counted from 0, and why."""
+
+    first_frame: int
+    last_frame: int
+    reason: str
+
+
+class AgentEntry(_Entry):
+    """One agent: its folder in SEQS, and which frames of which source sequence it was made from."""
+
+    name: str = Field(pattern=r"^agent_\d{2,}$")
+    sequence: str = Field(description="name of the source's image sequence")
+    first_frame: int = Field(ge=0, description="index of its first frame in that sequence")
+    frames: int = Field(ge=0, description="frames in its block, tracked or not")
+    keyframes: int = Field(ge=0)
+    tracks: int = Field(ge=0, description="uninterrupted tracks: one unless tracking was lost")
+    start_ns: int = Field(description="time stamp of its first frame: its own time 0")
+    camera: CameraEntry
+    lost: tuple[LostEntry, ...] = ()
+
+
+class DescriptorEntry(_Entry):
+    """The place descriptor that made the vectors; vectors of another model are refused."""
+
+    name: str
+    sha256: str
+    dim: int = Field(gt=0)
+    threshold: float = Field(gt=0, description="two places match below this Euclidean distance of unit vectors, 0 to 2")
+    min_std: float = Field(ge=0, description="grey-level spread under which an image counts as without texture")
+
+
+class SplitEntry(_Entry):
+    """How one sequence was cut into agents: consecutive blocks, widened by ``overlap`` key-frames on both sides."""
+
+    agents: int = Field(ge=1)
+    overlap: int = Field(ge=0)
+
+
+class Manifest(_Entry):
+    """``manifest.json``: what a SEQS folder holds, and its source. Written last: it marks the folder as complete."""
+
+    version: Literal[1] = 1
+    source: str = Field(description="dataset folder the images came from")
+    kind: str = Field(description="kind of dataset that was found there")
+    scale: Literal["metric", "arbitrary"]
+    descriptor: DescriptorEntry
+    agents: tuple[AgentEntry, ...]
+    split: SplitEntry | None = None
+    settings: dict[str, Any] = Field(default_factory=dict, description="everything that was set when this was made")
+
+
+@dataclass(frozen=True)
+class AgentSequence:
+    """One agent's preprocessed input, in memory.
+
+    ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own world frame
+    (that of its first key-frame). ``places``: one unit vector a key-frame, all tracks in order. ``trajectory``: every
+    tracked frame, ``T_W_C`` in its track's frame. ``start_ns``: time of its first frame, its own time 0.
+    ``groundtruth`` is for :mod:`mas.metrics` alone; no agent ever sees it.
+    """
+
+    name: str
+    tracks: tuple[VoTrack, ...]
+    places: PlaceVectors
+    trajectory: Trajectory
+    metric: bool
+    start_ns: int
+    groundtruth: Trajectory | None = None
+
+    def __post_init__(self) -> None:
+        stamps = self.keyframe_stamps_ns
+        if len(stamps) > 1 and (np.diff(stamps) <= 0).any():
+            at = int(np.argmax(np.diff(stamps) <= 0))
+            before, after = stamps[at : at + 2] / 1e9
+            raise MasError(f"{self.name}: key-frame times go back from {before:.9f} s to {after:.9f} s")
+        if len(self.places.vectors) != len(stamps):
+            vectors = len(self.places.vectors)
+            raise MasError(f"{self.name}: {len(stamps)} key-frames but {vectors} place vectors in {PLACES}")
+        apart = np.abs(np.asarray(self.places.stamps_ns) - stamps)
+        if len(apart) and apart.max() > STAMP_TOLERANCE_NS:
+            at = int(apart.argmax())
+            raise MasError(
+                f"{self.name}: key-frame {at} and its place vector are {apart[at] / 1e9:.6f} s apart: not the same images"
+            )
+
+    @property
+    def keyframe_stamps_ns(self) -> NDArray[np.int64]:
+        """``(K,)``: times of the key-frames of all tracks."""
+        if not self.tracks:
+            return np.zeros(0, dtype=np.int64)
+        return stamp_ns_from_s(np.concatenate([t.stamps_s for t in self.tracks]))
+
+    def track_of(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Track number of each stamp: the last track that had begun by then, half a millisecond allowed."""
+        begins = np.array([stamp_ns_from_s(t.stamps_s[0]) for t in self.tracks if len(t)], dtype=np.int64)
+        return np.maximum(np.searchsorted(begins, stamps_ns + STAMP_TOLERANCE_NS, side="right") - 1, 0)
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write ``folder/manifest.json`` in one move, as the last file of a SEQS folder."""
+    temporary = folder / (MANIFEST + ".part")
+    temporary.write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    os.replace(temporary, folder / MANIFEST)
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a SEQS folder; a folder without one was not finished or is something else."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise MasError(f"{folder}: no {MANIFEST}: not a folder of agent sequences, or its preprocessing did not finish")
+    try:
+        return Manifest.model_validate_json(path.read_text(encoding="utf-8"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise MasError(f"{path}: {where or 'the file'}: {first['msg']}") from error
+
+
+def load_sequences(folder: Path) -> tuple[Manifest, list[AgentSequence]]:
+    """Read a SEQS folder: the manifest, and each agent's sequence in its order; what does not fit is an error."""
+    manifest = read_manifest(folder)
+    sequences = [_load_agent(folder / entry.name, entry, manifest) for entry in manifest.agents]
+    if not sequences:
+        raise MasError(f"{folder / MANIFEST}: no agents in it")
+    return manifest, sequences
+
+
+def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSequence:
+    if not folder.is_dir():
+        raise MasError(f"{folder}: missing, but {MANIFEST} names {entry.name}")
+    from descriptors.container import PlaceVectors
+
+    places = PlaceVectors.load(folder / PLACES)
+    wanted = manifest.descriptor
+    if (places.sha256, places.dim) != (wanted.sha256, wanted.dim):
+        raise MasError(
+            f"{folder / PLACES}: made by model {places.name} ({places.sha256[:12]}, {places.dim} numbers), "
+            f"but {MANIFEST} says {wanted.name} ({wanted.sha256[:12]}, {wanted.dim}): make the folder anew"
+        )
+    truth = folder / GROUNDTRUTH
+    sequence = AgentSequence(
+        name=entry.name,
+        tracks=tuple(t for t in read_tracks(folder) if len(t)),
+        places=places,
+        trajectory=read_tum(folder / TRAJECTORY),
+        metric=manifest.scale == "metric",
+        start_ns=entry.start_ns,
+        groundtruth=read_tum(truth) if truth.is_file() else None,
+    )
+    count = len(sequence.keyframe_stamps_ns)
+    if count != entry.keyframes:
+        raise MasError(f"{folder}: {count} key-frames, but {MANIFEST} says {entry.keyframes}")
+    return sequence
