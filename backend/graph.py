@@ -1,0 +1,158 @@
+"""Pose graphs of one or many robots: small values without a solver in them.
+
+Conventions: ``T_i_j`` maps node j's frame to node i's; the graph's poses map a node's frame to one common origin frame O,
+``T_O_i``; information matrices are ``(6, 6)``, translation first, of ``log(T_measured^-1 @ T_estimated)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from backend.errors import BackendError
+from backend.geometry import Array, is_se3, se3_inverse
+
+
+class NodeId(NamedTuple):
+    """Key-frame ``index`` of ``robot``; sorts by robot, then index."""
+
+    robot: int
+    index: int
+
+    def __str__(self) -> str:
+        return f"{self.robot}:{self.index}"
+
+
+class EdgeKind(StrEnum):
+    """What measured an edge: odometry, a loop closure of one robot, or a place match between two (a separator edge)."""
+
+    ODOMETRY = "odometry"
+    LOOP = "loop"
+    SEPARATOR = "separator"
+
+
+def default_information() -> Array:
+    """Unit information ``(6, 6)``."""
+    return np.eye(6)
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A measured relative pose.
+
+    ``T_i_j`` ``(4, 4)`` rigid; ``information`` ``(6, 6)``; ``scale``: size of j's unit of length in i's (1 unless a monocular robot
+    takes part; ``T_i_j``'s translation is in i's unit); ``weight`` in [0, 1] multiplies the information: the hook by which robust
+    selection (GNC, switchable edges) turns an edge down without dropping it.
+    """
+
+    i: NodeId
+    j: NodeId
+    T_i_j: Array
+    information: Array = field(default_factory=default_information)
+    kind: EdgeKind = EdgeKind.ODOMETRY
+    scale: float = 1.0
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.i == self.j:
+            raise BackendError(f"edge {self.i} - {self.j}: an edge joins two different nodes")
+        if not is_se3(self.T_i_j):
+            raise BackendError(f"edge {self.i} - {self.j}: the relative pose is not a rigid transform")
+        if self.information.shape != (6, 6) or not np.isfinite(self.information).all():
+            raise BackendError(f"edge {self.i} - {self.j}: the information must be 6x6 and finite")
+        if not (self.scale > 0 and np.isfinite(self.scale)):
+            raise BackendError(f"edge {self.i} - {self.j}: scale {self.scale} is not positive")
+        if not 0.0 <= self.weight <= 1.0:
+            raise BackendError(f"edge {self.i} - {self.j}: weight {self.weight} is outside 0 to 1")
+
+    @property
+    def is_separator(self) -> bool:
+        """Whether it joins two robots."""
+        return self.i.robot != self.j.robot
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGraph:
+    """Poses ``T_O_i`` ``(4, 4)`` by node, and edges. ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero)."""
+
+    poses: Mapping[NodeId, Array]
+    edges: tuple[Edge, ...]
+    dimension: int = 3
+
+    def __post_init__(self) -> None:
+        for edge in self.edges:
+            for node in (edge.i, edge.j):
+                if node not in self.poses:
+                    raise BackendError(f"edge {edge.i} - {edge.j}: there is no pose for node {node}")
+
+    @property
+    def nodes(self) -> list[NodeId]:
+        """All nodes, sorted."""
+        return sorted(self.poses)
+
+    @property
+    def robots(self) -> list[int]:
+        """All robots, sorted."""
+        return sorted({node.robot for node in self.poses})
+
+    def with_poses(self, poses: Mapping[NodeId, Array]) -> PoseGraph:
+        """The same edges with ``poses`` put over the old ones; nodes not named keep theirs."""
+        return replace(self, poses={**self.poses, **poses})
+
+    def with_weights(self, weights: Iterable[float]) -> PoseGraph:
+        """The same graph with one weight in [0, 1] an edge, in the order of ``edges``."""
+        return replace(self, edges=tuple(replace(e, weight=float(w)) for e, w in zip(self.edges, weights, strict=True)))
+
+    def rescaled(self, scales: Mapping[int, float]) -> PoseGraph:
+        """Robots' units of length multiplied out: translations of robot r times ``scales[r]`` (1 where not named).
+
+        An edge's own ``scale`` becomes what is left of it: 1 where it agreed with ``scales``.
+        """
+        poses = {n: _stretched(T, scales.get(n.robot, 1.0)) for n, T in self.poses.items()}
+        edges = []
+        for e in self.edges:
+            s_i, s_j = scales.get(e.i.robot, 1.0), scales.get(e.j.robot, 1.0)
+            information = e.information.copy()
+            information[:3] /= s_i
+            information[:, :3] /= s_i
+            edges.append(replace(e, T_i_j=_stretched(e.T_i_j, s_i), information=information, scale=e.scale * s_i / s_j))
+        return replace(self, poses=poses, edges=tuple(edges))
+
+
+def relative_edges(poses: Mapping[NodeId, Array], information: Array) -> list[Edge]:
+    """Odometry edges between nodes of one robot that follow each other, as measured by ``poses`` themselves."""
+    nodes = sorted(poses)
+    return [
+        Edge(a, b, se3_inverse(poses[a]) @ poses[b], information)
+        for a, b in zip(nodes, nodes[1:], strict=False)
+        if a.robot == b.robot
+    ]
+
+
+def carry_along(before: Mapping[NodeId, Array], after: Mapping[NodeId, Array], later: Mapping[NodeId, Array]) -> dict[NodeId, Array]:
+    """Move poses that were not optimised rigidly with the nearest earlier optimised pose of their robot.
+
+    ``before`` and ``after`` ``T_O_i``: the optimised nodes' poses then and now; ``later``: further nodes in the old frame (key-frames
+    that arrived while the optimiser ran). A node with no earlier optimised pose follows the robot's first optimised one; robots
+    without any are returned unchanged.
+    """
+    moved = {}
+    optimised = sorted(after)
+    for node in sorted(later):
+        same = [n for n in optimised if n.robot == node.robot]
+        if not same:
+            moved[node] = later[node]
+            continue
+        leader = max((n for n in same if n <= node), default=same[0])
+        moved[node] = after[leader] @ se3_inverse(before[leader]) @ later[node]
+    return moved
+
+
+def _stretched(transform: Array, scale: float) -> Array:
+    out = transform.copy()
+    out[:3, 3] *= scale
+    return out
