@@ -1,0 +1,40 @@
+# make demo | test | lint: each sets up what it needs on a fresh machine; the second run starts at once.
+# The environment is .venv (VENV=… for another); PYTHON=… chooses the interpreter it is made from.
+VENV ?= .venv
+OUT ?= demo
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+CORE := $(VENV)/.core-installed
+DEV := $(VENV)/.dev-installed
+
+.PHONY: demo test lint lock clean
+demo: $(CORE)
+	$(BIN)/maslam demo --out $(OUT)
+
+test: lint
+	$(BIN)/python -m pytest -n 2
+
+lint: $(DEV)
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+$(CORE): requirements/core.txt pyproject.toml requirements/system-libraries.sh
+	@test -n "$(PYTHON)" || { echo "maslam needs Python 3.11 or newer; none found as python3.11 or python3 (PYTHON=… names another)"; exit 1; }
+	@bash requirements/system-libraries.sh
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) install --quiet -r requirements/core.txt
+	$(PIP) install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(DEV): $(CORE) requirements/dev.txt
+	$(PIP) install --quiet -r requirements/dev.txt
+	@touch $@
+
+# In an environment where everything passes: write down its versions.
+lock: $(DEV)
+	$(BIN)/python requirements/lock.py
+
+clean:
+	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,131 @@
+"""The command ``maslam``: which commands there are, and how each failure is said in one line.
+
+A command is a module of this package with ``add_arguments(parser)`` and ``main(arguments) -> int | None`` (the exit
+code; None is 0). It is imported only when it is called, so ``maslam --help`` costs no library.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+from backend.errors import BackendError
+from descriptors.errors import DescriptorError
+from frontend.errors import FrontendError
+from mas.errors import MasError
+from tools.errors import ToolError, UsageError
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("tools.demo", "render a small town, run four agents in it, write the report"),
+    "render": ("tools.render", "synthetic images, depth and ground truth of several agents"),
+    "inspect": ("tools.inspect", "what would be read from a folder of images, and what is wrong with it"),
+    "preprocess": ("tools.preprocess", "images to agent sequences: odometry, map points, place vectors"),
+    "run": ("tools.run", "the multi-agent system on agent sequences"),
+    "slam": ("tools.slam", "preprocess, run, evaluate and report in one"),
+    "eval": ("tools.evaluate", "error, exploration and bytes of a run, against ground truth where there is any"),
+    "report": ("tools.report", "one self-contained HTML page of a run; optionally a recording for rerun"),
+    "pgo": ("tools.pgo", "pose-graph optimisation of g2o files, central or distributed"),
+    "netvlad": ("tools.netvlad", "train, export, calibrate and evaluate the place descriptor"),
+    "vocabulary": ("tools.vocabulary", "train or show the vocabulary of ORB words"),
+    "doctor": ("tools.doctor", "versions, missing system libraries, what works on this machine"),
+}
+SUCCESS, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
+SAY_IT_THEMSELVES = (FrontendError, DescriptorError, BackendError, MasError, ToolError)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line; returns the exit code: 0 success, 1 a failure said in one line, 2 a usage error, 130
+    interrupted.
+    """
+    words = [_with_dashes(word) for word in (sys.argv[1:] if argv is None else argv)]
+    chosen = next((word for word in words if not word.startswith("-")), None)
+    try:
+        parser = build_parser(chosen)
+        arguments = parser.parse_args(words)
+    except SystemExit as stop:  # argparse ends by itself on --help and on a usage error
+        return int(stop.code or 0)
+    except Exception as error:  # noqa: BLE001 - a command's module that cannot be imported is said like any failure
+        return _fail(error, debug="--debug" in words)
+    if arguments.command is None:
+        parser.print_help()
+        return USAGE
+    try:
+        return arguments.run(arguments) or SUCCESS
+    except UsageError as error:
+        print(f"usage: maslam {arguments.command} --help\nmaslam: {error}", file=sys.stderr)
+        return USAGE
+    except KeyboardInterrupt:
+        print("\nmaslam: interrupted; nothing half-written; the same command again goes on from here", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has enough: `maslam eval RUN | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return SUCCESS
+    except Exception as error:  # noqa: BLE001 - the one place where any failure becomes a line for people
+        return _fail(error, arguments.debug)
+
+
+def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
+    """The whole command line; only the ``chosen`` command's module is imported and fills in its arguments."""
+    parser = argparse.ArgumentParser(
+        prog="maslam", description="Multi-agent visual SLAM without a server: from folders of images to one shared map."
+    )
+    parser.add_argument("--version", action="version", version=f"maslam {_version()}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    for name, (module_name, summary) in COMMANDS.items():
+        command = commands.add_parser(
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        if name == chosen:
+            module = importlib.import_module(module_name)
+            module.add_arguments(command)
+            command.set_defaults(run=module.main)
+        command.add_argument("--debug", action="store_true", help="show the traceback of a failure")
+    return parser
+
+
+def _with_dashes(word: str) -> str:
+    """``--relpose.min_inliers=20``, spelled like the setting in a file, is the option ``--relpose.min-inliers=20``."""
+    name, equals, value = word.partition("=")
+    return name.replace("_", "-") + equals + value if name.startswith("--") else word
+
+
+def _fail(error: Exception, debug: bool) -> int:
+    if debug:
+        traceback.print_exception(error)
+    print(f"maslam: {describe(error)}", file=sys.stderr)
+    return FAILURE
+
+
+def describe(error: Exception) -> str:
+    """One line for people: our own errors say everything themselves; an unexpected one is named, with the way to
+    learn more.
+    """
+    text = " ".join(str(error).split())
+    if isinstance(error, SAY_IT_THEMSELVES):
+        return text
+    if isinstance(error, OSError):
+        reason = error.strerror or text
+        return f"{error.filename}: {reason}" if error.filename else reason
+    if isinstance(error, ModuleNotFoundError):
+        return f"{text}: `maslam doctor` shows what is missing"
+    return f"unexpected {type(error).__name__}: {text or 'no message'} (--debug shows where)"
+
+
+def _version() -> str:
+    try:
+        return version("maslam")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

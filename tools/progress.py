@@ -1,0 +1,113 @@
+"""Progress of long work on standard error: bars on a terminal, a line now and then in a log, silence when told."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol, TextIO
+
+LOG_EVERY_S = 15.0
+
+
+class Progress(Protocol):
+    """Tasks that count up to a total; ``start`` gives the task's number for ``advance``."""
+
+    def start(self, title: str, total: int) -> int: ...
+
+    def advance(self, task: int, done: int) -> None:
+        """``done`` of the task's total are ready (a level, not a step)."""
+
+    def say(self, line: str) -> None:
+        """One line that stays, above the bars."""
+
+
+class Silent:
+    """Nothing is shown."""
+
+    def start(self, title: str, total: int) -> int:
+        return 0
+
+    def advance(self, task: int, done: int) -> None:
+        return
+
+    def say(self, line: str) -> None:
+        return
+
+
+class LogProgress:
+    """For a stream that is no terminal: one line when a task ends, and one each ``LOG_EVERY_S`` while it lasts."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._tasks: list[tuple[str, int]] = []
+        self._shown_s: dict[int, float] = {}
+        self._ended: set[int] = set()
+
+    def start(self, title: str, total: int) -> int:
+        self._tasks.append((title, total))
+        self._shown_s[len(self._tasks) - 1] = time.monotonic()
+        return len(self._tasks) - 1
+
+    def advance(self, task: int, done: int) -> None:
+        title, total = self._tasks[task]
+        ended = done >= total and task not in self._ended
+        if ended:
+            self._ended.add(task)
+        elif time.monotonic() - self._shown_s[task] < LOG_EVERY_S or task in self._ended:
+            return
+        self._shown_s[task] = time.monotonic()
+        self.say(f"{title}: {done} of {total}")
+
+    def say(self, line: str) -> None:
+        print(line, file=self._stream, flush=True)
+
+
+class BarProgress:
+    """Bars on a terminal, by rich."""
+
+    def __init__(self, stream: TextIO) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bars
+
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=Console(file=stream),
+            transient=False,
+        )
+        self._bars.start()
+
+    def start(self, title: str, total: int) -> int:
+        return int(self._bars.add_task(title, total=total))
+
+    def advance(self, task: int, done: int) -> None:
+        self._bars.update(self._bars.task_ids[task], completed=done)
+
+    def say(self, line: str) -> None:
+        self._bars.console.print(line, markup=False, highlight=False)
+
+    def stop(self) -> None:
+        self._bars.stop()
+
+
+@contextmanager
+def progress_on(stream: TextIO | None = None, quiet: bool = False) -> Iterator[Progress]:
+    """The right kind of progress for ``stream`` (standard error), closed at the end whatever happens."""
+    stream = sys.stderr if stream is None else stream
+    if quiet:
+        yield Silent()
+    elif not stream.isatty():
+        yield LogProgress(stream)
+    else:
+        bars = BarProgress(stream)
+        try:
+            yield bars
+        finally:
+            bars.stop()

@@ -1,0 +1,74 @@
+"""One sequence shared out over several agents, as the predecessor does it (dslam_open; thesis sections 3.3 and 4.1).
+
+Frames are cut in N consecutive blocks of equal length, the last may be shorter. Each block is extended by ``overlap``
+key-frames into both neighbours, so that agents can meet there. Every agent gets its own origin (its first key-frame's
+camera) and its own map points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.geometry import se3_inverse
+from frontend.vofiles import VoTrack
+from tools.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one agent gets: frames ``first`` to ``last`` (inclusive), and of each track the key-frames
+    ``keyframes[track]`` (a slice).
+    """
+
+    first: int
+    last: int
+    keyframes: tuple[slice, ...]
+
+
+def share_out(frames: int, keyframe_indices: list[NDArray[np.int64]], agents: int, overlap: int) -> list[Share]:
+    """Shares of ``agents`` agents; ``keyframe_indices`` holds the ascending frame numbers of each track's key-frames.
+
+    A block in which nothing was tracked gives a share without key-frames.
+    """
+    if not 1 <= agents <= max(frames, 1):
+        raise UsageError(f"--agents {agents}: the sequence has {frames} frames to share out")
+    length = -(-frames // agents)
+    if (agents - 1) * length >= frames:
+        raise UsageError(f"--agents {agents}: blocks of {length} frames leave none of {frames} for the last agent")
+    every = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *keyframe_indices]))
+    shares = []
+    for agent in range(agents):
+        first, last = agent * length, min((agent + 1) * length, frames) - 1
+        lower, upper = int(np.searchsorted(every, first)), int(np.searchsorted(every, last + 1))
+        if lower < upper and agent > 0 and overlap:
+            first = min(first, int(every[max(lower - overlap, 0)]))
+        if lower < upper and agent < agents - 1 and overlap:
+            last = max(last, int(every[min(upper + overlap, len(every)) - 1]))
+        shares.append(Share(first, last, tuple(_between(k, first, last) for k in keyframe_indices)))
+    return shares
+
+
+def _between(ascending: NDArray[np.int64], first: int, last: int) -> slice:
+    return slice(int(np.searchsorted(ascending, first)), int(np.searchsorted(ascending, last + 1)))
+
+
+def cut_track(track: VoTrack, keyframes: slice, start_s: float) -> VoTrack:
+    """The part of ``track`` that one agent made: its key-frames, the points they observe, both numbered anew from 0.
+
+    The origin becomes the camera of the first key-frame kept; times become relative to ``start_s``.
+    """
+    lower, upper, _ = keyframes.indices(len(track))
+    kept = (track.observations[:, 0] >= lower) & (track.observations[:, 0] < upper)
+    observed, point = np.unique(track.observations[kept, 1], return_inverse=True)
+    T_O_W = se3_inverse(track.poses[lower]) if upper > lower else np.eye(4)
+    return VoTrack(
+        stamps_s=track.stamps_s[lower:upper] - start_s,
+        poses=T_O_W @ track.poses[lower:upper],
+        points=track.points[observed] @ T_O_W[:3, :3].T + T_O_W[:3, 3],
+        observations=np.column_stack([track.observations[kept, 0] - lower, point]).astype(np.int32),
+        descriptors=track.descriptors[kept],
+        words=track.words[kept],
+    )
