@@ -1,0 +1,59 @@
+"""Data sets of many kinds behind one interface, found by looking at the folder."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from frontend.cameras import RigKind
+from frontend.datasets.base import Dataset, ImageSequence, Problem, Reader, Severity
+from frontend.datasets.images import natural_key
+from frontend.datasets.kitti import KittiReader
+from frontend.datasets.rendered import RenderedReader
+from frontend.datasets.seven_scenes import SevenScenesReader
+from frontend.errors import FrontendError
+
+__all__ = ["READERS", "Dataset", "ImageSequence", "Problem", "Severity", "open_dataset"]
+
+READERS: tuple[type[Reader], ...] = (RenderedReader, KittiReader, SevenScenesReader)
+_AGENT = re.compile(r"agent_\d+")
+
+
+def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) -> Dataset:
+    """The data set in folder ``path``: one sequence, or one for each sub-folder ``agent_<n>``, each of which may be of any kind.
+
+    ``rig``: read it as this, for example stereo images as mono; None takes the most that the files allow. With ``strict``, the first
+    problem that would spoil a run is raised as :class:`FrontendError`; without, problems stay listed in each sequence.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise FrontendError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
+    agents = sorted((p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name))
+    if agents:
+        sequences = [replace(_reader(folder).open(folder, rig), name=folder.name) for folder in agents]
+        kinds = sorted({sequence.kind for sequence in sequences})
+        dataset = Dataset(f"agents ({', '.join(kinds)})", path, sequences)
+    else:
+        reader = _reader(path)
+        dataset = Dataset(reader.kind, path, [reader.open(path, rig)])
+    for sequence in dataset.sequences if strict else []:
+        for problem in sequence.problems:
+            if problem.severity is Severity.ERROR:
+                raise FrontendError(problem.message)
+    return dataset
+
+
+def _reader(folder: Path) -> type[Reader]:
+    for reader in READERS:
+        if reader.recognises(folder):
+            return reader
+    raise FrontendError(f"{folder}: {_why_unknown(folder)}")
+
+
+def _why_unknown(folder: Path) -> str:
+    inside = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_key(p.name))
+    usable = [p.name for p in inside if any(reader.recognises(p) for reader in READERS)]
+    if usable:
+        return f"holds several sequences ({', '.join(usable[:5])}{', …' if len(usable) > 5 else ''}); name one of them"
+    return f"no images of a known layout here ({', '.join(reader.kind for reader in READERS)})"

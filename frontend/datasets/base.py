@@ -1,0 +1,156 @@
+"""What every data set is to the rest: sequences of frames, decoded when asked for."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.cameras import Rig, RigKind
+from frontend.datasets.images import read_depth, read_grey
+from frontend.errors import FrontendError
+from frontend.frames import Frame
+from frontend.rectification import Rectifier
+from frontend.trajectory import Trajectory
+
+Pixel = TypeVar("Pixel", bound=np.generic)
+
+
+class Severity(StrEnum):
+    """``ERROR``: a run on this data would be wrong or stop; ``WARNING``: it can run, and its user should know."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong with a data set; ``message`` names file, number and unit in one line."""
+
+    severity: Severity
+    message: str
+
+
+class Problems:
+    """A list of problems being gathered while a data set is opened."""
+
+    def __init__(self) -> None:
+        self.found: list[Problem] = []
+
+    def error(self, message: str) -> None:
+        self.found.append(Problem(Severity.ERROR, message))
+
+    def warning(self, message: str) -> None:
+        self.found.append(Problem(Severity.WARNING, message))
+
+
+@dataclass(frozen=True)
+class ImageSequence:
+    """The images of one agent, in order of time, with a calibrated and rectified camera.
+
+    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file a frame; ``right`` (stereo) and ``depth`` (RGB-D, 16 bit,
+    ``depth_unit_m`` metres a step, registered to the image) likewise, else empty. ``rectifier`` maps the images as stored to those of
+    ``rig``; None where they are rectified already. ``stored_size`` ``(width, height)`` of the image files, pixels. ``groundtruth``:
+    ``T_W_C`` of the rectified left camera, for as many moments as are known, not only those of frames.
+    """
+
+    kind: str
+    name: str
+    rig: Rig
+    stamps_ns: NDArray[np.int64]
+    left: tuple[Path, ...]
+    stored_size: tuple[int, int]
+    right: tuple[Path, ...] = ()
+    depth: tuple[Path, ...] = ()
+    depth_unit_m: float = 0.001
+    rectifier: Rectifier | None = None
+    groundtruth: Trajectory | None = None
+    problems: tuple[Problem, ...] = ()
+
+    def __post_init__(self) -> None:
+        for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):
+            if count != len(self.left):
+                raise ValueError(f"{count} files or stamps for {len(self.left)} images")
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    def read(self, i: int) -> Frame:
+        """Frame ``i``, decoded and rectified. :class:`FrontendError` where a file is missing, damaged or of another size."""
+        if not 0 <= i < len(self):
+            raise IndexError(f"frame {i} of {len(self)}")
+        image = self._sized(read_grey(self.left[i]), self.left[i])
+        right = self._sized(read_grey(self.right[i]), self.right[i]) if self.right else None
+        depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i]) if self.depth else None
+        if self.rectifier is not None:
+            image, right, depth = self.rectifier.rectify(image, right, depth)
+        return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]))
+
+    def frames(self, start: int = 0, stop: int | None = None, ahead: int = 4) -> Iterator[Frame]:
+        """Frames ``start`` to ``stop`` in order, each decoded once; a thread decodes up to ``ahead`` frames before they are asked for.
+
+        What :meth:`read` raises is raised when the damaged frame's turn comes, not before.
+        """
+        indices = iter(range(len(self))[start:stop])
+        pending: deque[Future[Frame]] = deque()
+        reader = ThreadPoolExecutor(1, thread_name_prefix="decode")
+        try:
+            for i in indices:
+                pending.append(reader.submit(self.read, i))
+                if len(pending) > ahead:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            reader.shutdown(wait=True, cancel_futures=True)
+
+    def _sized(self, image: NDArray[Pixel], path: Path) -> NDArray[Pixel]:
+        width, height = self.stored_size
+        if image.shape != (height, width):
+            raise FrontendError(f"{path}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}")
+        return image
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """What a folder holds: one sequence, or one for each agent of a multi-agent data set, in order of their names."""
+
+    kind: str
+    root: Path
+    sequences: list[ImageSequence]
+
+
+class Reader(ABC):
+    """One kind of data set: knows it by its folder and opens it as one sequence. Stateless."""
+
+    kind: ClassVar[str]
+
+    @classmethod
+    @abstractmethod
+    def recognises(cls, folder: Path) -> bool:
+        """Whether ``folder`` looks like this kind."""
+
+    @classmethod
+    @abstractmethod
+    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+        """The sequence in ``folder``, as ``rig`` or as the most that its files allow.
+
+        Problems that leave a sequence to speak of are listed in it; others are raised as :class:`FrontendError`.
+        """
+
+
+def choose_rig(available: Sequence[RigKind], wanted: RigKind | None, folder: Path) -> RigKind:
+    """The rig asked for if the files allow it, else an error that says what they allow; None takes the first ``available``."""
+    if wanted is None:
+        return available[0]
+    if wanted not in available:
+        raise FrontendError(f"{folder}: cannot be read as {wanted}; its files allow {', '.join(available)}")
+    return wanted

@@ -1,0 +1,91 @@
+"""Image files: found in natural order, decoded once, and told apart from half-written ones."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.errors import FrontendError
+from frontend.tables import read_bytes
+
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"})
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+_JPEG_START = b"\xff\xd8"
+
+
+def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Sort key by which ``frame2`` comes before ``frame10``."""
+    return tuple((0, int(part), part) if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", name) if part)
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Image files directly in ``folder``, in natural order; hidden files are not images."""
+    if not folder.is_dir():
+        return []
+    found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()]
+    return sorted(found, key=lambda p: natural_key(p.name))
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """``(H, W)`` uint8 grey, whatever the file holds. :class:`FrontendError` where the file is missing, cut off or not an image."""
+    image = _decode(path, cv2.IMREAD_GRAYSCALE)
+    return image.astype(np.uint8, copy=False)
+
+
+def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
+    """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres a step; 0 and 65535 are unknown and become 0."""
+    raw = _decode(path, cv2.IMREAD_UNCHANGED)
+    if raw.ndim != 2 or raw.dtype != np.uint16:
+        channels = 1 if raw.ndim == 2 else raw.shape[2]
+        raise FrontendError(f"{path}: a depth image has one channel of 16 bits, found {channels} of {raw.dtype.itemsize * 8}")
+    depth = raw.astype(np.float32) * np.float32(unit_m)
+    depth[raw == np.uint16(65535)] = 0.0
+    return depth
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height in pixels."""
+    height, width = _decode(path, cv2.IMREAD_UNCHANGED).shape[:2]
+    return width, height
+
+
+def _decode(path: Path, flags: int) -> NDArray[np.generic]:
+    data = read_bytes(path)
+    if not data:
+        raise FrontendError(f"{path}: the file is empty")
+    complete = _is_complete(data)
+    if not complete:
+        raise FrontendError(f"{path}: the image is cut off after {len(data)} bytes")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except cv2.error as error:
+        raise FrontendError(f"{path}: cannot be decoded: {error.err}") from error
+    if image is None or not image.size:
+        raise FrontendError(f"{path}: not an image that can be decoded (damaged, or of another format than its name says)")
+    return image
+
+
+def _is_complete(data: bytes) -> bool:
+    """False for a PNG or JPEG that stops early: decoders pass those on with a grey or black rest and no error."""
+    if data.startswith(_PNG_START):
+        return _png_is_complete(data)
+    if data.startswith(_JPEG_START):
+        # The end marker must follow the last scan: inside coded data FF is always stuffed, and a thumbnail's end comes earlier.
+        return data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda")
+    return True
+
+
+def _png_is_complete(data: bytes) -> bool:
+    """Walk the chunks (length, name, data, checksum) to the end chunk."""
+    position = len(_PNG_START)
+    while position + 12 <= len(data):
+        length = int.from_bytes(data[position : position + 4], "big")
+        name = data[position + 4 : position + 8]
+        position += 12 + length
+        if name == b"IEND":
+            return position <= len(data)
+    return False

@@ -1,0 +1,56 @@
+"""Time stamps: decimal seconds in files, exact integer nanoseconds inside."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.errors import FrontendError
+from frontend.tables import read_bytes
+
+NS_PER_S = 1_000_000_000
+_DECIMAL = re.compile(r"([+-]?)(\d+)(?:\.(\d*))?")
+
+
+def stamp_ns_from_s(seconds: NDArray[np.float64] | float) -> NDArray[np.int64]:
+    """Nearest integer nanoseconds."""
+    return np.rint(np.asarray(seconds, dtype=np.float64) * NS_PER_S).astype(np.int64)
+
+
+def decimal_ns(text: str) -> int:
+    """Seconds as written to nanoseconds, exactly: a float64 holds only 0.2 microseconds of a present-day Unix time.
+
+    Digits beyond the ninth decimal are cut off. Raises ``ValueError`` for anything that is not a finite number.
+    """
+    found = _DECIMAL.fullmatch(text)
+    if found:
+        sign, whole, fraction = found.groups()
+        magnitude = int(whole) * NS_PER_S + int(((fraction or "") + "0" * 9)[:9])
+        return -magnitude if sign == "-" else magnitude
+    value = float(text)
+    if not np.isfinite(value):
+        raise ValueError(f"not a finite number: {text!r}")
+    return int(stamp_ns_from_s(value))
+
+
+def seconds_text(stamp_ns: int) -> str:
+    """Seconds with nine decimals: the inverse of :func:`decimal_ns`."""
+    sign, magnitude = "-" if stamp_ns < 0 else "", abs(int(stamp_ns))
+    return f"{sign}{magnitude // NS_PER_S}.{magnitude % NS_PER_S:09d}"
+
+
+def read_stamps(path: Path, column: int = 0) -> NDArray[np.int64]:
+    """Nanoseconds ``(N,)`` of the seconds in one column of a text file; lines starting with ``#`` and empty ones are passed over."""
+    stamps = []
+    for number, line in enumerate(read_bytes(path).decode("ascii", "replace").splitlines(), 1):
+        fields = line.replace(",", " ").split()
+        if not fields or fields[0].startswith("#"):
+            continue
+        try:
+            stamps.append(decimal_ns(fields[column]))
+        except (ValueError, IndexError):
+            raise FrontendError(f"{path}:{number}: not a time in seconds: {line.strip()[:60]!r}") from None
+    return np.array(stamps, dtype=np.int64)
