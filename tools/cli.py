@@ -14,11 +14,7 @@ import traceback
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
-from backend.errors import BackendError
-from descriptors.errors import DescriptorError
-from frontend.errors import FrontendError
-from mas.errors import MasError
-from tools.errors import ToolError, UsageError
+from tools.errors import UsageError, describe
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("tools.demo", "render a small town, run four agents in it, write the report"),
@@ -35,7 +31,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("tools.doctor", "versions, missing system libraries, what works on this machine"),
 }
 SUCCESS, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
-SAY_IT_THEMSELVES = (FrontendError, DescriptorError, BackendError, MasError, ToolError)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -103,21 +98,6 @@ def _fail(error: Exception, debug: bool) -> int:
         traceback.print_exception(error)
     print(f"maslam: {describe(error)}", file=sys.stderr)
     return FAILURE
-
-
-def describe(error: Exception) -> str:
-    """One line for people: our own errors say everything themselves; an unexpected one is named, with the way to
-    learn more.
-    """
-    text = " ".join(str(error).split())
-    if isinstance(error, SAY_IT_THEMSELVES):
-        return text
-    if isinstance(error, OSError):
-        reason = error.strerror or text
-        return f"{error.filename}: {reason}" if error.filename else reason
-    if isinstance(error, ModuleNotFoundError):
-        return f"{text}: `maslam doctor` shows what is missing"
-    return f"unexpected {type(error).__name__}: {text or 'no message'} (--debug shows where)"
 
 
 def _version() -> str:

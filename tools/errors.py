@@ -1,4 +1,11 @@
-"""The one exception root of the commands."""
+"""The one exception root of the commands, and how any failure is put into one line."""
+
+from __future__ import annotations
+
+from backend.errors import BackendError
+from descriptors.errors import DescriptorError
+from frontend.errors import FrontendError
+from mas.errors import MasError
 
 
 class ToolError(RuntimeError):
@@ -7,3 +14,21 @@ class ToolError(RuntimeError):
 
 class UsageError(ToolError):
     """Options that do not fit together: exit code 2 instead of 1."""
+
+
+SAY_IT_THEMSELVES = (FrontendError, DescriptorError, BackendError, MasError, ToolError)
+
+
+def describe(error: Exception) -> str:
+    """One line for people: our own errors say everything themselves; an unexpected one is named, with the way to
+    learn more.
+    """
+    text = " ".join(str(error).split())
+    if isinstance(error, SAY_IT_THEMSELVES):
+        return text
+    if isinstance(error, OSError):
+        reason = error.strerror or text
+        return f"{error.filename}: {reason}" if error.filename else reason
+    if isinstance(error, ModuleNotFoundError):
+        return f"{text}: `maslam doctor` shows what is missing"
+    return f"unexpected {type(error).__name__}: {text or 'no message'} (--debug shows where)"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3_inverse
+from backend.geometry import se3_inverse, transform_points
 from frontend.vofiles import VoTrack
 from tools.errors import UsageError
 
@@ -55,19 +55,20 @@ def _between(ascending: NDArray[np.int64], first: int, last: int) -> slice:
     return slice(int(np.searchsorted(ascending, first)), int(np.searchsorted(ascending, last + 1)))
 
 
-def cut_track(track: VoTrack, keyframes: slice, start_s: float) -> VoTrack:
+def cut_track(track: VoTrack, keyframes: slice, stamps_s: NDArray[np.float64]) -> VoTrack:
     """The part of ``track`` that one agent made: its key-frames, the points they observe, both numbered anew from 0.
 
-    The origin becomes the camera of the first key-frame kept; times become relative to ``start_s``.
+    The origin becomes the camera of the first key-frame kept; ``stamps_s`` are the times of the key-frames kept, on the
+    agent's clock.
     """
     lower, upper, _ = keyframes.indices(len(track))
     kept = (track.observations[:, 0] >= lower) & (track.observations[:, 0] < upper)
     observed, point = np.unique(track.observations[kept, 1], return_inverse=True)
-    T_O_W = se3_inverse(track.poses[lower]) if upper > lower else np.eye(4)
+    T_O_W = se3_inverse(track.poses[lower])
     return VoTrack(
-        stamps_s=track.stamps_s[lower:upper] - start_s,
+        stamps_s=stamps_s,
         poses=T_O_W @ track.poses[lower:upper],
-        points=track.points[observed] @ T_O_W[:3, :3].T + T_O_W[:3, 3],
+        points=transform_points(T_O_W, track.points[observed]),
         observations=np.column_stack([track.observations[kept, 0] - lower, point]).astype(np.int32),
         descriptors=track.descriptors[kept],
         words=track.words[kept],

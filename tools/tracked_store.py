@@ -1,0 +1,125 @@
+"""What the front end made of a sequence, kept on disk and used again while images, settings and code are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from zipfile import BadZipFile
+
+import numpy as np
+
+from frontend.trajectory import Trajectory
+from frontend.vofiles import VoTrack
+from tools.tracking import Gap, Tracked, track
+
+if TYPE_CHECKING:
+    from frontend.config import OdometryConfig
+    from frontend.datasets.base import ImageSequence
+
+TRACK_FIELDS = ("stamps_s", "poses", "points", "observations", "descriptors", "words")
+CODE_FOLDERS = ("frontend", "descriptors", "backend/geometry.py", "tools/tracking.py")  # what decides a tracking result
+
+
+@dataclass(frozen=True)
+class TrackingJob:
+    """One sequence to be tracked, with what it takes, and the file for the result."""
+
+    sequence: ImageSequence
+    odometry: OdometryConfig
+    model: str
+    vocabulary: Path | None
+    store: Path
+
+    def fingerprint(self) -> str:
+        """Of the images (names, sizes, times of change), the calibration, the settings, the models and the code."""
+        sequence = self.sequence
+        digest = hashlib.sha256(f"{sequence.rig} {self.odometry.model_dump_json()} {self.model}".encode())
+        digest.update(sequence.stamps_ns.tobytes())
+        models = [path for path in (self.vocabulary, Path(self.model)) if path is not None and path.is_file()]
+        for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
+            status = path.stat() if path.exists() else None
+            digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
+        digest.update(code_digest().encode())
+        return digest.hexdigest()
+
+
+def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
+    """Track the job's sequence into its store, unless the store has it."""
+    fingerprint = job.fingerprint()
+    if load_tracked(job.store, fingerprint) is None:
+        from frontend.vocabulary import Vocabulary
+
+        from descriptors.inference import NetVlad
+
+        vocabulary, model = Vocabulary.load(job.vocabulary), NetVlad.load(job.model)
+        save_tracked(job.store, track(job.sequence, job.odometry, vocabulary, model, advance), fingerprint)
+    advance(len(job.sequence))
+
+
+def code_digest() -> str:
+    """Of the sources and shipped models behind a tracking result: another version makes it anew."""
+    root = Path(__file__).parent.parent
+    files = [root / part for part in CODE_FOLDERS if (root / part).is_file()]
+    for part in CODE_FOLDERS:
+        files += [path for path in (root / part).rglob("*") if path.suffix in {".py", ".npz", ".onnx", ".json"}]
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:
+    """Write ``path`` (npz) in one move; ``fingerprint`` says what it was made from and how."""
+    header = {
+        "fingerprint": fingerprint,
+        "tracks": len(tracked.tracks),
+        "lost": [asdict(gap) for gap in tracked.lost],
+        "unreadable": tracked.unreadable,
+        "stats": tracked.stats,
+    }
+    arrays = {
+        "header": np.array(json.dumps(header)),
+        "vectors": tracked.vectors,
+        "textured": tracked.textured,
+    }
+    for k, (one, keyframes) in enumerate(zip(tracked.tracks, tracked.keyframes, strict=True)):
+        arrays[f"keyframes_{k}"] = keyframes
+        arrays[f"frame_stamps_ns_{k}"] = tracked.trajectories[k].stamps_ns
+        arrays[f"frame_poses_{k}"] = tracked.trajectories[k].poses
+        arrays |= {f"{name}_{k}": getattr(one, name) for name in TRACK_FIELDS}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(f".{os.getpid()}.part")
+    with open(temporary, "wb") as out:
+        np.savez(out, allow_pickle=False, **arrays)
+    os.replace(temporary, path)
+
+
+def load_tracked(path: Path, fingerprint: str) -> Tracked | None:
+    """What :func:`save_tracked` wrote, or None where there is nothing or it was made from something else."""
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            header = json.loads(str(stored["header"]))
+            if header["fingerprint"] != fingerprint:
+                return None
+            count = header["tracks"]
+            return Tracked(
+                tracks=tuple(VoTrack(**{name: stored[f"{name}_{k}"] for name in TRACK_FIELDS}) for k in range(count)),
+                keyframes=tuple(stored[f"keyframes_{k}"] for k in range(count)),
+                trajectories=tuple(
+                    Trajectory(stored[f"frame_stamps_ns_{k}"], stored[f"frame_poses_{k}"]) for k in range(count)
+                ),
+                vectors=stored["vectors"],
+                textured=stored["textured"],
+                lost=tuple(Gap(**gap) for gap in header["lost"]),
+                unreadable=tuple(header["unreadable"]),
+                stats=header["stats"],
+            )
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None  # damaged: made anew

@@ -1,0 +1,140 @@
+"""One sequence through the front end: odometry and place vectors in one pass, every image decoded once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.errors import FrontendError
+from frontend.trajectory import Trajectory
+from frontend.vofiles import VoTrack
+
+if TYPE_CHECKING:
+    from frontend.odometry import OdometryResult
+    from frontend.vocabulary import Vocabulary
+
+    from descriptors.inference import NetVlad
+    from frontend.config import OdometryConfig
+    from frontend.datasets import ImageSequence
+    from frontend.frames import Frame
+
+UNREADABLE_SHARE = (
+    0.1  # more unreadable frames than this, and the sequence is refused: what is left is not what was filmed
+)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Frames ``first_frame`` to ``last_frame`` (inclusive, counted in the sequence) have no pose, and why."""
+
+    first_frame: int
+    last_frame: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What the front end made of one sequence of F frames.
+
+    ``tracks``: one for each uninterrupted track, their key-frames numbered in ``keyframes`` by frame (ascending).
+    ``trajectories``: every tracked frame of each track, ``T_W_C`` in the track's frame. ``vectors`` ``(K, dim)`` and
+    ``textured`` ``(K,)``: one a key-frame, all tracks in order. ``unreadable``: what was wrong with each frame that
+    could not be read.
+    """
+
+    tracks: tuple[VoTrack, ...]
+    keyframes: tuple[NDArray[np.int64], ...]
+    trajectories: tuple[Trajectory, ...]
+    vectors: NDArray[np.float32]
+    textured: NDArray[np.bool_]
+    lost: tuple[Gap, ...]
+    unreadable: tuple[str, ...]
+    stats: dict[str, float]
+
+
+def track(
+    sequence: ImageSequence,
+    config: OdometryConfig,
+    vocabulary: Vocabulary,
+    model: NetVlad,
+    advance: Callable[[int], None],
+) -> Tracked:
+    """Run every frame through odometry, and each key-frame's image through the place descriptor.
+
+    A frame that cannot be read is left out and reported; ``FrontendError`` where too many are, or where nothing could
+    be tracked.
+    """
+    from frontend.odometry import Odometry
+
+    odometry = Odometry(sequence.rig, config, vocabulary)
+    places = _Places(sequence, model)
+    unreadable: list[str] = []
+    refusals: Counter[str] = Counter()
+    for frame in _readable(sequence, unreadable):
+        result = odometry.process(frame)
+        if result.is_keyframe:
+            places.describe(frame.index, frame.image)
+        if result.T_W_C is None:
+            refusals[result.reason] += 1
+        advance(frame.index + 1)
+    finished = odometry.finish()
+    if not any(len(one) for one in finished.tracks):
+        why = (
+            ", ".join(f"{reason} ({count} x)" for reason, count in refusals.most_common(3)) or "no frame could be used"
+        )
+        raise FrontendError(f"{sequence.name}: no frame of {len(sequence)} could be tracked: {why}")
+    return _collect(finished, places, tuple(unreadable))
+
+
+def _readable(sequence: ImageSequence, unreadable: list[str]) -> Iterator[Frame]:
+    """The frames in order without those that cannot be read; what is wrong with these goes to ``unreadable``."""
+    following = 0
+    while following < len(sequence):
+        try:
+            for frame in sequence.frames(following):
+                following = frame.index + 1
+                yield frame
+        except FrontendError as error:
+            unreadable.append(str(error))
+            following += 1
+            if len(unreadable) > max(1.0, UNREADABLE_SHARE * len(sequence)):
+                raise FrontendError(
+                    f"{len(unreadable)} of the first {following} frames cannot be read: {error}"
+                ) from error
+
+
+class _Places:
+    """Place vectors by frame number, made while the image is at hand; others are read again when they are asked for."""
+
+    def __init__(self, sequence: ImageSequence, model: NetVlad) -> None:
+        self._sequence = sequence
+        self._model = model
+        self._made: dict[int, tuple[NDArray[np.float32], bool]] = {}
+
+    def describe(self, index: int, image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], bool]:
+        textured = float(image.std()) >= self._model.min_std
+        self._made[index] = self._model.describe([image])[0], textured
+        return self._made[index]
+
+    def of(self, index: int) -> tuple[NDArray[np.float32], bool]:
+        return self._made.get(index) or self.describe(index, self._sequence.read(index).image)
+
+
+def _collect(finished: OdometryResult, places: _Places, unreadable: tuple[str, ...]) -> Tracked:
+    order = [k for k in range(len(finished.tracks)) if len(finished.tracks[k])]
+    described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
+    return Tracked(
+        tracks=tuple(finished.tracks[k] for k in order),
+        keyframes=tuple(np.asarray(finished.keyframe_indices[k], dtype=np.int64) for k in order),
+        trajectories=tuple(finished.trajectories[k] for k in order),
+        vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
+        textured=np.array([textured for _, textured in described], dtype=bool),
+        lost=tuple(Gap(int(gap.first_frame), int(gap.last_frame), gap.reason) for gap in finished.lost),
+        unreadable=unreadable,
+        stats={name: float(value) for name, value in sorted(finished.stats.items())},
+    )

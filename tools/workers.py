@@ -1,0 +1,103 @@
+"""Independent jobs over the cores of one machine, each in a process of its own, with one progress for all."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from functools import partial
+from queue import Empty
+from typing import Any, Generic, TypeVar
+
+from tools.progress import Progress
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+POLL_S = 0.2
+_levels: Any = None  # in a worker: the queue on which it tells how far it is
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Result]):
+    """What became of one job: its result, or the error that ended it."""
+
+    result: Result | None
+    error: Exception | None
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_jobs(
+    work: Callable[[Job, Callable[[int], None]], Result],
+    jobs: Mapping[str, tuple[Job, int]],
+    workers: int,
+    progress: Progress,
+) -> dict[str, Outcome[Result]]:
+    """``work(job, advance)`` for each named job (with its number of steps), the outcomes in the order of ``jobs``.
+
+    A failing job does not stop the others. With one worker or one job everything happens in this process. ``work`` must
+    be a function of a module, its jobs and results picklable; results must not depend on which worker made them.
+    """
+    tasks = {name: progress.start(name, steps) for name, (_, steps) in jobs.items()}
+    if min(workers, len(jobs)) <= 1:
+        return {name: _guarded(work, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()}
+    context = multiprocessing.get_context("spawn")
+    levels = context.Queue()
+    pool = ProcessPoolExecutor(min(workers, len(jobs)), context, _prepare_worker, (levels,))
+    try:
+        futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
+        _watch(futures, levels, tasks, progress)
+        done = {name: future.result() for future, name in futures.items()}
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    pool.shutdown()
+    return {name: done[name] for name in jobs}
+
+
+def _watch(futures: dict[Future[Outcome[Result]], str], levels: Any, tasks: dict[str, int], progress: Progress) -> None:
+    waiting = set(futures)
+    while waiting:
+        _, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
+        latest: dict[str, int] = {}
+        try:
+            while True:
+                name, level = levels.get_nowait()
+                latest[name] = level
+        except Empty:
+            pass
+        for name, level in latest.items():
+            progress.advance(tasks[name], level)
+
+
+def _prepare_worker(levels: Any) -> None:
+    global _levels
+    _levels = levels
+    signal.signal(
+        signal.SIGINT, signal.SIG_DFL
+    )  # an interrupted worker ends without a traceback; its parent says what happened
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> Outcome[Result]:
+    import cv2
+
+    cv2.setNumThreads(1)
+    return _guarded(work, job, lambda level: _levels.put((name, level)))
+
+
+def _guarded(
+    work: Callable[[Job, Callable[[int], None]], Result], job: Job, advance: Callable[[int], None]
+) -> Outcome[Result]:
+    try:
+        return Outcome(work(job, advance), None)
+    except Exception as error:  # noqa: BLE001 - whatever ended this job, the others go on; the caller decides
+        return Outcome(None, error)
