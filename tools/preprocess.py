@@ -130,7 +130,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     from tools.tracked_store import track_job
     from tools.workers import core_count, run_jobs
 
-    dataset = open_dataset(source, RigKind(settings.rig) if settings.rig else None)
+    dataset = open_dataset(source, RigKind(settings.rig) if settings.rig else None, strict=False)
     if settings.agents is not None and len(dataset.sequences) > 1:
         count = len(dataset.sequences)
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
