@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -119,6 +120,13 @@ def write_atomically(files: Iterable[tuple[Path, str | bytes]]) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def write_npz(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Compressed arrays, the same bytes for the same arrays, whole or not at all."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    write_atomically([(path, buffer.getvalue())])
+
+
 def _tokens_per_line(data: bytes) -> NDArray[np.int64]:
     """Number of blank-separated words on each line."""
     text = np.frombuffer(data, dtype=np.uint8)
@@ -132,6 +140,7 @@ def _tokens_per_line(data: bytes) -> NDArray[np.int64]:
 
 def _parse(data: bytes, count: int, dtype: type) -> NDArray[Any] | None:
     """All numbers of ``data``, or None when they are not ``count`` clean numbers."""
+    values: NDArray[Any]
     try:
         values = np.fromstring(data, dtype=dtype, sep=" ")
     except (ValueError, DeprecationWarning):  # the warning where warnings are errors: older numpy only warns
