@@ -1,0 +1,150 @@
+"""Distance thresholds from data: how precise and how complete place recognition is at each distance. numpy only.
+
+What is measured is what agents do: each query takes its nearest neighbour, and the match stands if the distance is small enough. Precision
+counts the matches that stand; recall counts, of the queries that have a place to find, those that found it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptors.card import Calibration, OperatingPoint
+from descriptors.errors import DescriptorError
+
+_CHUNK = 1024
+_CURVE_POINTS = 40
+
+
+@dataclass(frozen=True)
+class Retrieval:
+    """Nearest neighbours of Q queries, nearest first: ``distances`` ``(Q, k)``, ``right`` ``(Q, k)`` whether each shows the query's place;
+    ``findable`` ``(Q,)`` whether anything does."""
+
+    distances: NDArray[np.float32]
+    right: NDArray[np.bool_]
+    findable: NDArray[np.bool_]
+
+    def recall_at(self, k: int) -> float:
+        """Share of the findable queries with a right answer among their first ``k``; 0 where nothing can be found."""
+        hits = self.right[self.findable, :k].any(axis=1)
+        return float(hits.mean()) if len(hits) else 0.0
+
+
+@dataclass(frozen=True)
+class PrecisionRecall:
+    """One row for each distance at which a match appears, growing, all ``(n,)``; ``matches`` counts those that stand there."""
+
+    distance: NDArray[np.float64]
+    matches: NDArray[np.int64]
+    precision: NDArray[np.float64]
+    recall: NDArray[np.float64]
+
+    def average_precision(self) -> float:
+        """Area under precision over recall, as a sum of steps."""
+        return float((np.diff(self.recall, prepend=0.0) * self.precision).sum())
+
+
+def retrieve(
+    queries: NDArray[np.float32],
+    references: NDArray[np.float32],
+    truth: NDArray[np.bool_],
+    k: int = 5,
+    ignore: NDArray[np.bool_] | None = None,
+) -> Retrieval:
+    """The ``k`` nearest of ``references`` ``(R, d)`` to each of ``queries`` ``(Q, d)``, unit rows, judged by ``truth`` ``(Q, R)``.
+
+    ``ignore`` ``(Q, R)``: pairs that may not be answered, neither right nor wrong (the query itself, its neighbours in time, pairs so
+    close to the border of "same place" that calling them wrong would be unfair).
+    """
+    if truth.shape != (len(queries), len(references)):
+        raise DescriptorError(f"truth must be ({len(queries)}, {len(references)}), got {truth.shape}")
+    k = min(k, len(references))
+    distances, right = np.empty((len(queries), k), dtype=np.float32), np.empty((len(queries), k), dtype=bool)
+    for start in range(0, len(queries), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        d = np.sqrt(np.maximum(2.0 - 2.0 * (queries[rows] @ references.T), 0.0))
+        if ignore is not None:
+            d[ignore[rows]] = np.inf
+        order = np.argsort(d, axis=1, kind="stable")[:, :k]
+        distances[rows] = np.take_along_axis(d, order, axis=1)
+        right[rows] = np.take_along_axis(truth[rows], order, axis=1) & np.isfinite(distances[rows])
+    allowed = truth if ignore is None else truth & ~ignore
+    return Retrieval(distances, right, allowed.any(axis=1))
+
+
+def precision_recall(retrieval: Retrieval) -> PrecisionRecall:
+    """Precision and recall of "the nearest neighbour, if it is nearer than d", for every d at which something changes."""
+    answered = np.isfinite(retrieval.distances[:, 0])
+    distance = retrieval.distances[answered, 0].astype(np.float64)
+    right = retrieval.right[answered, 0]
+    order = np.argsort(distance, kind="stable")
+    distance, hits = distance[order], np.cumsum(right[order])
+    matches = np.arange(1, len(hits) + 1)
+    precision = hits / matches
+    recall = hits / max(int(retrieval.findable.sum()), 1)
+    last = np.append(np.diff(distance) > 0, True) if len(distance) else np.zeros(0, dtype=bool)  # equal distances stand or fall together
+    return PrecisionRecall(distance[last], matches[last], precision[last], recall[last])
+
+
+def strict_point(curve: PrecisionRecall, precision: float) -> OperatingPoint | None:
+    """The largest distance at and below which precision never falls under ``precision``; None where even the nearest match is wrong.
+
+    "Never", not "at that point": a later lucky run of right matches would hide a worse stretch before it. A stretch of fewer matches
+    than it takes to measure the precision is not held against it.
+    """
+    enough = 1.0 / max(1.0 - precision, 1e-3)
+    bad = (curve.precision < precision) & (curve.matches >= enough)
+    end = int(np.argmax(bad)) if bad.any() else len(curve.distance)
+    good = np.flatnonzero((curve.precision[:end] >= precision) & (curve.distance[:end] > 0))
+    return _point(curve, int(good[-1])) if len(good) else None
+
+
+def candidate_point(curve: PrecisionRecall, share: float, precision: float) -> OperatingPoint | None:
+    """The smallest distance that keeps ``share`` of all the right matches there are; smaller still where precision there would be
+    lower than ``precision``. None where there is no right match."""
+    if not len(curve.recall) or curve.recall[-1] <= 0:
+        return None
+    wanted = int(np.argmax(curve.recall >= share * curve.recall[-1]))
+    good = np.flatnonzero((curve.precision >= precision) & (curve.distance > 0))
+    good = good[good <= wanted]
+    if curve.precision[wanted] >= precision and curve.distance[wanted] > 0:
+        return _point(curve, wanted)
+    return _point(curve, int(good[-1])) if len(good) else None
+
+
+def calibrate(retrieval: Retrieval, data: str, strict_precision: float, candidate_share: float, candidate_precision: float) -> Calibration:
+    """Both thresholds and the curve they were read from; an error where the data cannot support them."""
+    curve = precision_recall(retrieval)
+    strict = strict_point(curve, strict_precision)
+    candidate = candidate_point(curve, candidate_share, candidate_precision)
+    if strict is None or candidate is None:
+        raise DescriptorError(f"calibration on {data}: no distance reaches precision {strict_precision} over {len(retrieval.findable)} queries")
+    if candidate.distance < strict.distance:
+        candidate = strict
+    return Calibration(data=data, queries=len(retrieval.findable), strict=strict, candidate=candidate, curve=_thin(curve))
+
+
+def pool(retrievals: Sequence[Retrieval]) -> Retrieval:
+    """Several sets as one: every query counts once."""
+    k = min(r.distances.shape[1] for r in retrievals)
+    return Retrieval(
+        np.concatenate([r.distances[:, :k] for r in retrievals]),
+        np.concatenate([r.right[:, :k] for r in retrievals]),
+        np.concatenate([r.findable for r in retrievals]),
+    )
+
+
+def _point(curve: PrecisionRecall, row: int) -> OperatingPoint:
+    figures = (curve.distance[row], curve.precision[row], curve.recall[row])
+    distance, precision, recall = (round(float(x), 6) for x in figures)
+    return OperatingPoint(distance=distance, precision=precision, recall=recall)
+
+
+def _thin(curve: PrecisionRecall) -> tuple[OperatingPoint, ...]:
+    positive = np.flatnonzero(curve.distance > 1e-6)
+    rows = np.unique(np.linspace(0, len(positive) - 1, min(_CURVE_POINTS, len(positive))).round().astype(int))
+    return tuple(_point(curve, int(positive[row])) for row in rows)

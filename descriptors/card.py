@@ -1,0 +1,79 @@
+"""The card of a model: what stands beside its ONNX file, read and checked before the model is used."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from descriptors.errors import DescriptorError
+
+MODELS = Path(__file__).parent / "models"
+
+
+class OperatingPoint(BaseModel):
+    """A distance threshold and what was measured there, over all pairs of the calibration set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    distance: float = Field(gt=0)  # Euclidean distance between unit vectors, 0 to 2
+    precision: float = Field(ge=0, le=1)  # share of the accepted nearest neighbours that show the query's place
+    recall: float = Field(ge=0, le=1)  # share of the queries with a place to find that are accepted and right
+
+
+class Calibration(BaseModel):
+    """Where the thresholds come from. ``curve``: falling through the distances, for plots and for other wishes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    data: str  # what was measured on, in words
+    queries: int = Field(ge=0)
+    strict: OperatingPoint  # a match on appearance alone
+    candidate: OperatingPoint  # worth a geometric verification
+    curve: tuple[OperatingPoint, ...] = ()
+
+
+class ModelCard(BaseModel):
+    """What a user of the weights must know; ``default.json`` beside ``default.onnx``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1)
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")  # of the ONNX file
+    dim: int = Field(gt=0)
+    input_pixels: int = Field(gt=0)  # an image is resized to about this many pixels, its shape kept
+    threshold: float = Field(gt=0)  # Euclidean distance: matches on appearance alone
+    candidate_threshold: float = Field(gt=0)  # Euclidean distance: candidates for geometric verification
+    min_std: float = Field(ge=0)  # grey levels: an image with less local contrast has no texture to recognise
+    licence: str = "BSD-3-Clause"
+    training: str = ""  # the commands that made the weights
+    calibration: Calibration | None = None
+
+
+def read_card(model: str | Path) -> tuple[Path, ModelCard]:
+    """The ONNX file and the checked card of a shipped model (by name) or of a user's (path of the ``.onnx`` file)."""
+    onnx_path = MODELS / f"{model}.onnx" if isinstance(model, str) and not model.endswith(".onnx") else Path(model)
+    card_path = onnx_path.with_suffix(".json")
+    for path in (onnx_path, card_path):
+        if not path.is_file():
+            raise DescriptorError(f"{path}: not found (a model is an ONNX file and a card of the same name)")
+    try:
+        card = ModelCard.model_validate_json(card_path.read_text(encoding="utf-8"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"])
+        raise DescriptorError(f"{card_path}: {field}: {first['msg']}") from error
+    if card.sha256 != file_sha256(onnx_path):
+        raise DescriptorError(f"{onnx_path}: not the weights that {card_path.name} describes (SHA-256 differs)")
+    return onnx_path, card
+
+
+def write_card(path: Path, card: ModelCard) -> None:
+    """Write ``card`` beside its model; ``path`` is the ``.onnx`` or the ``.json`` file."""
+    path.with_suffix(".json").write_text(card.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

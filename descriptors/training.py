@@ -1,0 +1,247 @@
+"""Training of NetVLAD from images alone: symmetric InfoNCE over pairs of views of one place.
+
+Images come as :class:`PlaceSet` (photographs, rendered worlds); nothing here reads or renders them. Every step draws its batch from
+``(seed, step)``, so a resumed training goes exactly where an unbroken one would have gone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor, nn
+
+from descriptors.augmentation import PHOTOS, Augmentation, augment_pair, share_strips
+from descriptors.errors import DescriptorError
+from descriptors.initialisation import initialise, order_by_variance, settle_batch_norms
+from descriptors.netvlad import NetVladConfig, NetVladNetwork, build_network
+
+_MAX_SCALE = 60.0
+
+
+class TrainingConfig(BaseModel):
+    """How to train. The same configuration, images, seed and thread count give the same weights."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    network: NetVladConfig = NetVladConfig()
+    steps: int = Field(2500, gt=0)
+    pairs: int = Field(48, gt=1)  # places in a batch, two views each
+    width: int = Field(160, ge=32)  # pixels of a training image
+    height: int = Field(120, ge=32)
+    learning_rate: float = Field(2e-3, gt=0)  # at its peak; falls to zero on a half cosine
+    warmup_steps: int = Field(100, ge=0)
+    weight_decay: float = Field(1e-4, ge=0)
+    start_scale: float = Field(12.0, gt=0)  # inverse temperature; learned
+    prefixes: tuple[int, ...] = (128,)  # shorter vectors that are trained alongside the whole one
+    prefix_weight: float = Field(0.3, ge=0)  # of the loss on each prefix
+    seed: int = 0
+    threads: int = Field(1, gt=0)
+    initial_images: int = Field(1024, gt=0)  # for k-means centres and principal axes
+    checkpoint_every: int = Field(250, gt=0)  # steps
+
+
+@dataclass(frozen=True)
+class PlaceSet:
+    """Places seen V times each: ``views`` ``(P, V, h, w)`` uint8; V = 1 for photographs, whose second view is made.
+
+    ``conflicts`` ``(P, P)`` bool: pairs of places that see each other and so must not be told apart (None: no such pairs).
+    ``weight``: this set's share of the batches, relative to the others'. ``strips``: share of neighbours in a batch that are made
+    look-alikes by a common strip.
+    """
+
+    name: str
+    views: NDArray[np.uint8]
+    conflicts: NDArray[np.bool_] | None = None
+    weight: float = 1.0
+    augmentation: Augmentation = PHOTOS
+    strips: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.views.ndim != 4 or self.views.dtype != np.uint8:
+            raise DescriptorError(f"place set {self.name}: views must be (P, V, h, w) uint8, got {self.views.shape} {self.views.dtype}")
+        if self.conflicts is not None and self.conflicts.shape != (len(self.views),) * 2:
+            raise DescriptorError(f"place set {self.name}: {len(self.views)} places but conflicts of shape {self.conflicts.shape}")
+
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Two images ``(n, h, w)`` of each of up to ``count`` places, no two of which see each other."""
+        chosen: list[int] = []
+        blocked = np.zeros(len(self.views), dtype=bool)
+        for place in rng.permutation(len(self.views)):
+            if not blocked[place]:
+                chosen.append(int(place))
+                if self.conflicts is not None:
+                    blocked |= self.conflicts[place]
+                if len(chosen) == count:
+                    break
+        index, seen = np.array(chosen), self.views.shape[1]
+        a = rng.integers(seen, size=len(index))
+        b = (a + rng.integers(1, seen, size=len(index))) % seen if seen > 1 else a
+        return self.views[index, a], self.views[index, b]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One line of a training's log; ``validation`` is empty between validations."""
+
+    step: int
+    loss: float
+    accuracy: float
+    scale: float
+    validation: dict[str, float]
+
+
+def info_nce(first: Tensor, second: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
+    """Symmetric InfoNCE of paired unit rows ``(n, d)``, and the share of rows whose own pair is the most similar."""
+    logits = scale * first @ second.T
+    labels = torch.arange(len(logits))
+    loss = 0.5 * (F.cross_entropy(logits, labels) + F.cross_entropy(logits.T, labels))
+    return loss, (logits.argmax(dim=1) == labels).float().mean()
+
+
+class Trainer:
+    """The state of a training: network, optimiser, step. ``run`` yields progress; ``save`` and ``resume`` keep all of it."""
+
+    def __init__(self, config: TrainingConfig, sets: Sequence[PlaceSet]) -> None:
+        if not sets:
+            raise DescriptorError("training needs at least one set of places")
+        self.config, self.sets, self.step = config, list(sets), 0
+        self._previous_threads = torch.get_num_threads()
+        torch.set_num_threads(config.threads)
+        self.network: NetVladNetwork = build_network(config.network, config.seed)
+        self.log_scale = nn.Parameter(torch.tensor(math.log(config.start_scale)))
+        decayed = [p for p in self.network.parameters() if p.ndim > 1]
+        plain = [p for p in self.network.parameters() if p.ndim <= 1] + [self.log_scale]
+        groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=config.learning_rate)
+
+    def start(self) -> None:
+        """k-means centres, principal axes, batch-norm statistics (``initialisation``)."""
+        rng = np.random.default_rng([self.config.seed, 0, 1])
+        initialise(self.network, self.sample_images(self.config.initial_images, rng), rng)
+
+    def run(self, validate: Callable[[NetVladNetwork], dict[str, float]] | None = None, every: int = 50) -> Iterator[Progress]:
+        """Train up to the configured number of steps; yields the averages of every ``every`` steps."""
+        loss_sum = accuracy_sum = count = 0.0
+        while self.step < self.config.steps:
+            loss, accuracy = self._train_step()
+            loss_sum, accuracy_sum, count = loss_sum + loss, accuracy_sum + accuracy, count + 1
+            if self.step % every == 0 or self.step == self.config.steps:
+                figures = {}
+                if validate is not None and (self.step % self.config.checkpoint_every == 0 or self.step == self.config.steps):
+                    self.network.eval()
+                    figures = validate(self.network)
+                yield Progress(self.step, loss_sum / count, accuracy_sum / count, float(self.log_scale.detach().exp()), figures)
+                loss_sum = accuracy_sum = count = 0.0
+
+    def finish(self) -> NDArray[np.float64]:
+        """Settle batch norms and order the output dimensions by variance; returns the share of variance of each."""
+        images = self.sample_images(self.config.initial_images, np.random.default_rng([self.config.seed, 0, 2]))
+        settle_batch_norms(self.network, images)
+        shares = order_by_variance(self.network, images)
+        torch.set_num_threads(self._previous_threads)
+        return shares
+
+    def sample_images(self, count: int, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """``(count, H, W)`` augmented training images, from the sets by their weights."""
+        out: list[Tensor] = []
+        while sum(map(len, out)) < count:
+            out.extend(self._draw_batch(rng))
+        return np.ascontiguousarray(torch.cat(out)[:count, 0].numpy().astype(np.uint8))
+
+    def save(self, path: Path) -> None:
+        """Write the whole state; atomically, so that a broken write never looks like a checkpoint."""
+        state = {
+            "config": self.config.model_dump_json(),
+            "step": self.step,
+            "network": self.network.state_dict(),
+            "log_scale": self.log_scale.detach(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+        partial = path.with_suffix(path.suffix + ".part")
+        torch.save(state, partial)
+        partial.replace(path)
+
+    def resume(self, path: Path) -> None:
+        """Continue from :meth:`save`; a checkpoint of another configuration is an error (a longer training is not)."""
+        state = read_checkpoint(path)
+        config = TrainingConfig.model_validate_json(state["config"])
+        same = {"steps": 0, "checkpoint_every": 1, "threads": 1}
+        if config.model_copy(update=same) != self.config.model_copy(update=same):
+            raise DescriptorError(f"{path}: checkpoint of another training configuration")
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        with torch.no_grad():
+            self.log_scale.copy_(state["log_scale"])
+        self.step = int(state["step"])
+
+    def _draw_batch(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        weights = np.array([s.weight for s in self.sets])
+        chosen = self.sets[int(rng.choice(len(self.sets), p=weights / weights.sum()))]
+        first, second = chosen.draw(self.config.pairs, rng)
+        if chosen.strips > 0:
+            strip_seed = int(rng.integers(2**32))  # the same strips in both views
+            first = share_strips(first, chosen.strips, np.random.default_rng(strip_seed))
+            second = share_strips(second, chosen.strips, np.random.default_rng(strip_seed))
+        return augment_pair(first, second, (self.config.height, self.config.width), chosen.augmentation, rng)
+
+    def _train_step(self) -> tuple[float, float]:
+        rng = np.random.default_rng([self.config.seed, 1, self.step])
+        first, second = self._draw_batch(rng)
+        self.network.train()
+        rate = self.config.learning_rate * _schedule(self.step, self.config)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        both = self.network.project(self.network.aggregate(torch.cat([first, second])))
+        scale = self.log_scale.exp().clamp(max=_MAX_SCALE)
+        loss, accuracy = info_nce(*_halves(both), scale)
+        for prefix in self.config.prefixes:
+            loss = loss + self.config.prefix_weight * info_nce(*_halves(both[:, :prefix]), scale)[0]
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        self.optimiser.step()
+        self.step += 1
+        if not math.isfinite(float(loss.detach())):
+            raise DescriptorError(f"training diverged at step {self.step}: loss is not finite")
+        return float(loss.detach()), float(accuracy)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """The state that :meth:`Trainer.save` wrote, read without executing anything in the file."""
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # noqa: BLE001 - torch raises half a dozen kinds for a broken file
+        raise DescriptorError(f"{path}: not a checkpoint of NetVLAD training: {error}") from error
+    if not isinstance(state, dict) or not {"config", "step", "network"} <= state.keys():
+        raise DescriptorError(f"{path}: not a checkpoint of NetVLAD training")
+    return state
+
+
+def load_network(path: Path) -> NetVladNetwork:
+    """The network of a checkpoint, ready to evaluate."""
+    state = read_checkpoint(path)
+    config = TrainingConfig.model_validate_json(state["config"])
+    network = build_network(config.network, config.seed)
+    network.load_state_dict(state["network"])
+    return network.eval()
+
+
+def _halves(rows: Tensor) -> tuple[Tensor, Tensor]:
+    unit = F.normalize(rows, dim=1)
+    return unit[: len(unit) // 2], unit[len(unit) // 2 :]
+
+
+def _schedule(step: int, config: TrainingConfig) -> float:
+    if step < config.warmup_steps:
+        return (step + 1) / config.warmup_steps
+    done = (step - config.warmup_steps) / max(config.steps - config.warmup_steps, 1)
+    return 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))

@@ -1,0 +1,94 @@
+"""Images for training and evaluating NetVLAD: photographs from a folder, and the public place-recognition sets on disk."""
+
+from __future__ import annotations
+
+import pickletools
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tools.errors import ToolError
+
+_SUFFIXES = {".jpg", ".jpeg", ".png"}
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The image files of a folder by name; an absent or empty folder is an error."""
+    files = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES) if folder.is_dir() else []
+    if not files:
+        raise ToolError(f"{folder}: no images found")
+    return files
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """One image ``(H, W)`` uint8."""
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise ToolError(f"{path}: cannot be decoded as an image")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def fill(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """The largest centred cut of the wanted shape, resized to ``(height, width)``."""
+    h, w = image.shape
+    scale = max(width / w, height / h)
+    cut_w, cut_h = min(w, round(width / scale)), min(h, round(height / scale))
+    left, top = (w - cut_w) // 2, (h - cut_h) // 2
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image[top : top + cut_h, left : left + cut_w], (width, height), interpolation=method), dtype=np.uint8)
+
+
+def read_photos(folder: Path, width: int = 240, height: int = 180) -> NDArray[np.uint8]:
+    """All photographs of a folder, ``(n, height, width)`` uint8."""
+    return np.stack([fill(read_grey(path), width, height) for path in image_files(folder)])
+
+
+@dataclass(frozen=True)
+class PlaceBenchmark:
+    """Queries against references: ``truth[q]`` holds the references that show the place of query q (empty: none does)."""
+
+    name: str
+    queries: list[NDArray[np.uint8]]
+    references: list[NDArray[np.uint8]]
+    truth: list[frozenset[int]]
+
+
+def gardenspoint(root: Path, tolerance: int = 2) -> PlaceBenchmark:
+    """GardensPoint day left against night right: the same number is the same place, within ``tolerance`` images."""
+    folder = root / "places_gardenspoint"
+    references, queries = ([read_grey(p) for p in image_files(folder / side)] for side in ("gt", "query"))
+    count = len(references)
+    truth = [frozenset(range(max(q - tolerance, 0), min(q + tolerance + 1, count))) for q in range(len(queries))]
+    return PlaceBenchmark("places_gardenspoint", queries, references, truth)
+
+
+def corridor(root: Path) -> PlaceBenchmark:
+    """The corridor set (Milford, IJRR 2013) with its own list of right answers."""
+    folder = root / "places_corridor"
+    references, queries = ([read_grey(p) for p in image_files(folder / side)] for side in ("ref", "query"))
+    return PlaceBenchmark("places_corridor", queries, references, _read_truth(folder / "ground_truth_new.npy", len(queries)))
+
+
+def _read_truth(path: Path, queries: int) -> list[frozenset[int]]:
+    """The pickled object array ``[[query, [references]], ...]``, its integers picked out without unpickling anything."""
+    data = path.read_bytes()
+    header = 10 + int.from_bytes(data[8:10], "little")
+    truth: dict[int, frozenset[int]] = {}
+    query, opened = -1, False
+    answers: list[int] | None = None
+    for opcode, argument, _ in pickletools.genops(data[header:]):
+        if opcode.name == "EMPTY_LIST":
+            answers, opened = ([] if opened else None), True  # the first list is the whole table
+        elif opcode.name in {"BININT", "BININT1", "BININT2"}:
+            if answers is None:
+                query = int(argument)
+            else:
+                answers.append(int(argument))
+        elif opcode.name in {"APPEND", "APPENDS"} and answers is not None:
+            truth[query], answers = frozenset(answers), None
+    if sorted(truth) != list(range(queries)):
+        raise ToolError(f"{path}: answers for {len(truth)} queries where {queries} query images lie beside it")
+    return [truth[q] for q in range(queries)]
