@@ -68,7 +68,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
     """The whole command line; only the ``chosen`` command's module is imported and fills in its arguments."""
     parser = argparse.ArgumentParser(
-        prog="maslam", description="Multi-agent visual SLAM without a server: from folders of images to one shared map."
+        prog="maslam",
+        description="Multi-agent visual SLAM without a server: from folders of images to one shared map.",
+        formatter_class=partial(argparse.HelpFormatter, max_help_position=16),
     )
     parser.add_argument("--version", action="version", version=f"maslam {_version()}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")

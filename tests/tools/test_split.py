@@ -1,0 +1,76 @@
+"""Sharing one sequence out to agents, against blocks and indices worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backend.geometry import se3_exp, transform_points
+from frontend.vofiles import VoTrack
+from tools.errors import UsageError
+from tools.split import cut_track, share_out
+
+EVERY_THIRD = [np.arange(0, 30, 3)]  # key-frames 0, 3, ... 27 of 30 frames
+
+
+def test_blocks_are_equal_and_the_last_may_be_shorter() -> None:
+    shares = share_out(10, [np.arange(10)], agents=3, overlap=0)
+    assert [(s.first, s.last) for s in shares] == [(0, 3), (4, 7), (8, 9)]
+
+
+def test_overlap_counts_keyframes_of_both_neighbours() -> None:
+    shares = share_out(30, EVERY_THIRD, agents=3, overlap=2)
+    # Blocks 0-9, 10-19, 20-29 hold key-frames 0 3 6 9 | 12 15 18 | 21 24 27; two more on each inner side.
+    assert [(s.first, s.last) for s in shares] == [(0, 15), (6, 24), (15, 29)]
+    assert [EVERY_THIRD[0][s.keyframes[0]].tolist() for s in shares] == [
+        [0, 3, 6, 9, 12, 15],
+        [6, 9, 12, 15, 18, 21, 24],
+        [15, 18, 21, 24, 27],
+    ]
+
+
+def test_overlap_stops_at_the_ends() -> None:
+    shares = share_out(30, EVERY_THIRD, agents=2, overlap=100)
+    assert [(s.first, s.last) for s in shares] == [(0, 27), (0, 29)]
+
+
+def test_a_lost_track_belongs_to_whoever_saw_it() -> None:
+    shares = share_out(20, [np.array([0, 4, 8]), np.array([13, 17])], agents=2, overlap=0)
+    assert [s.keyframes for s in shares] == [(slice(0, 3), slice(0, 0)), (slice(3, 3), slice(0, 2))]
+
+
+def test_overlap_reaches_over_a_gap_between_tracks() -> None:
+    shares = share_out(20, [np.array([0, 4, 8]), np.array([13, 17])], agents=2, overlap=1)
+    assert [s.keyframes for s in shares] == [(slice(0, 3), slice(0, 1)), (slice(2, 3), slice(0, 2))]
+
+
+def test_a_block_in_which_nothing_was_tracked_has_no_keyframes() -> None:
+    shares = share_out(20, [np.array([0, 4, 8])], agents=2, overlap=3)
+    assert shares[1].keyframes == (slice(3, 3),)
+
+
+@pytest.mark.parametrize(("frames", "agents"), [(3, 4), (9, 6), (5, 0)])
+def test_too_many_agents_is_a_usage_error(frames: int, agents: int) -> None:
+    with pytest.raises(UsageError, match=f"--agents {agents}"):
+        share_out(frames, [np.arange(frames)], agents, overlap=0)
+
+
+def test_cut_track_renumbers_points_and_moves_the_origin() -> None:
+    rng = np.random.default_rng(3)
+    poses = se3_exp(rng.normal(size=(4, 6)))
+    points = rng.normal(size=(5, 3))
+    observations = np.array([[0, 0], [0, 3], [1, 1], [1, 4], [2, 1], [2, 2], [3, 0]], dtype=np.int32)
+    descriptors = rng.integers(0, 256, size=(7, 32), dtype=np.uint8)
+    words = rng.integers(0, 9999, size=(7, 2)).astype(np.int32)
+    track = VoTrack(np.arange(4) + 100.0, poses, points, observations, descriptors, words)
+
+    part = cut_track(track, slice(1, 3), np.array([0.0, 1.0]))
+
+    # Key-frames 1 and 2 observe points 1, 4, 1, 2: renumbered in order 1 -> 0, 2 -> 1, 4 -> 2.
+    np.testing.assert_array_equal(part.observations, [[0, 0], [0, 2], [1, 0], [1, 1]])
+    np.testing.assert_array_equal(part.descriptors, descriptors[2:6])
+    np.testing.assert_array_equal(part.words, words[2:6])
+    np.testing.assert_allclose(part.poses[0], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(poses[1] @ part.poses[1], poses[2], atol=1e-12)
+    np.testing.assert_allclose(transform_points(poses[1], part.points), points[[1, 2, 4]], atol=1e-12)
+    np.testing.assert_array_equal(part.stamps_s, [0.0, 1.0])
