@@ -1,0 +1,180 @@
+"""The torch side: the network against a plain numpy reading of the paper, training that learns, export that equals torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from descriptors.augmentation import PHOTOS, augment_pair, share_strips  # noqa: E402
+from descriptors.errors import DescriptorError  # noqa: E402
+from descriptors.export import export_onnx  # noqa: E402
+from descriptors.initialisation import initialise, kmeans, order_by_variance  # noqa: E402
+from descriptors.netvlad import NetVladConfig, VladLayer, build_network  # noqa: E402
+from descriptors.training import PlaceSet, Trainer, TrainingConfig, load_network, read_checkpoint  # noqa: E402
+from tests.descriptors.conftest import textured_image  # noqa: E402
+
+TINY = NetVladConfig(channels=(8, 16, 16), strides=(2, 2, 2), local_dim=16, clusters=8, dim=32)
+SMALL = TrainingConfig(
+    network=TINY, steps=25, pairs=12, width=64, height=48, learning_rate=3e-3, warmup_steps=5, prefixes=(16,), initial_images=64, checkpoint_every=10
+)
+
+
+@pytest.fixture(scope="module")
+def places() -> list[PlaceSet]:
+    views = np.stack([textured_image(seed, 72, 96) for seed in range(40)])[:, None]
+    return [PlaceSet("pictures", views, strips=0.3)]
+
+
+def test_vlad_layer_is_the_papers_formula() -> None:
+    rng = np.random.default_rng(0)
+    layer = VladLayer(5, 7)
+    centres = rng.normal(size=(5, 7))
+    layer.set_centres(torch.tensor(centres, dtype=torch.float32), 3.0)
+    features = rng.normal(size=(2, 7, 3, 4))
+    features /= np.linalg.norm(features, axis=1, keepdims=True)
+    got = layer(torch.tensor(features, dtype=torch.float32)).detach().numpy()
+    for n in range(2):
+        vlad = np.zeros((5, 7))
+        for x in features[n].reshape(7, -1).T:
+            score = np.exp(-3.0 * np.square(x - centres).sum(axis=1))
+            vlad += (score / score.sum())[:, None] * (x - centres)
+        vlad /= np.linalg.norm(vlad, axis=1, keepdims=True)
+        np.testing.assert_allclose(got[n], vlad.ravel() / np.linalg.norm(vlad), atol=1e-5)
+
+
+def test_light_that_scales_and_shifts_changes_nothing() -> None:
+    network = build_network(TINY, 0).eval()
+    image = torch.tensor(textured_image(1), dtype=torch.float32)[None, None]
+    with torch.no_grad():
+        difference = (network(image) - network(0.5 * image + 40.0)).norm()
+    assert float(difference) < 0.01
+
+
+def test_exported_graph_equals_torch(tmp_path: Path) -> None:
+    ort = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    network = build_network(TINY, 4)
+    initialise(network, np.stack([textured_image(seed, 48, 64) for seed in range(48)]), np.random.default_rng(1))
+    for name in ("a.onnx", "b.onnx"):
+        export_onnx(network, tmp_path / name)
+    assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
+    session = ort.InferenceSession(str(tmp_path / "a.onnx"), providers=["CPUExecutionProvider"])
+    for count, height, width in ((1, 48, 64), (3, 120, 160), (2, 33, 97)):
+        batch = np.stack([textured_image(seed, height, width) for seed in range(count)])[:, None]
+        with torch.no_grad():
+            expected = network(torch.from_numpy(batch)).numpy()
+        got = session.run(None, {"images": batch})[0]
+        np.testing.assert_allclose(got, expected, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(got, axis=1), 1.0, atol=1e-5)
+
+
+def test_export_of_a_constant_image_is_finite(tmp_path: Path) -> None:
+    ort = pytest.importorskip("onnxruntime")
+    export_onnx(build_network(TINY, 0).eval(), tmp_path / "m.onnx")
+    session = ort.InferenceSession(str(tmp_path / "m.onnx"), providers=["CPUExecutionProvider"])
+    assert np.isfinite(session.run(None, {"images": np.full((1, 1, 48, 64), 90, dtype=np.uint8)})[0]).all()
+
+
+def test_training_learns_and_repeats(places: list[PlaceSet]) -> None:
+    losses, weights = [], []
+    for _ in range(2):
+        trainer = Trainer(SMALL, places)
+        trainer.start()
+        losses.append([p.loss for p in trainer.run(every=5)])
+        weights.append(trainer.network.project.weight.detach().numpy().copy())
+    assert losses[0][-1] < 0.8 * losses[0][0]
+    assert losses[0] == losses[1]
+    np.testing.assert_array_equal(weights[0], weights[1])
+
+
+def test_a_resumed_training_goes_where_an_unbroken_one_goes(tmp_path: Path, places: list[PlaceSet]) -> None:
+    whole = Trainer(SMALL, places)
+    whole.start()
+    for progress in whole.run(every=10):
+        if progress.step == 10:
+            whole.save(tmp_path / "ten.pt")
+    resumed = Trainer(SMALL, places)
+    resumed.resume(tmp_path / "ten.pt")
+    list(resumed.run(every=10))
+    for a, b in zip(whole.network.parameters(), resumed.network.parameters(), strict=True):
+        np.testing.assert_array_equal(a.detach().numpy(), b.detach().numpy())
+
+
+def test_checkpoints_are_checked(tmp_path: Path, places: list[PlaceSet]) -> None:
+    (tmp_path / "broken.pt").write_bytes(b"no checkpoint")
+    with pytest.raises(DescriptorError, match=r"broken\.pt: not a checkpoint"):
+        read_checkpoint(tmp_path / "broken.pt")
+    trainer = Trainer(SMALL, places)
+    trainer.save(tmp_path / "zero.pt")
+    assert load_network(tmp_path / "zero.pt").config == TINY
+    with pytest.raises(DescriptorError, match="another training configuration"):
+        Trainer(SMALL.model_copy(update={"pairs": 10}), places).resume(tmp_path / "zero.pt")
+
+
+def test_ordering_by_variance_keeps_distances() -> None:
+    network = build_network(TINY, 2)
+    images = np.stack([textured_image(seed, 48, 64) for seed in range(64)])
+    initialise(network, images, np.random.default_rng(3))
+    batch = torch.from_numpy(images)[:, None]
+    with torch.no_grad():
+        before = network(batch)
+        shares = order_by_variance(network, images)
+        after = network(batch)
+    np.testing.assert_allclose((before @ before.T).numpy(), (after @ after.T).numpy(), atol=1e-5)
+    spread = after.double().var(dim=0)
+    assert (np.diff(spread.numpy()) <= 1e-9).all()
+    assert shares.sum() == pytest.approx(1.0)
+
+
+def test_kmeans_finds_separate_clusters() -> None:
+    rng = np.random.default_rng(6)
+    truth = rng.normal(size=(5, 3)).astype(np.float32) * 10
+    points = (truth[rng.integers(5, size=1000)] + rng.normal(size=(1000, 3)) * 0.05).astype(np.float32)
+    centres = min((kmeans(points, 5, np.random.default_rng(s)) for s in range(8)), key=lambda c: _spread(points, c))
+    assert _spread(truth, centres) < 0.01
+
+
+def _spread(points: np.ndarray, centres: np.ndarray) -> float:
+    return float(np.square(points[:, None] - centres).sum(axis=2).min(axis=1).mean())
+
+
+def test_places_that_see_each_other_never_meet_in_a_batch() -> None:
+    views = np.zeros((30, 2, 8, 8), dtype=np.uint8) + np.arange(30, dtype=np.uint8)[:, None, None, None]
+    near = np.abs(np.subtract.outer(np.arange(30), np.arange(30))) <= 2
+    place_set = PlaceSet("line", views, conflicts=near)
+    for seed in range(20):
+        first, second = place_set.draw(8, np.random.default_rng(seed))
+        index = first[:, 0, 0].astype(int)
+        np.testing.assert_array_equal(index, second[:, 0, 0])
+        assert not near[np.ix_(index, index)][~np.eye(len(index), dtype=bool)].any()
+
+
+def test_the_two_views_of_a_place_differ() -> None:
+    views = np.arange(24, dtype=np.uint8).reshape(8, 3, 1, 1) * np.ones((1, 1, 4, 4), dtype=np.uint8)
+    first, second = PlaceSet("p", views).draw(8, np.random.default_rng(0))
+    assert (first != second).all()
+    assert (first // 3 == second // 3).all()
+
+
+def test_augmentation_repeats_and_stays_an_image(images: list[np.ndarray]) -> None:
+    stack = np.stack(images)
+    a, b = augment_pair(stack, stack, (48, 64), PHOTOS, np.random.default_rng(1))
+    again, _ = augment_pair(stack, stack, (48, 64), PHOTOS, np.random.default_rng(1))
+    assert a.shape == b.shape == (8, 1, 48, 64)
+    assert torch.equal(a, again)
+    assert not torch.equal(a, b)
+    assert 0 <= float(a.min()) and float(a.max()) <= 255
+    assert float(a.std()) > 10
+
+
+def test_collages_share_a_strip(images: list[np.ndarray]) -> None:
+    stack = np.stack(images)
+    collages = share_strips(stack, 1.0, np.random.default_rng(2))
+    for i in range(0, 8, 2):
+        changed = [np.flatnonzero((collages[i + k] != stack[i + k]).any(axis=0)) for k in (0, 1)]
+        columns = [collages[i + k][:, changed[k][0] : changed[k][-1] + 1] for k in (0, 1)]
+        assert min(c.shape[1] for c in columns) >= 20
