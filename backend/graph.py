@@ -6,6 +6,7 @@ Conventions: ``T_i_j`` maps node j's frame to node i's; the graph's poses map a 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -21,7 +22,7 @@ class NodeId(NamedTuple):
     """Key-frame ``index`` of ``robot``; sorts by robot, then index."""
 
     robot: int
-    index: int
+    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody calls on a node
 
     def __str__(self) -> str:
         return f"{self.robot}:{self.index}"
@@ -128,7 +129,7 @@ def relative_edges(poses: Mapping[NodeId, Array], information: Array) -> list[Ed
     nodes = sorted(poses)
     return [
         Edge(a, b, se3_inverse(poses[a]) @ poses[b], information)
-        for a, b in zip(nodes, nodes[1:], strict=False)
+        for a, b in itertools.pairwise(nodes)
         if a.robot == b.robot
     ]
 
@@ -156,3 +157,34 @@ def _stretched(transform: Array, scale: float) -> Array:
     out = transform.copy()
     out[:3, 3] *= scale
     return out
+
+
+def spread_poses(known: Mapping[NodeId, Array], edges: Iterable[Edge]) -> dict[NodeId, Array]:
+    """``known`` poses and those that edges lead to from there, breadth first; odometry is followed before other edges.
+
+    In each connected part without a known pose, its first node stands at the identity.
+    """
+    edges = list(edges)
+    poses = dict(known)
+    for kinds in ({EdgeKind.ODOMETRY}, set(EdgeKind)):
+        links: dict[NodeId, list[tuple[NodeId, Array]]] = {}
+        for e in edges:
+            if e.kind in kinds:
+                links.setdefault(e.i, []).append((e.j, e.T_i_j))
+                links.setdefault(e.j, []).append((e.i, se3_inverse(e.T_i_j)))
+        if not poses and edges:
+            poses[min(min(e.i, e.j) for e in edges)] = np.eye(4)
+        _walk(poses, links, sorted(poses))
+    for node in sorted({n for e in edges for n in (e.i, e.j)}):
+        if node not in poses:
+            poses[node] = np.eye(4)
+            _walk(poses, links, [node])
+    return poses
+
+
+def _walk(poses: dict[NodeId, Array], links: Mapping[NodeId, list[tuple[NodeId, Array]]], queue: list[NodeId]) -> None:
+    for node in queue:  # grows while it is read: breadth first
+        for other, T_node_other in links.get(node, []):
+            if other not in poses:
+                poses[other] = poses[node] @ T_node_other
+                queue.append(other)
