@@ -1,0 +1,114 @@
+"""Everything that can be set in the odometry, with its unit beside it. Defaults serve cars, rooms and rendered worlds alike."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FeatureConfig(_Frozen):
+    """Key-points: corners spread over a grid on each level of a scale pyramid."""
+
+    tracks: int = Field(400, ge=50, description="points followed from frame to frame")
+    landmarks: int = Field(600, ge=0, description="ORB key-points looked for in a key-frame, beside the followed ones")
+    fast_threshold: int = Field(12, ge=2, le=100, description="grey levels; lowered to a third in cells that stay empty")
+    levels: int = Field(6, ge=1, le=8, description="levels of the scale pyramid")
+    scale_factor: float = Field(1.2, gt=1.0, le=2.0, description="ratio of two levels")
+    min_distance_px: float = Field(8.0, gt=0.0, description="between two followed points")
+
+
+class FlowConfig(_Frozen):
+    """Pyramidal Lucas-Kanade between frames."""
+
+    window_px: int = Field(15, ge=7, le=41, description="side of the window, odd")
+    levels: int = Field(3, ge=0, le=6, description="halvings of the image")
+    max_error: float = Field(25.0, gt=0.0, description="mean absolute grey-level difference of a good match")
+    round_trip_px: float = Field(1.0, gt=0.0, description="forward and backward flow may differ by this much (points without a map position)")
+
+
+class StereoConfig(_Frozen):
+    """Disparity or depth at key-points."""
+
+    max_disparity_px: float = Field(192.0, gt=8.0, description="nothing nearer than fx * baseline / this")
+    max_vertical_px: float = Field(3.0, gt=0.0, description="rows of a pair may differ by this after their common offset is removed")
+    disparity_sigma_px: float = Field(0.3, gt=0.0, description="standard deviation of a disparity")
+    min_disparity_sigmas: float = Field(8.0, gt=0.0, description="a disparity below this many standard deviations gives no map point alone")
+    estimate_calibration: bool = Field(True, description="estimate the rig's residual disparity offset and slopes on line")
+    offset_prior_px: float = Field(1.0, gt=0.0, description="prior standard deviation of the disparity offset")
+    slope_prior_px: float = Field(0.5, gt=0.0, description="prior standard deviation of its slopes, a unit of tan(field angle)")
+    depth_sigma_m: float = Field(0.0015, gt=0.0, description="RGB-D: depth noise at 1 m; it grows with the square of depth")
+    max_depth_m: float = Field(8.0, gt=0.0, description="RGB-D: depths beyond this are not used")
+
+
+class PoseConfig(_Frozen):
+    """Pose of a frame from map points."""
+
+    pixel_sigma_px: float = Field(0.5, gt=0.0, description="standard deviation of a followed position")
+    outlier_sigmas: float = Field(2.45, gt=0.0, description="residual beyond which a match is an outlier (chi-square 95 %, 2 d.o.f.)")
+    min_inliers: int = Field(15, ge=6, description="fewer matches that agree: the frame has no pose")
+    max_frame_gap_s: float = Field(1.0, gt=0.0, description="a longer gap in time breaks the motion prediction")
+
+
+class KeyframeConfig(_Frozen):
+    """When a frame becomes a key-frame, and which key-frames stay."""
+
+    policy: str = Field("motion", pattern="^(motion|thesis)$", description="motion: ours; thesis: section 2.1.3 (20 frames, 50 points, 90 %)")
+    min_frames: int = Field(20, ge=1, description="thesis: frames since the last key-frame")
+    min_points: int = Field(50, ge=10, description="thesis: points that must be tracked")
+    max_overlap: float = Field(0.9, gt=0.0, le=1.0, description="thesis: share of the reference's points still seen")
+    startup_keyframes: int = Field(6, ge=1, description="motion: so many first frames are all key-frames (metric rigs)")
+    min_flow: float = Field(0.03, gt=0.0, description="motion: median displacement since the last key-frame, share of the image width")
+    still_flow: float = Field(0.003, ge=0.0, description="motion: less displacement than this share of the width is standing still")
+    refill_share: float = Field(0.6, gt=0.0, le=1.0, description="motion: fewer points than this share of the reference's")
+    max_frames: int = Field(10, ge=1, description="motion: at the latest after so many frames, if anything moved")
+    keep_distance: float = Field(0.08, gt=0.0, description="a key-frame nearer than this share of the median depth to its neighbour is thinned out ...")
+    keep_angle_deg: float = Field(8.0, gt=0.0, description="... unless it is turned by more than this")
+
+
+class MappingConfig(_Frozen):
+    """Window bundle adjustment and care for the map."""
+
+    window: int = Field(10, ge=3, description="key-frames in the bundle adjustment")
+    fixed: int = Field(3, ge=1, description="of these, the oldest that are held fixed")
+    covisible: int = Field(4, ge=0, description="older key-frames of the same place that join, held fixed")
+    iterations: int = Field(6, ge=1, description="Levenberg-Marquardt steps")
+    min_parallax_deg: float = Field(1.0, gt=0.0, description="between rays that make a map point")
+    match_radius_px: float = Field(8.0, gt=0.0, description="guided search around a projection, at level 0")
+    match_distance: int = Field(50, ge=1, le=256, description="Hamming distance of a match")
+    match_ratio: float = Field(0.8, gt=0.0, le=1.0, description="best to second best distance")
+
+
+class MonoConfig(_Frozen):
+    """Two-view initialisation (thesis section 2.1.3)."""
+
+    min_matches: int = Field(80, ge=20, description="points followed from the first view")
+    min_flow_px: float = Field(12.0, gt=0.0, description="median displacement, at 640 pixels of width")
+    min_parallax_deg: float = Field(0.8, gt=0.0, description="median angle between the rays of triangulated points")
+    homography_share: float = Field(0.45, gt=0.0, lt=1.0, description="score share above which the homography explains the pair")
+    min_points: int = Field(60, ge=20, description="map points of a good start")
+    max_frames: int = Field(20, ge=1, description="frames the first view is kept as reference")
+
+
+class LostConfig(_Frozen):
+    """What happens when tracking fails."""
+
+    relocalise_frames: int = Field(10, ge=0, description="frames of searching the recent map before a new track starts")
+    recent_keyframes: int = Field(15, ge=1, description="key-frames searched")
+
+
+class OdometryConfig(_Frozen):
+    """Settings of :class:`frontend.odometry.Odometry`."""
+
+    features: FeatureConfig = FeatureConfig()
+    flow: FlowConfig = FlowConfig()
+    stereo: StereoConfig = StereoConfig()
+    pose: PoseConfig = PoseConfig()
+    keyframes: KeyframeConfig = KeyframeConfig()
+    mapping: MappingConfig = MappingConfig()
+    mono: MonoConfig = MonoConfig()
+    lost: LostConfig = LostConfig()
+    min_track_keyframes: int = Field(3, ge=1, description="shorter tracks are not written")
+    seed: int = Field(0, ge=0, description="of every random draw")

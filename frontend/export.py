@@ -1,0 +1,50 @@
+"""A finished map as the five files' content."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.segment import Segment
+from frontend.vofiles import VoTrack
+
+
+class WordLookup(Protocol):
+    """What the odometry needs of a vocabulary."""
+
+    def words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int32]:
+        """DBoW2 node ids ``(n, 2)`` at levels 3 and 4 of descriptors ``(n, 32)``."""
+        ...
+
+
+def export_track(segment: Segment, vocabulary: WordLookup) -> VoTrack:
+    """Final key-frames, points and described observations, renumbered without gaps.
+
+    A point is written where two key-frames see it or where a depth was measured for it: a point of one ray has no place. An
+    observation is written where it has an ORB descriptor (not at the very border of the image).
+    """
+    map_ = segment.map
+    numbers = sorted(map_.keyframes)
+    kf, point, descriptors = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros((0, 32), dtype=np.uint8)]
+    for k, number in enumerate(numbers):
+        keyframe = map_.keyframes[number]
+        rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
+        ids = keyframe.point[rows]
+        rows = rows[map_.alive[ids] & np.isfinite(map_.xyz[ids, 0])]
+        kf.append(np.full(len(rows), k))
+        point.append(keyframe.point[rows])
+        descriptors.append(keyframe.descriptors[rows])
+    kf_of, point_of, rows_of = np.concatenate(kf), np.concatenate(point), np.concatenate(descriptors)
+    count = np.bincount(point_of, minlength=len(map_))
+    use = (count[point_of] >= 2) | map_.metric[point_of]
+    kf_of, point_of, rows_of = kf_of[use], point_of[use], rows_of[use]
+    ids, renumbered = np.unique(point_of, return_inverse=True)
+    order = np.lexsort((renumbered, kf_of))
+    observations = np.stack([kf_of, renumbered], axis=1)[order].astype(np.int32)
+    rows_of = np.ascontiguousarray(rows_of[order])
+    words = vocabulary.words(rows_of) if len(rows_of) else np.zeros((0, 2), dtype=np.int32)
+    keyframes = [map_.keyframes[k] for k in numbers]
+    stamps = np.array([k.stamp_ns / 1e9 for k in keyframes])
+    return VoTrack(stamps, np.stack([k.T_W_C for k in keyframes]), map_.xyz[ids].copy(), observations, rows_of, words.astype(np.int32))

@@ -1,0 +1,171 @@
+"""Key-points spread over the image and a scale pyramid, with orientation and ORB descriptors.
+
+Pixel centres are kept between levels: a point at ``x`` on a level of scale ``s`` lies at ``s * (x + 0.5) - 0.5`` on level 0
+(OpenCV's own ORB leaves the half-pixel term out).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from frontend.config import FeatureConfig
+
+EDGE_PX = 20
+"""ORB's rotated sampling pattern reaches 18.4 pixels from its centre."""
+_HALF_PATCH = 15
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """``uv`` ``(n, 2)`` float64 level-0 pixels; ``level`` ``(n,)`` int8; ``angle_deg`` ``(n,)``, NaN where no descriptor is possible;
+    ``descriptors`` ``(n, 32)`` uint8, zero there."""
+
+    uv: NDArray[np.float64]
+    level: NDArray[np.int8]
+    angle_deg: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+
+class Pyramid:
+    """An image and its scaled copies, made once and shared by detection and description."""
+
+    def __init__(self, image: NDArray[np.uint8], levels: int, scale_factor: float) -> None:
+        height, width = image.shape
+        self.levels: list[NDArray[np.uint8]] = [image]
+        for k in range(1, levels):
+            size = (round(width / scale_factor**k), round(height / scale_factor**k))
+            if min(size) < 4 * EDGE_PX:
+                break
+            self.levels.append(cv2.resize(self.levels[-1], size, interpolation=cv2.INTER_LINEAR).astype(np.uint8, copy=False))
+        self.scales = np.array([[width / im.shape[1], height / im.shape[0]] for im in self.levels])
+
+    def to_base(self, xy: NDArray[np.float64], level: int | NDArray[np.int8]) -> NDArray[np.float64]:
+        return (xy + 0.5) * self.scales[level] - 0.5
+
+    def from_base(self, uv: NDArray[np.float64], level: int | NDArray[np.int8]) -> NDArray[np.float64]:
+        return (uv + 0.5) / self.scales[level] - 0.5
+
+
+def detect(pyramid: Pyramid, count: int, taken_uv: NDArray[np.float64], config: FeatureConfig) -> tuple[NDArray, NDArray, NDArray]:
+    """About ``count`` FAST corners spread over the grid cells of all levels, away from ``taken_uv`` ``(m, 2)``.
+
+    Returns ``uv`` ``(n, 2)`` level-0 pixels, ``level`` ``(n,)`` int8 and ``strength`` ``(n,)``, strongest first.
+    """
+    areas = np.array([im.size for im in pyramid.levels], dtype=np.float64)
+    all_uv, all_level, all_strength = [np.zeros((0, 2))], [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
+    for level, image in enumerate(pyramid.levels):
+        quota = max(round(count * areas[level] / areas.sum()), 8)
+        xy, strength = _detect_level(image, quota, pyramid.from_base(taken_uv, level), config)
+        all_uv.append(pyramid.to_base(xy, level))
+        all_level.append(np.full(len(xy), level, dtype=np.int8))
+        all_strength.append(strength)
+    uv, levels, strength = np.concatenate(all_uv), np.concatenate(all_level), np.concatenate(all_strength)
+    order = np.argsort(-strength, kind="stable")
+    return uv[order], levels[order], strength[order]
+
+
+def _detect_level(image: NDArray, quota: int, taken: NDArray[np.float64], config: FeatureConfig) -> tuple[NDArray, NDArray]:
+    height, width = image.shape
+    # Cells for about two corners each; corners of the low threshold count only where the cell has no strong one.
+    cell = max(np.sqrt(2.0 * (width - 2 * EDGE_PX) * (height - 2 * EDGE_PX) / quota), 12.0)
+    inner = image[EDGE_PX - 3 : height - EDGE_PX + 3, EDGE_PX - 3 : width - EDGE_PX + 3]
+    found = cv2.FastFeatureDetector_create(max(config.fast_threshold // 2, 3)).detect(np.ascontiguousarray(inner))
+    if not found:
+        return np.zeros((0, 2)), np.zeros(0)
+    xy = cv2.KeyPoint_convert(found).astype(np.float64) + (EDGE_PX - 3)
+    strength = np.fromiter((k.response for k in found), dtype=np.float64, count=len(found))
+    strength = strength + np.where(strength >= config.fast_threshold, 0.0, -1000.0)
+    keep = _spread(xy, strength, taken, width, height, cell, 2, 4.0)
+    return xy[keep], np.where(strength[keep] < 0, strength[keep] + 1000.0, strength[keep])
+
+
+@njit(cache=True, nogil=True)
+def _spread(
+    xy: NDArray[np.float64], strength: NDArray[np.float64], taken: NDArray[np.float64], width: int, height: int, cell: float,
+    per_cell: int, distance: float,
+) -> NDArray[np.int64]:
+    """Indices of the strongest points, at most ``per_cell`` a cell (taken ones count), at least ``distance`` apart."""
+    columns, rows = int(np.ceil(width / cell)), int(np.ceil(height / cell))
+    used = np.zeros((rows, columns), dtype=np.int64)
+    blocked = np.zeros((height, width), dtype=np.bool_)
+    reach = int(distance)
+    for i in range(len(taken)):
+        x, y = int(round(taken[i, 0])), int(round(taken[i, 1]))
+        if 0 <= x < width and 0 <= y < height:
+            used[int(y / cell), int(x / cell)] += 1
+            for yy in range(max(y - reach, 0), min(y + reach + 1, height)):
+                for xx in range(max(x - reach, 0), min(x + reach + 1, width)):
+                    blocked[yy, xx] = True
+    kept = np.zeros(len(xy), dtype=np.int64)
+    n = 0
+    for i in np.argsort(-strength, kind="mergesort"):
+        x, y = int(xy[i, 0]), int(xy[i, 1])
+        row, column = int(y / cell), int(x / cell)
+        if blocked[y, x] or used[row, column] >= per_cell or (strength[i] < 0 and used[row, column] > 0):
+            continue
+        used[row, column] += 1
+        kept[n] = i
+        n += 1
+        for yy in range(max(y - reach, 0), min(y + reach + 1, height)):
+            for xx in range(max(x - reach, 0), min(x + reach + 1, width)):
+                blocked[yy, xx] = True
+    return kept[:n]
+
+
+def spread_cells(uv: NDArray[np.float64], taken: NDArray[np.float64], width: int, height: int, count: int) -> NDArray[np.int64]:
+    """Indices of ``uv`` ``(n, 2)``, given in order of merit, that fill the cells ``taken`` leaves empty; ``count`` cells in all."""
+    cell = float(np.sqrt(width * height / count))
+    merit = np.arange(len(uv), 0, -1).astype(np.float64)
+    return _spread(uv, merit, taken, width, height, cell, 1, 6.0)
+
+
+@njit(cache=True, nogil=True)
+def _orientation(image: NDArray[np.uint8], xy: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Intensity-centroid angles in degrees, 0 to 360 (Rublee et al., ORB, ICCV 2011)."""
+    out = np.empty(len(xy), dtype=np.float32)
+    for i in range(len(xy)):
+        cx, cy = int(round(xy[i, 0])), int(round(xy[i, 1]))
+        m10, m01 = 0, 0
+        for dy in range(-_HALF_PATCH, _HALF_PATCH + 1):
+            reach = int(np.sqrt(_HALF_PATCH * _HALF_PATCH - dy * dy + 0.5))
+            for dx in range(-reach, reach + 1):
+                value = np.int64(image[cy + dy, cx + dx])
+                m10 += dx * value
+                m01 += dy * value
+        angle = np.degrees(np.arctan2(float(m01), float(m10)))
+        out[i] = angle if angle >= 0 else angle + 360.0
+    return out
+
+
+def describe(pyramid: Pyramid, uv: NDArray[np.float64], level: NDArray[np.int8]) -> Keypoints:
+    """ORB orientation and descriptor of each point on its level; points too near the border get none."""
+    n = len(uv)
+    angle = np.full(n, np.nan, dtype=np.float32)
+    descriptors = np.zeros((n, 32), dtype=np.uint8)
+    for k, image in enumerate(pyramid.levels):
+        height, width = image.shape
+        xy = pyramid.from_base(uv, k)
+        inside = (np.rint(xy) >= EDGE_PX).all(axis=1) & (np.rint(xy) < [width - EDGE_PX, height - EDGE_PX]).all(axis=1)
+        index = np.flatnonzero((level == k) & inside)
+        if not len(index):
+            continue
+        angle[index] = _orientation(image, xy[index])
+        # class_id carries the index: compute() may drop points.
+        points = [
+            cv2.KeyPoint(float(x), float(y), 31.0, float(a), 1.0, 0, int(i))
+            for (x, y), a, i in zip(xy[index].tolist(), angle[index].tolist(), index.tolist(), strict=True)
+        ]
+        orb = cv2.ORB_create(nfeatures=len(points), nlevels=1, edgeThreshold=EDGE_PX - 1)
+        kept, rows = orb.compute(image, points)
+        kept_index = np.array([p.class_id for p in kept], dtype=np.int64)
+        descriptors[kept_index] = rows
+        angle[np.setdiff1d(index, kept_index)] = np.nan
+    return Keypoints(uv, level, angle, descriptors)

@@ -1,0 +1,172 @@
+"""The map of one track: key-frames, points, who sees what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass
+class KeyFrame:
+    """A frame that stays. Rows of the arrays are its observations; ``point`` is -1 where an observation was dropped.
+
+    ``T_C_W`` ``(4, 4)``; ``uv`` ``(n, 2)`` pixels; ``disparity`` ``(n,)`` raw, NaN where unknown; ``sigma`` ``(n,)`` pixels of ``uv``;
+    ``level`` ``(n,)``; ``descriptors`` ``(n, 32)`` with ``described`` ``(n,)``; ``followed`` ``(n,)``: by flow, not only matched.
+    """
+
+    number: int
+    frame_index: int
+    stamp_ns: int
+    T_C_W: Array
+    uv: Array
+    disparity: Array
+    point: Ints
+    sigma: Array
+    level: NDArray[np.int8]
+    descriptors: NDArray[np.uint8]
+    described: NDArray[np.bool_]
+    followed: NDArray[np.bool_]
+    parent: int = -1
+    T_C_P: Array | None = None
+    """Set when the key-frame was culled: its pose then hangs on the key-frame ``parent``."""
+
+    @property
+    def T_W_C(self) -> Array:
+        R = self.T_C_W[:3, :3]
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = R.T, -R.T @ self.T_C_W[:3, 3]
+        return out
+
+
+class Map:
+    """Points are numbered for good; arrays grow by doubling. A point whose position is not yet known has NaN in ``xyz``."""
+
+    def __init__(self) -> None:
+        self.keyframes: dict[int, KeyFrame] = {}
+        self.culled: dict[int, KeyFrame] = {}
+        self.observers: list[list[tuple[int, int]]] = []
+        self._xyz = np.full((1024, 3), np.nan)
+        self._alive = np.zeros(1024, dtype=bool)
+        self._metric = np.zeros(1024, dtype=bool)
+        self._descriptors = np.zeros((1024, 32), dtype=np.uint8)
+        self._described = np.zeros(1024, dtype=bool)
+        self._level = np.zeros(1024, dtype=np.int8)
+        self._depth = np.full(1024, np.nan)
+
+    def __len__(self) -> int:
+        return len(self.observers)
+
+    @property
+    def xyz(self) -> Array:
+        return self._xyz[: len(self)]
+
+    @property
+    def alive(self) -> NDArray[np.bool_]:
+        return self._alive[: len(self)]
+
+    @property
+    def metric(self) -> NDArray[np.bool_]:
+        """A disparity or depth gave this point its position at least once."""
+        return self._metric[: len(self)]
+
+    @property
+    def descriptors(self) -> NDArray[np.uint8]:
+        """The latest descriptor of each point."""
+        return self._descriptors[: len(self)]
+
+    @property
+    def described(self) -> NDArray[np.bool_]:
+        return self._described[: len(self)]
+
+    @property
+    def level(self) -> NDArray[np.int8]:
+        """Pyramid level of the latest descriptor ..."""
+        return self._level[: len(self)]
+
+    @property
+    def depth(self) -> Array:
+        """... and the depth it was taken at, NaN where the position is unknown."""
+        return self._depth[: len(self)]
+
+    def add_points(self, count: int) -> Ints:
+        """Numbers ``(count,)`` of new points of unknown position."""
+        first, last = len(self), len(self) + count
+        while last > len(self._alive):
+            for name, fill in (("_xyz", np.nan), ("_alive", False), ("_metric", False), ("_descriptors", 0), ("_described", False), ("_level", 0), ("_depth", np.nan)):
+                old = getattr(self, name)
+                setattr(self, name, np.concatenate([old, np.full_like(old, fill)]))
+        self._alive[first:last] = True
+        self.observers.extend([] for _ in range(count))
+        return np.arange(first, last)
+
+    def insert(self, keyframe: KeyFrame) -> None:
+        """Add a key-frame and enter its observations with their points."""
+        self.keyframes[keyframe.number] = keyframe
+        for row in np.flatnonzero(keyframe.point >= 0).tolist():
+            self.observers[keyframe.point[row]].append((keyframe.number, row))
+        rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
+        ids = keyframe.point[rows]
+        self.descriptors[ids], self.described[ids], self.level[ids] = keyframe.descriptors[rows], True, keyframe.level[rows]
+        self.depth[ids] = (self.xyz[ids] @ keyframe.T_C_W[2, :3]) + keyframe.T_C_W[2, 3]
+
+    def drop_observation(self, number: int, row: int) -> None:
+        keyframe = self.keyframes[number]
+        point = int(keyframe.point[row])
+        keyframe.point[row] = -1
+        self.observers[point].remove((number, row))
+
+    def drop_point(self, point: int) -> None:
+        for number, row in self.observers[point]:
+            self.keyframes[number].point[row] = -1
+        self.observers[point] = []
+        self.alive[point] = False
+
+    def merge_points(self, kept: int, gone: int) -> None:
+        """``gone`` is the same place as ``kept``: hand its observations over (key-frames that already see ``kept`` keep that one)."""
+        seen = {number for number, _ in self.observers[kept]}
+        for number, row in self.observers[gone]:
+            if number in seen:
+                self.keyframes[number].point[row] = -1
+            else:
+                self.keyframes[number].point[row] = kept
+                self.observers[kept].append((number, row))
+        self.observers[kept].sort()
+        self.observers[gone] = []
+        self.alive[gone] = False
+
+    def cull_keyframe(self, number: int, parent: int) -> None:
+        """Take a key-frame out; its pose hangs on ``parent`` from now on, its observations are forgotten."""
+        keyframe = self.keyframes.pop(number)
+        for row in np.flatnonzero(keyframe.point >= 0).tolist():
+            self.observers[keyframe.point[row]].remove((number, row))
+        keyframe.parent = parent
+        keyframe.T_C_P = keyframe.T_C_W @ self.keyframes[parent].T_W_C
+        empty = np.zeros(0)
+        keyframe.uv, keyframe.disparity, keyframe.sigma = np.zeros((0, 2)), empty, empty
+        keyframe.point, keyframe.level = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int8)
+        keyframe.descriptors, keyframe.described = np.zeros((0, 32), dtype=np.uint8), np.zeros(0, dtype=bool)
+        keyframe.followed = np.zeros(0, dtype=bool)
+        self.culled[number] = keyframe
+
+    def pose(self, number: int) -> Array:
+        """``T_C_W`` of a key-frame, also of a culled one."""
+        if number in self.keyframes:
+            return self.keyframes[number].T_C_W
+        gone = self.culled[number]
+        assert gone.T_C_P is not None
+        return gone.T_C_P @ self.pose(gone.parent)
+
+    def covisible(self, point_ids: Ints, exclude: set[int]) -> list[int]:
+        """Key-frames that see the most of these points, most first (ties: newest first), with at least 15 of them."""
+        counts: dict[int, int] = {}
+        for point in point_ids.tolist():
+            for number, _ in self.observers[point]:
+                if number not in exclude:
+                    counts[number] = counts.get(number, 0) + 1
+        good = [number for number, count in counts.items() if count >= 15]
+        return sorted(good, key=lambda number: (-counts[number], -number))

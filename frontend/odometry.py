@@ -1,0 +1,188 @@
+"""Key-frame odometry: the method that reads like the paper (thesis sections 2.1.3 and 3.3)."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.geometry import se3_inverse
+from frontend.cameras import Rig, RigKind
+from frontend.config import OdometryConfig
+from frontend.errors import FrontendError
+from frontend.export import WordLookup, export_track
+from frontend.frames import Frame
+from frontend.initialise import make_starter
+from frontend.keyframes import wants_keyframe
+from frontend.relocalise import relocalise
+from frontend.segment import Segment
+from frontend.stereo import Ranging
+from frontend.trajectory import Trajectory
+from frontend.vofiles import VoTrack
+
+log = logging.getLogger(__name__)
+
+
+class State(StrEnum):
+    STARTING = "starting"
+    TRACKING = "tracking"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """``T_W_C`` ``(4, 4)`` in the frame of the current track, None where there is no pose; ``reason`` then says why, with numbers."""
+
+    stamp_ns: int
+    T_W_C: NDArray[np.float64] | None
+    state: State
+    is_keyframe: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class LostInterval:
+    """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames."""
+
+    first_ns: int
+    last_ns: int
+    frames: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class OdometryResult:
+    """``tracks``: one for each uninterrupted track; ``keyframe_indices``: frame index of each of its key-frames; ``trajectories``: every
+    frame with a pose, one a track; ``lost``: between, before and after them; ``stats``: counts and the rig's estimated calibration."""
+
+    tracks: list[VoTrack]
+    keyframe_indices: list[NDArray[np.int64]]
+    trajectories: list[Trajectory]
+    lost: list[LostInterval]
+    stats: dict[str, float]
+
+
+class Odometry:
+    """Feed frames in order of time with :meth:`process`, then :meth:`finish`. The same frames give the same result, bit by bit."""
+
+    def __init__(self, rig: Rig, config: OdometryConfig, vocabulary: WordLookup) -> None:
+        if rig.kind is RigKind.STEREO and not (rig.baseline_m and rig.baseline_m > 0):
+            raise FrontendError(f"a stereo rig needs a baseline above 0 m, got {rig.baseline_m}")
+        self.rig, self.config, self.vocabulary = rig, config, vocabulary
+        self.ranging = Ranging(rig, config.stereo, config.flow)
+        self._starter = make_starter(self.ranging, config)
+        self._segment: Segment | None = None
+        self._finished: list[Segment] = []
+        self._results: list[FrameResult] = []
+        self._lost_frames = 0
+
+    def process(self, frame: Frame) -> FrameResult:
+        """The pose of one frame. Never raises for what an image shows; a frame without a pose says why."""
+        problem = self._unfit(frame)
+        if problem:
+            return FrameResult(frame.stamp_ns, None, self._state(), False, problem)
+        segment = self._segment
+        if segment is None:
+            # The first map: from one view with depth, from two without.
+            return self._note(self._start(frame))
+        # Follow the points into this frame; the pose that explains them best.
+        tracked = segment.tracker.track(frame, segment.map)
+        if tracked.T_C_W is None and self._lost_frames:
+            # Lost a while ago: look for the recent map in this frame.
+            tracked = relocalise(frame, segment, self.ranging, self.config)
+        if tracked.T_C_W is None:
+            return self._note(self._lost(frame, tracked.reason))
+        self._lost_frames = 0
+        segment.record(frame, tracked.T_C_W)
+        # A view that brings something new stays, and the map around it is refined.
+        is_keyframe = wants_keyframe(segment.since_keyframe(frame, self.rig), self.config.keyframes, self.rig.metric)
+        if is_keyframe:
+            segment.insert_keyframe(frame)
+        return self._note(FrameResult(frame.stamp_ns, se3_inverse(segment.tracker.T_C_W), State.TRACKING, is_keyframe))
+
+    def finish(self) -> OdometryResult:
+        """Everything found, with final, bundle-adjusted values."""
+        segments = [*self._finished, *([self._segment] if self._segment else [])]
+        kept = [s for s in segments if len(s.map.keyframes) >= self.config.min_track_keyframes]
+        trajectories = [s.trajectory() for s in kept]
+        return OdometryResult(
+            tracks=[export_track(s, self.vocabulary) for s in kept],
+            keyframe_indices=[s.keyframe_indices() for s in kept],
+            trajectories=trajectories,
+            lost=self._lost_intervals(trajectories),
+            stats=self._stats(segments, kept),
+        )
+
+    def _start(self, frame: Frame) -> FrameResult:
+        start = self._starter.offer(frame)
+        if start.segment is None:
+            return FrameResult(frame.stamp_ns, None, State.STARTING, False, start.reason)
+        self._segment = start.segment
+        log.info("track %d starts at frame %d", len(self._finished), frame.index)
+        return FrameResult(frame.stamp_ns, se3_inverse(start.segment.tracker.T_C_W), State.TRACKING, True)
+
+    def _lost(self, frame: Frame, reason: str) -> FrameResult:
+        """Keep the map for some frames, then close this track and start another."""
+        assert self._segment is not None
+        self._lost_frames += 1
+        if self._lost_frames == 1:
+            log.warning("tracking lost at frame %d: %s", frame.index, reason)
+        if self._lost_frames > self.config.lost.relocalise_frames:
+            self._finished.append(self._segment)
+            self._segment, self._lost_frames = None, 0
+            self._starter = make_starter(self.ranging, self.config)
+            return self._start(frame)
+        return FrameResult(frame.stamp_ns, None, State.LOST, False, reason)
+
+    def _note(self, result: FrameResult) -> FrameResult:
+        self._results.append(result)
+        return result
+
+    def _state(self) -> State:
+        if self._segment is None:
+            return State.STARTING
+        return State.LOST if self._lost_frames else State.TRACKING
+
+    def _unfit(self, frame: Frame) -> str:
+        """Why a frame cannot be used at all, or nothing. A wrong image size is a broken configuration: an error."""
+        camera = self.rig.camera
+        for what, image in (("image", frame.image), ("right image", frame.right), ("depth image", frame.depth_m)):
+            if image is not None and image.shape != (camera.height, camera.width):
+                size = f"{image.shape[1]}x{image.shape[0]}"
+                raise FrontendError(f"frame {frame.index} {frame.name}: {what} is {size} pixels, the camera {camera.width}x{camera.height}")
+        if self._results and frame.stamp_ns <= self._results[-1].stamp_ns:
+            behind_ms = (self._results[-1].stamp_ns - frame.stamp_ns) / 1e6
+            return f"time stamp is not after the previous frame's ({behind_ms:.3f} ms before it)"
+        return ""
+
+    def _lost_intervals(self, trajectories: list[Trajectory]) -> list[LostInterval]:
+        """Runs of frames that are in no written track."""
+        posed = {int(t) for trajectory in trajectories for t in trajectory.stamps_ns}
+        out: list[LostInterval] = []
+        run: list[FrameResult] = []
+        for result in [*self._results, None]:
+            if result is not None and result.stamp_ns not in posed:
+                run.append(result)
+            elif run:
+                reason = next((r.reason for r in run if r.reason), "the track was too short to be written")
+                out.append(LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), reason))
+                run = []
+        return out
+
+    def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
+        calib = self.ranging.calib
+        return {
+            "frames": float(len(self._results)),
+            "tracked": float(sum(len(s.frames) for s in kept)),
+            "tracks": float(len(kept)),
+            "short_tracks": float(len(segments) - len(kept)),
+            "keyframes": float(sum(len(s.map.keyframes) for s in kept)),
+            "keyframes_culled": float(sum(len(s.map.culled) for s in kept)),
+            "points": float(sum(int(s.map.alive.sum()) for s in kept)),
+            "disparity_offset_px": float(calib[0]),
+            "disparity_slope_y_px": float(calib[1]),
+            "disparity_slope_x_px": float(calib[2]),
+        }

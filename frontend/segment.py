@@ -1,0 +1,94 @@
+"""One uninterrupted track: its map, who follows and who maps, and where each frame hangs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.geometry import se3_inverse
+from frontend.cameras import Rig
+from frontend.config import OdometryConfig
+from frontend.frames import Frame
+from frontend.keyframes import SinceKeyframe
+from frontend.map import KeyFrame, Map
+from frontend.mapper import Mapper
+from frontend.stereo import Ranging
+from frontend.tracker import Tracker
+from frontend.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """A frame's pose hangs on a key-frame, so that it moves with it: ``T_C_K``."""
+
+    index: int
+    stamp_ns: int
+    keyframe: int
+    T_C_K: Array
+
+
+class Segment:
+    """A map being driven through."""
+
+    def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
+        self.map = Map()
+        self.mapper = Mapper(self.map, ranging, config)
+        self.tracker = Tracker(ranging, config)
+        self.frames: list[FrameRecord] = []
+        self.latest: KeyFrame | None = None
+        self._reference_points = 0
+
+    def record(self, frame: Frame, T_C_W: Array) -> None:
+        """Note a tracked frame, relative to the latest key-frame."""
+        assert self.latest is not None
+        self.frames.append(FrameRecord(frame.index, frame.stamp_ns, self.latest.number, T_C_W @ se3_inverse(self.latest.T_C_W)))
+
+    def since_keyframe(self, frame: Frame, rig: Rig) -> SinceKeyframe:
+        """What happened since the latest key-frame, for the key-frame policy."""
+        assert self.latest is not None
+        tracker, latest = self.tracker, self.latest
+        order = np.argsort(latest.point, kind="stable")
+        place = np.clip(np.searchsorted(latest.point, tracker.point, sorter=order), 0, max(len(order) - 1, 0))
+        row = order[place] if len(order) else np.zeros(0, dtype=np.int64)
+        same = latest.point[row] == tracker.point
+        moved = np.linalg.norm(tracker.uv[same] - latest.uv[row[same]], axis=1)
+        flow = float(np.median(moved)) / rig.camera.width if len(moved) else 1.0
+        known = int(np.isfinite(self.map.xyz[tracker.point, 0]).sum())
+        keyframes = len(self.map.keyframes) + len(self.map.culled)
+        return SinceKeyframe(frame.index - latest.frame_index, known, self._reference_points, flow, keyframes)
+
+    def insert_keyframe(self, frame: Frame) -> None:
+        """Make the frame last tracked a key-frame; what is followed from here on is what it sees."""
+        tracker = self.tracker
+        self.latest = self.mapper.insert(frame, tracker.T_C_W, tracker.point, tracker.uv)
+        self.follow(frame)
+
+    def follow(self, frame: Frame) -> None:
+        """Follow the points of the latest key-frame from ``frame``, its own image, on."""
+        latest = self.latest
+        assert latest is not None
+        if self.frames and self.frames[-1].index == frame.index:
+            self.frames.pop()
+        self.frames.append(FrameRecord(frame.index, frame.stamp_ns, latest.number, np.eye(4)))
+        rows = np.flatnonzero(latest.followed & (latest.point >= 0))
+        previous = None
+        if self.tracker.motion is not None and len(self.frames) > 1:
+            record = self.frames[-2]
+            # The map has just moved: the velocity must come from poses of the same map.
+            previous = latest.T_C_W @ se3_inverse(record.T_C_K @ self.map.pose(record.keyframe))
+        self.tracker.start(frame, latest.T_C_W, latest.point[rows], latest.uv[rows])
+        self.tracker.motion = previous
+        self._reference_points = int(np.isfinite(self.map.xyz[latest.point[rows], 0]).sum())
+
+    def keyframe_indices(self) -> NDArray[np.int64]:
+        """Frame index of each key-frame that stayed."""
+        return np.array([self.map.keyframes[k].frame_index for k in sorted(self.map.keyframes)], dtype=np.int64)
+
+    def trajectory(self) -> Trajectory:
+        """``T_W_C`` of every frame, through its key-frame's final pose."""
+        poses = np.stack([se3_inverse(r.T_C_K @ self.map.pose(r.keyframe)) for r in self.frames])
+        return Trajectory(np.array([r.stamp_ns for r in self.frames], dtype=np.int64), poses)

@@ -1,0 +1,169 @@
+"""Disparity or depth at key-points: what makes a rig metric."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from frontend.cameras import Rig, RigKind
+from frontend.config import FlowConfig, StereoConfig
+from frontend.flow import follow
+from frontend.frames import Frame
+
+_COARSE = 4
+"""The first search runs on images this much smaller, whole pixels only; flow refines it."""
+_HALF = 3
+
+
+@njit(cache=True, nogil=True)
+def coarse_disparity(left: NDArray[np.uint8], right: NDArray[np.uint8], xy: NDArray[np.float64], reach: int, rows: int) -> NDArray[np.float64]:
+    """Whole-pixel disparity and row offset ``(n, 2)`` of the best zero-mean SAD match along (nearly) the same row."""
+    height, width = left.shape
+    out = np.zeros((len(xy), 2))
+    for i in range(len(xy)):
+        x, y = int(round(xy[i, 0])), int(round(xy[i, 1]))
+        x, y = min(max(x, _HALF), width - 1 - _HALF), min(max(y, _HALF), height - 1 - _HALF)
+        mean_left = 0
+        for dy in range(-_HALF, _HALF + 1):
+            for dx in range(-_HALF, _HALF + 1):
+                mean_left += np.int64(left[y + dy, x + dx])
+        best = np.int64(1) << 60
+        for row in range(-rows, rows + 1):
+            yr = y + row
+            if yr < _HALF or yr >= height - _HALF:
+                continue
+            for d in range(-2, reach + 1):
+                xr = x - d
+                if xr < _HALF or xr >= width - _HALF:
+                    continue
+                mean_right = 0
+                for dy in range(-_HALF, _HALF + 1):
+                    for dx in range(-_HALF, _HALF + 1):
+                        mean_right += np.int64(right[yr + dy, xr + dx])
+                shift = (mean_left - mean_right) // 49
+                cost = np.int64(0)
+                for dy in range(-_HALF, _HALF + 1):
+                    for dx in range(-_HALF, _HALF + 1):
+                        cost += abs(np.int64(left[y + dy, x + dx]) - np.int64(right[yr + dy, xr + dx]) - shift)
+                    if cost >= best:
+                        break
+                if cost < best:
+                    best = cost
+                    out[i, 0], out[i, 1] = d, row
+    return out
+
+
+def measure_disparity(
+    left: NDArray[np.uint8], right: NDArray[np.uint8], uv: NDArray[np.float64], expected: NDArray[np.float64], flow: FlowConfig,
+    config: StereoConfig,
+) -> NDArray[np.float64]:
+    """Sub-pixel disparity ``(n,)`` at ``uv`` ``(n, 2)``, NaN where none is found.
+
+    ``expected`` ``(n,)``: predicted disparity, NaN where none; those are searched along the row on a reduced pair first. A residual
+    row offset of the pair is allowed for: its median over all points is taken out before the row test.
+    """
+    if not len(uv):
+        return np.zeros(0)
+    guess = uv.copy()
+    known = np.isfinite(expected)
+    guess[known, 0] -= expected[known]
+    if not known.all():
+        size = (left.shape[1] // _COARSE, left.shape[0] // _COARSE)
+        small = [cv2.resize(im, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False) for im in (left, right)]
+        reach = int(min(config.max_disparity_px, left.shape[1] / 2) / _COARSE)
+        coarse = coarse_disparity(small[0], small[1], (uv[~known] + 0.5) / _COARSE - 0.5, reach, 0)
+        guess[~known, 0] -= coarse[:, 0] * _COARSE
+    xy, ok = follow(left, right, uv, guess, flow, levels=1)
+    rows = xy[:, 1] - uv[:, 1]
+    if ok.any():
+        ok &= np.abs(rows - np.median(rows[ok])) < config.max_vertical_px / 2
+    disparity = uv[:, 0] - xy[:, 0]
+    ok &= (disparity > -2.0) & (disparity < config.max_disparity_px)
+    return np.where(ok, disparity, np.nan)
+
+
+@njit(cache=True, nogil=True)
+def depth_at(depth_m: NDArray[np.float32], uv: NDArray[np.float64], max_jump: float) -> NDArray[np.float64]:
+    """Depth ``(n,)`` at sub-pixel points: bilinear where the four neighbours agree within ``max_jump`` (relative), else NaN.
+
+    Corners sit on depth edges, where the depth of the wrong side is worse than none.
+    """
+    height, width = depth_m.shape
+    out = np.full(len(uv), np.nan)
+    for i in range(len(uv)):
+        x, y = int(np.floor(uv[i, 0])), int(np.floor(uv[i, 1]))
+        if x < 1 or y < 1 or x >= width - 2 or y >= height - 2:
+            continue
+        low, high = 1e9, 0.0
+        for yy in range(y - 1, y + 3):
+            for xx in range(x - 1, x + 3):
+                low, high = min(low, depth_m[yy, xx]), max(high, depth_m[yy, xx])
+        if low <= 0.0 or high - low > max_jump * low:
+            continue
+        a, b = uv[i, 0] - x, uv[i, 1] - y
+        top = (1 - a) * depth_m[y, x] + a * depth_m[y, x + 1]
+        bottom = (1 - a) * depth_m[y + 1, x] + a * depth_m[y + 1, x + 1]
+        out[i] = (1 - b) * top + b * bottom
+    return out
+
+
+_VIRTUAL_BASELINE_M = 0.08
+"""RGB-D: a depth travels as the disparity of a stereo pair with this baseline, so that one kernel serves both."""
+_DEPTH_JUMP = 0.03
+
+
+class Ranging:
+    """The rig as the mapper sees it: disparities at points, and the residual calibration estimated so far.
+
+    ``cam``: ``[fx, fy, cx, cy, bf]``; ``calib`` ``(3,)``: disparity offset and slopes, as in :mod:`frontend.window`.
+    """
+
+    def __init__(self, rig: Rig, config: StereoConfig, flow: FlowConfig) -> None:
+        camera = rig.camera
+        baseline = {RigKind.MONO: 0.0, RigKind.STEREO: rig.baseline_m or 0.0, RigKind.RGBD: _VIRTUAL_BASELINE_M}[rig.kind]
+        self.rig, self.config, self.flow = rig, config, flow
+        self.cam = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.fx * baseline])
+        self.calib = np.zeros(3)
+        rgbd = rig.kind is RigKind.RGBD
+        self.sigma_d = self.cam[4] * config.depth_sigma_m if rgbd else config.disparity_sigma_px
+        self.min_disparity = self.cam[4] / config.max_depth_m if rgbd else config.min_disparity_sigmas * self.sigma_d
+        self.estimates_calib = rig.kind is RigKind.STEREO and config.estimate_calibration
+
+    def measure(self, frame: Frame, uv: NDArray[np.float64], expected_depth: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Raw disparity ``(n,)`` at ``uv``, NaN where unknown; ``expected_depth`` ``(n,)`` metres, NaN where there is none."""
+        if self.rig.kind is RigKind.STEREO and frame.right is not None:
+            expected = self.cam[4] / expected_depth + self.basis(uv) @ self.calib
+            return measure_disparity(frame.image, frame.right, uv, expected, self.flow, self.config)
+        if self.rig.kind is RigKind.RGBD and frame.depth_m is not None:
+            depth = depth_at(frame.depth_m, uv, _DEPTH_JUMP)
+            return np.where(depth <= self.config.max_depth_m, self.cam[4] / depth, np.nan)
+        return np.full(len(uv), np.nan)
+
+    def basis(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``(n, 3)``: what ``calib`` multiplies."""
+        fx, fy, cx, cy, _ = self.cam
+        return np.stack([np.ones(len(uv)), (uv[:, 1] - cy) / fy, (uv[:, 0] - cx) / fx], axis=1)
+
+    def corrected(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Disparity with the residual calibration taken out."""
+        return disparity - self.basis(uv) @ self.calib
+
+    def back_project(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points ``(n, 3)`` in the camera frame; NaN where the disparity is unknown or too small."""
+        d = self.corrected(uv, disparity)
+        z = np.where(d > self.min_disparity, self.cam[4] / np.where(d > 0, d, 1.0), np.nan)
+        return self.rays(uv) * z[:, None]
+
+    def rays(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Viewing rays ``(n, 3)`` with z = 1."""
+        fx, fy, cx, cy, _ = self.cam
+        return np.stack([(uv[:, 0] - cx) / fx, (uv[:, 1] - cy) / fy, np.ones(len(uv))], axis=1)
+
+    def project(self, T_C_W: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixels ``(n, 2)`` and depths ``(n,)`` of world points; pixels are NaN behind the camera or where the point is unknown."""
+        fx, fy, cx, cy, _ = self.cam
+        p = points @ T_C_W[:3, :3].T + T_C_W[:3, 3]
+        z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
+        return np.stack([fx * p[:, 0] / z + cx, fy * p[:, 1] / z + cy], axis=1), p[:, 2]
