@@ -124,10 +124,11 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
 
     Sequences that cannot be used are said, noted in the manifest and left out; ``ToolError`` where none is left.
     """
+    from descriptors.inference import NetVlad
     from frontend.cameras import RigKind
     from frontend.datasets import open_dataset
     from tools.sequences import write_sequences
-    from tools.tracked_store import track_job
+    from tools.tracked_store import take_tracked, track_job
     from tools.workers import core_count, run_jobs
 
     dataset = open_dataset(source, RigKind(settings.rig) if settings.rig else None, strict=False)
@@ -140,14 +141,17 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     outcomes = run_jobs(track_job, named, settings.workers or core_count(), progress)
     errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
     problems += [f"{name}: {describe(error)}" for name, error in errors.items()]
-    done = [job for job in jobs if job.sequence.name not in errors]
+    tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
+    problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
+    if not tracked:
+        count = len(dataset.sequences)
+        raise ToolError(
+            problems[0] if len(problems) == 1 else f"{source}: none of {count} sequences can be used: {problems[0]}"
+        )
     for problem in problems:
         progress.say(f"warning: {problem}")
-    if not done:
-        raise ToolError(
-            problems[0] if len(problems) == 1 else f"{source}: none of {len(dataset.sequences)} sequences could be used"
-        )
-    return write_sequences(out, dataset, done, _split(settings), _as_set(settings), problems)
+    model = NetVlad.load(settings.model)
+    return write_sequences(out, dataset, tracked, model, _split(settings), {**_as_set(settings), "problems": problems})
 
 
 def _claim(out: Path) -> None:

@@ -24,7 +24,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """Nothing is shown."""
+    """No progress; what must be said is said on standard error."""
 
     def start(self, title: str, total: int) -> int:
         return 0
@@ -33,7 +33,7 @@ class Silent:
         return
 
     def say(self, line: str) -> None:
-        return
+        print(line, file=sys.stderr)
 
 
 class LogProgress:

@@ -5,7 +5,7 @@ the folder.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,6 @@ from mas.sequence import (
 )
 from tools.errors import ToolError
 from tools.split import Share, cut_track, share_out
-from tools.tracked_store import TrackingJob, load_tracked
 from tools.tracking import Tracked
 
 
@@ -53,24 +52,20 @@ class _AgentPlan:
 def write_sequences(
     out: Path,
     dataset: Dataset,
-    jobs: Sequence[TrackingJob],
+    tracked: Sequence[tuple[ImageSequence, Tracked]],
+    model: NetVlad,
     split: SplitEntry | None,
     settings: dict[str, Any],
-    problems: list[str],
 ) -> Manifest:
-    """Share the tracked ``jobs`` out to agents and write the SEQS folder ``out``; ``problems`` are noted in its
+    """Share the tracked sequences out to agents and write the SEQS folder ``out``; ``settings`` are noted in its
     manifest.
     """
-    model = NetVlad.load(jobs[0].model)
-    descriptor = DescriptorEntry(
-        name=model.name, sha256=model.sha256, dim=model.dim, threshold=model.threshold, min_std=model.min_std
-    )
-    plans = list(_plans(jobs, split))
-    metric = {job.sequence.rig.metric for job in jobs}
+    metric = {sequence.rig.metric for sequence, _ in tracked}
     if len(metric) > 1:
         raise ToolError(
             f"{dataset.root}: some agents have one camera, others stereo or depth; --rig mono makes them alike"
         )
+    plans = _plans(tracked, split or SplitEntry(agents=1, overlap=0))
     (out / MANIFEST).unlink(missing_ok=True)
     entries = [_write_agent(out, plan, model) for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
     for stale in sorted(set(out.glob("agent_[0-9]*")) - {out / entry.name for entry in entries}):
@@ -79,25 +74,28 @@ def write_sequences(
         source=str(dataset.root.resolve()),
         kind=dataset.kind,
         scale="metric" if metric == {True} else "arbitrary",
-        descriptor=descriptor,
+        descriptor=DescriptorEntry(
+            name=model.name,
+            sha256=model.sha256,
+            dim=model.dim,
+            threshold=model.candidate_threshold,
+            min_std=model.min_std,
+        ),
         agents=tuple(entries),
         split=split,
-        settings={**settings, "problems": problems},
+        settings=settings,
     )
     write_manifest(out, manifest)
     return manifest
 
 
-def _plans(jobs: Sequence[TrackingJob], split: SplitEntry | None) -> Iterable[_AgentPlan]:
-    agent = 0
-    for job in jobs:
-        tracked = load_tracked(job.store, job.fingerprint())
-        if tracked is None:
-            raise ToolError(f"{job.store}: changed or deleted while it was needed; run the command again")
-        wanted = split or SplitEntry(agents=1, overlap=0)
-        for share in share_out(len(job.sequence), list(tracked.keyframes), wanted.agents, wanted.overlap):
-            yield _AgentPlan(f"agent_{agent:02d}", job.sequence, tracked, share)
-            agent += 1
+def _plans(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry) -> list[_AgentPlan]:
+    shares = [
+        (sequence, one, share)
+        for sequence, one in tracked
+        for share in share_out(len(sequence), list(one.keyframes), split.agents, split.overlap)
+    ]
+    return [_AgentPlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
 
 
 def _write_agent(out: Path, plan: _AgentPlan, model: NetVlad) -> AgentEntry:

@@ -15,6 +15,7 @@ import numpy as np
 
 from frontend.trajectory import Trajectory
 from frontend.vofiles import VoTrack
+from tools.errors import ToolError
 from tools.tracking import Gap, Tracked, track
 
 if TYPE_CHECKING:
@@ -52,13 +53,20 @@ def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
     """Track the job's sequence into its store, unless the store has it."""
     fingerprint = job.fingerprint()
     if load_tracked(job.store, fingerprint) is None:
-        from frontend.vocabulary import Vocabulary
-
         from descriptors.inference import NetVlad
+        from frontend.vocabulary import Vocabulary
 
         vocabulary, model = Vocabulary.load(job.vocabulary), NetVlad.load(job.model)
         save_tracked(job.store, track(job.sequence, job.odometry, vocabulary, model, advance), fingerprint)
     advance(len(job.sequence))
+
+
+def take_tracked(job: TrackingJob) -> Tracked:
+    """The result of a job that :func:`track_job` has done."""
+    tracked = load_tracked(job.store, job.fingerprint())
+    if tracked is None:
+        raise ToolError(f"{job.store}: changed or deleted while it was needed; run the command again")
+    return tracked
 
 
 def code_digest() -> str:

@@ -15,13 +15,12 @@ from frontend.trajectory import Trajectory
 from frontend.vofiles import VoTrack
 
 if TYPE_CHECKING:
-    from frontend.odometry import OdometryResult
-    from frontend.vocabulary import Vocabulary
-
     from descriptors.inference import NetVlad
     from frontend.config import OdometryConfig
     from frontend.datasets import ImageSequence
     from frontend.frames import Frame
+    from frontend.odometry import OdometryResult
+    from frontend.vocabulary import Vocabulary
 
 UNREADABLE_SHARE = (
     0.1  # more unreadable frames than this, and the sequence is refused: what is left is not what was filmed
@@ -87,8 +86,8 @@ def track(
         why = (
             ", ".join(f"{reason} ({count} x)" for reason, count in refusals.most_common(3)) or "no frame could be used"
         )
-        raise FrontendError(f"{sequence.name}: no frame of {len(sequence)} could be tracked: {why}")
-    return _collect(finished, places, tuple(unreadable))
+        raise FrontendError(f"no frame of {len(sequence)} could be tracked: {why}")
+    return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
 
 
 def _readable(sequence: ImageSequence, unreadable: list[str]) -> Iterator[Frame]:
@@ -117,7 +116,7 @@ class _Places:
         self._made: dict[int, tuple[NDArray[np.float32], bool]] = {}
 
     def describe(self, index: int, image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], bool]:
-        textured = float(image.std()) >= self._model.min_std
+        textured = bool(self._model.textured([image])[0])
         self._made[index] = self._model.describe([image])[0], textured
         return self._made[index]
 
@@ -125,7 +124,9 @@ class _Places:
         return self._made.get(index) or self.describe(index, self._sequence.read(index).image)
 
 
-def _collect(finished: OdometryResult, places: _Places, unreadable: tuple[str, ...]) -> Tracked:
+def _collect(
+    finished: OdometryResult, places: _Places, stamps_ns: NDArray[np.int64], unreadable: tuple[str, ...]
+) -> Tracked:
     order = [k for k in range(len(finished.tracks)) if len(finished.tracks[k])]
     described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
     return Tracked(
@@ -134,7 +135,10 @@ def _collect(finished: OdometryResult, places: _Places, unreadable: tuple[str, .
         trajectories=tuple(finished.trajectories[k] for k in order),
         vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
         textured=np.array([textured for _, textured in described], dtype=bool),
-        lost=tuple(Gap(int(gap.first_frame), int(gap.last_frame), gap.reason) for gap in finished.lost),
+        lost=tuple(
+            Gap(*(int(i) for i in np.searchsorted(stamps_ns, [gap.first_ns, gap.last_ns])), gap.reason)
+            for gap in finished.lost
+        ),
         unreadable=unreadable,
         stats={name: float(value) for name, value in sorted(finished.stats.items())},
     )

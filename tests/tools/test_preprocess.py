@@ -1,0 +1,240 @@
+"""Preprocessing's own part, with a front end whose answers are known: folders, clocks, what is left out, what is
+taken up again.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from backend.geometry import se3_exp
+from frontend.errors import FrontendError
+from frontend.frames import Frame
+from frontend.trajectory import Trajectory, read_tum, write_kitti_poses
+from frontend.vofiles import VoTrack, read_tracks
+from mas.sequence import load_sequences
+from tools import cli
+
+FRAMES, EVERY = 12, 2
+TRUTH = se3_exp(np.column_stack([np.zeros((FRAMES, 2)), np.arange(FRAMES), np.zeros((FRAMES, 3))]))
+calls: list[int] = []
+
+
+class KnownOdometry:
+    """Follows the truth; each second frame is a key-frame that sees point ``index`` and the one before. Black frames
+    are lost.
+    """
+
+    def __init__(self, *_: Any) -> None:
+        self._seen: list[int] = []
+
+    def process(self, frame: Frame) -> Any:
+        calls.append(frame.index)
+        tracked = frame.image.max() > 0
+        if tracked:
+            self._seen.append(frame.index)
+        pose = TRUTH[frame.index] if tracked else None
+        return SimpleNamespace(
+            is_keyframe=tracked and frame.index % EVERY == 0, T_W_C=pose, reason="" if tracked else "too dark"
+        )
+
+    def finish(self) -> Any:
+        keyframes = np.array([i for i in self._seen if i % EVERY == 0], dtype=np.int64)
+        k = len(keyframes)
+        observations = np.array([[i, j] for i in range(k) for j in (i, i + 1)], dtype=np.int32).reshape(-1, 2)
+        n = len(observations)
+        points = np.column_stack([np.arange(k + 1), np.zeros(k + 1), np.zeros(k + 1)]).astype(float)
+        descriptors = np.zeros((n, 32), dtype=np.uint8)
+        track = VoTrack(
+            keyframes * 0.1 + 5.0, TRUTH[keyframes], points, observations, descriptors, np.zeros((n, 2), np.int32)
+        )
+        seen = np.array(self._seen, dtype=np.int64)
+        trajectory = Trajectory(seen * 100_000_000 + 5_000_000_000, TRUTH[seen])
+        return SimpleNamespace(
+            tracks=[track], keyframe_indices=[keyframes], trajectories=[trajectory], lost=[], stats={}
+        )
+
+
+class KnownModel:
+    """A vector that tells the frame: the mean grey level."""
+
+    name, sha256, dim, threshold, candidate_threshold, min_std = "known", "0" * 64, 2, 0.1, 0.3, 2.0
+
+    @classmethod
+    def load(cls, *_: Any) -> KnownModel:
+        return cls()
+
+    def describe(self, images: list[np.ndarray]) -> np.ndarray:
+        angle = np.array([image.mean() / 100 for image in images])
+        return np.column_stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
+
+    def textured(self, images: list[np.ndarray]) -> np.ndarray:
+        return np.ones(len(images), dtype=bool)
+
+
+@pytest.fixture(autouse=True)
+def known_front_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls.clear()
+    monkeypatch.setitem(sys.modules, "frontend.odometry", SimpleNamespace(Odometry=KnownOdometry))
+    monkeypatch.setattr("descriptors.inference.NetVlad", KnownModel)
+    monkeypatch.setattr("tools.tracked_store.code_digest", lambda: "one version of the code")
+
+
+def write_agent(folder: Path, dark: bool = False) -> Path:
+    (folder / "image_0").mkdir(parents=True)
+    for i in range(FRAMES):
+        cv2.imwrite(
+            str(folder / "image_0" / f"{i:06d}.png"), np.full((24, 32), 0 if dark else 10 * (i + 1), dtype=np.uint8)
+        )
+    (folder / "camera.yaml").write_text("{width: 32, height: 24, fx: 30, fy: 30, cx: 15.5, cy: 11.5, rate_hz: 10}\n")
+    (folder / "times.txt").write_text("".join(f"{5 + 0.1 * i:.6f}\n" for i in range(FRAMES)))
+    write_kitti_poses(folder / "poses.txt", TRUTH)
+    return folder
+
+
+def preprocess(*words: object) -> int:
+    return cli.main(["preprocess", *[str(word) for word in words], "--workers", "1", "--quiet"])
+
+
+def test_one_sequence_is_one_agent(tmp_path: Path) -> None:
+    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs") == 0
+    manifest, (agent,) = load_sequences(tmp_path / "seqs")
+    assert (manifest.scale, manifest.split, manifest.descriptor.name) == ("arbitrary", None, "known")
+    assert (manifest.agents[0].frames, manifest.agents[0].keyframes, manifest.agents[0].start_ns) == (
+        12,
+        6,
+        5_000_000_000,
+    )
+    np.testing.assert_allclose(agent.tracks[0].stamps_s, np.arange(6) * 0.2, atol=1e-9)
+    np.testing.assert_allclose(agent.trajectory.poses, TRUTH, atol=1e-9)
+    assert agent.groundtruth is not None and len(agent.groundtruth) == FRAMES
+    level = np.arctan2(agent.places.vectors[:, 1], agent.places.vectors[:, 0]) * 100
+    np.testing.assert_allclose(level, [10, 30, 50, 70, 90, 110], atol=1e-3)
+
+
+def test_a_split_gives_each_agent_its_own_origin_clock_and_vectors(tmp_path: Path) -> None:
+    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs", "--agents", 2, "--overlap", 1) == 0
+    manifest, (first, second) = load_sequences(tmp_path / "seqs")
+    assert [(a.first_frame, a.frames, a.keyframes) for a in manifest.agents] == [(0, 7, 4), (4, 8, 4)]
+    assert manifest.split is not None and (manifest.split.agents, manifest.split.overlap) == (2, 1)
+    assert second.start_ns == 5_400_000_000 and second.trajectory.stamps_ns[0] == 0
+    np.testing.assert_allclose(second.tracks[0].poses[0], np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(second.trajectory.poses[:, 2, 3], np.arange(8), atol=1e-9)
+    np.testing.assert_allclose(second.places.vectors, np.vstack([first.places.vectors[2:], second.places.vectors[2:]]))
+    truth = read_tum(tmp_path / "seqs" / "agent_01" / "groundtruth.tum")
+    assert truth.centres[0, 2] == pytest.approx(4.0)  # ground truth stays in the world
+    assert len(read_tracks(tmp_path / "seqs" / "agent_00")[0].points) == 5
+
+
+def test_results_are_taken_up_again_and_made_anew_when_something_changed(tmp_path: Path) -> None:
+    source, out = write_agent(tmp_path / "drive"), tmp_path / "seqs"
+    assert preprocess(source, out) == 0
+    before = {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+    assert preprocess(source, out, "--agents", 3) == 0
+    assert len(calls) == FRAMES, "another split needs no new tracking"
+    assert preprocess(source, out) == 0
+    assert {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()} == before
+    assert preprocess(source, out, "--odometry.seed", 1) == 0
+    assert len(calls) == 2 * FRAMES, "other settings do"
+    cv2.imwrite(str(source / "image_0" / "000003.png"), np.full((24, 32), 200, dtype=np.uint8))
+    assert preprocess(source, out, "--odometry.seed", 1) == 0
+    assert len(calls) == 3 * FRAMES, "another image does"
+
+
+def test_a_sequence_that_cannot_be_tracked_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, dark in (("agent_00", False), ("agent_01", True), ("agent_02", False)):
+        write_agent(tmp_path / "town" / name, dark)
+    assert preprocess(tmp_path / "town", tmp_path / "seqs") == 0
+    manifest, _ = load_sequences(tmp_path / "seqs")
+    assert [(a.name, a.sequence) for a in manifest.agents] == [("agent_00", "agent_00"), ("agent_01", "agent_02")]
+    assert manifest.settings["problems"] == ["agent_01: no frame of 12 could be tracked: too dark (12 x)"]
+    assert "agent_01: no frame of 12 could be tracked: too dark (12 x)" in capsys.readouterr().err
+
+
+def test_nothing_to_track_is_an_error_and_leaves_no_manifest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert preprocess(write_agent(tmp_path / "drive", dark=True), tmp_path / "seqs") == 1
+    assert capsys.readouterr().err.splitlines()[-1].endswith("no frame of 12 could be tracked: too dark (12 x)")
+    assert not (tmp_path / "seqs" / "manifest.json").exists()
+
+
+def test_a_truncated_image_is_left_out_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = write_agent(tmp_path / "drive")
+    image = source / "image_0" / "000005.png"
+    image.write_bytes(image.read_bytes()[:-20])
+    assert preprocess(source, tmp_path / "seqs") == 0
+    assert "000005.png" in capsys.readouterr().err
+    manifest, (agent,) = load_sequences(tmp_path / "seqs")
+    assert len(agent.trajectory) == FRAMES - 1 and manifest.agents[0].frames == FRAMES
+    assert any("000005.png" in problem for problem in manifest.settings["problems"])
+
+
+def test_many_unreadable_images_are_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = write_agent(tmp_path / "drive")
+    for i in (3, 5, 7):
+        (source / "image_0" / f"{i:06d}.png").write_bytes(b"")
+    assert preprocess(source, tmp_path / "seqs") == 1
+    assert "2 of the first 6 frames cannot be read" in capsys.readouterr().err
+
+
+def test_an_interrupted_run_leaves_no_folder_that_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, out = write_agent(tmp_path / "drive"), tmp_path / "seqs"
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tools.sequences.write_manifest", interrupt)
+        assert preprocess(source, out) == 130
+    assert not (out / "manifest.json").exists()
+    assert preprocess(source, out) == 0
+    assert len(calls) == FRAMES
+
+
+@pytest.mark.parametrize(
+    ("words", "code"), [(["--agents", "2"], 2), (["--overlap", "-1"], 2), (["--odometry.nonsense", "3"], 2)]
+)
+def test_options_that_do_not_fit(words: list[str], code: int, tmp_path: Path) -> None:
+    for name in ("agent_00", "agent_01"):
+        write_agent(tmp_path / "town" / name)
+    assert preprocess(tmp_path / "town", tmp_path / "seqs", *words) == code
+
+
+def test_somebody_elses_folder_is_not_touched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "seqs").mkdir()
+    (tmp_path / "seqs" / "agent_00").write_text("mine")
+    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs") == 1
+    assert "not empty" in capsys.readouterr().err
+    assert (tmp_path / "seqs" / "agent_00").read_text() == "mine"
+
+
+def test_the_manifest_is_plain_json(tmp_path: Path) -> None:
+    preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs")
+    content = json.loads((tmp_path / "seqs" / "manifest.json").read_text())
+    assert content["version"] == 1 and content["source"] == str(tmp_path / "drive")
+
+
+def test_workers_run_jobs_side_by_side_and_keep_their_order() -> None:
+    from tools.progress import Silent
+    from tools.workers import run_jobs
+
+    outcomes = run_jobs(square_or_fail, {"a": (3, 1), "b": (-1, 1), "c": (4, 1)}, 2, Silent())
+    assert [(name, o.result) for name, o in outcomes.items()] == [("a", 9), ("b", None), ("c", 16)]
+    assert isinstance(outcomes["b"].error, FrontendError)
+
+
+def square_or_fail(number: int, advance: Any) -> int:
+    advance(1)
+    if number < 0:
+        raise FrontendError("negative")
+    return number * number
