@@ -21,6 +21,7 @@ class RelPoseConfig(BaseModel):
     depth_ratio: float = Field(1.5, gt=1, description="depths of an inlier in one camera agree within this factor")
     samples: int = Field(20_000, ge=1, description="minimal sets drawn; if side lengths disagree, dropped unsolved")
     hypotheses: int = Field(400, ge=1, description="transforms scored, at most")
+    refined: int = Field(3, ge=1, description="best hypotheses that are refined")
     guided_hamming: int = Field(64, ge=0, le=256, description="descriptor distance once the pose is known, bits of 256")
     loss_scale: float = Field(3.0, gt=0, description="scale of the Cauchy loss in refinement, standard deviations")
     min_support: float = Field(0.25, ge=0, le=1, description="inliers over tentative matches both cameras see, at least")

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backend.alignment import Alignment, refine
 from backend.config import RelPoseConfig
+from backend.consensus import Transforms, agreeing, search
 from backend.errors import BackendError
 from backend.geometry import Array, Sim3
+from backend.matching import FAR, Distances, hamming_distances, mutual_matches, unique_word_matches
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +45,8 @@ class Verdict:
     """Whether the match holds, why, and how the cameras stand.
 
     ``reason`` is "accepted" or says what was too little and by how much; ``T_M_Q`` maps the query camera to the match camera (scale 1
-    when both are metric); ``matches`` tentative, ``inliers`` of the refined pose; ``rmse`` of the inliers' whitened residuals (about 1
-    when the noise is as estimated; NaN without a pose); ``information`` ``(6, 6)`` of the pose, translation first.
+    when both are metric); ``matches`` tentative, ``inliers`` of the refined pose; ``rmse``: bearing error of the inliers in the match
+    camera, degrees (NaN without a pose); ``information`` ``(6, 6)`` of the rigid part, translation first, in the match's unit.
     ``T_M_Q`` and ``information`` may be there without acceptance, for the record.
     """
 
@@ -62,5 +65,121 @@ class Verdict:
 
 
 def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng: np.random.Generator) -> Verdict:
-    """Match, search, refine, judge. Same inputs and the same state of ``rng``: same verdict, bit for bit."""
-    raise NotImplementedError
+    """Match, search, refine, match again under the found pose, refine again, judge.
+
+    Same inputs and the same state of ``rng``: same verdict, bit for bit.
+    """
+    pairs, distances = _tentative(query, match, config)
+    if len(pairs) < config.min_matches:
+        return _rejected(f"too few matches: {len(pairs)} < {config.min_matches}", len(pairs))
+    with_scale = not (query.metric and match.metric)
+    points_Q, points_M = query.points_C[pairs[:, 0]], match.points_C[pairs[:, 1]]
+    best: tuple[int, Alignment] | None = None
+    for start in search(points_M, points_Q, with_scale, config, rng):
+        found = _settle(points_M, points_Q, start, with_scale, config)
+        if found is not None and (best is None or found[0] > best[0]):
+            best = found
+    if best is None:
+        return _rejected(f"too few inliers: no transform explains more than 3 of {len(pairs)} matches", len(pairs))
+    guided = _guided(query, match, distances, best[1].T_M_Q, config)
+    points_Q, points_M = query.points_C[guided[:, 0]], match.points_C[guided[:, 1]]
+    final = _settle(points_M, points_Q, best[1].T_M_Q, with_scale, config)
+    if final is None:
+        return _rejected(f"too few inliers: {best[0]} < {config.min_inliers}", len(pairs), best[0])
+    inside = _inliers(final[1].T_M_Q, points_M, points_Q, config)
+    return _judge(final[1], points_M[inside], points_Q[inside], len(pairs), config)
+
+
+def _tentative(query: PlaceView, match: PlaceView, config: RelPoseConfig) -> tuple[NDArray[np.intp], Distances]:
+    """Pairs ``(k, 2)`` of query and match rows, and all distances ``(n_Q, n_M)`` for matching again later.
+
+    By descriptors where both views have them, else by words that occur once in either view; equal words count as distance 0.
+    """
+    if query.descriptors is not None and match.descriptors is not None:
+        distances = hamming_distances(query.descriptors, match.descriptors)
+        return mutual_matches(distances, config.max_hamming, config.ratio), distances
+    if query.words is None or match.words is None:
+        raise BackendError("the two views have neither descriptors nor words in common")
+    distances = np.where(query.words[:, None] == match.words[None, :], np.int16(0), FAR)
+    return unique_word_matches(query.words, match.words), distances
+
+
+def _settle(
+    points_M: Array, points_Q: Array, start: Sim3, with_scale: bool, config: RelPoseConfig
+) -> tuple[int, Alignment] | None:
+    """Refine on the inliers of the wide bound, then on those of the narrow one; None with too few to go on."""
+    T, result = start, None
+    for angle_deg in (config.search_angle_deg, config.inlier_angle_deg, config.inlier_angle_deg):
+        inside = agreeing(Transforms.of(T), points_M, points_Q, angle_deg, config.depth_ratio)[0]
+        if inside.sum() < 4:
+            return None
+        result = refine(points_M[inside], points_Q[inside], T, with_scale, config.loss_scale)
+        T = result.T_M_Q
+    assert result is not None
+    return int(_inliers(T, points_M, points_Q, config).sum()), result
+
+
+def _inliers(T_M_Q: Sim3, points_M: Array, points_Q: Array, config: RelPoseConfig) -> NDArray[np.bool_]:
+    return agreeing(Transforms.of(T_M_Q), points_M, points_Q, config.inlier_angle_deg, config.depth_ratio)[0]
+
+
+def _guided(
+    query: PlaceView, match: PlaceView, distances: Distances, T_M_Q: Sim3, config: RelPoseConfig
+) -> NDArray[np.intp]:
+    """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
+    in_M = T_M_Q @ query.points_C
+    range_M, range_p = np.linalg.norm(match.points_C, axis=1), np.linalg.norm(in_M, axis=1)
+    cosine = (in_M / range_p[:, None]) @ (match.points_C / range_M[:, None]).T
+    depth = np.abs(np.log(range_p[:, None] / range_M[None, :])) < np.log(config.depth_ratio)
+    near = (cosine > np.cos(np.radians(config.inlier_angle_deg))) & depth
+    return mutual_matches(np.where(near, distances, FAR), config.guided_hamming)
+
+
+def _judge(found: Alignment, points_M: Array, points_Q: Array, matches: int, config: RelPoseConfig) -> Verdict:
+    """Everything that must hold of the refined pose and its inliers."""
+    T, n = found.T_M_Q, len(points_M)
+    rmse_deg = _bearing_rmse_deg(T @ points_Q, points_M) if n else float("nan")
+    flat = _flatness(points_M) if n >= 3 else 0.0
+    sigma = _position_sigma(found.information)
+    depth = float(np.median(np.linalg.norm(points_M, axis=1))) if n else 1.0
+    # Chance inliers fill the bound's disc evenly, which gives 0.71 of its radius; right ones crowd at its centre.
+    rmse_limit = 0.6 * config.inlier_angle_deg
+    problem = None
+    if n < config.min_inliers:
+        problem = f"too few inliers: {n} < {config.min_inliers}"
+    elif flat < 0.01:
+        problem = f"degenerate: points on a line, width over length {flat:.4f} < 0.01"
+    elif not 1.0 / config.max_scale < T.scale < config.max_scale:
+        problem = f"implausible scale: {T.scale:.3g} outside {1 / config.max_scale:.3g} to {config.max_scale:.3g}"
+    elif rmse_deg > rmse_limit:
+        problem = f"residual too large: {rmse_deg:.3f} deg > {rmse_limit:.3f} deg"
+    elif n < config.min_support * matches:
+        problem = f"too little support: {n} inliers of {matches} matches < {config.min_support:.0%}"
+    elif sigma > config.max_sigma * depth:
+        problem = f"too uncertain: position sigma {sigma:.3g} > {config.max_sigma:g} of the median depth {depth:.3g}"
+    return Verdict(problem is None, problem or "accepted", T, matches, n, rmse_deg, found.information)
+
+
+def _bearing_rmse_deg(predicted: Array, observed: Array) -> float:
+    cross = np.linalg.norm(np.cross(predicted, observed), axis=1)
+    angles = np.arctan2(cross, np.einsum("kc,kc->k", predicted, observed))
+    return float(np.degrees(np.sqrt(np.mean(angles**2))))
+
+
+def _flatness(points: Array) -> float:
+    """Second over first singular value of the points' scatter: 0 for a line."""
+    singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return float(singular[1] / max(singular[0], 1e-12))
+
+
+def _position_sigma(information: Array) -> float:
+    """One standard deviation of the position in its worst direction; infinite where the information is singular."""
+    values, vectors = np.linalg.eigh(information)
+    if values[0] <= 1e-12 * values[-1]:
+        return float("inf")
+    covariance = (vectors / values) @ vectors.T
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+
+
+def _rejected(reason: str, matches: int, inliers: int = 0) -> Verdict:
+    return Verdict(False, reason, None, matches, inliers, float("nan"), None)

@@ -61,7 +61,7 @@ class Relaxation:
             held = known[self._ends] & self._is_free[self._ends[:, ::-1]]
             tied = self._ends[:, ::-1][held]
             reached = np.isin(self._island, self._island[tied]) & self._is_free
-            used = (known | reached)[self._ends].all(axis=1) & reached[self._ends].any(axis=1)
+            used = np.asarray((known | reached)[self._ends].all(axis=1) & reached[self._ends].any(axis=1))
             self._system = BlockSystem(self._ends, self._hessian, self._rhs, np.flatnonzero(reached), used)
             self._known = known
         return self._system

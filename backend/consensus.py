@@ -1,0 +1,103 @@
+"""Which rigid or similarity transform do most matched points agree on? A seeded RANSAC, as arrays.
+
+Three matches make a hypothesis (Umeyama's closed form). Three pairs of points can only belong together if their triangles have the
+same sides (up to one factor for similarities), which is cheap to test: many sets are drawn, the most alike are solved and scored.
+Errors are angles, both ways: the depth of a stereo point is off by an amount that grows with its square, its direction is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.config import RelPoseConfig
+from backend.geometry import Array, Sim3
+
+# A triangle whose height is less than this share of its longest side says little about a rotation about that side.
+_MIN_FLATNESS = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Transforms:
+    """A batch of similarities ``T_M_Q``: rotations ``(h, 3, 3)``, translations ``(h, 3)``, scales ``(h,)``."""
+
+    rotations: Array
+    translations: Array
+    scales: Array
+
+    def one(self, k: int) -> Sim3:
+        return Sim3(self.rotations[k].copy(), self.translations[k].copy(), float(self.scales[k]))
+
+    @classmethod
+    def of(cls, transform: Sim3) -> Transforms:
+        return cls(transform.rotation[None], transform.translation[None], np.array([transform.scale]))
+
+
+def search(
+    points_M: Array, points_Q: Array, with_scale: bool, config: RelPoseConfig, rng: np.random.Generator
+) -> list[Sim3]:
+    """The best few hypotheses, best first, for matched points ``(k, 3)`` in their cameras' frames; empty if none stands out."""
+    triples = _alike_triples(points_M, points_Q, with_scale, config, rng)
+    if not len(triples):
+        return []
+    hypotheses = _solve_triples(points_M[triples], points_Q[triples], with_scale)
+    counts = agreeing(hypotheses, points_M, points_Q, config.search_angle_deg, config.depth_ratio).sum(axis=1)
+    order = np.argsort(-counts, kind="stable")[: config.refined]
+    return [hypotheses.one(k) for k in order if counts[k] > 3]
+
+
+def agreeing(
+    transforms: Transforms, points_M: Array, points_Q: Array, angle_deg: float, depth_ratio: float
+) -> NDArray[np.bool_]:
+    """Which matches ``(h, k)`` each transform explains: directions in both cameras within the angle, depths within the ratio."""
+    R, t, s = transforms.rotations, transforms.translations[:, None, :], transforms.scales[:, None, None]
+    in_M = s * (points_Q @ np.swapaxes(R, 1, 2)) + t
+    in_Q = ((points_M - t) @ R) / s
+    cos, log_ratio = np.cos(np.radians(angle_deg)), np.log(depth_ratio)
+    good = np.ones(in_M.shape[:2], dtype=bool)
+    for predicted, observed in ((in_M, points_M), (in_Q, points_Q)):
+        near, far = np.linalg.norm(predicted, axis=2), np.linalg.norm(observed, axis=1)
+        good &= np.einsum("hkc,kc->hk", predicted, observed) > cos * near * far
+        good &= np.abs(np.log(np.maximum(near, 1e-12) / np.maximum(far, 1e-12))) < log_ratio
+    return good
+
+
+def _alike_triples(
+    points_M: Array, points_Q: Array, with_scale: bool, config: RelPoseConfig, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Sets of three matches ``(h, 3)`` whose triangles are most alike."""
+    triples = rng.integers(0, len(points_M), size=(config.samples, 3))
+    sides_M, sides_Q = _sides(points_M[triples]), _sides(points_Q[triples])
+    proper = (_flatness(sides_M) > _MIN_FLATNESS) & (_flatness(sides_Q) > _MIN_FLATNESS)
+    triples, log_ratios = triples[proper], np.log(sides_M[proper] / sides_Q[proper])
+    if with_scale:
+        log_ratios = log_ratios - log_ratios.mean(axis=1, keepdims=True)
+    difference = np.abs(log_ratios).max(axis=1, initial=0.0)
+    order = np.argsort(difference, kind="stable")[: config.hypotheses]
+    return triples[order[difference[order] < np.log(config.depth_ratio)]]
+
+
+def _sides(triangles: Array) -> Array:
+    return np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
+
+
+def _flatness(sides: Array) -> Array:
+    """Height over longest side, of triangles given by their sides ``(n, 3)``; 0 for a point."""
+    a, b, c = np.sort(sides, axis=1).T
+    area = 0.25 * np.sqrt(np.maximum((a + b + c) * (-a + b + c) * (a - b + c) * (a + b - c), 0.0))
+    return 2.0 * area / np.maximum(c, 1e-12) ** 2
+
+
+def _solve_triples(a: Array, b: Array, with_scale: bool) -> Transforms:
+    """Least-squares ``T_A_B`` of each set ``(h, 3, 3)`` of points (Umeyama, PAMI 1991)."""
+    mean_a, mean_b = a.mean(axis=1, keepdims=True), b.mean(axis=1, keepdims=True)
+    da, db = a - mean_a, b - mean_b
+    u, singular, vt = np.linalg.svd(np.swapaxes(da, 1, 2) @ db)
+    singular[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    u[:, :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[:, None]
+    rotations = u @ vt
+    scales = singular.sum(axis=1) / (db**2).sum(axis=(1, 2)) if with_scale else np.ones(len(a))
+    turned = (rotations @ np.swapaxes(mean_b, 1, 2))[:, :, 0]
+    return Transforms(rotations, mean_a[:, 0] - scales[:, None] * turned, scales)
