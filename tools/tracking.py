@@ -127,6 +127,9 @@ class _Places:
 def _collect(
     finished: OdometryResult, places: _Places, stamps_ns: NDArray[np.int64], unreadable: tuple[str, ...]
 ) -> Tracked:
+    def frame(stamp_ns: int) -> int:
+        return int(np.searchsorted(stamps_ns, stamp_ns))
+
     order = [k for k in range(len(finished.tracks)) if len(finished.tracks[k])]
     described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
     return Tracked(
@@ -135,10 +138,7 @@ def _collect(
         trajectories=tuple(finished.trajectories[k] for k in order),
         vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
         textured=np.array([textured for _, textured in described], dtype=bool),
-        lost=tuple(
-            Gap(*(int(i) for i in np.searchsorted(stamps_ns, [gap.first_ns, gap.last_ns])), gap.reason)
-            for gap in finished.lost
-        ),
+        lost=tuple(Gap(frame(gap.first_ns), frame(gap.last_ns), gap.reason) for gap in finished.lost),
         unreadable=unreadable,
         stats={name: float(value) for name, value in sorted(finished.stats.items())},
     )
