@@ -42,15 +42,20 @@ def seconds_text(stamp_ns: int) -> str:
     return f"{sign}{magnitude // NS_PER_S}.{magnitude % NS_PER_S:09d}"
 
 
-def read_stamps(path: Path, column: int = 0) -> NDArray[np.int64]:
-    """Nanoseconds ``(N,)`` of the seconds in one column of a text file; lines starting with ``#`` and empty ones are passed over."""
+def read_stamps(path: Path, nanoseconds: bool = False) -> NDArray[np.int64]:
+    """Nanoseconds ``(N,)`` of the first column of a text file, which holds seconds, or integer ``nanoseconds``.
+
+    Lines starting with ``#`` and empty ones are passed over; anything else that is not a time is an error with its line.
+    """
+    parse = int if nanoseconds else decimal_ns
     stamps = []
     for number, line in enumerate(read_bytes(path).decode("ascii", "replace").splitlines(), 1):
         fields = line.replace(",", " ").split()
         if not fields or fields[0].startswith("#"):
             continue
         try:
-            stamps.append(decimal_ns(fields[column]))
-        except (ValueError, IndexError):
-            raise FrontendError(f"{path}:{number}: not a time in seconds: {line.strip()[:60]!r}") from None
+            stamps.append(parse(fields[0]))
+        except ValueError:
+            unit = "nanoseconds" if nanoseconds else "seconds"
+            raise FrontendError(f"{path}:{number}: not a time in {unit}: {line.strip()[:60]!r}") from None
     return np.array(stamps, dtype=np.int64)

@@ -172,6 +172,15 @@ def popcount(typing_context: Any, bits: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def hamming(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> np.int64:
+    """Differing bits of two descriptors of four uint64."""
+    total = np.int64(0)
+    for j in range(4):
+        total += np.int64(popcount(a[j] ^ b[j]))
+    return total
+
+
+@njit(cache=True, nogil=True)
 def _descend(
     rows: NDArray[np.uint64], begin: NDArray[np.int32], children: NDArray[np.int32], child_bits: NDArray[np.uint64], levels: NDArray[np.int64]
 ) -> NDArray[np.int32]:
@@ -183,9 +192,7 @@ def _descend(
             while level < levels[k] and begin[node] < begin[node + 1]:
                 best, nearest = 257, 0
                 for c in range(begin[node], begin[node + 1]):
-                    distance = 0
-                    for j in range(4):
-                        distance += np.int64(popcount(rows[i, j] ^ child_bits[c, j]))
+                    distance = hamming(rows[i], child_bits[c])
                     if distance < best:
                         best, nearest = distance, c
                 node = children[nearest]

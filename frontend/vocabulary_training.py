@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frontend.vocabulary import Vocabulary, popcount
+from frontend.vocabulary import Vocabulary, hamming
 
 
 def train_vocabulary(
@@ -92,14 +92,6 @@ def _split_nodes(
 
 
 @njit(cache=True, nogil=True)
-def _distance(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> int:
-    total = 0
-    for j in range(4):
-        total += np.int64(popcount(a[j] ^ b[j]))
-    return total
-
-
-@njit(cache=True, nogil=True)
 def _seed(rows: NDArray[np.uint64], draws: NDArray[np.float64], centres: NDArray[np.uint64]) -> int:
     """Spread first centres by drawing proportionally to the squared distance from those drawn; how many different ones there are."""
     nearest = np.full(len(rows), 1 << 20, dtype=np.int64)
@@ -119,7 +111,7 @@ def _seed(rows: NDArray[np.uint64], draws: NDArray[np.float64], centres: NDArray
                     break
         centres[c] = rows[pick]
         for i in range(len(rows)):
-            nearest[i] = min(nearest[i], _distance(rows[i], centres[c]))
+            nearest[i] = min(nearest[i], hamming(rows[i], centres[c]))
     return len(draws)
 
 
@@ -130,7 +122,7 @@ def _assign(rows: NDArray[np.uint64], centres: NDArray[np.uint64], own: NDArray[
     for i in range(len(rows)):
         best, nearest = 257, 0
         for c in range(len(centres)):
-            distance = _distance(rows[i], centres[c])
+            distance = hamming(rows[i], centres[c])
             if distance < best:
                 best, nearest = distance, c
         changed = changed or own[i] != nearest

@@ -8,15 +8,18 @@ from pathlib import Path
 
 from frontend.cameras import RigKind
 from frontend.datasets.base import Dataset, ImageSequence, Problem, Reader, Severity
+from frontend.datasets.euroc import EurocReader
+from frontend.datasets.folder import FolderReader
 from frontend.datasets.images import natural_key
 from frontend.datasets.kitti import KittiReader
-from frontend.datasets.rendered import RenderedReader
 from frontend.datasets.seven_scenes import SevenScenesReader
+from frontend.datasets.tum import TumReader
 from frontend.errors import FrontendError
 
 __all__ = ["READERS", "Dataset", "ImageSequence", "Problem", "Severity", "open_dataset"]
 
-READERS: tuple[type[Reader], ...] = (RenderedReader, KittiReader, SevenScenesReader)
+READERS: tuple[type[Reader], ...] = (KittiReader, EurocReader, TumReader, SevenScenesReader, FolderReader)
+"""Tried in this order; the last takes any folder of images."""
 _AGENT = re.compile(r"agent_\d+")
 
 

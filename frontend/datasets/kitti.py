@@ -9,60 +9,63 @@ from numpy.typing import NDArray
 
 from backend.geometry import se3
 from frontend import stamps, tables
-from frontend.cameras import PinholeCamera, Rig, RigKind
-from frontend.datasets import checks
+from frontend.calibration import RawCamera, RawRig
+from frontend.cameras import RigKind
+from frontend.datasets.assemble import Found, assemble, available_rigs
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
-from frontend.datasets.images import image_size, list_images
+from frontend.datasets.images import list_images
 from frontend.errors import FrontendError
 from frontend.trajectory import Trajectory, read_kitti_poses
+
+Array = NDArray[np.float64]
 
 _PAIRS = ((0, 1), (2, 3))  # grey, then colour: folders image_<n>
 
 
 class KittiReader(Reader):
-    """A sequence folder: ``image_<n>/``, ``calib.txt`` (with or without ``P0:`` labels), ``times.txt``, ``poses.txt`` beside or ``../../poses/<name>.txt``."""
+    """A sequence folder: ``image_<n>/``, ``calib.txt`` (with or without ``P0:`` labels), ``times.txt``, and the ground truth in
+    ``poses.txt`` beside them or in ``../../poses/<name>.txt``."""
 
     kind = "kitti"
 
     @classmethod
     def recognises(cls, folder: Path) -> bool:
-        return (folder / "calib.txt").is_file() and any((folder / f"image_{n}").is_dir() for pair in _PAIRS for n in pair[:1])
+        return (folder / "calib.txt").is_file() and any((folder / f"image_{left}").is_dir() for left, _ in _PAIRS)
 
     @classmethod
     def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
         problems = Problems()
-        left_id, right_id = next((pair for pair in _PAIRS if list_images(folder / f"image_{pair[0]}")), (-1, -1))
-        if left_id < 0:
+        left, right = next((pair for pair in _PAIRS if list_images(folder / f"image_{pair[0]}")), (-1, -1))
+        if left < 0:
             raise FrontendError(f"{folder}: no images in image_0 or image_2")
-        images = tuple(list_images(folder / f"image_{left_id}"))
+        images = tuple(list_images(folder / f"image_{left}"))
         projections = read_projections(folder / "calib.txt")
-        stereo_possible = (folder / f"image_{right_id}").is_dir() and len(projections) > 1
-        chosen = choose_rig([RigKind.STEREO, RigKind.MONO] if stereo_possible else [RigKind.MONO], rig, folder)
-        right = tuple(folder / f"image_{right_id}" / path.name for path in images) if chosen is RigKind.STEREO else ()
-        checks.check_files(right, "right image", problems)
-        size = image_size(images[0])
-        P_left = _projection(projections, left_id, folder)
-        camera = PinholeCamera(*size, *(float(P_left[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
-        checks.check_camera(camera, folder / "calib.txt", problems)
-        baseline_m = None
-        if chosen is RigKind.STEREO:
-            baseline_m = float((P_left[0, 3] - _projection(projections, right_id, folder)[0, 3]) / P_left[0, 0])
-            checks.check_baseline(baseline_m, folder / "calib.txt", problems)
+        P_left = _projection(projections, left, folder)
+        has_right = (folder / f"image_{right}").is_dir() and len(projections) > 1
+        P_right = _projection(projections, right, folder) if has_right else None
         times = _times(folder, images, problems)
-        truth = _groundtruth(folder, images, times, P_left, problems)
-        return ImageSequence(
-            kind=cls.kind, name=folder.resolve().name, rig=Rig(chosen, camera, baseline_m), stamps_ns=times, left=images,
-            stored_size=size, right=right, groundtruth=truth, problems=tuple(problems.found),
-        )  # fmt: skip
+        found = Found(
+            kind=cls.kind,
+            folder=folder,
+            raw=_rig(P_left, P_right),
+            calibration=folder / "calib.txt",
+            images=images,
+            stamps_ns=times,
+            stamps_source=folder / "times.txt",
+            right=tuple(folder / f"image_{right}" / path.name for path in images),
+            truth=_groundtruth(folder, images, times, P_left, problems),
+        )
+        return assemble(found, choose_rig(available_rigs(has_right, False), rig, folder), problems)
 
 
-def read_projections(path: Path) -> dict[int, NDArray[np.float64]]:
-    """Camera number to 3x4 projection matrix from ``calib.txt``; rows without a label count up from 0; other labels are passed over."""
-    projections: dict[int, NDArray[np.float64]] = {}
+def read_projections(path: Path) -> dict[int, Array]:
+    """Camera number to 3x4 projection matrix; rows without a label count up from 0; labels other than ``P<n>:`` are passed over."""
+    projections: dict[int, Array] = {}
     for number, line in enumerate(tables.read_bytes(path).decode("ascii", "replace").splitlines(), 1):
         label, colon, rest = line.partition(":")
         fields = (rest if colon else line).split()
-        if not fields or (colon and not (label.strip()[:1] == "P" and label.strip()[1:].isdigit())):
+        label = label.strip() if colon else f"P{len(projections)}"
+        if not fields or label[:1] != "P" or not label[1:].isdigit():
             continue
         try:
             row = np.array([float(field) for field in fields])
@@ -70,20 +73,28 @@ def read_projections(path: Path) -> dict[int, NDArray[np.float64]]:
             raise FrontendError(f"{path}:{number}: not a number in the projection matrix") from None
         if len(row) != 12 or not np.isfinite(row).all():
             raise FrontendError(f"{path}:{number}: a projection matrix has 12 finite numbers, found {len(row)}")
-        projections[int(label.strip()[1:]) if colon else len(projections)] = row.reshape(3, 4)
+        if row[0] <= 0 or row[5] <= 0:
+            raise FrontendError(f"{path}:{number}: focal lengths {row[0]}, {row[5]} px cannot be")
+        projections[int(label[1:])] = row.reshape(3, 4)
     if not projections:
         raise FrontendError(f"{path}: no projection matrix (rows of 12 numbers, with or without P0: before them)")
     return projections
 
 
-def _projection(projections: dict[int, NDArray[np.float64]], camera: int, folder: Path) -> NDArray[np.float64]:
+def _projection(projections: dict[int, Array], camera: int, folder: Path) -> Array:
     """The matrix of one camera; a file of one or two rows holds those of the pair that is there."""
     found = projections.get(camera, projections.get(camera % 2) if len(projections) <= 2 else None)
     if found is None:
         raise FrontendError(f"{folder / 'calib.txt'}: no row P{camera} for the images in image_{camera}")
-    if found[0, 0] <= 0 or found[1, 1] <= 0:
-        raise FrontendError(f"{folder / 'calib.txt'}: focal lengths {found[0, 0]}, {found[1, 1]} px in P{camera} cannot be")
     return found
+
+
+def _rig(P_left: Array, P_right: Array | None) -> RawRig:
+    cameras = [RawCamera(float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2])) for P in (P_left, P_right) if P is not None]
+    if P_right is None:
+        return RawRig(cameras[0])
+    baseline_m = float((P_left[0, 3] - P_right[0, 3]) / P_left[0, 0])
+    return RawRig(cameras[0], cameras[1], se3(np.eye(3), [baseline_m, 0.0, 0.0]))
 
 
 def _rows_of_images(count: int, images: tuple[Path, ...]) -> NDArray[np.int64] | None:
@@ -104,12 +115,11 @@ def _times(folder: Path, images: tuple[Path, ...], problems: Problems) -> NDArra
         raise FrontendError(f"{path}: {len(times)} times for {len(images)} images in {images[0].parent.name}")
     if len(times) != len(images):
         problems.warning(f"{path}: {len(times)} times for {len(images)} images; taken by the number in the file name")
-    checks.check_stamps(times[rows], [p.name for p in images], path, problems)
     return times[rows]
 
 
 def _groundtruth(
-    folder: Path, images: tuple[Path, ...], times: NDArray[np.int64], P_left: NDArray[np.float64], problems: Problems
+    folder: Path, images: tuple[Path, ...], times: NDArray[np.int64], P_left: Array, problems: Problems
 ) -> Trajectory | None:
     resolved = folder.resolve()
     candidates = (folder / "poses.txt", resolved.parent.parent / "poses" / f"{resolved.name}.txt")
@@ -121,6 +131,6 @@ def _groundtruth(
     if rows is None:
         problems.warning(f"{path}: {len(poses)} poses for {len(images)} images; ground truth left out")
         return None
-    # Poses are those of camera 0; the fourth column of P is where camera 0's origin lies in this camera, times K.
+    # Poses are those of camera 0; the fourth column of P is K times where camera 0's origin lies in this camera.
     offset = np.linalg.solve(P_left[:, :3], P_left[:, 3])
     return Trajectory(times, poses[rows] @ se3(np.eye(3), -offset))

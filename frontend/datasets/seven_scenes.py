@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from backend.geometry import project_to_so3, se3
 from frontend import tables
-from frontend.cameras import PinholeCamera, Rig, RigKind
-from frontend.datasets import checks
+from frontend.calibration import RawCamera, RawRig
+from frontend.cameras import RigKind
+from frontend.datasets.assemble import Found, assemble, available_rigs
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
 from frontend.datasets.images import image_size, list_images
 from frontend.errors import FrontendError
@@ -20,8 +21,7 @@ from frontend.trajectory import Trajectory
 
 _COLOUR = re.compile(r"frame-(\d+)\.color\.(?:png|jpg|jpeg)")
 _RATE_HZ = 30  # of the Kinect; the data set has no time stamps
-_DEFAULT_FOCAL_PX = 525.0  # of the Kinect's colour camera, to which depth is registered; the published 585 is its depth camera's
-_DEPTH_UNIT_M = 0.001
+_KINECT_FOCAL_PX = 525.0  # its colour camera at 640x480, which the depth is registered to; the published 585 is the depth camera's
 
 
 class SevenScenesReader(Reader):
@@ -40,42 +40,38 @@ class SevenScenesReader(Reader):
     def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
         problems = Problems()
         images = tuple(path for path in list_images(folder) if _COLOUR.fullmatch(path.name))
-        numbers = np.array([_number(path) for path in images], dtype=np.int64)
-        has_depth = any((folder / f"{_stem(path)}.depth.png").is_file() for path in images)
-        chosen = choose_rig([RigKind.RGBD, RigKind.MONO] if has_depth else [RigKind.MONO], rig, folder)
-        depth = tuple(folder / f"{_stem(path)}.depth.png" for path in images) if chosen is RigKind.RGBD else ()
-        checks.check_files(depth, "depth image", problems)
-        size = image_size(images[0])
-        camera = _camera(folder, size, problems)
-        times = np.rint(numbers * (NS_PER_S / _RATE_HZ)).astype(np.int64)
-        checks.check_stamps(times, [path.name for path in images], folder, problems)
-        return ImageSequence(
-            kind=cls.kind, name=folder.resolve().name, rig=Rig(chosen, camera), stamps_ns=times, left=images, stored_size=size, depth=depth,
-            depth_unit_m=_DEPTH_UNIT_M, groundtruth=_groundtruth(images, times, problems), problems=tuple(problems.found),
-        )  # fmt: skip
+        depth = tuple(path.with_name(f"{_stem(path)}.depth.png") for path in images)
+        times = np.array([int(_stem(path).removeprefix("frame-")) * NS_PER_S // _RATE_HZ for path in images], dtype=np.int64)
+        found = Found(
+            kind=cls.kind,
+            folder=folder,
+            raw=RawRig(_camera(folder, image_size(images[0]), problems)),
+            calibration=folder / "camera.txt",
+            images=images,
+            stamps_ns=times,
+            stamps_source=folder,
+            depth=depth,
+            truth=_groundtruth(images, times, problems),
+        )
+        has_depth = any(path.is_file() for path in depth)
+        return assemble(found, choose_rig(available_rigs(False, has_depth), rig, folder), problems)
 
 
 def _stem(path: Path) -> str:
     return path.name.split(".")[0]
 
 
-def _number(path: Path) -> int:
-    return int(_stem(path).removeprefix("frame-"))
-
-
-def _camera(folder: Path, size: tuple[int, int], problems: Problems) -> PinholeCamera:
+def _camera(folder: Path, size: tuple[int, int], problems: Problems) -> RawCamera:
     source = folder / "camera.txt"
     if source.is_file():
         values = tables.read_table(source, 4, "a camera (fx fy cx cy)")
         if len(values) != 1:
             raise FrontendError(f"{source}: one line of four numbers (fx fy cx cy) expected, found {len(values)}")
-        camera = PinholeCamera(*size, *values[0].tolist())
-    else:
-        focal = _DEFAULT_FOCAL_PX * size[0] / 640
-        camera = PinholeCamera(*size, focal, focal, size[0] / 2, size[1] / 2)
-        problems.warning(f"{source}: not there; the Kinect's usual fx = fy = {focal:.0f} px, centre {camera.cx:.0f} {camera.cy:.0f} taken")
-    checks.check_camera(camera, source, problems)
-    return camera
+        fx, fy, cx, cy = values[0].tolist()
+        return RawCamera(fx, fy, cx, cy)
+    focal = _KINECT_FOCAL_PX * size[0] / 640
+    problems.warning(f"{source}: not there; the Kinect's usual fx = fy = {focal:.0f} px and the image centre are taken")
+    return RawCamera(focal, focal, size[0] / 2, size[1] / 2)
 
 
 def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: Problems) -> Trajectory | None:

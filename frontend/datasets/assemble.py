@@ -1,0 +1,78 @@
+"""From files found and numbers read to a checked sequence: what all kinds of data set have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.geometry import se3
+from frontend.calibration import RawRig
+from frontend.cameras import Rig, RigKind
+from frontend.datasets import checks
+from frontend.datasets.base import ImageSequence, Problems
+from frontend.datasets.images import image_size
+from frontend.rectification import rectify_rig
+from frontend.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a reader found in a folder. Paths need not exist: missing ones become problems.
+
+    ``calibration``: where ``raw`` comes from; ``stamps_source``: where ``stamps_ns`` come from (for messages). ``truth``: ``T_W_C`` of the
+    calibrated left camera, before rectification. ``depth_unit_m``: metres a step of the depth images.
+    """
+
+    kind: str
+    folder: Path
+    raw: RawRig
+    calibration: Path
+    images: tuple[Path, ...]
+    stamps_ns: NDArray[np.int64]
+    stamps_source: Path
+    right: tuple[Path, ...] = ()
+    depth: tuple[Path, ...] = ()
+    depth_unit_m: float = 0.001
+    truth: Trajectory | None = None
+
+
+def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
+    """The sequence, rectified as ``kind``; files that this rig does not use are left out. What is wrong is added to ``problems``."""
+    right = found.right if kind is RigKind.STEREO else ()
+    depth = found.depth if kind is RigKind.RGBD else ()
+    checks.check_files(found.images, "image", problems)
+    checks.check_files(right, "right image", problems)
+    checks.check_files(depth, "depth image", problems)
+    checks.check_stamps(found.stamps_ns, [path.name for path in found.images], found.stamps_source, problems)
+    size = image_size(next((path for path in found.images if path.is_file()), found.images[0]))
+    checks.check_size(found.raw.left.size, size, found.calibration, found.images[0], problems)
+    checks.check_camera(found.raw.left.pinhole(size), found.calibration, problems)
+    if kind is RigKind.STEREO and found.raw.right is not None and found.raw.baseline_m is not None:
+        checks.check_camera(found.raw.right.pinhole(size), found.calibration, problems)
+        checks.check_baseline(found.raw.baseline_m, found.calibration, problems)
+    ideal = rectify_rig(found.raw, kind, size)
+    truth = found.truth
+    if truth is not None and ideal.rectifier is not None:
+        truth = Trajectory(truth.stamps_ns, truth.poses @ se3(ideal.R_rectified_left.T, np.zeros(3)))
+    return ImageSequence(
+        kind=found.kind,
+        name=found.folder.resolve().name,
+        rig=Rig(kind, ideal.camera, ideal.baseline_m),
+        stamps_ns=found.stamps_ns,
+        left=found.images,
+        stored_size=size,
+        right=right,
+        depth=depth,
+        depth_unit_m=found.depth_unit_m,
+        rectifier=ideal.rectifier,
+        groundtruth=truth,
+        problems=tuple(dict.fromkeys(problems.found)),
+    )
+
+
+def available_rigs(right: bool, depth: bool) -> list[RigKind]:
+    """From most to least informative, by what is there beside the (left) image."""
+    return [RigKind.STEREO] * right + [RigKind.RGBD] * depth + [RigKind.MONO]

@@ -1,0 +1,132 @@
+"""EuRoC in ASL layout (Burri et al., IJRR 2016): a raw stereo pair, distorted, rectified on the fly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.geometry import rotation_from_quat_wxyz, se3, se3_inverse
+from frontend import tables
+from frontend.calibration import RawCamera, RawRig
+from frontend.calibration_files import camera, load_fields
+from frontend.cameras import RigKind
+from frontend.datasets.assemble import Found, assemble, available_rigs
+from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
+from frontend.datasets.images import list_images
+from frontend.errors import FrontendError
+from frontend.rectification import stereo_rotations
+from frontend.stamps import read_stamps
+from frontend.trajectory import Trajectory, read_tum
+
+
+class EurocReader(Reader):
+    """``mav0/cam0``, ``mav0/cam1`` with ``sensor.yaml``, ``data.csv`` and ``data/<ns>.png``; the folder may be ``mav0`` itself.
+
+    Ground truth: ``mav0/state_groundtruth_estimate0`` (of the body), else a ``groundtruth*.tum`` beside ``mav0``: TUM lines, poses of
+    the rectified left camera.
+    """
+
+    kind = "euroc"
+
+    @classmethod
+    def recognises(cls, folder: Path) -> bool:
+        return (_mav(folder) / "cam0" / "sensor.yaml").is_file()
+
+    @classmethod
+    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+        problems = Problems()
+        mav = _mav(folder)
+        left_stamps, left_images = _images(mav / "cam0")
+        left, T_body_left = _sensor(mav / "cam0")
+        has_right = (mav / "cam1" / "sensor.yaml").is_file()
+        kind = choose_rig(available_rigs(has_right, False), rig, folder)
+        raw = RawRig(left)
+        right_images: tuple[Path, ...] = ()
+        if has_right:
+            right, T_body_right = _sensor(mav / "cam1")
+            raw = RawRig(left, right, se3_inverse(T_body_left) @ T_body_right, rectified=False)
+        if kind is RigKind.STEREO:
+            right_stamps, right_images = _images(mav / "cam1")
+            left_stamps, left_images, right_images = _pairs(left_stamps, left_images, right_stamps, right_images, mav, problems)
+        found = Found(
+            kind=cls.kind,
+            folder=mav.resolve().parent,
+            raw=raw,
+            calibration=mav / "cam0" / "sensor.yaml",
+            images=left_images,
+            stamps_ns=left_stamps,
+            stamps_source=mav / "cam0",
+            right=right_images,
+            truth=_groundtruth(mav, raw, T_body_left),
+        )
+        return assemble(found, kind, problems)
+
+
+def _mav(folder: Path) -> Path:
+    return folder / "mav0" if (folder / "mav0").is_dir() else folder
+
+
+def _images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
+    """Time stamps and files by ``data.csv``, or by the file names where there is none."""
+    table = cam / "data.csv"
+    if not table.is_file():
+        images = list_images(cam / "data")
+        if not images or not all(path.stem.isdigit() for path in images):
+            raise FrontendError(f"{cam / 'data'}: no images named by their time in nanoseconds, and no {table.name}")
+        return np.array([int(path.stem) for path in images], dtype=np.int64), tuple(images)
+    stamps, files = [], []
+    for number, line in enumerate(tables.read_bytes(table).decode("ascii", "replace").splitlines(), 1):
+        fields = [field.strip() for field in line.split(",")]
+        if not line.strip() or line.startswith("#"):
+            continue
+        if len(fields) != 2 or not fields[0].isdigit():
+            raise FrontendError(f"{table}:{number}: nanoseconds and a file name expected, found {line[:60]!r}")
+        stamps.append(int(fields[0]))
+        files.append(cam / "data" / fields[1])
+    if not files:
+        raise FrontendError(f"{table}: no images")
+    return np.array(stamps, dtype=np.int64), tuple(files)
+
+
+def _sensor(cam: Path) -> tuple[RawCamera, NDArray[np.float64]]:
+    """The camera and its ``T_body_camera``."""
+    fields = load_fields(cam / "sensor.yaml")
+    if fields.text("camera_model") not in ("pinhole", ""):
+        raise fields.fail("camera_model", "pinhole")
+    width, height = fields.numbers("resolution", 2)
+    model, coefficients = fields.text("distortion_model"), fields.numbers("distortion_coefficients")
+    raw = camera(fields, fields.numbers("intrinsics", 4), (int(width), int(height)), model, coefficients)
+    return raw, fields.transform("T_BS")
+
+
+def _pairs(
+    left_stamps: NDArray[np.int64], left: tuple[Path, ...], right_stamps: NDArray[np.int64], right: tuple[Path, ...], mav: Path, problems: Problems
+) -> tuple[NDArray[np.int64], tuple[Path, ...], tuple[Path, ...]]:
+    """Frames that both cameras have by their tables: the recorder dropped some images of one camera in some sequences."""
+    right_of = dict(zip(right_stamps.tolist(), right, strict=True))
+    kept = [i for i, stamp in enumerate(left_stamps.tolist()) if stamp in right_of]
+    if not kept:
+        raise FrontendError(f"{mav}: no image of cam0 has the time of one of cam1")
+    if len(kept) < len(left):
+        problems.warning(f"{mav / 'cam1'}: no right image for {len(left) - len(kept)} of {len(left)} frames; these are left out")
+    return left_stamps[kept], tuple(left[i] for i in kept), tuple(right_of[int(left_stamps[i])] for i in kept)
+
+
+def _groundtruth(mav: Path, raw: RawRig, T_body_left: NDArray[np.float64]) -> Trajectory | None:
+    """``T_W_C`` of the left camera as calibrated."""
+    state = mav / "state_groundtruth_estimate0" / "data.csv"
+    if state.is_file():
+        values = tables.read_table(state, (17, 8), "a state (ns, position, quaternion wxyz, and velocity and biases)")
+        stamps = read_stamps(state, nanoseconds=True)
+        T_W_body = se3(rotation_from_quat_wxyz(values[:, 4:8]), values[:, 1:4])
+        return Trajectory(stamps, T_W_body @ T_body_left)
+    beside = sorted(mav.resolve().parent.glob("groundtruth*.tum"))
+    if not beside:
+        return None
+    rectified = read_tum(beside[0])
+    if raw.T_left_right is None:
+        return rectified
+    R_rectified_left, _, _ = stereo_rotations(raw.T_left_right)
+    return Trajectory(rectified.stamps_ns, rectified.poses @ se3(R_rectified_left, np.zeros(3)))

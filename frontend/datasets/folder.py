@@ -1,0 +1,118 @@
+"""Any folder of images with a calibration file beside them; also what ``maslam render`` writes for each agent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontend.cameras import RigKind
+from frontend.calibration import RawRig
+from frontend.datasets.assemble import Found, assemble, available_rigs
+from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
+from frontend.datasets.camera_file import find_camera_file
+from frontend.datasets.images import list_images
+from frontend.errors import FrontendError
+from frontend.stamps import NS_PER_S, decimal_ns, read_stamps
+from frontend.trajectory import Trajectory, read_kitti_poses, read_tum
+
+_LEFT = ("image_0", "left", "images", "image", "rgb", "color", "cam0", ".")
+_RIGHT = {"image_0": "image_1", "left": "right", "cam0": "cam1"}
+_DEPTH = ("depth_0", "depth")
+_TIMES = ("times.txt", "timestamps.txt")
+_UNITS_NS = {19: 1, 16: 1_000, 13: 1_000_000}  # digits of a present-day Unix time in ns, us, ms
+_DEFAULT_RATE_HZ = 10.0
+
+
+class FolderReader(Reader):
+    """Images in the folder itself or in ``image_0`` (``left``, ``images``, ``rgb``, ...); stereo with ``image_1`` (``right``), RGB-D with
+    ``depth_0`` (``depth``), files of one frame having one name; a calibration file (see :mod:`frontend.calibration_files`).
+
+    Time stamps: ``times.txt`` (seconds, one an image), else file names that are times (seconds with a point; ns, us or ms by their number
+    of digits), else the rate in the calibration file. Ground truth: ``poses.txt`` (KITTI rows, one an image) or ``groundtruth.txt|.tum``.
+    """
+
+    kind = "images"
+
+    @classmethod
+    def recognises(cls, folder: Path) -> bool:
+        return _image_folder(folder) is not None
+
+    @classmethod
+    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+        problems = Problems()
+        inside = _image_folder(folder)
+        images = tuple(list_images(folder / inside)) if inside else ()
+        calibration = find_camera_file(folder) or (find_camera_file(folder / inside) if inside else None)
+        if calibration is None:
+            raise FrontendError(f"{folder}: images but no calibration file; put a camera.yaml beside them (width, height, fx, fy, cx, cy)")
+        raw, source = calibration
+        right = _partners(folder, _RIGHT.get(inside or ""), images) if raw.right is not None else ()
+        depth = next((files for name in _DEPTH if (files := _partners(folder, name, images))), ())
+        if depth and raw.depth_unit_m is None:
+            problems.warning(f"{source}: no depth unit (depth_unit_m, DepthMapFactor): millimetres taken")
+        times, times_source = _times(folder, images, raw, problems)
+        found = Found(
+            kind=cls.kind,
+            folder=folder,
+            raw=raw,
+            calibration=source,
+            images=images,
+            stamps_ns=times,
+            stamps_source=times_source,
+            right=right,
+            depth=depth,
+            depth_unit_m=raw.depth_unit_m or 0.001,
+            truth=_groundtruth(folder, times),
+        )
+        return assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, folder), problems)
+
+
+def _image_folder(folder: Path) -> str | None:
+    return next((name for name in _LEFT if list_images(folder / name)), None)
+
+
+def _partners(folder: Path, name: str | None, images: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The files in sub-folder ``name`` that belong to ``images``, by name whatever the suffix; empty where there is no such folder."""
+    if name is None or not (folder / name).is_dir():
+        return ()
+    by_stem = {path.stem: path for path in list_images(folder / name)}
+    return tuple(by_stem.get(path.stem, folder / name / path.name) for path in images)
+
+
+def _times(folder: Path, images: tuple[Path, ...], raw: RawRig, problems: Problems) -> tuple[NDArray[np.int64], Path]:
+    path = next((folder / name for name in _TIMES if (folder / name).is_file()), None)
+    if path is not None:
+        times = read_stamps(path)
+        if len(times) != len(images):
+            raise FrontendError(f"{path}: {len(times)} times for {len(images)} images in {images[0].parent}")
+        return times, path
+    by_name = _times_of_names([path.stem for path in images])
+    if by_name is not None:
+        return by_name, images[0].parent
+    rate_hz = raw.rate_hz
+    if rate_hz is None or rate_hz <= 0:
+        rate_hz = _DEFAULT_RATE_HZ
+        problems.warning(f"{folder}: no times.txt, no times in the file names, no rate in the calibration: {rate_hz:.0f} Hz taken")
+    return np.rint(np.arange(len(images)) * (NS_PER_S / rate_hz)).astype(np.int64), folder
+
+
+def _times_of_names(stems: list[str]) -> NDArray[np.int64] | None:
+    """Nanoseconds where all names are times, else None: frame numbers are no times."""
+    if all("." in stem and stem.replace(".", "", 1).isdigit() for stem in stems):
+        return np.array([decimal_ns(stem) for stem in stems], dtype=np.int64)
+    digits = {len(stem) if stem.isdigit() else 0 for stem in stems}
+    unit = _UNITS_NS.get(digits.pop()) if len(digits) == 1 else None
+    return None if unit is None else np.array([int(stem) * unit for stem in stems], dtype=np.int64)
+
+
+def _groundtruth(folder: Path, times: NDArray[np.int64]) -> Trajectory | None:
+    rows = folder / "poses.txt"
+    if rows.is_file():
+        _, poses = read_kitti_poses(rows)
+        if len(poses) != len(times):
+            raise FrontendError(f"{rows}: {len(poses)} poses for {len(times)} images")
+        return Trajectory(times, poses)
+    lines = next((folder / name for name in ("groundtruth.txt", "groundtruth.tum") if (folder / name).is_file()), None)
+    return None if lines is None else read_tum(lines)
