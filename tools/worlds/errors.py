@@ -1,0 +1,5 @@
+"""The one exception root of the synthetic worlds."""
+
+
+class RenderError(RuntimeError):
+    """A rendering that cannot be made as asked; the message says in one line what and why, with numbers and units."""
