@@ -11,12 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from backend.geometry import Array, Sim3, skew, so3_exp
+from backend.geometry import Array, Sim3, so3_exp
 
-_ITERATIONS = 12
+ITERATIONS = 12
 # A tenth of a pixel of a common camera; noise below it is not believed.
 _MIN_ANGLE_SIGMA = np.radians(0.01)
+_START_ANGLE_SIGMA = np.radians(0.3)
 # Inverse depth noise, as a share of the inverse of the median depth: where it starts, and what is not believed any more.
 _START_DEPTH_SIGMA, _MIN_DEPTH_SIGMA = 0.1, 0.003
 _MAD_TO_SIGMA = 1.4826
@@ -35,92 +37,89 @@ class Alignment:
     depth_sigma: float
 
 
-def refine(points_M: Array, points_Q: Array, start: Sim3, with_scale: bool, loss_scale: float) -> Alignment:
+def refine(
+    points_M: Array, points_Q: Array, start: Sim3, with_scale: bool, loss_scale: float, iterations: int = ITERATIONS
+) -> Alignment:
     """Refine ``start`` on matched points ``(k, 3)``, k >= 3, most of which should be right."""
-    T = start
-    range_M = np.linalg.norm(points_M, axis=1)
-    unit = 1.0 / float(np.median(range_M))
-    angle_sigma, depth_sigma = np.radians(0.3), _START_DEPTH_SIGMA * unit
-    hessian = np.eye(7)
-    for iteration in range(_ITERATIONS):
-        residual, to_point = _residuals(points_M, points_Q, T)
-        covariance = _covariances(points_Q, T, to_point, angle_sigma, depth_sigma)
-        inverse = np.linalg.inv(covariance)
-        squared = np.einsum("ka,kab,kb->k", residual, inverse, residual)
-        weight = 1.0 / (1.0 + squared / loss_scale**2)
-        jacobian = to_point @ _point_jacobians(points_Q, T)
-        weighted = np.swapaxes(jacobian, 1, 2) @ (inverse * weight[:, None, None])
-        hessian = (weighted @ jacobian).sum(axis=0)
-        gradient = (weighted @ residual[:, :, None]).sum(axis=0)[:, 0]
-        size = 7 if with_scale else 6
+    T, size = start, 7 if with_scale else 6
+    points_M, points_Q = np.ascontiguousarray(points_M), np.ascontiguousarray(points_Q)
+    unit = 1.0 / float(np.median(np.linalg.norm(points_M, axis=1)))
+    angle, depth = _START_ANGLE_SIGMA, _START_DEPTH_SIGMA * unit
+    hessian = np.zeros((7, 7))
+    for iteration in range(iterations):
+        hessian, gradient, ratios = _normal_equations(
+            points_M, points_Q, T.rotation, T.translation, T.scale, angle, depth, loss_scale
+        )
         # A trace of damping keeps degenerate sets from flying off; it is far below any real information.
         damped = hessian[:size, :size] + np.diag(1e-9 * np.diag(hessian[:size, :size]) + 1e-12)
         step = np.zeros(7)
         step[:size] = -np.linalg.solve(damped, gradient[:size])
         T = _moved(T, step)
-        if iteration < _ITERATIONS // 2:
-            angle_sigma, depth_sigma = _noise(residual, covariance, angle_sigma, depth_sigma, unit)
+        if iteration < ITERATIONS // 2:
+            # The noise at which the typical residual is as large as its covariance says.
+            typical = _MAD_TO_SIGMA * np.median(ratios, axis=0)
+            angle = float(max(angle * 0.5 * (typical[0] + typical[1]), _MIN_ANGLE_SIGMA))
+            depth = float(np.clip(depth * typical[2], _MIN_DEPTH_SIGMA * unit, unit))
         elif np.abs(step).max() < 1e-10:
             break
-    return Alignment(T, _rigid_information(hessian, with_scale), angle_sigma, depth_sigma)
+    return Alignment(T, _rigid_information(hessian, with_scale), angle, depth)
 
 
-def _residuals(points_M: Array, points_Q: Array, T: Sim3) -> tuple[Array, Array]:
-    """Residuals ``(k, 3)``: direction of the predicted point across the observed one, inverse depth; and d residual / d point."""
-    observed = np.linalg.norm(points_M, axis=1, keepdims=True)
-    across = _across(points_M / observed)
-    predicted = T @ points_Q
-    distance = np.maximum(np.linalg.norm(predicted, axis=1, keepdims=True), 1e-9)
-    bearing = predicted / distance
-    direction = np.einsum("kca,kc->ka", across, bearing)
-    residual = np.concatenate([direction, 1.0 / distance - 1.0 / observed], axis=1)
-    tangent = (np.eye(3) - bearing[:, :, None] * bearing[:, None, :]) / distance[:, :, None]
-    to_point = np.concatenate([np.swapaxes(across, 1, 2) @ tangent, -(bearing / distance**2)[:, None, :]], axis=1)
-    return residual, to_point
+@njit(cache=True, nogil=True)
+def _normal_equations(points_M, points_Q, R, t, s, angle_sigma, depth_sigma, loss_scale):  # type: ignore[no-untyped-def]
+    """Hessian ``(7, 7)``, gradient ``(7,)`` and ``|residual| / sigma`` ``(k, 3)`` around ``p = s R exp(phi) q + t + R rho``.
 
-
-def _across(bearings: Array) -> Array:
-    """Two unit vectors ``(k, 3, 2)`` across each unit vector ``(k, 3)``."""
-    helper = np.where(np.abs(bearings[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(bearings, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(bearings, first)], axis=2)
-
-
-def _covariances(points_Q: Array, T: Sim3, to_point: Array, angle_sigma: float, depth_sigma: float) -> Array:
-    """Covariances ``(k, 3, 3)`` of the residuals: noise of the match's measurement plus that of the query's, carried over."""
-    distance = np.linalg.norm(points_Q, axis=1, keepdims=True)
-    ray = points_Q / distance
-    reach = (T.scale * distance)[:, :, None]
-    along = ray[:, :, None] * ray[:, None, :]
-    in_Q = (angle_sigma * reach) ** 2 * (np.eye(3) - along) + depth_sigma**2 * reach**4 * along
-    carried = to_point @ T.rotation
-    own = np.diag([angle_sigma**2, angle_sigma**2, depth_sigma**2])
-    return own + carried @ in_Q @ np.swapaxes(carried, 1, 2)
-
-
-def _point_jacobians(points_Q: Array, T: Sim3) -> Array:
-    """d point / d (rho, phi, log scale) ``(k, 3, 7)``; rho in the match's unit: ``p = s R exp(phi) q + t + R rho``."""
-    out = np.empty((len(points_Q), 3, 7))
-    out[:, :, :3] = T.rotation
-    out[:, :, 3:6] = -T.scale * T.rotation @ skew(points_Q)
-    out[:, :, 6] = T.scale * points_Q @ T.rotation.T
-    return out
+    The unknowns are (rho, phi, log scale). A residual's covariance is the match's own noise plus the query's, carried over.
+    """
+    hessian, gradient = np.zeros((7, 7)), np.zeros(7)
+    ratios = np.empty((len(points_M), 3))
+    residual, to_point, jacobian = np.empty(3), np.empty((3, 3)), np.empty((3, 7))
+    for k in range(len(points_M)):
+        m, q = points_M[k], points_Q[k]
+        observed = np.sqrt(m @ m)
+        b = m / observed
+        # Two unit vectors across the observed direction.
+        helper = np.zeros(3)
+        helper[1 if abs(b[0]) > 0.9 else 0] = 1.0
+        e1 = np.cross(b, helper)
+        e1 /= np.sqrt(e1 @ e1)
+        e2 = np.cross(b, e1)
+        turned = R @ q
+        p = s * turned + t
+        distance = max(np.sqrt(p @ p), 1e-9)
+        d = p / distance
+        residual[0], residual[1], residual[2] = e1 @ d, e2 @ d, 1.0 / distance - 1.0 / observed
+        to_point[0] = (e1 - residual[0] * d) / distance
+        to_point[1] = (e2 - residual[1] * d) / distance
+        to_point[2] = -d / distance**2
+        # Noise of the query's measurement: across its ray, and along it.
+        reach = s * np.sqrt(q @ q)
+        ray = to_point @ (turned * (s / reach))
+        across2, along2 = (angle_sigma * reach) ** 2, depth_sigma**2 * reach**4
+        covariance = across2 * (to_point @ to_point.T) + (along2 - across2) * np.outer(ray, ray)
+        covariance[0, 0] += angle_sigma**2
+        covariance[1, 1] += angle_sigma**2
+        covariance[2, 2] += depth_sigma**2
+        inverse = np.linalg.inv(covariance)
+        for a in range(3):
+            ratios[k, a] = abs(residual[a]) / np.sqrt(covariance[a, a])
+        weight = 1.0 / (1.0 + (residual @ inverse @ residual) / loss_scale**2)
+        # Columns: rho; phi, which moves p by s R (e_a x q); log scale.
+        columns = s * (to_point @ R)
+        jacobian[:, :3] = columns / s
+        jacobian[:, 3] = columns[:, 2] * q[1] - columns[:, 1] * q[2]
+        jacobian[:, 4] = columns[:, 0] * q[2] - columns[:, 2] * q[0]
+        jacobian[:, 5] = columns[:, 1] * q[0] - columns[:, 0] * q[1]
+        jacobian[:, 6] = to_point @ (s * turned)
+        weighted = weight * (jacobian.T @ inverse)
+        hessian += weighted @ jacobian
+        gradient += weighted @ residual
+    return hessian, gradient, ratios
 
 
 def _moved(T: Sim3, step: Array) -> Sim3:
     rotation = T.rotation @ so3_exp(step[3:6])
     return Sim3(rotation, T.translation + T.rotation @ step[:3], T.scale * float(np.exp(np.clip(step[6], -1.0, 1.0))))
-
-
-def _noise(residual: Array, covariance: Array, angle: float, depth: float, unit: float) -> tuple[float, float]:
-    """Noise levels at which the typical residual is as large as its covariance says."""
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    typical = _MAD_TO_SIGMA * np.median(np.abs(residual) / sigma, axis=0)
-    return (
-        float(max(angle * 0.5 * (typical[0] + typical[1]), _MIN_ANGLE_SIGMA)),
-        float(np.clip(depth * typical[2], _MIN_DEPTH_SIGMA * unit, unit)),
-    )
 
 
 def _rigid_information(hessian: Array, with_scale: bool) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from backend.config import RelPoseConfig
@@ -52,16 +53,36 @@ def agreeing(
     transforms: Transforms, points_M: Array, points_Q: Array, angle_deg: float, depth_ratio: float
 ) -> NDArray[np.bool_]:
     """Which matches ``(h, k)`` each transform explains: directions in both cameras within the angle, depths within the ratio."""
-    R, t, s = transforms.rotations, transforms.translations[:, None, :], transforms.scales[:, None, None]
-    in_M = s * (points_Q @ np.swapaxes(R, 1, 2)) + t
-    in_Q = ((points_M - t) @ R) / s
-    cos, log_ratio = np.cos(np.radians(angle_deg)), np.log(depth_ratio)
-    good = np.ones(in_M.shape[:2], dtype=bool)
-    for predicted, observed in ((in_M, points_M), (in_Q, points_Q)):
-        near, far = np.linalg.norm(predicted, axis=2), np.linalg.norm(observed, axis=1)
-        good &= np.einsum("hkc,kc->hk", predicted, observed) > cos * near * far
-        good &= np.abs(np.log(np.maximum(near, 1e-12) / np.maximum(far, 1e-12))) < log_ratio
-    return good
+    return np.asarray(
+        _agreeing(
+            transforms.rotations, transforms.translations, transforms.scales,
+            np.ascontiguousarray(points_M), np.ascontiguousarray(points_Q), np.cos(np.radians(angle_deg)), depth_ratio,
+        )
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _agreeing(rotations, translations, scales, points_M, points_Q, cos, ratio):  # type: ignore[no-untyped-def]
+    out = np.zeros((len(rotations), len(points_M)), dtype=np.bool_)
+    range_M, range_Q = np.sqrt((points_M**2).sum(axis=1)), np.sqrt((points_Q**2).sum(axis=1))
+    for h in range(len(rotations)):
+        R, t, s = rotations[h], translations[h], scales[h]
+        for k in range(len(points_M)):
+            m, q = points_M[k], points_Q[k]
+            square = dot = square_back = dot_back = 0.0
+            for a in range(3):
+                p = s * (R[a, 0] * q[0] + R[a, 1] * q[1] + R[a, 2] * q[2]) + t[a]
+                back = (R[0, a] * (m[0] - t[0]) + R[1, a] * (m[1] - t[1]) + R[2, a] * (m[2] - t[2])) / s
+                square, dot = square + p * p, dot + p * m[a]
+                square_back, dot_back = square_back + back * back, dot_back + back * q[a]
+            near, near_back = np.sqrt(square), np.sqrt(square_back)
+            out[h, k] = (
+                dot > cos * near * range_M[k]
+                and dot_back > cos * near_back * range_Q[k]
+                and range_M[k] < ratio * near < ratio * ratio * range_M[k]
+                and range_Q[k] < ratio * near_back < ratio * ratio * range_Q[k]
+            )
+    return out
 
 
 def _alike_triples(

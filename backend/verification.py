@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.alignment import Alignment, refine
+from backend.alignment import ITERATIONS, Alignment, refine
 from backend.config import RelPoseConfig
 from backend.consensus import Transforms, agreeing, search
 from backend.errors import BackendError
 from backend.geometry import Array, Sim3
 from backend.matching import FAR, Distances, hamming_distances, mutual_matches, unique_word_matches
+
+# Gauss-Newton steps that are enough to compare hypotheses.
+_QUICK = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +79,7 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
     points_Q, points_M = query.points_C[pairs[:, 0]], match.points_C[pairs[:, 1]]
     best: tuple[int, Alignment] | None = None
     for start in search(points_M, points_Q, with_scale, config, rng):
-        found = _settle(points_M, points_Q, start, with_scale, config)
+        found = _settle(points_M, points_Q, start, with_scale, config, _QUICK)
         if found is not None and (best is None or found[0] > best[0]):
             best = found
     if best is None:
@@ -105,15 +108,15 @@ def _tentative(query: PlaceView, match: PlaceView, config: RelPoseConfig) -> tup
 
 
 def _settle(
-    points_M: Array, points_Q: Array, start: Sim3, with_scale: bool, config: RelPoseConfig
+    points_M: Array, points_Q: Array, start: Sim3, with_scale: bool, config: RelPoseConfig, iterations: int = ITERATIONS
 ) -> tuple[int, Alignment] | None:
     """Refine on the inliers of the wide bound, then on those of the narrow one; None with too few to go on."""
     T, result = start, None
-    for angle_deg in (config.search_angle_deg, config.inlier_angle_deg, config.inlier_angle_deg):
+    for angle_deg in (config.search_angle_deg, config.inlier_angle_deg):
         inside = agreeing(Transforms.of(T), points_M, points_Q, angle_deg, config.depth_ratio)[0]
         if inside.sum() < 4:
             return None
-        result = refine(points_M[inside], points_Q[inside], T, with_scale, config.loss_scale)
+        result = refine(points_M[inside], points_Q[inside], T, with_scale, config.loss_scale, iterations)
         T = result.T_M_Q
     assert result is not None
     return int(_inliers(T, points_M, points_Q, config).sum()), result
@@ -127,12 +130,11 @@ def _guided(
     query: PlaceView, match: PlaceView, distances: Distances, T_M_Q: Sim3, config: RelPoseConfig
 ) -> NDArray[np.intp]:
     """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
-    in_M = T_M_Q @ query.points_C
-    range_M, range_p = np.linalg.norm(match.points_C, axis=1), np.linalg.norm(in_M, axis=1)
-    cosine = (in_M / range_p[:, None]) @ (match.points_C / range_M[:, None]).T
-    depth = np.abs(np.log(range_p[:, None] / range_M[None, :])) < np.log(config.depth_ratio)
-    near = (cosine > np.cos(np.radians(config.inlier_angle_deg))) & depth
-    return mutual_matches(np.where(near, distances, FAR), config.guided_hamming)
+    rows, columns = np.nonzero(distances <= config.guided_hamming)
+    near = _inliers(T_M_Q, match.points_C[columns], query.points_C[rows], config)
+    allowed = np.full_like(distances, FAR)
+    allowed[rows[near], columns[near]] = distances[rows[near], columns[near]]
+    return mutual_matches(allowed, config.guided_hamming)
 
 
 def _judge(found: Alignment, points_M: Array, points_Q: Array, matches: int, config: RelPoseConfig) -> Verdict:
