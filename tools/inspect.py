@@ -1,0 +1,166 @@
+"""``maslam inspect``: what would be read from a folder of images, and what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from frontend.cameras import Rig, RigKind
+    from frontend.datasets import ImageSequence, Problem
+    from tools.progress import Progress
+
+_SAMPLES = 8  # frames decoded of each sequence when not all are
+_SHOWN_PROBLEMS = 20
+
+
+@dataclass(frozen=True)
+class SequenceReport:
+    """What one sequence is. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded`` frames were tried."""
+
+    name: str
+    kind: str
+    frames: int
+    rate_hz: float
+    duration_s: float
+    start_s: float
+    rig: Rig
+    stored_size: tuple[int, int]
+    rectified_here: bool
+    groundtruth_poses: int
+    path_length_m: float | None
+    decoded: int
+    problems: tuple[Problem, ...]
+
+    def lines(self) -> list[str]:
+        """The report of this sequence, a line each."""
+        camera = self.rig.camera
+        baseline = f", baseline {self.rig.baseline_m:.4f} m" if self.rig.baseline_m is not None else ""
+        how = f"rectified here from {self.stored_size[0]}x{self.stored_size[1]}" if self.rectified_here else "as stored"
+        truth = "none"
+        if self.path_length_m is not None:
+            truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path"
+        first = [
+            f"{self.name} ({self.kind})",
+            f"  frames        {self.frames}, {self.rate_hz:.2f} a second, {self.duration_s:.2f} s from {self.start_s:.3f} s",
+            f"  rig           {self.rig.kind}{baseline}; scale {'metric' if self.rig.metric else 'arbitrary'}",
+            f"  camera        {camera.width}x{camera.height} px, fx {camera.fx:.2f} fy {camera.fy:.2f} cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
+            f"  ground truth  {truth}",
+            f"  decoded       {self.decoded} of {self.frames} frames",
+        ]
+        shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
+        hidden = len(self.problems) - len(shown)
+        return first + shown + ([f"  and {hidden} more problems"] if hidden > 0 else [])
+
+
+@dataclass(frozen=True)
+class InspectReport:
+    """What a data set is, sequence by sequence."""
+
+    path: Path
+    kind: str
+    sequences: tuple[SequenceReport, ...]
+
+    @property
+    def errors(self) -> int:
+        """Problems that would spoil a run."""
+        return sum(problem.severity == "error" for sequence in self.sequences for problem in sequence.problems)
+
+    @property
+    def warnings(self) -> int:
+        return sum(len(sequence.problems) for sequence in self.sequences) - self.errors
+
+    def lines(self) -> list[str]:
+        """The whole report, a line each."""
+        frames = sum(sequence.frames for sequence in self.sequences)
+        head = f"{self.path}: {self.kind}, {_count(len(self.sequences), 'sequence')}, {_count(frames, 'frame')}"
+        verdict = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
+        return [head, *(line for sequence in self.sequences for line in sequence.lines()), verdict]
+
+
+def inspect_dataset(
+    path: Path, decode_all: bool = False, rig: RigKind | None = None, progress: Progress | None = None
+) -> InspectReport:
+    """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
+
+    Raises ``FrontendError`` where there is no sequence to speak of.
+    """
+    from frontend.datasets import open_dataset
+
+    dataset = open_dataset(path, rig, strict=False)
+    reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
+    return InspectReport(Path(path), dataset.kind, reports)
+
+
+def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:
+    import numpy as np
+
+    from frontend.stamps import NS_PER_S
+
+    count = len(sequence)
+    chosen = range(count) if decode_all else sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
+    duration_s = float(sequence.stamps_ns[-1] - sequence.stamps_ns[0]) / NS_PER_S
+    intervals = np.diff(sequence.stamps_ns)
+    median_s = float(np.median(intervals)) / NS_PER_S if len(intervals) else 0.0
+    truth = sequence.groundtruth
+    steps = np.linalg.norm(np.diff(truth.centres, axis=0), axis=1) if truth is not None else None
+    return SequenceReport(
+        name=sequence.name,
+        kind=sequence.kind,
+        frames=count,
+        rate_hz=1.0 / median_s if median_s > 0 else 0.0,
+        duration_s=duration_s,
+        start_s=float(sequence.stamps_ns[0]) / NS_PER_S,
+        rig=sequence.rig,
+        stored_size=sequence.stored_size,
+        rectified_here=sequence.rectifier is not None,
+        groundtruth_poses=0 if truth is None else len(truth),
+        path_length_m=None if steps is None else float(steps.sum()),
+        decoded=len(chosen),
+        problems=(*sequence.problems, *_decoding_problems(sequence, chosen, progress)),
+    )
+
+
+def _decoding_problems(sequence: ImageSequence, chosen: range | list[int], progress: Progress | None) -> list[Problem]:
+    """Every frame of ``chosen`` that cannot be read; missing files are known already and not said again."""
+    from frontend.datasets import Problem, Severity
+    from frontend.errors import FrontendError
+
+    known = any("missing" in problem.message for problem in sequence.problems)
+    problems = []
+    task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
+    for done, i in enumerate(chosen, 1):
+        files = [files[i] for files in (sequence.left, sequence.right, sequence.depth) if files]
+        if not known or all(file.is_file() for file in files):
+            try:
+                sequence.read(i)
+            except FrontendError as error:
+                problems.append(Problem(Severity.ERROR, str(error)))
+        if progress is not None:
+            progress.advance(task, done)
+    return problems
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("source", metavar="SRC", type=Path, help="a data set, or a folder of agent_00, agent_01, ...")
+    parser.add_argument("--rig", choices=("mono", "stereo", "rgbd"), help="read it as this (default: the most that the files allow)")
+    parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Print the report; 1 where an error would spoil a run."""
+    from frontend.cameras import RigKind
+    from tools.progress import progress_on
+
+    rig = RigKind(arguments.rig) if arguments.rig else None
+    with progress_on(quiet=not arguments.all) as progress:
+        report = inspect_dataset(arguments.source, arguments.all, rig, progress)
+    print("\n".join(report.lines()))
+    return 1 if report.errors else 0
