@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol, TextIO
 
@@ -95,6 +95,18 @@ class BarProgress:
 
     def stop(self) -> None:
         self._bars.stop()
+
+
+def counter(progress: Progress, title: str) -> Callable[[int, int], None]:
+    """``progress`` as a function ``(done, total)``, for work that knows its total only when it begins."""
+    tasks: list[int] = []
+
+    def count(done: int, total: int) -> None:
+        if not tasks:
+            tasks.append(progress.start(title, total))
+        progress.advance(tasks[0], done)
+
+    return count
 
 
 @contextmanager

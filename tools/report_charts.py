@@ -88,7 +88,7 @@ def lines_chart(
     finite = values[np.isfinite(values)]
     high = top if top is not None else float(finite.max()) * 1.08 if len(finite) else 1.0
     plot = Plot(
-        640, 300, (0.0, float(times_s[-1]) if len(times_s) else 1.0), (0.0, max(high, 1e-9)), "time, s", y_label
+        540, 290, (0.0, float(times_s[-1]) if len(times_s) else 1.0), (0.0, max(high, 1e-9)), "time, s", y_label
     )
     plot.vertical(moments_s, FAINT, "an optimisation ended")
     for index, (name, line) in enumerate(series.items()):
@@ -104,8 +104,8 @@ def bytes_chart(times_s: Array, cumulative: Mapping[str, Array]) -> str:
     """Bytes since the start, one band an operation, stacked."""
     total = np.sum(list(cumulative.values()), axis=0) if cumulative else np.zeros(1)
     plot = Plot(
-        640,
-        300,
+        540,
+        290,
         (0.0, float(times_s[-1]) if len(times_s) else 1.0),
         (0.0, float(total.max()) * 1.05 or 1.0),
         "time, s",

@@ -32,7 +32,8 @@ def page(title: str, subtitle: str, tiles: Sequence[Tile], sections: Sequence[Se
     style = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
     parts = [
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>',
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style}</style></head><body><main>',
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style}</style></head>',
+        "<body><main>",
         f"<header><h1>{escape(title)}</h1><p>{escape(subtitle)}</p></header>",
         f'<div class="tiles">{"".join(_tile(tile) for tile in tiles)}</div>',
     ]

@@ -1,5 +1,8 @@
 """The one exception root of the synthetic worlds."""
 
 
-class RenderError(RuntimeError):
+from tools.errors import ToolError
+
+
+class RenderError(ToolError):
     """A rendering that cannot be made as asked; the message says in one line what and why, with numbers and units."""
