@@ -21,12 +21,15 @@ class FeatureConfig(_Frozen):
 
 
 class FlowConfig(_Frozen):
-    """Pyramidal Lucas-Kanade between frames."""
+    """Finding points again: patch alignment where the pose predicts them, pyramidal Lucas-Kanade where nothing does."""
 
-    window_px: int = Field(15, ge=7, le=41, description="side of the window, odd")
-    levels: int = Field(3, ge=0, le=6, description="halvings of the image")
-    max_error: float = Field(25.0, gt=0.0, description="mean absolute grey-level difference of a good match")
-    round_trip_px: float = Field(1.0, gt=0.0, description="forward and backward flow may differ by this much (points without a map position)")
+    min_correlation: float = Field(0.75, gt=0.0, lt=1.0, description="of a patch with its key-frame's")
+    reach_px: float = Field(16.0, gt=0.0, description="patches are searched this far from their prediction")
+    align_levels: int = Field(1, ge=0, le=3, description="halvings of the image for patches")
+    window_px: int = Field(13, ge=7, le=41, description="Lucas-Kanade: side of the window, odd")
+    levels: int = Field(4, ge=0, le=6, description="Lucas-Kanade: halvings of the image")
+    max_error: float = Field(25.0, gt=0.0, description="Lucas-Kanade: mean absolute grey-level difference of a match")
+    round_trip_px: float = Field(0.5, gt=0.0, description="Lucas-Kanade: forward and backward may differ by this much")
 
 
 class StereoConfig(_Frozen):
@@ -49,6 +52,7 @@ class PoseConfig(_Frozen):
     pixel_sigma_px: float = Field(0.5, gt=0.0, description="standard deviation of a followed position")
     outlier_sigmas: float = Field(2.45, gt=0.0, description="residual beyond which a match is an outlier (chi-square 95 %, 2 d.o.f.)")
     min_inliers: int = Field(15, ge=6, description="fewer matches that agree: the frame has no pose")
+    trusted_share: float = Field(0.4, ge=0.0, le=1.0, description="fewer of the followed points found: try without prediction")
     max_frame_gap_s: float = Field(1.0, gt=0.0, description="a longer gap in time breaks the motion prediction")
 
 

@@ -51,20 +51,16 @@ class Segment:
         """What happened since the latest key-frame, for the key-frame policy."""
         assert self.latest is not None
         tracker, latest = self.tracker, self.latest
-        order = np.argsort(latest.point, kind="stable")
-        place = np.clip(np.searchsorted(latest.point, tracker.point, sorter=order), 0, max(len(order) - 1, 0))
-        row = order[place] if len(order) else np.zeros(0, dtype=np.int64)
-        same = latest.point[row] == tracker.point
-        moved = np.linalg.norm(tracker.uv[same] - latest.uv[row[same]], axis=1)
+        moved = np.linalg.norm((tracker.uv - tracker.anchor_uv)[tracker.found], axis=1)
         flow = float(np.median(moved)) / rig.camera.width if len(moved) else 1.0
-        known = int(np.isfinite(self.map.xyz[tracker.point, 0]).sum())
+        known = int(np.isfinite(self.map.xyz[tracker.seen()[0], 0]).sum())
         keyframes = len(self.map.keyframes) + len(self.map.culled)
         return SinceKeyframe(frame.index - latest.frame_index, known, self._reference_points, flow, keyframes)
 
     def insert_keyframe(self, frame: Frame) -> None:
         """Make the frame last tracked a key-frame; what is followed from here on is what it sees."""
         tracker = self.tracker
-        self.latest = self.mapper.insert(frame, tracker.T_C_W, tracker.point, tracker.uv)
+        self.latest = self.mapper.insert(frame, tracker.T_C_W, *tracker.seen())
         self.follow(frame)
 
     def follow(self, frame: Frame) -> None:
