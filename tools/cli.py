@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return USAGE
     try:
-        return arguments.run(arguments) or SUCCESS
+        return arguments.command_main(arguments) or SUCCESS
     except UsageError as error:
         print(f"usage: maslam {arguments.command} --help\nmaslam: {error}", file=sys.stderr)
         return USAGE
@@ -85,9 +85,16 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
         if name == chosen:
             module = importlib.import_module(module_name)
             module.add_arguments(command)
-            command.set_defaults(run=module.main)
+            command.usage = _usage(command)
+            command.set_defaults(command_main=module.main)
         command.add_argument("--debug", action="store_true", help="show the traceback of a failure")
     return parser
+
+
+def _usage(command: argparse.ArgumentParser) -> str:
+    """Short: the options follow below, and some commands have dozens."""
+    words = [str(action.metavar or action.dest) for action in command._get_positional_actions()]
+    return " ".join([command.prog, "[options]", *words])
 
 
 def _with_dashes(word: str) -> str:

@@ -49,40 +49,31 @@ def read_summary(run: Path) -> dict[str, Any]:
 
 def table(summary: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
-    lines = [
-        f"preset {summary['preset']}, seed {summary['seed']}, {summary['agents']} agents, {summary['keyframes']} key-frames"
-    ]
-    return "\n".join([*lines, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary)])
+    head = "preset {preset}, seed {seed}, {agents} agents, {keyframes} key-frames".format(**summary)
+    return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary)])
 
 
 def _errors(summary: dict[str, Any]) -> list[str]:
-    rmse, mean = summary.get("ate_rmse_m") or {}, summary.get("ate_mean_m") or {}
-    explored = summary.get("exploration_percent") or []
-    agents = max(len(rmse.get("agents") or []), len(explored))
-    rows = [["", "ATE", "mean", "maps held", "connected", "explored"]]
-    for i in range(agents):
-        rows.append(
-            [
-                f"agent_{i:02d}",
-                *(_metres(_at(*column, i)) for column in _columns(rmse, mean)),
-                _percent(_at(explored, i)),
-            ]
-        )
-    rows.append(
-        [
-            "mean",
-            _metres(rmse.get("mean_agents")),
-            _metres(mean.get("mean_agents")),
-            _metres(rmse.get("mean_maps")),
-            "",
-            _percent(sum(explored) / len(explored) if explored else None),
-        ]
-    )
-    return _aligned(rows)
-
-
-def _columns(rmse: dict[str, Any], mean: dict[str, Any]) -> list[tuple[Any]]:
-    return [(rmse.get("agents"),), (mean.get("agents"),), (rmse.get("maps"),), (rmse.get("connected"),)]
+    """A row an agent: RMSE and mean of its trajectory, of the maps it holds, in the frame it shares, and what it
+    knows.
+    """
+    rmse, mean, explored = summary["ate_rmse_m"], summary["ate_mean_m"], summary["exploration_percent"]
+    metres = [
+        summary["odometry_rmse_m"],
+        rmse["agents"],
+        mean["agents"],
+        rmse["maps"],
+        rmse["connected"],
+        summary["path_length_m"],
+    ]
+    rows = [["", "odometry", "ATE", "ATE mean", "maps held", "connected", "path", "explored"]]
+    for i in range(summary["agents"]):
+        rows.append([f"agent_{i:02d}", *(_metres(column[i]) for column in metres), _percent(explored[i])])
+    rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(explored))])
+    groups = [len(group) for group in summary["groups"] if len(group) > 1]
+    shared = f"{max(groups)} of {summary['agents']} agents share one frame" if groups else "no two agents share a frame"
+    truth = [] if any(v is not None for v in rmse["agents"]) else ["no ground truth: errors cannot be known"]
+    return [*_aligned(rows), shared, *truth]
 
 
 def _traffic(summary: dict[str, Any]) -> list[str]:
@@ -108,8 +99,9 @@ def _matches(summary: dict[str, Any]) -> list[str]:
     ]
 
 
-def _at(values: Any, index: int) -> Any:
-    return values[index] if isinstance(values, list) and index < len(values) else None
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
 
 
 def _metres(value: float | None) -> str:
@@ -121,10 +113,9 @@ def _percent(value: float | None) -> str:
 
 
 def _aligned(rows: list[list[str]]) -> list[str]:
+    """The first column set left, the others right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
+    cells = [
+        [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))] for row in rows
     ]
+    return ["  ".join(row).rstrip() for row in cells]

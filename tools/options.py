@@ -24,12 +24,13 @@ Model = TypeVar("Model", bound=BaseModel)
 DEST = "set:"  # marks the attributes of the parsed arguments that belong to a model
 
 
-def add_model_options(parser: argparse.ArgumentParser, model: type[BaseModel], prefix: str = "") -> None:
-    """One option for each leaf of ``model``, in a group for each nested model; unset options leave no trace in the
-    parsed arguments.
+def add_model_options(parser: argparse.ArgumentParser, base: BaseModel, prefix: str = "") -> None:
+    """One option for each leaf of ``base``'s model, in a group for each nested model.
+
+    Its values are shown as the defaults; an option that is not given leaves no trace in the parsed arguments.
     """
     groups: dict[str, argparse._ArgumentGroup] = {}
-    for path, field in leaves(model, prefix):
+    for path, field in leaves(type(base), prefix):
         section = path.rpartition(".")[0]
         if section not in groups:
             groups[section] = parser.add_argument_group(section or "settings")
@@ -38,7 +39,7 @@ def add_model_options(parser: argparse.ArgumentParser, model: type[BaseModel], p
             dest=DEST + path,
             default=argparse.SUPPRESS,
             metavar=_metavar(field.annotation),
-            help=_help(field),
+            help=_help(field, _get(base, path[len(prefix) + 1 :] if prefix else path)),
         )
 
 
@@ -164,7 +165,12 @@ def _metavar(annotation: Any) -> str:
     return "|".join(words)
 
 
-def _help(field: FieldInfo) -> str:
-    default = field.get_default(call_default_factory=True) if not field.is_required() else "must be given"
+def _get(model: BaseModel, path: str) -> Any:
+    for name in path.split("."):
+        model = getattr(model, name)
+    return model
+
+
+def _help(field: FieldInfo, default: Any) -> str:
     default = default.value if isinstance(default, enum.Enum) else default
     return f"{field.description + ' ' if field.description else ''}(default: {default})".replace("%", "%%")

@@ -83,7 +83,7 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     )
     from frontend.config import OdometryConfig
 
-    add_model_options(parser, OdometryConfig, SECTION)
+    add_model_options(parser, OdometryConfig(), SECTION)
 
 
 def settings_from(arguments: argparse.Namespace) -> PreprocessSettings:

@@ -36,7 +36,7 @@ class Outer(BaseModel):
 
 def parse(*words: str, prefix: str = "") -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    add_model_options(parser, Outer, prefix)
+    add_model_options(parser, Outer(), prefix)
     parser.format_help()
     return parser.parse_args(words)
 

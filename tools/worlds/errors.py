@@ -1,6 +1,5 @@
 """The one exception root of the synthetic worlds."""
 
-
 from tools.errors import ToolError
 
 
