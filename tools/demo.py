@@ -1,0 +1,41 @@
+"""``maslam demo``: a small town is rendered, four agents drive through it, and their shared map is reported."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from tools.progress import counter, progress_on
+
+AGENTS, FRAMES = 4, 120
+WIDTH, HEIGHT = 512, 288
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``--out DIR``."""
+    parser.add_argument(
+        "--out", type=Path, default=Path("demo"), metavar="DIR", help="folder for images and results (default: demo)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the town, its light and the agents' ways (default: 0)")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from frontend.config import OdometryConfig
+    from mas.policy.presets import preset
+    from tools.evaluate import read_summary, table
+    from tools.preprocess import PreprocessSettings
+    from tools.render import RenderConfig, render_dataset
+    from tools.run import DEFAULT_PRESET
+    from tools.slam import slam
+
+    began = time.monotonic()
+    town = RenderConfig(world="town", seed=arguments.seed, agents=AGENTS, frames=FRAMES, width=WIDTH, height=HEIGHT)
+    with progress_on(quiet=arguments.quiet) as progress:
+        render_dataset(town, arguments.out / "images", counter(progress, "rendering"))
+        settings = PreprocessSettings(OdometryConfig())
+        page = slam(arguments.out / "images", arguments.out, settings, preset(DEFAULT_PRESET), progress)
+    print(table(read_summary(arguments.out)))
+    print(f"\nThe demo took {time.monotonic() - began:.0f} s. Its report: {page.resolve()}")

@@ -1,0 +1,64 @@
+"""``maslam slam``: from a folder of images to a report, in one go."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tools.options import read_yaml
+from tools.preprocess import (
+    SECTION,
+    PreprocessSettings,
+    add_preprocess_arguments,
+    preprocess,
+    settings_from,
+    summary_line,
+)
+from tools.progress import Progress, counter, progress_on
+from tools.run import add_run_arguments, config_from
+
+if TYPE_CHECKING:
+    from mas.config import MasConfig
+
+SEQUENCES = "sequences"  # in OUT: what preprocessing made
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``SRC OUT`` and the options of ``preprocess`` and ``run``."""
+    parser.add_argument(
+        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` says what is read"
+    )
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, help=f"folder for the results; OUT/{SEQUENCES} holds the agent sequences"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"YAML with settings of `run`, and `{SECTION}: {{...}}`"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_preprocess_arguments(parser)
+    add_run_arguments(parser)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from tools.evaluate import read_summary, table
+
+    content = read_yaml(arguments.config) if arguments.config else {}
+    settings = settings_from(arguments)
+    config = config_from(arguments, {key: value for key, value in content.items() if key != SECTION})
+    with progress_on(quiet=arguments.quiet) as progress:
+        page = slam(arguments.source, arguments.out, settings, config, progress)
+    print(f"{table(read_summary(arguments.out))}\n\nreport: {page}")
+
+
+def slam(source: Path, out: Path, settings: PreprocessSettings, config: MasConfig, progress: Progress) -> Path:
+    """Preprocess ``source``, run the agents, write ``out`` and its report; returns the report's page."""
+    from mas.environment import run
+    from mas.sequence import load_sequences
+    from tools.report import write_report
+
+    manifest = preprocess(source, out / SEQUENCES, settings, progress)
+    progress.say(summary_line(manifest, out / SEQUENCES))
+    run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"))
+    return write_report(out)
