@@ -81,7 +81,7 @@ class AgentEntry(_Entry):
     frames: int = Field(ge=0, description="frames in its block, tracked or not")
     keyframes: int = Field(ge=0)
     tracks: int = Field(ge=0, description="uninterrupted tracks: one unless tracking was lost")
-    start_ns: int = Field(description="time stamp of its first frame: its own time 0")
+    start_ns: int = Field(description="time stamp of its first frame in the source: 0 in all files of its folder")
     camera: CameraEntry
     lost: tuple[LostEntry, ...] = ()
 
@@ -120,9 +120,10 @@ class Manifest(_Entry):
 class AgentSequence:
     """One agent's preprocessed input, in memory.
 
-    ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own world frame
-    (that of its first key-frame). ``places``: one unit vector a key-frame, all tracks in order. ``trajectory``: every
-    tracked frame, ``T_W_C`` in its track's frame. ``start_ns``: time of its first frame, its own time 0.
+    All its times count from its own first frame, so that all agents start at 0; ``start_ns`` is that frame's time stamp
+    in the source. ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own
+    world frame (that of its first key-frame). ``places``: one unit vector a key-frame, all tracks in order.
+    ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image sequence.
     ``groundtruth`` is for :mod:`mas.metrics` alone; no agent ever sees it.
     """
 
@@ -132,6 +133,7 @@ class AgentSequence:
     trajectory: Trajectory
     metric: bool
     start_ns: int
+    source: str
     groundtruth: Trajectory | None = None
 
     def __post_init__(self) -> None:
@@ -212,6 +214,7 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
         trajectory=read_tum(folder / TRAJECTORY),
         metric=manifest.scale == "metric",
         start_ns=entry.start_ns,
+        source=entry.sequence,
         groundtruth=read_tum(truth) if truth.is_file() else None,
     )
     count = len(sequence.keyframe_stamps_ns)

@@ -1,0 +1,219 @@
+"""One agent: a state machine without I/O. It sees its own key-frames and the messages it gets, and nothing else.
+
+``observe`` takes a key-frame from its sensors, ``handle`` a message, ``tick`` the logical time; the last two return what is to be
+sent. The same code runs in one process and over a network (thesis section 3.8.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mas.config import MasConfig
+from mas.contract import Contract, Ledger, ProtocolError
+from mas.desk import Desk, Event, Trade, WorkError
+from mas.keyframe import KeyFrame
+from mas.messages import (
+    Award,
+    Begin,
+    Bid,
+    Call,
+    Confirmation,
+    ContractBody,
+    ContractId,
+    Failure,
+    GroupNotice,
+    MatchId,
+    Message,
+    Operation,
+    Result,
+)
+from mas.optimisation import Optimisation
+from mas.placebook import PlaceBook
+from mas.places import PlaceRecognition
+from mas.policy.base import Outlook, Policy
+from mas.relpose import Verification, tell_group
+from mas.solver_messages import SolverBody
+from mas.state import AgentState, Profile
+from mas.submaps import MapTrade
+
+_REASON_LENGTH = 200
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A message that could not be acted on, and why."""
+
+    sender: int
+    reason: str
+
+
+class Agent:
+    """``state``, ``book``, ``maps`` are read by the recorder after the run, never by another agent."""
+
+    def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
+        self.state = AgentState(profile, config)
+        self.policy = policy
+        self.desk = Desk(self.state, policy, Ledger(profile.me))
+        self.book = PlaceBook(self.state)
+        verification = Verification(self.desk, self.book)
+        self.places = PlaceRecognition(self.desk, self.book, verification)
+        self.optimisation = Optimisation(self.desk)
+        self.maps = MapTrade(self.desk)
+        self.refused: list[Refused] = []
+        self._trades: dict[Operation, Trade] = {
+            Operation.DVPR: self.places,
+            Operation.RELPOSE: verification,
+            Operation.DOPT: self.optimisation,
+            Operation.MAPMERGE: self.maps,
+        }
+        self._new: list[KeyFrame] = []
+        self._used: set[MatchId] = set()
+        self._offered: set[MatchId] = set()
+        self._optimised_at = 0
+        self._searching = True
+
+    # -- what comes in ------------------------------------------------------------------------------------------------
+
+    def observe(self, keyframe: KeyFrame) -> None:
+        """The sensors' next key-frame."""
+        self.state.observe(keyframe)
+        self.book.index.add(keyframe)
+        self._new.append(keyframe)
+
+    def finish(self) -> None:
+        """The agent's own sequence is over: from now on it only settles what it knows."""
+        self.desk.closing = True
+
+    def handle(self, message: Message) -> list[Message]:
+        """Act on a message; one that makes no sense here is refused and remembered, and changes nothing."""
+        try:
+            if message.recipient != self.state.me or message.sender not in self.state.profile.others:
+                raise ProtocolError(
+                    f"message from {message.sender} to {message.recipient} came to agent {self.state.me}"
+                )
+            self._dispatch(message)
+        except (ProtocolError, WorkError, ValueError) as error:
+            self.refused.append(Refused(message.sender, str(error)))
+            self.desk.note("refused", sender=message.sender, reason=str(error))
+        return self._settle()
+
+    def tick(self, now_ns: int) -> list[Message]:
+        """Logical time goes on: contracts expire, and the policy is asked what to do next."""
+        self.desk.now_ns = now_ns
+        for contract in self.desk.ledger.expired(now_ns):
+            self.desk.watch(contract)
+        self._settle_contracts()
+        self.optimisation.resend()
+        for keyframe in self._new:
+            self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
+            if self.state.config.places.own_loops:
+                self.places.close_own_loop(keyframe)
+        self._new = []
+        self._pursue()
+        return self._settle()
+
+    # -- what is going on ---------------------------------------------------------------------------------------------
+
+    @property
+    def quiet(self) -> bool:
+        """Whether the agent, its sequence over, has nothing left to do unless others bring it something."""
+        busy = self.optimisation.busy or bool(self.desk.ledger.running()) or bool(self._new)
+        return self.desk.closing and not busy and not self._news() and not self._searching
+
+    @property
+    def diary(self) -> list[Event]:
+        """What happened so far, oldest first."""
+        return self.desk.diary
+
+    def outlook(self) -> Outlook:
+        """What the policy may know beside the state."""
+        count = len(self.state.keyframes)
+        return Outlook(
+            news=len(self._news()),
+            since_optimised=count - self._optimised_at,
+            since_bought={a: count - at for a, at in sorted(self.maps.last_bought.items())},
+            since_matched={a: count - 1 - at for a, at in sorted(self.book.last_matched.items())},
+            stale=frozenset(self.maps.stale),
+            closing=self.desk.closing,
+        )
+
+    def _news(self) -> set[MatchId]:
+        """Matches accepted or withdrawn since the last optimisation."""
+        return self.state.accepted ^ self._used
+
+    def _pursue(self) -> None:
+        """First optimise what was learned, then buy maps: thesis section 3.8.2's order of operations."""
+        if self.optimisation.busy:
+            return
+        outlook = self.outlook()
+        members = self.policy.optimise(self.state, outlook)
+        if members:
+            self._offered = set(self.state.accepted)
+            self.optimisation.start(members)
+            return
+        sellers = self.policy.buy(self.state, outlook)
+        if self.desk.closing:
+            self._searching = bool(sellers) and (self.maps.something_new or self.maps.rounds == 0)
+            self.maps.rounds += 1
+        self.maps.something_new = False
+        if sellers:
+            self.maps.buy(sellers)
+
+    # -- messages -----------------------------------------------------------------------------------------------------
+
+    def _dispatch(self, message: Message) -> None:
+        sender, identity, body = message.sender, message.contract, message.body
+        if isinstance(body, GroupNotice):
+            if self.state.join(body.members):
+                tell_group(self.desk)
+        elif isinstance(body, SolverBody):
+            self.optimisation.solver(sender, identity, body)
+        elif isinstance(body, Begin):
+            self.optimisation.begin(sender, identity)
+        elif identity is None:
+            raise ProtocolError(f"{type(body).__name__} without a contract")
+        elif isinstance(body, Call):
+            contract = self.desk.ledger.called(sender, identity, body)
+            self.desk.say(contract, self._trades[contract.operation].bid(contract, body))
+        else:
+            self._advance(sender, identity, body)
+
+    def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> None:
+        """A contract goes on: the ledger allows it or not, then the operation acts."""
+        contractor = sender if identity.manager == self.state.me else self.state.me
+        contract = self.desk.ledger.say(self.desk.ledger.get(identity, contractor), sender, body)
+        self.desk.watch(contract)
+        trade = self._trades[contract.operation]
+        if isinstance(body, Bid):
+            trade.on_bid(contract, body)
+        elif isinstance(body, Award):
+            self._work(trade, contract, body)
+        elif isinstance(body, Confirmation):
+            trade.on_confirmation(contract)
+        elif isinstance(body, Result):
+            trade.on_result(contract, body.outcome)
+
+    def _work(self, trade: Trade, contract: Contract, award: Award) -> None:
+        try:
+            trade.work(contract, award.task)
+        except (WorkError, ValueError) as error:
+            self.desk.say(contract, Failure(str(error)[:_REASON_LENGTH]))
+
+    def _settle(self) -> list[Message]:
+        """Wind up what ended, take over what an optimisation brought, and hand out the mail."""
+        self._settle_contracts()
+        out, self.desk.outbox = self.desk.outbox, []
+        return out
+
+    def _settle_contracts(self) -> None:
+        while self.desk.ended or self.optimisation.adoptions:
+            while self.desk.ended:
+                contract = self.desk.ended.pop(0)
+                self.desk.note_end(contract)
+                self._trades[contract.operation].on_end(contract)
+            adoptions, self.optimisation.adoptions = self.optimisation.adoptions, []
+            for adoption in adoptions:
+                self._used = set(adoption.matches) | (self._offered & self.state.accepted)
+                self._optimised_at = len(self.state.keyframes)
+                self.maps.realign(adoption)
+                self.maps.stale.update(self.state.partners())

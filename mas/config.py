@@ -1,0 +1,106 @@
+"""Settings of the multi-agent system. Every default states its unit; an unknown key is an error."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from backend.config import RelPoseConfig, SolverConfig
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class PlacesConfig(_Section):
+    """Place recognition between agents and own loop closures (thesis section 3.5)."""
+
+    threshold: float | None = Field(
+        None,
+        gt=0,
+        le=2,
+        description="places match below this distance of unit vectors, 0 to 2; unset: the descriptor's own",
+    )
+    features: Literal["descriptors", "words"] = Field(
+        "descriptors", description="what a verification sends for each point"
+    )
+    max_points: int = Field(800, ge=20, description="map points of a key-frame sent for verification, at most")
+    gap_keyframes: int = Field(
+        2, ge=0, description="own key-frames that pass between accepted matches with one agent; no verification sooner"
+    )
+    gap_m: float = Field(
+        0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"
+    )
+    own_loops: bool = Field(True, description="close loops with the agent's own earlier key-frames")
+    own_age_s: float = Field(30.0, ge=0, description="own key-frames at least this much older are candidates, seconds")
+    own_age_keyframes: int | None = Field(
+        40, ge=1, description="so are those at least so many key-frames older; null: by age in seconds only"
+    )
+
+
+class ConsistencyConfig(_Section):
+    """Which verified matches are used: those that agree with each other about how two tracks stand to each other."""
+
+    min_support: int = Field(
+        1, ge=0, description="other matches between the same two tracks that must agree with a match"
+    )
+    depth_share: float = Field(0.15, gt=0, description="positions agree within this share of the match's median depth")
+    drift: float = Field(0.05, ge=0, description="plus this share of the distance between the matches (odometry drift)")
+    loop_drift: float = Field(
+        0.15,
+        ge=0,
+        description="an own loop may correct odometry by this share of the way driven between, plus depth_share",
+    )
+    angle_deg: float = Field(5.0, gt=0, description="and rotations within this, degrees")
+    angle_deg_per_depth: float = Field(
+        0.2, ge=0, description="plus this for each median depth of distance between the matches, degrees"
+    )
+
+
+class OptimisationConfig(_Section):
+    """When a group optimises, and what odometry is worth in the graph (thesis section 3.6)."""
+
+    period_keyframes: int = Field(5, ge=1, description="own key-frames between optimisations that an agent calls for")
+    closing: bool = Field(True, description="optimise once more at the end where something is new")
+    odometry_sigma_share: float = Field(
+        0.01, gt=0, description="1 sigma of an odometry step's position over its length"
+    )
+    odometry_sigma_depth: float = Field(0.002, gt=0, description="plus this share of the median depth of the key-frame")
+    odometry_sigma_deg: float = Field(0.1, gt=0, description="1 sigma of an odometry step's rotation, degrees")
+    match_sigma_depth: float = Field(
+        0.01, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
+    )
+    match_sigma_deg: float = Field(0.2, gt=0, description="floor of a place match's rotation sigma, degrees")
+    solver: SolverConfig = SolverConfig()
+
+
+class MergeConfig(_Section):
+    """Map merging, Algorithm 1 (thesis section 3.7)."""
+
+    enabled: bool = Field(True, description="agents buy each other's maps")
+    period_keyframes: int = Field(10, ge=1, description="own key-frames between purchases from one agent")
+    closing_rounds: int = Field(
+        8, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
+    )
+
+
+class MasConfig(_Section):
+    """Everything that can be set; the resolved values stand in RUN/config.yaml."""
+
+    preset: str = Field("default", description="the preset these values started from")
+    seed: int = Field(0, ge=0, description="seed of every random choice")
+    step_s: float = Field(0.5, gt=0, description="logical time between two steps of the environment, seconds")
+    deadline_s: float = Field(5.0, gt=0, description="logical time a contract may take, seconds")
+    max_message_mb: float = Field(64.0, gt=0, description="longer messages are neither sent nor taken, 2^20 bytes")
+    max_messages_a_step: int = Field(
+        5_000_000, ge=1000, description="more messages in one step are taken for an endless loop"
+    )
+    ask_again: bool = Field(
+        True, description="ask agents for places although they were matched within the last gap_keyframes"
+    )
+    places: PlacesConfig = PlacesConfig()
+    relpose: RelPoseConfig = RelPoseConfig()
+    consistency: ConsistencyConfig = ConsistencyConfig()
+    optimisation: OptimisationConfig = OptimisationConfig()
+    merge: MergeConfig = MergeConfig()

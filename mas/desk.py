@@ -1,0 +1,144 @@
+"""Where an agent's operations do business: its ledger, its outgoing mail, its diary."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from mas.contract import Contract, Ledger
+from mas.messages import (
+    Bid,
+    Body,
+    Call,
+    Cancel,
+    ContractBody,
+    ContractId,
+    Message,
+    Operation,
+    Outcome,
+    Refusal,
+    Task,
+)
+from mas.policy.base import Policy
+from mas.state import AgentState
+
+
+@dataclass(frozen=True)
+class Event:
+    """A line of ``events.jsonl``: what happened to whom, with its figures."""
+
+    now_ns: int
+    agent: int
+    kind: str
+    fields: dict[str, Any]
+
+
+@dataclass
+class Desk:
+    """Shared by the operations of one agent. ``now_ns``: logical time of the last tick or message; ``closing``: its own
+    sequence has ended."""
+
+    state: AgentState
+    policy: Policy
+    ledger: Ledger
+    now_ns: int = 0
+    closing: bool = False
+    outbox: list[Message] = field(default_factory=list)
+    diary: list[Event] = field(default_factory=list)
+    ended: list[Contract] = field(default_factory=list)
+
+    @property
+    def me(self) -> int:
+        return self.state.me
+
+    @property
+    def deadline_ns(self) -> int:
+        """When a contract opened now expires."""
+        return self.now_ns + round(self.state.config.deadline_s * 1e9)
+
+    def call(
+        self, operation: Operation, contractors: Iterable[int], members: tuple[int, ...] = ()
+    ) -> tuple[ContractId, list[int]]:
+        """Call for proposals; returns the contract's id and who was called (not those that still have one of this kind)."""
+        identity, free = self.ledger.call(operation, contractors, self.deadline_ns)
+        for contractor in free:
+            self.tell(contractor, identity, Call(operation, self.deadline_ns, members))
+        return identity, free
+
+    def say(self, contract: Contract, body: ContractBody) -> Contract:
+        """Say ``body`` to the other side of a contract, if the contract net allows it now."""
+        after = self.ledger.say(self.ledger.get(contract.id, contract.contractor), self.me, body)
+        other = contract.contractor if contract.manager == self.me else contract.manager
+        self.tell(other, contract.id, body)
+        self.watch(after)
+        return after
+
+    def watch(self, contract: Contract) -> None:
+        """Remember a contract that has ended, for the agent to wind up once the message at hand is dealt with."""
+        if contract.ended:
+            self.ended.append(contract)
+
+    def cancel(self, contracts: Iterable[Contract], reason: str) -> None:
+        """Withdraw contracts that I manage and that still run."""
+        for contract in contracts:
+            if not contract.ended:
+                self.say(contract, Cancel(reason))
+
+    def tell(self, recipient: int, identity: ContractId | None, body: Body) -> None:
+        """Put a message into the outgoing mail."""
+        self.outbox.append(Message(self.me, recipient, identity, body))
+
+    def note(self, kind: str, **fields: Any) -> None:
+        """Write an event into the diary."""
+        self.diary.append(Event(self.now_ns, self.me, kind, fields))
+
+    def note_end(self, contract: Contract) -> None:
+        """How a contract ended, told once: by its manager."""
+        if contract.manager == self.me:
+            self.note(
+                "contract",
+                operation=contract.operation.name.lower(),
+                contract=f"{contract.manager}:{contract.id.number}",
+                contractor=contract.contractor,
+                end=str(contract.state),
+                reason=contract.reason,
+            )
+
+
+class WorkError(Exception):
+    """A contractor cannot do what it was awarded; becomes a Failure with this reason."""
+
+
+class Trade(ABC):
+    """One operation, as manager and as contractor. Every method is called with a contract that the ledger has advanced."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+
+    @property
+    def state(self) -> AgentState:
+        return self.desk.state
+
+    @abstractmethod
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
+        """Contractor: an offer, or why not."""
+
+    @abstractmethod
+    def on_bid(self, contract: Contract, bid: Bid) -> None:
+        """Manager: award or reject now, or wait for the others."""
+
+    @abstractmethod
+    def work(self, contract: Contract, task: Task) -> None:
+        """Contractor: confirm and do the work, now or over several messages; :class:`WorkError` if it cannot be done."""
+
+    @abstractmethod
+    def on_result(self, contract: Contract, outcome: Outcome) -> None:
+        """Manager: take the result."""
+
+    def on_confirmation(self, contract: Contract) -> None:  # noqa: B027 - most operations have nothing to do here
+        """Manager: the contractor is committed."""
+
+    def on_end(self, contract: Contract) -> None:  # noqa: B027
+        """Either side: the contract ended, well or not."""

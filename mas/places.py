@@ -1,0 +1,159 @@
+"""Place recognition between agents and with oneself (thesis section 3.5): whose key-frame looks most like this one?"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from mas.contract import Contract
+from mas.desk import Desk, Trade, WorkError
+from mas.keyframe import KeyFrame
+from mas.matches import Match
+from mas.messages import (
+    Award,
+    Bid,
+    Call,
+    Confirmation,
+    ContractId,
+    MatchId,
+    Operation,
+    Outcome,
+    PlaceAnswer,
+    PlaceQuery,
+    Refusal,
+    Rejection,
+    Result,
+    Task,
+)
+from mas.placebook import Candidate, PlaceBook
+from mas.relpose import Verification, kind_of, verify, view_of
+from mas.tensors import Tensor
+
+_FARTHEST = 2.0
+
+
+class PlaceRecognition(Trade):
+    """Manager: sends the vector of one of its key-frames; contractor: answers with its own nearest key-frame and the distance."""
+
+    def __init__(self, desk: Desk, book: PlaceBook, verification: Verification) -> None:
+        super().__init__(desk)
+        self.book = book
+        self.verification = verification
+        self._waiting: dict[int, deque[int]] = {}
+        self._asked: dict[ContractId, int] = {}
+
+    @property
+    def threshold(self) -> float:
+        """Distance below which two key-frames are candidates for the same place."""
+        configured = self.state.config.places.threshold
+        return self.state.profile.threshold if configured is None else configured
+
+    def ask(self, keyframe: int, others: Iterable[int]) -> None:
+        """Ask these agents about a key-frame, after those already waiting for them."""
+        if not self.state.keyframes[keyframe].textured:
+            return
+        for other in sorted(set(others)):
+            self._waiting.setdefault(other, deque()).append(keyframe)
+        self._next(sorted(self._waiting))
+
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
+        return Bid(cost_bytes=8 + 4, ready_ns=self.desk.now_ns)
+
+    def on_bid(self, contract: Contract, bid: Bid) -> None:
+        keyframe = self._asked.get(contract.id)
+        if keyframe is None:
+            self.desk.say(contract, Rejection("no longer wanted"))
+            return
+        vector = Tensor.of(self.state.keyframes[keyframe].vector, "<f4")
+        self.desk.say(contract, Award(PlaceQuery(keyframe, self.state.profile.model, vector)))
+
+    def work(self, contract: Contract, task: Task) -> None:
+        if not isinstance(task, PlaceQuery):
+            raise WorkError("not a place query")
+        if task.model != self.state.profile.model:
+            raise WorkError(f"descriptors of another model: {task.model[:12]}, mine is {self.state.profile.model[:12]}")
+        self.desk.say(contract, Confirmation())
+        found = self.book.index.nearest(task.vector.array())
+        answer = PlaceAnswer(*found) if found else PlaceAnswer(None, _FARTHEST)
+        self.desk.say(contract, Result(answer))
+
+    def on_result(self, contract: Contract, outcome: Outcome) -> None:
+        keyframe = self._asked.get(contract.id)
+        if not isinstance(outcome, PlaceAnswer) or keyframe is None:
+            raise WorkError("not the answer to this query")
+        if outcome.keyframe is None or outcome.distance >= self.threshold:
+            return
+        match = MatchId(self.state.me, keyframe, contract.contractor, outcome.keyframe)
+        self.verification.request(Candidate(match, self.desk.now_ns, outcome.distance))
+
+    def on_end(self, contract: Contract) -> None:
+        if contract.manager != self.state.me:
+            return
+        if not self.desk.ledger.managed(contract.id):
+            self._asked.pop(contract.id, None)
+        self._next([contract.contractor])
+
+    def _next(self, others: Iterable[int]) -> None:
+        """Call those who are free: one call for all who are asked about the same key-frame."""
+        busy = {c.contractor for c in self.desk.ledger.running(Operation.DVPR) if c.manager == self.state.me}
+        wanted: dict[int, list[int]] = {}
+        for other in others:
+            if self._waiting.get(other) and other not in busy:
+                wanted.setdefault(self._waiting[other].popleft(), []).append(other)
+        for keyframe, agents in sorted(wanted.items()):
+            identity, _ = self.desk.call(Operation.DVPR, agents)
+            self._asked[identity] = keyframe
+
+    # -- own loop closures --------------------------------------------------------------------------------------------
+
+    def close_own_loop(self, keyframe: KeyFrame) -> None:
+        """Compare a key-frame with the agent's own much earlier ones, and verify the nearest: no message needed."""
+        newest = self._newest_candidate(keyframe)
+        if not keyframe.textured or not newest:
+            return
+        found = self.book.index.nearest(keyframe.vector, below=newest)
+        if found is None or found[1] >= self.threshold:
+            return
+        me = self.state.me
+        candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.desk.now_ns, found[1])
+        if self.book.propose(candidate):
+            self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
+
+    def _newest_candidate(self, keyframe: KeyFrame) -> int:
+        """How many of the first key-frames are old enough to be loop candidates."""
+        config = self.state.config.places
+        times = [k.time_ns for k in self.state.keyframes]
+        by_age = int(np.searchsorted(times, keyframe.time_ns - round(config.own_age_s * 1e9), side="right"))
+        by_count = 0 if config.own_age_keyframes is None else keyframe.index - config.own_age_keyframes + 1
+        return min(max(by_age, by_count, 0), keyframe.index)
+
+    def _verify_own(self, candidate: Candidate, query: KeyFrame, match: KeyFrame) -> None:
+        verdict = verify(self.state, candidate.id, view_of(self.state, query), match)
+        reason = verdict.reason
+        good = verdict.accepted and verdict.T_M_Q is not None and verdict.information is not None
+        learned = None
+        if good and verdict.T_M_Q is not None and verdict.information is not None:
+            learned = Match(
+                candidate.id, query.track, match.track, verdict.T_M_Q, verdict.information, verdict.inliers,
+                query.T_T_C, match.T_T_C, match.depth,
+            )  # fmt: skip
+            if not self._plausible(learned):
+                learned, reason = None, "beyond odometry's drift"
+        self.book.update(
+            candidate.id, verified=learned is not None, reason=kind_of(reason), detail=reason, T_M_Q=verdict.T_M_Q,
+            matches=verdict.matches, inliers=verdict.inliers,
+            rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
+        )  # fmt: skip
+        if learned is not None:
+            self.verification.learn(learned)
+
+    def _plausible(self, match: Match) -> bool:
+        """Within one track the loop may not move the query farther than odometry can have drifted on the way."""
+        if match.query_track != match.match_track:
+            return True
+        config = self.state.config.consistency
+        way = self.state.travelled[match.id.query] - self.state.travelled[match.id.match]
+        moved = match.joins() @ match.T_T_Q[:3, 3] - match.T_T_Q[:3, 3]
+        return float(np.linalg.norm(moved)) <= config.depth_share * match.depth + config.loop_drift * way

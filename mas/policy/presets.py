@@ -1,0 +1,28 @@
+"""Presets by name: complete settings to start from."""
+
+from __future__ import annotations
+
+from mas.config import MasConfig
+from mas.errors import MasError
+from mas.policy.base import Policy
+from mas.policy.query_all import QueryAll
+
+PRESETS: dict[str, MasConfig] = {
+    "default": MasConfig(preset="default"),
+    "maslam": MasConfig(preset="maslam", ask_again=False),
+}
+"""``default``: the thesis's default system (4.2). ``maslam``: ours, the default of the command."""
+
+
+def preset(name: str) -> MasConfig:
+    """The settings of a preset."""
+    if name not in PRESETS:
+        raise MasError(f"there is no preset {name!r}; there are {', '.join(sorted(PRESETS))}")
+    return PRESETS[name]
+
+
+def policy_of(config: MasConfig) -> Policy:
+    """A new policy for one agent."""
+    if config.preset not in PRESETS:
+        raise MasError(f"there is no preset {config.preset!r}; there are {', '.join(sorted(PRESETS))}")
+    return QueryAll()

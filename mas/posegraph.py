@@ -1,0 +1,178 @@
+"""An agent's pose graph: what it brings into an optimisation, and how it takes the result over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backend.distributed.share import Outcome, Share
+from backend.geometry import Array, Sim3, se3_inverse
+from backend.graph import Edge, EdgeKind, NodeId, PoseGraph
+from mas.config import OptimisationConfig
+from mas.matches import Match
+from mas.messages import Bid, FrameId, Link, MatchId, OptimiseTask, PieceTerms
+from mas.state import AgentState, Piece, stretched
+from mas.tensors import pack_sim3, unpack_sim3
+
+
+@dataclass(frozen=True, eq=False)
+class Adoption:
+    """What an optimisation did to the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used."""
+
+    before: dict[int, Sim3]
+    matches: frozenset[MatchId]
+
+
+def terms(state: AgentState, now_ns: int) -> Bid:
+    """A bid for an optimisation: the agent's tracks and its accepted matches with the key-frames' present poses.
+
+    A monocular agent brings its longest track only: the tracks of one agent have different units of length, and the
+    solver knows one for each agent.
+    """
+    pieces = state.pieces
+    if not state.profile.metric and pieces:
+        pieces = [max(pieces, key=lambda p: (len(state.members(p.track)), -p.track))]
+    tracks = {p.track for p in pieces}
+    links = [link for m in state.accepted_matches() for link in _links(state, m) if link.track in tracks]
+    return Bid(
+        cost_bytes=48 * len(links),
+        ready_ns=now_ns,
+        links=tuple(links),
+        pieces=tuple(PieceTerms(p.track, p.frame, p.unit) for p in pieces),
+    )
+
+
+def _links(state: AgentState, match: Match) -> list[Link]:
+    out = []
+    ends = ((match.id.match_agent, match.id.match, None), (match.id.query_agent, match.id.query, match.T_M_Q))
+    for agent, index, transform in ends:
+        if agent == state.me:
+            piece = state.piece_of(index)
+            packed = None if transform is None else pack_sim3(transform)
+            out.append(Link(match.id, piece.track, piece.frame, pack_sim3(state.pose(index)), packed))
+    return out
+
+
+def share_of(state: AgentState, task: OptimiseTask) -> Share:
+    """The agent's part of the group's graph, in its own unit of length; ValueError if the task names what it has not."""
+    placed = {frame: unpack_sim3(t) for frame, t in task.placements}
+    poses: dict[NodeId, Array] = {}
+    edges: list[Edge] = []
+    for track in task.tracks:
+        piece = state.piece(track)
+        T_F_present = placed.get(piece.frame, Sim3.identity())
+        unit = piece.unit * T_F_present.scale
+        for index in state.members(track):
+            pose = T_F_present.transform_poses(state.poses[index])
+            poses[NodeId(state.me, index)] = stretched(pose, 1.0 / unit)
+        edges += odometry_edges(state, track)
+    missing = [m for m in task.matches if m not in state.verified]
+    if missing:
+        raise ValueError(f"a match it does not know: {missing[0]}")
+    edges += [match_edge(state.verified[m], state.config.optimisation) for m in task.matches]
+    members = task.members
+    return Share(
+        robot=state.me,
+        members=members,
+        poses=poses,
+        edges=tuple(edges),
+        arbitrary_scale=frozenset() if state.profile.metric else frozenset(members),
+    )
+
+
+def adopt(state: AgentState, task: OptimiseTask, outcome: Outcome) -> Adoption:
+    """Take the optimised poses over; key-frames that came later are carried along rigidly with the last optimised one."""
+    before = {i: state.pose(i) for i in range(len(state.keyframes))}
+    unit = outcome.scales[state.me] * task.unit
+    for track in task.tracks:
+        piece = state.piece(track)
+        state.pieces[state.pieces.index(piece)] = Piece(track, piece.first, task.frame, unit)
+        for index in state.members(track):
+            optimised = outcome.poses.get(NodeId(state.me, index))
+            if optimised is not None:
+                state.poses[index] = stretched(optimised, task.unit)
+            else:
+                step = state.odometry_step(state.keyframes[index])
+                state.poses[index] = state.poses[index - 1] @ stretched(step, unit)
+    state.version += 1
+    return Adoption(before, frozenset(task.matches))
+
+
+def odometry_edges(state: AgentState, track: int) -> list[Edge]:
+    """Edges between key-frames of one track that follow each other, as odometry measured them, own unit."""
+    config = state.config.optimisation
+    edges = []
+    for index in list(state.members(track))[1:]:
+        keyframe = state.keyframes[index]
+        step = state.odometry_step(keyframe)
+        length = float(np.linalg.norm(step[:3, 3]))
+        sigma = config.odometry_sigma_share * length + config.odometry_sigma_depth * keyframe.depth
+        information = _diagonal(sigma, config.odometry_sigma_deg)
+        edges.append(Edge(NodeId(state.me, index - 1), NodeId(state.me, index), step, information))
+    return edges
+
+
+def match_edge(match: Match, config: OptimisationConfig) -> Edge:
+    """The edge of a place match, the same at both owners. Verification knows the noise of points, not that both maps are
+    bent: a floor under its sigma keeps one match from outweighing all odometry."""
+    floor = _diagonal(config.match_sigma_depth * match.depth, config.match_sigma_deg)
+    spread = np.linalg.inv(_definite(match.information)) + np.linalg.inv(floor)
+    information = np.linalg.inv(spread)
+    m = match.id
+    return Edge(
+        NodeId(m.match_agent, m.match),
+        NodeId(m.query_agent, m.query),
+        match.T_M_Q.se3(),
+        0.5 * (information + information.T),
+        EdgeKind.LOOP if m.query_agent == m.match_agent else EdgeKind.SEPARATOR,
+        scale=match.T_M_Q.scale,
+    )
+
+
+def own_graph(state: AgentState) -> PoseGraph:
+    """The agent's key-frames in its reference frame with odometry and own loops, and edges to others' key-frames whose poses
+    follow from the match: for export. Translations are in the frame's unit."""
+    me, placed = state.me, set(state.placed())
+    poses = {NodeId(me, i): state.poses[i] for i in sorted(placed)}
+    edges = []
+    for piece in state.pieces:
+        if piece.frame == state.frame:
+            edges += [_in_unit(e, piece.unit) for e in odometry_edges(state, piece.track)]
+    for match in state.accepted_matches():
+        edge = match_edge(match, state.config.optimisation)
+        ends = [n for n in (edge.i, edge.j) if n.robot == me]
+        if any(n.index not in placed for n in ends):
+            continue
+        own = ends[0].index
+        if edge.i.robot == me:
+            edge = _in_unit(edge, state.piece_of(own).unit)
+            poses.setdefault(edge.j, poses[edge.i] @ edge.T_i_j)
+        else:
+            edge = _in_unit(edge, state.piece_of(own).unit / match.T_M_Q.scale)
+            poses.setdefault(edge.i, poses[edge.j] @ se3_inverse(edge.T_i_j))
+        edges.append(edge)
+    return PoseGraph(poses, tuple(edges))
+
+
+def _in_unit(edge: Edge, unit: float) -> Edge:
+    information = edge.information.copy()
+    information[:3] /= unit
+    information[:, :3] /= unit
+    return replace(edge, T_i_j=stretched(edge.T_i_j, unit), information=information, scale=1.0)
+
+
+def _diagonal(sigma: float, sigma_deg: float) -> Array:
+    return np.diag([1.0 / sigma**2] * 3 + [1.0 / np.radians(sigma_deg) ** 2] * 3)
+
+
+def _definite(information: Array) -> Array:
+    """The information with its smallest eigenvalues lifted, so that it can be inverted."""
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    values = np.maximum(values, 1e-9 * max(float(values[-1]), 1e-12))
+    return (vectors * values) @ vectors.T
+
+
+def frame_name(frame: FrameId) -> str:
+    """For people and files: ``agent_03`` or ``agent_03 track 1``."""
+    return f"agent_{frame.agent:02d}" + (f" track {frame.track}" if frame.track else "")

@@ -1,0 +1,153 @@
+"""What one agent knows: its key-frames, where it believes they are, its matches and its group."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from backend.geometry import Array, Sim3, se3_inverse
+from mas.config import MasConfig
+from mas.keyframe import KeyFrame
+from mas.matches import Match, consistent
+from mas.messages import FrameId, MatchId
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One uninterrupted track as a rigid piece of the agent's graph, until an optimisation bends it.
+
+    ``frame``: the coordinates its estimates are in; ``unit``: what one of the track's own units of length is worth there (1 if
+    metric); ``first``: index of its first key-frame.
+    """
+
+    track: int
+    first: int
+    frame: FrameId
+    unit: float = 1.0
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What the agent was told about itself and the others when it was set up: no more than names.
+
+    ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance.
+    """
+
+    me: int
+    others: tuple[int, ...]
+    metric: bool
+    model: str
+    threshold: float
+
+
+@dataclass
+class AgentState:
+    """The mutable state of an agent; changed by the agent and its operations only."""
+
+    profile: Profile
+    config: MasConfig
+    keyframes: list[KeyFrame] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    pieces: list[Piece] = field(default_factory=list)
+    travelled: list[float] = field(default_factory=list)
+    verified: dict[MatchId, Match] = field(default_factory=dict)
+    accepted: set[MatchId] = field(default_factory=set)
+    group: set[int] = field(default_factory=set)
+    version: int = 0
+
+    def __post_init__(self) -> None:
+        self.group.add(self.profile.me)
+
+    @property
+    def me(self) -> int:
+        return self.profile.me
+
+    def observe(self, keyframe: KeyFrame) -> None:
+        """Add a key-frame: chained rigidly to the one before, or the start of a new piece."""
+        if keyframe.index != len(self.keyframes):
+            raise ValueError(f"agent {self.me}: key-frame {keyframe.index} after {len(self.keyframes)} of them")
+        if not self.pieces or self.pieces[-1].track != keyframe.track:
+            self.pieces.append(Piece(keyframe.track, keyframe.index, FrameId(self.me, keyframe.track)))
+            self.poses.append(keyframe.T_T_C)
+            self.travelled.append(self.travelled[-1] if self.travelled else 0.0)
+        else:
+            step = self.odometry_step(keyframe)
+            self.travelled.append(self.travelled[-1] + float(np.linalg.norm(step[:3, 3])))
+            self.poses.append(self.poses[-1] @ stretched(step, self.pieces[-1].unit))
+        self.keyframes.append(keyframe)
+        self.version += 1
+
+    def odometry_step(self, keyframe: KeyFrame) -> Array:
+        """``T_previous_this`` ``(4, 4)`` by odometry, own unit; both in one track."""
+        return se3_inverse(self.keyframes[keyframe.index - 1].T_T_C) @ keyframe.T_T_C
+
+    def piece_of(self, index: int) -> Piece:
+        """The piece a key-frame belongs to."""
+        return self.piece(self.keyframes[index].track)
+
+    def piece(self, track: int) -> Piece:
+        """The piece made of ``track``; ValueError if the agent has none."""
+        for piece in self.pieces:
+            if piece.track == track:
+                return piece
+        raise ValueError(f"agent {self.me} has no track {track}")
+
+    def members(self, track: int) -> range:
+        """Indices of the key-frames of one track."""
+        piece = self.piece(track)
+        later = [p.first for p in self.pieces if p.first > piece.first]
+        return range(piece.first, min(later, default=len(self.keyframes)))
+
+    @property
+    def frame(self) -> FrameId:
+        """The coordinates that most of its key-frames are in (ties: the older piece's)."""
+        sizes: dict[FrameId, int] = {}
+        for piece in self.pieces:
+            sizes[piece.frame] = sizes.get(piece.frame, 0) + len(self.members(piece.track))
+        return max(sizes, key=lambda f: sizes[f]) if sizes else FrameId(self.me, 0)
+
+    def placed(self) -> list[int]:
+        """Key-frames in :attr:`frame`; the others belong to tracks that no match has joined yet."""
+        frame = self.frame
+        return [i for p in self.pieces if p.frame == frame for i in self.members(p.track)]
+
+    def pose(self, index: int) -> Sim3:
+        """``T_F_C`` with the camera's own unit of length: scale is the piece's unit."""
+        pose = self.poses[index]
+        return Sim3(pose[:3, :3], pose[:3, 3], self.piece_of(index).unit)
+
+    # -- matches ------------------------------------------------------------------------------------------------------
+
+    def add_match(self, match: Match) -> list[MatchId]:
+        """Remember a verified match; returns the matches that became accepted by it (it among them, or not)."""
+        self.verified[match.id] = match
+        tracks = set(match.tracks)
+        same = [m for m in self.verified.values() if set(m.tracks) == tracks]
+        now = consistent(same, self.config.consistency)
+        before = {m.id for m in same} & self.accepted
+        self.accepted = (self.accepted - before) | now
+        self.version += bool(now != before)
+        return sorted(now - before)
+
+    def accepted_matches(self) -> list[Match]:
+        """Sorted by id."""
+        return [self.verified[i] for i in sorted(self.accepted)]
+
+    def partners(self) -> list[int]:
+        """Agents it has an accepted match with, sorted."""
+        return sorted({a for m in self.accepted for a in m.agents} - {self.me})
+
+    def join(self, members: Iterable[int]) -> bool:
+        """Grow the group; whether it grew."""
+        before = len(self.group)
+        self.group.update(members)
+        return len(self.group) > before
+
+
+def stretched(transform: Array, factor: float) -> Array:
+    """A rigid transform with its translation times ``factor``."""
+    out = transform.copy()
+    out[..., :3, 3] *= factor
+    return out

@@ -1,0 +1,93 @@
+"""``summary.json``: all figures of a run (thesis Table 3.2 and more)."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Figures(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Errors(_Figures):
+    """Position errors in metres; None without ground truth. Lists have one value an agent.
+
+    ``agents``: each trajectory under its own alignment (SE(3), Sim(3) if monocular); ``maps``: own key-frames and map
+    copies together, under one alignment; ``connected``: own key-frames under one alignment for all agents in its frame.
+    """
+
+    agents: list[float | None]
+    maps: list[float | None]
+    connected: list[float | None]
+    mean_agents: float | None
+    mean_maps: float | None
+
+
+class TrafficFigures(_Figures):
+    messages: int
+    payload_bytes: int = Field(description="as the published tables count")
+    wire_bytes: int = Field(description="exact length of the encoded messages")
+
+
+class MatchFigures(_Figures):
+    """``candidates``: below the distance threshold; ``verified``: passed the geometric check; ``accepted``: used;
+    ``rejected``: the others by reason; ``false_accepted``: against ground truth, None without; ``own_loops``: those among
+    ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
+
+    candidates: int
+    verified: int
+    accepted: int
+    rejected: dict[str, int]
+    own_loops: int
+    between_agents: int
+    false_accepted: int | None
+
+
+class OptimisationFigures(_Figures):
+    """Sums over all optimisations of the run; no single one ends with a higher cost than it began."""
+
+    count: int
+    iterations: int
+    cost_before: float
+    cost_after: float
+
+
+class MapCopy(_Figures):
+    """One map copy under its holder's alignment."""
+
+    holder: int
+    owner: int
+    version: int
+    keyframes: int
+    points: int
+    ate_rmse_m: float | None
+    ate_mean_m: float | None
+
+
+class Summary(_Figures):
+    """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation, under
+    each agent's own alignment. ``path_length_m`` from ground truth. ``refused_messages``: dropped as unbelievable."""
+
+    version: str
+    preset: str
+    seed: int
+    scale: str
+    agents: int
+    keyframes: int
+    keyframes_placed: list[int]
+    duration_s: float
+    steps: int
+    wall_s: float
+    realtime_factor: float
+    groups: list[list[int]]
+    ate_rmse_m: Errors
+    ate_mean_m: Errors
+    odometry_rmse_m: list[float | None]
+    odometry_mean_rmse_m: float | None
+    path_length_m: list[float | None]
+    exploration_percent: list[float]
+    traffic: dict[str, TrafficFigures]
+    matches: MatchFigures
+    optimisations: OptimisationFigures
+    map_copies: list[MapCopy]
+    refused_messages: int
