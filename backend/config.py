@@ -43,3 +43,16 @@ class SolverConfig(BaseModel):
     pose_threshold: float = Field(0.1, ge=0, description="quiet when a robot's poses change less, 2-norm of m and rad")
     scale_threshold: float = Field(1e-5, ge=0, description="quiet when a robot's log scale changes by less")
     newton_steps: int = Field(1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
+
+
+class CentralConfig(BaseModel):
+    """Central optimisation by Levenberg-Marquardt: the reference for the distributed solvers, and for single graphs."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cost: Literal["F", "U", "E"] = Field("F", description="cost convention: SE-Sync, unit weights, or geodesic (gtsam)")
+    start: Literal["chordal", "given"] = Field("chordal", description="two-stage chordal solution, or the graph's poses")
+    loss: Literal["none", "huber", "cauchy"] = Field("none", description="robust loss on loops and separators")
+    loss_scale: float = Field(3.0, gt=0, description="its scale, standard deviations")
+    iterations: int = Field(100, ge=1, description="iterations at most")
+    tolerance: float = Field(1e-10, gt=0, description="ends when the cost falls by less than this share")

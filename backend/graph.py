@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.errors import BackendError
 from backend.geometry import Array, is_se3, se3_inverse
@@ -77,6 +78,19 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
+class EdgeArrays:
+    """A graph as arrays: ``poses`` ``(n, 4, 4)``; for each edge ``ends`` ``(m, 2)`` rows into them, ``measured`` ``(m, 4, 4)`` and
+    weighted ``information`` ``(m, 6, 6)``.
+    """
+
+    nodes: list[NodeId]
+    poses: Array
+    ends: NDArray[np.intp]
+    measured: Array
+    information: Array
+
+
+@dataclass(frozen=True, eq=False)
 class PoseGraph:
     """Poses ``T_O_i`` ``(4, 4)`` by node, and edges. ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero)."""
 
@@ -89,6 +103,19 @@ class PoseGraph:
             for node in (edge.i, edge.j):
                 if node not in self.poses:
                     raise BackendError(f"edge {edge.i} - {edge.j}: there is no pose for node {node}")
+
+    def arrays(self) -> EdgeArrays:
+        """Edges and poses as arrays, nodes in sorted order."""
+        nodes = self.nodes
+        row = {n: k for k, n in enumerate(nodes)}
+        m = len(self.edges)
+        return EdgeArrays(
+            nodes=nodes,
+            poses=np.array([self.poses[n] for n in nodes]).reshape(-1, 4, 4),
+            ends=np.array([(row[e.i], row[e.j]) for e in self.edges], dtype=np.intp).reshape(m, 2),
+            measured=np.array([e.T_i_j for e in self.edges]).reshape(m, 4, 4),
+            information=np.array([e.weight * e.information for e in self.edges]).reshape(m, 6, 6),
+        )
 
     @property
     def nodes(self) -> list[NodeId]:

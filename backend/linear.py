@@ -116,7 +116,7 @@ class BlockSystem:
         where = (np.concatenate(rows), np.concatenate(columns))
         matrix = coo_array((np.concatenate(entries), where), shape=(size, size)).tocsc()
         try:
-            factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}) if size else None
+            factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}) if size else None
         except RuntimeError as error:
             raise BackendError(f"the {size} equations of this graph are singular: a pose has no weight to hold it") from error
         return matrix, factor
