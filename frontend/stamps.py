@@ -12,7 +12,8 @@ from frontend.errors import FrontendError
 from frontend.tables import read_bytes
 
 NS_PER_S = 1_000_000_000
-_DECIMAL = re.compile(r"([+-]?)(\d+)(?:\.(\d*))?")
+_DECIMAL = re.compile(r"([+-]?)(\d+)(?:\.(\d*))?", re.ASCII)
+_FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def stamp_ns_from_s(seconds: NDArray[np.float64] | float) -> NDArray[np.int64]:
@@ -30,10 +31,9 @@ def decimal_ns(text: str) -> int:
         sign, whole, fraction = found.groups()
         magnitude = int(whole) * NS_PER_S + int(((fraction or "") + "0" * 9)[:9])
         return -magnitude if sign == "-" else magnitude
-    value = float(text)
-    if not np.isfinite(value):
+    if not _FLOAT.fullmatch(text):
         raise ValueError(f"not a finite number: {text!r}")
-    return int(stamp_ns_from_s(value))
+    return int(stamp_ns_from_s(float(text)))
 
 
 def seconds_text(stamp_ns: int) -> str:

@@ -29,6 +29,8 @@ class Trajectory:
     def __post_init__(self) -> None:
         if self.poses.shape != (len(self.stamps_ns), 4, 4):
             raise ValueError(f"{len(self.stamps_ns)} time stamps but poses of shape {self.poses.shape}")
+        if (np.diff(self.stamps_ns) <= 0).any():
+            raise ValueError("the time stamps of a trajectory must be ascending")
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -94,9 +94,8 @@ def _read_track(folder: Path, number: int) -> VoTrack:
     stamps = tables.read_table(paths["times"], 1, "a time stamp")[:, 0]
     if len(stamps) != len(poses):
         raise FrontendError(f"{paths['times']}: {len(stamps)} times, but {len(poses)} poses in {paths['poses'].name}")
-    back = np.flatnonzero(np.diff(stamps) < 0)
-    if len(back):
-        raise FrontendError(f"{paths['times']}:{tables.row_line(paths['times'], back[0] + 1)}: time goes back to {stamps[back[0] + 1]!r} s")
+    for row in np.flatnonzero(np.diff(stamps) < 0)[:1] + 1:
+        raise FrontendError(f"{paths['times']}:{tables.row_line(paths['times'], row)}: time goes back to {float(stamps[row])} s")
     points = tables.read_table(paths["lm_pos"], 3, "a map point")
     observations = _read_observations(paths["lm_obs"], len(poses), len(points))
     described = tables.read_integer_table(paths["descs"], 34, "a descriptor with its two node ids")

@@ -73,6 +73,11 @@ def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
     )
 
 
+def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:
+    """Ground truth given a pose a frame; None where the frames' times do not ascend, which is listed as a problem of its own."""
+    return Trajectory(stamps_ns, poses) if (np.diff(stamps_ns) > 0).all() else None
+
+
 def available_rigs(right: bool, depth: bool) -> list[RigKind]:
     """From most to least informative, by what is there beside the (left) image."""
     return [RigKind.STEREO] * right + [RigKind.RGBD] * depth + [RigKind.MONO]

@@ -120,6 +120,8 @@ def _groundtruth(mav: Path, raw: RawRig, T_body_left: NDArray[np.float64]) -> Tr
     if state.is_file():
         values = tables.read_table(state, (17, 8), "a state (ns, position, quaternion wxyz, and velocity and biases)")
         stamps = read_stamps(state, nanoseconds=True)
+        for row in np.flatnonzero(np.diff(stamps) <= 0)[:1] + 1:
+            raise FrontendError(f"{state}:{tables.row_line(state, row)}: time does not go on")
         T_W_body = se3(rotation_from_quat_wxyz(values[:, 4:8]), values[:, 1:4])
         return Trajectory(stamps, T_W_body @ T_body_left)
     beside = sorted(mav.resolve().parent.glob("groundtruth*.tum"))

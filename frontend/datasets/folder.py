@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from frontend.cameras import RigKind
 from frontend.calibration import RawRig
-from frontend.datasets.assemble import Found, assemble, available_rigs
+from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
 from frontend.datasets.camera_file import find_camera_file
 from frontend.datasets.images import list_images
@@ -113,6 +113,6 @@ def _groundtruth(folder: Path, times: NDArray[np.int64]) -> Trajectory | None:
         _, poses = read_kitti_poses(rows)
         if len(poses) != len(times):
             raise FrontendError(f"{rows}: {len(poses)} poses for {len(times)} images")
-        return Trajectory(times, poses)
+        return frame_truth(times, poses)
     lines = next((folder / name for name in ("groundtruth.txt", "groundtruth.tum") if (folder / name).is_file()), None)
     return None if lines is None else read_tum(lines)

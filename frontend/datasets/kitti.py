@@ -11,7 +11,7 @@ from backend.geometry import se3
 from frontend import stamps, tables
 from frontend.calibration import RawCamera, RawRig
 from frontend.cameras import RigKind
-from frontend.datasets.assemble import Found, assemble, available_rigs
+from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
 from frontend.datasets.images import list_images
 from frontend.errors import FrontendError
@@ -133,4 +133,4 @@ def _groundtruth(
         return None
     # Poses are those of camera 0; the fourth column of P is K times where camera 0's origin lies in this camera.
     offset = np.linalg.solve(P_left[:, :3], P_left[:, 3])
-    return Trajectory(times, poses[rows] @ se3(np.eye(3), -offset))
+    return frame_truth(times, poses[rows] @ se3(np.eye(3), -offset))

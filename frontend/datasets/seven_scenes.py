@@ -12,7 +12,7 @@ from backend.geometry import project_to_so3, se3
 from frontend import tables
 from frontend.calibration import RawCamera, RawRig
 from frontend.cameras import RigKind
-from frontend.datasets.assemble import Found, assemble, available_rigs
+from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
 from frontend.datasets.images import image_size, list_images
 from frontend.errors import FrontendError
@@ -92,4 +92,4 @@ def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: P
     if not poses:
         return None
     matrices = np.array(poses)
-    return Trajectory(np.array(stamps, dtype=np.int64), se3(project_to_so3(matrices[:, :3, :3]), matrices[:, :3, 3]))
+    return frame_truth(np.array(stamps, dtype=np.int64), se3(project_to_so3(matrices[:, :3, :3]), matrices[:, :3, 3]))
