@@ -1,7 +1,7 @@
 """One agent: a state machine without I/O. It sees its own key-frames and the messages it gets, and nothing else.
 
-``observe`` takes a key-frame from its sensors, ``handle`` a message, ``tick`` the logical time; the last two return what is to be
-sent. The same code runs in one process and over a network (thesis section 3.8.2).
+``observe`` takes a key-frame from its sensors, ``handle`` a message, ``tick`` the logical time; the last two return
+what is to be sent. The same code runs in one process and over a network (thesis section 3.8.2).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mas.config import MasConfig
-from mas.contract import Contract, Ledger, ProtocolError
+from mas.contract import Contract, LateMessage, Ledger, ProtocolError
 from mas.desk import Desk, Event, Trade, WorkError
 from mas.keyframe import KeyFrame
 from mas.messages import (
@@ -92,6 +92,8 @@ class Agent:
                     f"message from {message.sender} to {message.recipient} came to agent {self.state.me}"
                 )
             self._dispatch(message)
+        except LateMessage:
+            pass
         except (ProtocolError, WorkError, ValueError) as error:
             self.refused.append(Refused(message.sender, str(error)))
             self.desk.note("refused", sender=message.sender, reason=str(error))

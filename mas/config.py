@@ -25,9 +25,9 @@ class PlacesConfig(_Section):
     features: Literal["descriptors", "words"] = Field(
         "descriptors", description="what a verification sends for each point"
     )
-    max_points: int = Field(800, ge=20, description="map points of a key-frame sent for verification, at most")
+    max_points: int = Field(500, ge=20, description="map points of a key-frame sent for verification, at most")
     gap_keyframes: int = Field(
-        2, ge=0, description="own key-frames that pass between accepted matches with one agent; no verification sooner"
+        4, ge=0, description="own key-frames that pass between accepted matches with one agent; no verification sooner"
     )
     gap_m: float = Field(
         0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"

@@ -9,9 +9,9 @@
     Cancel          ->                              CANCELLED, at any time before the end
                  deadline passed                    EXPIRED, at both sides on their own
 
-A :class:`Contract` is between one manager and one contractor; a call to many opens one with each, under one id. Both sides keep
-their own copy and :func:`advance` it by the same table, so that neither can be led where the other is not allowed to go: no award
-without a bid, no work without an award, and every contract ends.
+A :class:`Contract` is between one manager and one contractor; a call to many opens one with each, under one id. Both
+sides keep their own copy and :func:`advance` it by the same table, so that neither can be led where the other is not
+allowed to go: no award without a bid, no work without an award, and every contract ends.
 """
 
 from __future__ import annotations
@@ -39,6 +39,10 @@ from mas.messages import (
 
 class ProtocolError(MasError):
     """A message that its contract does not allow now, or from this sender."""
+
+
+class LateMessage(ProtocolError):
+    """A message that crossed the end of its contract on the way: nothing is wrong, and nothing is to be done."""
 
 
 class State(StrEnum):
@@ -102,8 +106,8 @@ def advance(contract: Contract, sender: int, body: ContractBody) -> Contract:
     if state is None:
         said = type(body).__name__
         raise ProtocolError(
-            f"contract {contract.id.manager}:{contract.id.number} with {contract.contractor}: agent {sender} may not say "
-            f"{said} when it is {contract.state}"
+            f"contract {contract.id.manager}:{contract.id.number} with {contract.contractor}: "
+            f"agent {sender} may not say {said} when it is {contract.state}"
         )
     return replace(contract, state=state, reason=getattr(body, "reason", ""))
 
@@ -115,18 +119,23 @@ def expire(contract: Contract, now_ns: int) -> Contract:
     return replace(contract, state=State.EXPIRED, reason=f"{contract.state} when its time was over")
 
 
+# Ended contracts an agent remembers, to tell a late message from a wrong one.
+_REMEMBERED = 10_000
+
+
 class Ledger:
-    """All running contracts of one agent, as manager and as contractor; ended ones are handed out once and forgotten."""
+    """All running contracts of one agent, as manager and as contractor."""
 
     def __init__(self, me: int) -> None:
         self.me = me
         self._number = 0
         self._running: dict[tuple[ContractId, int], Contract] = {}
         self._heard: dict[int, int] = {}
+        self._ended: dict[tuple[ContractId, int], None] = {}
 
     def call(self, operation: Operation, contractors: Iterable[int], deadline_ns: int) -> tuple[ContractId, list[int]]:
-        """Open one contract as manager with each contractor; at most one of a kind a pair: those that still have one are
-        left out. Returns the id and who is to be called."""
+        """Open one contract as manager with each contractor; at most one of a kind a pair: those that still have one
+        are left out. Returns the id and who is to be called."""
         busy = {c.contractor for c in self._running.values() if c.manager == self.me and c.operation is operation}
         free = sorted(set(contractors) - busy - {self.me})
         identity = ContractId(self.me, self._number)
@@ -148,8 +157,10 @@ class Ledger:
         return contract
 
     def get(self, identity: ContractId, contractor: int) -> Contract:
-        """The running contract; :class:`ProtocolError` if there is none."""
+        """The running contract; :class:`LateMessage` if it has ended, :class:`ProtocolError` if there never was one."""
         contract = self._running.get((identity, contractor))
+        if contract is None and (identity, contractor) in self._ended:
+            raise LateMessage(f"contract {identity.manager}:{identity.number} with {contractor} has ended")
         if contract is None:
             raise ProtocolError(f"no running contract {identity.manager}:{identity.number} with {contractor}")
         return contract
@@ -180,5 +191,8 @@ class Ledger:
         key = (contract.id, contract.contractor)
         if contract.ended:
             self._running.pop(key, None)
+            self._ended[key] = None
+            if len(self._ended) > _REMEMBERED:
+                del self._ended[next(iter(self._ended))]
         elif key in self._running:
             self._running[key] = contract

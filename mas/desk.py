@@ -61,7 +61,8 @@ class Desk:
     def call(
         self, operation: Operation, contractors: Iterable[int], members: tuple[int, ...] = ()
     ) -> tuple[ContractId, list[int]]:
-        """Call for proposals; returns the contract's id and who was called (not those that still have one of this kind)."""
+        """Call for proposals; returns the contract's id and who was called (not those that still have one of this
+        kind)."""
         identity, free = self.ledger.call(operation, contractors, self.deadline_ns)
         for contractor in free:
             self.tell(contractor, identity, Call(operation, self.deadline_ns, members))
@@ -112,7 +113,8 @@ class WorkError(Exception):
 
 
 class Trade(ABC):
-    """One operation, as manager and as contractor. Every method is called with a contract that the ledger has advanced."""
+    """One operation, as manager and as contractor. Every method is called with a contract that the ledger has
+    advanced."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -131,7 +133,8 @@ class Trade(ABC):
 
     @abstractmethod
     def work(self, contract: Contract, task: Task) -> None:
-        """Contractor: confirm and do the work, now or over several messages; :class:`WorkError` if it cannot be done."""
+        """Contractor: confirm and do the work, now or over several messages; :class:`WorkError` if it cannot be
+        done."""
 
     @abstractmethod
     def on_result(self, contract: Contract, outcome: Outcome) -> None:

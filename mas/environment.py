@@ -1,5 +1,5 @@
-"""The environment (thesis section 3.8.1): it sets agents up, carries their messages, and ends the run. Nothing else: it takes
-no decision for an agent and shows none of them the truth.
+"""The environment (thesis section 3.8.1): it sets agents up, carries their messages, and ends the run. Nothing else:
+it takes no decision for an agent and shows none of them the truth.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from mas.state import Profile
 from mas.summary import Summary
 from mas.transport import InProcessTransport, Traffic, Transport
 
-# Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to expire.
+# Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
+# expire.
 _CLOSING_STEPS = 20
 
 Progress = Callable[[int, int], None]
@@ -52,7 +53,8 @@ class Environment:
         return round(self.config.step_s * 1e9)
 
     def step(self, number: int) -> None:
-        """One step: key-frames whose time has come, a tick for each agent, then all messages until none is on the way."""
+        """One step: key-frames whose time has come, a tick for each agent, then all messages until none is on the
+        way."""
         self.now_ns = number * self._step_ns
         for agent, keyframes in zip(self.agents, self.keyframes, strict=True):
             self._feed(agent, keyframes)

@@ -12,7 +12,8 @@ from mas.submaps import HeldMap
 
 # Colour-blind-safe colours (Okabe and Ito), one an agent, then again from the start.
 COLOURS = np.array(
-    [[0, 114, 178], [230, 159, 0], [0, 158, 115], [204, 121, 167], [86, 180, 233], [213, 94, 0], [240, 228, 66], [90, 90, 90]],
+    [[0, 114, 178], [230, 159, 0], [0, 158, 115], [204, 121, 167],
+     [86, 180, 233], [213, 94, 0], [240, 228, 66], [90, 90, 90]],
     dtype=np.uint8,
 )  # fmt: skip
 

@@ -17,11 +17,13 @@ _DEPTH_WITHOUT_POINTS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class KeyFrame:
-    """``time_ns``: logical time, from the agent's own start; ``stamp_ns``: the image's in the source; ``T_T_C`` ``(4, 4)``: odometry, in the track's frame.
+    """``time_ns``: logical time, from the agent's own start; ``stamp_ns``: the image's in the source; ``T_T_C`` ``(4,
+    4)``: odometry, in the track's frame.
 
-    ``points_C`` ``(n, 3)`` float32 map points in the camera; ``descriptors`` ``(n, 32)`` uint8; ``words`` ``(n,)`` vocabulary ids at level 4;
-    ``first_seen`` ``(n,)`` bool: this key-frame is the first that observes the point; ``depth``: median depth, own unit;
-    ``vector`` ``(dim,)`` float32 unit; ``textured``: whether the image has enough texture for its vector to mean something.
+    ``points_C`` ``(n, 3)`` float32 map points in the camera; ``descriptors`` ``(n, 32)`` uint8; ``words`` ``(n,)``
+    vocabulary ids at level 4; ``first_seen`` ``(n,)`` bool: this key-frame is the first that observes the point;
+    ``depth``: median depth, own unit; ``vector`` ``(dim,)`` float32 unit; ``textured``: whether the image has enough
+    texture for its vector to mean something.
     """
 
     index: int

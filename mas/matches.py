@@ -24,8 +24,9 @@ class Fate(StrEnum):
 class Match:
     """A geometrically verified place match, own loops included (then both agents are the same).
 
-    ``T_M_Q``: query camera in match camera, in M's unit; ``T_T_Q``, ``T_T_M`` ``(4, 4)``: the two cameras by odometry in their tracks, each in
-    its own unit; ``depth``: median depth at M, M's unit; ``information`` ``(6, 6)`` of ``T_M_Q``.
+    ``T_M_Q``: query camera in match camera, in M's unit; ``T_T_Q``, ``T_T_M`` ``(4, 4)``: the two cameras by odometry
+    in their tracks, each in its own unit; ``depth``: median depth at M, M's unit; ``information`` ``(6, 6)`` of
+    ``T_M_Q``.
     """
 
     id: MatchId
@@ -48,7 +49,8 @@ class Match:
         return Sim3.from_se3(self.T_T_M) @ self.T_M_Q @ Sim3.from_se3(self.T_T_Q).inverse()
 
     def turned(self) -> Match:
-        """The same place seen from the other side: query and match swapped; depth and information are kept for comparing only."""
+        """The same place seen from the other side: query and match swapped; depth and information are kept for
+        comparing only."""
         i = self.id
         back = self.T_M_Q.inverse()
         swapped = MatchId(i.match_agent, i.match, i.query_agent, i.query)
@@ -61,9 +63,10 @@ class Match:
 def agree(a: Match, b: Match, config: ConsistencyConfig) -> bool:
     """Whether two matches between the same two tracks say the same about how the tracks stand, up to odometry's drift.
 
-    Positions: b's query camera, placed in M's track once by a and once by b, differs by at most ``depth_share`` median depths plus
-    ``drift`` times the distance between the matches; rotations likewise. This is the thesis's consistency (3.3) as settled: it
-    compares through ``T_M_Q``, not the two camera centres directly. All relative to depth, so that it holds for any unit.
+    Positions: b's query camera, placed in M's track once by a and once by b, differs by at most ``depth_share``
+    median depths plus ``drift`` times the distance between the matches; rotations likewise. This is the thesis's
+    consistency (3.3) as settled: it compares through ``T_M_Q``, not the two camera centres directly. All relative to
+    depth, so that it holds for any unit.
     """
     by_a, by_b = a.joins(), b.joins()
     query = b.T_T_Q[:3, 3]
@@ -81,8 +84,8 @@ def agree(a: Match, b: Match, config: ConsistencyConfig) -> bool:
 def consistent(matches: Iterable[Match], config: ConsistencyConfig) -> set[MatchId]:
     """The largest set of matches that all agree with each other, for each two tracks; none where it is too small.
 
-    Greedy: from each match, in order of how many agree with it, add those that agree with all so far. Both owners of a match
-    hold the same matches and come to the same set. A match left out comes back when later ones support it.
+    Greedy: from each match, in order of how many agree with it, add those that agree with all so far. Both owners of
+    a match hold the same matches and come to the same set. A match left out comes back when later ones support it.
     """
     groups: dict[tuple[tuple[int, int], tuple[int, int]], list[tuple[MatchId, Match]]] = {}
     for match in sorted(matches, key=lambda m: m.id):

@@ -183,7 +183,8 @@ class OptimiseAnswer(msgspec.Struct, frozen=True, array_like=True, tag=3):
 
 
 class SubMap(msgspec.Struct, frozen=True, array_like=True):
-    """A copy of one agent's map, in the seller's coordinates; ``unit``: what the owner's own unit of length is worth there.
+    """A copy of one agent's map, in the seller's coordinates; ``unit``: what the owner's own unit of length is worth
+    there.
 
     ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``;
     ``references`` ``(P,)`` int32: row of the key-frame that saw the point first; ``points`` ``(P, 3)`` float32 in that

@@ -22,9 +22,9 @@ TRUTH_TOLERANCE_NS = 20_000_000
 # Fewer poses than this align perfectly whatever they are.
 MIN_POSES = 3
 
-# An accepted match is false if its position is off by more than a fifth of the match's median depth (2 m at most, where
-# the scene is farther than 10 m) plus 5 % of the cameras' distance, or its rotation by more than 10 degrees. RelPose errs
-# by about a hundredth of the depth; a look-alike place is off by a room or a house.
+# An accepted match is false if its position is off by more than a fifth of the match's median depth (2 m at most,
+# where the scene is farther than 10 m) plus 5 % of the cameras' distance, or its rotation by more than 10 degrees.
+# RelPose errs by about a hundredth of the depth; a look-alike place is off by a room or a house.
 FALSE_M = 2.0
 FALSE_DEPTH_SHARE = 0.2
 FALSE_SHARE = 0.05
@@ -98,8 +98,8 @@ class Onlooker:
     # -- exploration --------------------------------------------------------------------------------------------------
 
     def exploration_percent(self, agent: Agent) -> float:
-        """Frames of the agent's own map and its copies over all frames of all agents, each frame counted once, however many
-        agents saw it. A copy counts the frames between its first and its last key-frame."""
+        """Frames of the agent's own map and its copies over all frames of all agents, each frame counted once,
+        however many agents saw it. A copy counts the frames between its first and its last key-frame."""
         if not self._all_frames:
             return 0.0
         times = {o: self._times(h) for o, h in sorted(agent.maps.held.items())}

@@ -1,4 +1,5 @@
-"""Distributed optimisation among agents (thesis section 3.6): one contract with each member, then separator poses only."""
+"""Distributed optimisation among agents (thesis section 3.6): one contract with each member, then separator poses
+only."""
 
 from __future__ import annotations
 

@@ -17,8 +17,8 @@ from mas.state import AgentState
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A place match on its way: a row of ``matches.csv``. ``distance`` of the vectors; ``reason``: why it was not verified or
-    not accepted, in words that can be counted; ``detail``: with figures."""
+    """A place match on its way: a row of ``matches.csv``. ``distance`` of the vectors; ``reason``: why it was not
+    verified or not accepted, in words that can be counted; ``detail``: with figures."""
 
     id: MatchId
     now_ns: int
@@ -54,7 +54,8 @@ class PlaceIndex:
         self._rows.append(keyframe.index)
 
     def nearest(self, vector: NDArray[np.float32], below: int | None = None) -> tuple[int, float] | None:
-        """Index and Euclidean distance of the nearest key-frame (among those with index < ``below``); the older one of equals."""
+        """Index and Euclidean distance of the nearest key-frame (among those with index < ``below``); the older one
+        of equals."""
         count = self._count if below is None else int(np.searchsorted(self._rows, below))
         if not count:
             return None

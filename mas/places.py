@@ -35,7 +35,8 @@ _FARTHEST = 2.0
 
 
 class PlaceRecognition(Trade):
-    """Manager: sends the vector of one of its key-frames; contractor: answers with its own nearest key-frame and the distance."""
+    """Manager: sends the vector of one of its key-frames; contractor: answers with its own nearest key-frame and the
+    distance."""
 
     def __init__(self, desk: Desk, book: PlaceBook, verification: Verification) -> None:
         super().__init__(desk)

@@ -55,7 +55,8 @@ def _links(state: AgentState, match: Match) -> list[Link]:
 
 
 def share_of(state: AgentState, task: OptimiseTask) -> Share:
-    """The agent's part of the group's graph, in its own unit of length; ValueError if the task names what it has not."""
+    """The agent's part of the group's graph, in its own unit of length; ValueError if the task names what it has
+    not."""
     placed = {frame: unpack_sim3(t) for frame, t in task.placements}
     poses: dict[NodeId, Array] = {}
     edges: list[Edge] = []
@@ -82,7 +83,8 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
 
 
 def adopt(state: AgentState, task: OptimiseTask, outcome: Outcome) -> Adoption:
-    """Take the optimised poses over; key-frames that came later are carried along rigidly with the last optimised one."""
+    """Take the optimised poses over; key-frames that came later are carried along rigidly with the last optimised
+    one."""
     before = {i: state.pose(i) for i in range(len(state.keyframes))}
     unit = outcome.scales[state.me] * task.unit
     for track in task.tracks:
@@ -114,8 +116,8 @@ def odometry_edges(state: AgentState, track: int) -> list[Edge]:
 
 
 def match_edge(match: Match, config: OptimisationConfig) -> Edge:
-    """The edge of a place match, the same at both owners. Verification knows the noise of points, not that both maps are
-    bent: a floor under its sigma keeps one match from outweighing all odometry."""
+    """The edge of a place match, the same at both owners. Verification knows the noise of points, not that both maps
+    are bent: a floor under its sigma keeps one match from outweighing all odometry."""
     floor = _diagonal(config.match_sigma_depth * match.depth, config.match_sigma_deg)
     spread = np.linalg.inv(_definite(match.information)) + np.linalg.inv(floor)
     information = np.linalg.inv(spread)
@@ -131,8 +133,8 @@ def match_edge(match: Match, config: OptimisationConfig) -> Edge:
 
 
 def own_graph(state: AgentState) -> PoseGraph:
-    """The agent's key-frames in its reference frame with odometry and own loops, and edges to others' key-frames whose poses
-    follow from the match: for export. Translations are in the frame's unit."""
+    """The agent's key-frames in its reference frame with odometry and own loops, and edges to others' key-frames
+    whose poses follow from the match: for export. Translations are in the frame's unit."""
     me, placed = state.me, set(state.placed())
     poses = {NodeId(me, i): state.poses[i] for i in sorted(placed)}
     edges = []

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import re
 import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -33,7 +35,36 @@ from mas.trajectories import frame_trajectory, keyframe_trajectory
 from mas.transport import Sent, Traffic
 
 SUMMARY = "summary.json"
-_MATCH_COLUMNS = ["time_s", "query_agent", "query_keyframe", "query_stamp_ns", "match_agent", "match_keyframe", "match_stamp_ns", "distance", "fate", "reason", "detail", "matches", "inliers", "rmse", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "scale", "error_m", "error_deg", "false"]
+_EARLIER = "summary.json.old"  # an earlier run's, while its files are being replaced
+_OURS = re.compile(r"agent_\d+|config\.yaml|manifest\.json|events\.jsonl|(matches|traffic|timeline)\.csv|report|recording\.rrd")
+_BESIDE = {"sequences", "images"}  # what a command may have put beside a run; left as it is
+_MATCH_COLUMNS = [
+    "time_s",
+    "query_agent",
+    "query_keyframe",
+    "query_stamp_ns",
+    "match_agent",
+    "match_keyframe",
+    "match_stamp_ns",
+    "distance",
+    "fate",
+    "reason",
+    "detail",
+    "matches",
+    "inliers",
+    "rmse",
+    "tx",
+    "ty",
+    "tz",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "scale",
+    "error_m",
+    "error_deg",
+    "false",
+]
 
 
 class Recorder:
@@ -47,11 +78,7 @@ class Recorder:
         self._timeline: Any = None
 
     def __enter__(self) -> Recorder:
-        if (
-            self.out.exists()
-            and not (self.out / SUMMARY).is_file()
-            and (not self.out.is_dir() or any(self.out.iterdir()))
-        ):
+        if self.out.exists() and not self._may_replace():
             raise MasError(f"{self.out}: exists and is not an earlier run; choose another folder")
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
@@ -68,8 +95,26 @@ class Recorder:
         if kind is not None:
             shutil.rmtree(self.folder, ignore_errors=True)
             return
-        shutil.rmtree(self.out, ignore_errors=True)
-        self.folder.rename(self.out)
+        self._put_in_place()
+
+    def _may_replace(self) -> bool:
+        """An earlier run may be replaced, and an empty folder filled; anybody else's files may not be touched."""
+        if not self.out.is_dir():
+            return False
+        names = {path.name for path in self.out.iterdir()}
+        return bool(names & {SUMMARY, _EARLIER}) or names <= _BESIDE
+
+    def _put_in_place(self) -> None:
+        """Replace an earlier run's files; without its summary the folder counts as no run until the new one, moved last."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        if (self.out / SUMMARY).exists():
+            os.replace(self.out / SUMMARY, self.out / _EARLIER)
+        for old in sorted(path for path in self.out.iterdir() if _OURS.fullmatch(path.name)):
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        for new in sorted(self.folder.iterdir(), key=lambda path: (path.name == SUMMARY, path.name)):
+            os.replace(new, self.out / new.name)
+        (self.out / _EARLIER).unlink(missing_ok=True)
+        self.folder.rmdir()
 
     # -- while it runs ------------------------------------------------------------------------------------------------
 

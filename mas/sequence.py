@@ -149,7 +149,8 @@ class AgentSequence:
         if len(apart) and apart.max() > STAMP_TOLERANCE_NS:
             at = int(apart.argmax())
             raise MasError(
-                f"{self.name}: key-frame {at} and its place vector are {apart[at] / 1e9:.6f} s apart: not the same images"
+                f"{self.name}: key-frame {at} and its place vector are {apart[at] / 1e9:.6f} s apart: "
+                "not made from the same images"
             )
 
     @property

@@ -18,8 +18,8 @@ from mas.messages import FrameId, MatchId
 class Piece:
     """One uninterrupted track as a rigid piece of the agent's graph, until an optimisation bends it.
 
-    ``frame``: the coordinates its estimates are in; ``unit``: what one of the track's own units of length is worth there (1 if
-    metric); ``first``: index of its first key-frame.
+    ``frame``: the coordinates its estimates are in; ``unit``: what one of the track's own units of length is worth
+    there (1 if metric); ``first``: index of its first key-frame.
     """
 
     track: int

@@ -1,8 +1,8 @@
 """Map merging (thesis section 3.7, Algorithm 1; 3.9.3): buying an agent's map and the copies of others' maps it holds.
 
-Algorithm 1 walks from seller to sub-map to sub-map without end when two agents hold each other's maps. Here an offer lists all
-that the seller holds, flat, each with its owner and version; the buyer orders what is newer than what it has, never its own map.
-So every purchase ends, and the newest version wins.
+Algorithm 1 walks from seller to sub-map to sub-map without end when two agents hold each other's maps. Here an offer
+lists all that the seller holds, flat, each with its owner and version; the buyer orders what is newer than what it
+has, never its own map. So every purchase ends, and the newest version wins.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from mas.tensors import Tensor, pack_poses, pack_sim3, unpack_poses, unpack_sim3
 
 @dataclass(frozen=True, eq=False)
 class HeldMap:
-    """A copy of another agent's map in the holder's coordinates: poses ``(K, 4, 4)`` ``T_F_C``, and what the owner's unit is
-    worth there; ``wire``: the rest as it came. ``seller``: from whom; ``now_ns``: when."""
+    """A copy of another agent's map in the holder's coordinates: poses ``(K, 4, 4)`` ``T_F_C``, and what the owner's
+    unit is worth there; ``wire``: the rest as it came. ``seller``: from whom; ``now_ns``: when."""
 
     owner: int
     version: int
@@ -120,8 +120,8 @@ class MapTrade(Trade):
             )  # fmt: skip
 
     def _seller_frame(self, seller: int, delivery: MapDelivery) -> Sim3 | None:
-        """``T_mine_seller`` between the two agents' coordinates: the identity where they share them since an optimisation,
-        else by the first accepted match between the two whose both key-frames are placed."""
+        """``T_mine_seller`` between the two agents' coordinates: the identity where they share them since an
+        optimisation, else by the first accepted match between the two whose both key-frames are placed."""
         if delivery.frame == self.state.frame:
             return Sim3.identity()
         ties = {index: unpack_sim3(pose) for index, pose in delivery.ties}
@@ -137,8 +137,8 @@ class MapTrade(Trade):
         return None
 
     def realign(self, adoption: Adoption) -> None:
-        """Move held maps along with the agent's own correction (3.9.3, map alignment), by the key-frame that was matched with
-        the map's owner last, else with its seller, else the agent's last one."""
+        """Move held maps along with the agent's own correction (3.9.3, map alignment), by the key-frame that was
+        matched with the map's owner last, else with its seller, else the agent's last one."""
         for owner in sorted(self.held):
             held = self.held[owner]
             index = self._anchor(held, adoption)
@@ -177,7 +177,8 @@ class MapTrade(Trade):
         self.desk.say(contract, Result(MapDelivery(self.state.frame, self._ties(contract.manager), maps)))
 
     def own_map(self) -> SubMap:
-        """The agent's own map as it stands: key-frames in its reference frame, each point once, where it was first seen."""
+        """The agent's own map as it stands: key-frames in its reference frame, each point once, where it was first
+        seen."""
         if self._sold is None or self._sold[0] != self.state.version:
             self._sold = (self.state.version, _own_map(self.state))
         return self._sold[1]

@@ -31,8 +31,8 @@ class TrafficFigures(_Figures):
 
 class MatchFigures(_Figures):
     """``candidates``: below the distance threshold; ``verified``: passed the geometric check; ``accepted``: used;
-    ``rejected``: the others by reason; ``false_accepted``: against ground truth, None without; ``own_loops``: those among
-    ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
+    ``rejected``: the others by reason; ``false_accepted``: against ground truth, None without; ``own_loops``: those
+    among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
 
     candidates: int
     verified: int
@@ -65,8 +65,9 @@ class MapCopy(_Figures):
 
 
 class Summary(_Figures):
-    """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation, under
-    each agent's own alignment. ``path_length_m`` from ground truth. ``refused_messages``: dropped as unbelievable."""
+    """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation,
+    under each agent's own alignment. ``path_length_m`` from ground truth. ``refused_messages``: dropped as
+    unbelievable."""
 
     version: str
     preset: str

@@ -44,7 +44,8 @@ class Tensor(msgspec.Struct, frozen=True, array_like=True):
 
 def check(name: str, tensor: Tensor, dtype: str, shape: Shape, finite: bool = True) -> NDArray[Any]:
     """The array in ``tensor`` if it is what it must be: ``dtype``, ``shape`` (None: any length), as many bytes as that
-    takes, all values finite (unless they need not be). Else ValueError, which decoding turns into a :class:`MessageError`."""
+    takes, all values finite (unless they need not be). Else ValueError, which decoding turns into a
+    :class:`MessageError`."""
     if tensor.dtype != dtype:
         raise ValueError(f"{name}: dtype {tensor.dtype!r}, expected {dtype!r}")
     if len(tensor.shape) != len(shape) or any(

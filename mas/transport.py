@@ -108,7 +108,8 @@ class Count:
 
 
 class Transport(ABC):
-    """Takes typed messages, carries bytes, delivers typed messages; each message is encoded, counted and checked once."""
+    """Takes typed messages, carries bytes, delivers typed messages; each message is encoded, counted and checked
+    once."""
 
     def __init__(self, max_message_bytes: int, record: Callable[[Sent], None] | None = None) -> None:
         self.max_message_bytes = max_message_bytes
@@ -118,7 +119,8 @@ class Transport(ABC):
         self._record = record
 
     def send(self, message: Message, now_ns: int) -> None:
-        """Encode, count and take on the way. A message longer than any recipient would take is an error of the sender."""
+        """Encode, count and take on the way. A message longer than any recipient would take is an error of the
+        sender."""
         data = encode(message)
         if len(data) > self.max_message_bytes:
             kind = account(message)[1]
@@ -134,8 +136,8 @@ class Transport(ABC):
         self.carry(message.recipient, data)
 
     def receive(self) -> Message | None:
-        """The next message to deliver, None when nothing is on the way; what cannot be believed is dropped and counted in
-        ``refused`` with recipient and reason."""
+        """The next message to deliver, None when nothing is on the way; what cannot be believed is dropped and
+        counted in ``refused`` with recipient and reason."""
         while (arrived := self.arrive()) is not None:
             recipient, data = arrived
             try:

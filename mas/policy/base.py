@@ -1,7 +1,7 @@
 """What an agent decides for itself: whom to ask, when to optimise and with whom, when to buy and from whom.
 
-A policy sees its own agent's state and nothing else, and changes nothing: its answers are wishes that the agent turns into calls
-for proposals. The thesis's agent logic and selection (sections 3.9.1 and 3.9.2) are policies of this kind.
+A policy sees its own agent's state and nothing else, and changes nothing: its answers are wishes that the agent turns
+into calls for proposals. The thesis's agent logic and selection (sections 3.9.1 and 3.9.2) are policies of this kind.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from mas.state import AgentState
 class Outlook:
     """What a policy may know beside the state.
 
-    ``news``: accepted matches that no optimisation has used yet; ``since_optimised``, ``since_bought``: own key-frames since the
-    last optimisation, and since the last purchase from each agent (absent: never); ``since_matched``: likewise since the last
-    accepted match; ``stale``: agents whose maps should be newer since the last purchase (a match or an optimisation came
-    between); ``closing``: the agent's own sequence has ended.
+    ``news``: accepted matches that no optimisation has used yet; ``since_optimised``, ``since_bought``: own
+    key-frames since the last optimisation, and since the last purchase from each agent (absent: never);
+    ``since_matched``: likewise since the last accepted match; ``stale``: agents whose maps should be newer since the
+    last purchase (a match or an optimisation came between); ``closing``: the agent's own sequence has ended.
     """
 
     news: int

@@ -1,4 +1,5 @@
-"""The thesis's default system (sections 3.5 to 3.8, 4.2): ask all, optimise with the whole group, buy from those one has met."""
+"""The thesis's default system (sections 3.5 to 3.8, 4.2): ask all, optimise with the whole group, buy from those one
+has met."""
 
 from __future__ import annotations
 
@@ -9,8 +10,8 @@ from mas.state import AgentState
 class QueryAll:
     """No logic beyond the order of operations: place recognition, then optimisation, then map merging.
 
-    With ``ask_again`` off, an agent that was matched within the last ``gap_keyframes`` key-frames is not asked: its answer could
-    not lead to a verification anyway.
+    With ``ask_again`` off, an agent that was matched within the last ``gap_keyframes`` key-frames is not asked: its
+    answer could not lead to a verification anyway.
     """
 
     def ask(self, state: AgentState, outlook: Outlook, keyframe: int) -> list[int]:

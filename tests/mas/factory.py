@@ -1,9 +1,12 @@
-"""Made-up worlds with a known truth: points with random ORB descriptors, agents that drive past them, odometry that drifts."""
+"""Made-up worlds with a known truth: points with random ORB descriptors, agents that drive past them, odometry that
+drifts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +28,8 @@ FRAME_NS = 100_000_000
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """``points`` ``(P, 3)`` W, +Y down; ``descriptors`` ``(P, 32)``; ``words`` ``(P,)``; ``waves`` of the place vectors."""
+    """``points`` ``(P, 3)`` W, +Y down; ``descriptors`` ``(P, 32)``; ``words`` ``(P,)``; ``waves`` of the place
+    vectors."""
 
     points: Array
     descriptors: NDArray[np.uint8]
@@ -35,12 +39,13 @@ class World:
 
 
 def make_world(seed: int, size_m: float = 120.0, points: int = 60_000, period_m: float | None = None) -> World:
-    """Points everywhere. With ``period_m``, place vectors and descriptors repeat along X: every place has look-alikes, whose points
-    stand elsewhere relative to the camera, or, in the worst case, in the same way."""
+    """Points everywhere. With ``period_m``, place vectors and descriptors repeat along X: every place has
+    look-alikes, whose points stand elsewhere relative to the camera, or, in the worst case, in the same way."""
     rng = np.random.default_rng(seed)
     xyz = rng.uniform([-size_m, -4.0, -size_m], [size_m, 1.5, size_m], (points, 3))
     descriptors = rng.integers(0, 256, (points, 32), dtype=np.uint8)
-    return World(xyz, descriptors, rng.integers(0, 10_000, points).astype(np.int32), rng.normal(size=(DIM, 4)), period_m)
+    words = rng.integers(0, 10_000, points).astype(np.int32)
+    return World(xyz, descriptors, words, rng.normal(size=(DIM, 4)), period_m)
 
 
 def place_vector(world: World, T_W_C: Array) -> NDArray[np.float32]:
@@ -78,10 +83,11 @@ def circuit(start_m: float, length_m: float, step_m: float = 0.5, side_m: float 
 
 
 def drift(truth: Array, rng: np.random.Generator, share: float = 0.01, yaw_deg: float = 0.15) -> Array:
-    """Odometry of a true path: each step wrong by ``share`` of its length, with a lasting bias, and by some rotation."""
+    """Odometry of a true path: each step wrong by ``share`` of its length, with a lasting bias, and by some
+    rotation."""
     bias = rng.normal(0.0, [share / 2] * 3 + [np.radians(yaw_deg) / 4] * 3)
     poses = [np.eye(4)]
-    for a, b in zip(truth, truth[1:], strict=False):
+    for a, b in pairwise(truth):
         step = se3_inverse(a) @ b
         length = float(np.linalg.norm(step[:3, 3]))
         noise = rng.normal(0.0, [share / 2 * length] * 3 + [np.radians(yaw_deg) / 2] * 3)
@@ -103,24 +109,27 @@ def make_sequence(
 ) -> AgentSequence:
     """The sequence of an agent along true poses (one a frame); every third frame is a key-frame.
 
-    ``scale`` other than 1: monocular, metres in one own unit are 1/scale. ``cuts``: frames at which tracking was lost and a new
-    track began.
+    ``scale`` other than 1: monocular, metres in one own unit are 1/scale. ``cuts``: frames at which tracking was lost
+    and a new track began.
     """
     rng = np.random.default_rng([seed, number])
     bounds = [0, *cuts, len(truth)]
     tracks, frames, stamps = [], [], []
     vectors = []
-    for first, last in zip(bounds, bounds[1:], strict=False):
+    for first, last in pairwise(bounds):
         odometry = drift(truth[first:last], rng, drifting)
         odometry[:, :3, 3] *= scale
         keys = np.arange(0, last - first, FRAMES_A_KEYFRAME)
-        tracks.append(_track(world, truth[first:last][keys], odometry[keys], (first + keys) * 0.1, rng, scale, max_points, noise_m))
-        vectors += [place_vector(world, T) for T in truth[first:last][keys]]
+        seen = truth[first:last][keys]
+        times_s = (first + keys) * 0.1
+        tracks.append(_track(world, seen, odometry[keys], times_s, rng, scale, max_points, noise_m))
+        vectors += [place_vector(world, T) for T in seen]
         frames.append(odometry)
         stamps.append(np.arange(first, last, dtype=np.int64) * FRAME_NS)
     all_stamps = np.concatenate(stamps)
     key_stamps = np.rint(np.concatenate([t.stamps_s for t in tracks]) * 1e9).astype(np.int64)
-    places = PlaceVectors(MODEL, SHA256, DIM, key_stamps, np.array(vectors, dtype=np.float32), np.ones(len(vectors), dtype=bool))
+    unit = np.array(vectors, dtype=np.float32)
+    places = PlaceVectors(MODEL, SHA256, DIM, key_stamps, unit, np.ones(len(unit), dtype=bool))
     return AgentSequence(
         name=f"agent_{number:02d}",
         tracks=tuple(tracks),
@@ -134,7 +143,14 @@ def make_sequence(
 
 
 def _track(
-    world: World, truth: Array, odometry: Array, stamps_s: Array, rng: np.random.Generator, scale: float, limit: int, noise_m: float
+    world: World,
+    truth: Array,
+    odometry: Array,
+    stamps_s: Array,
+    rng: np.random.Generator,
+    scale: float,
+    limit: int,
+    noise_m: float,
 ) -> VoTrack:
     seen = [visible(world, T_W_C, limit, rng) for T_W_C in truth]
     flat = np.concatenate(seen)
@@ -183,21 +199,27 @@ def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Man
         descriptor=DescriptorEntry(name=MODEL, sha256=sha256, dim=DIM, threshold=THRESHOLD, min_std=0.0),
         agents=tuple(
             AgentEntry(
-                name=s.name, sequence=s.source, first_frame=0, frames=len(s.trajectory), keyframes=len(s.places.vectors),
-                tracks=len(s.tracks), start_ns=s.start_ns, camera=CAMERA,
+                name=s.name,
+                sequence=s.source,
+                first_frame=0,
+                frames=len(s.trajectory),
+                keyframes=len(s.places.vectors),
+                tracks=len(s.tracks),
+                start_ns=s.start_ns,
+                camera=CAMERA,
             )
             for s in sequences
         ),
-    )  # fmt: skip
+    )
 
 
-def town(agents: int = 4, keyframes: int = 40, seed: int = 0, **options: object) -> tuple[Manifest, list[AgentSequence]]:
+def town(agents: int = 4, keyframes: int = 40, seed: int = 0, **options: Any) -> tuple[Manifest, list[AgentSequence]]:
     """Agents on one circuit, starting at equal distances and driving over each other's ground."""
     world = make_world(seed)
     way = keyframes * FRAMES_A_KEYFRAME * 0.5
     perimeter = 4 * (50.0 - 16.0) + 2 * np.pi * 8.0
     sequences = [
-        make_sequence(world, circuit(a * perimeter / agents, way), seed, a, **options)  # type: ignore[arg-type]
+        make_sequence(world, circuit(a * perimeter / agents, way), seed, a, **options)
         for a in range(agents)
     ]
     return manifest_of(sequences), sequences
