@@ -36,7 +36,7 @@ from mas.transport import Sent, Traffic
 
 SUMMARY = "summary.json"
 _EARLIER = "summary.json.old"  # an earlier run's, while its files are being replaced
-_OURS = re.compile(r"agent_\d+|config\.yaml|manifest\.json|events\.jsonl|(matches|traffic|timeline)\.csv|report|recording\.rrd")
+_OURS = re.compile(r"agent_\d+|(config|manifest|events|matches|traffic|timeline)\.[a-z]+|report|recording\.rrd")
 _BESIDE = {"sequences", "images"}  # what a command may have put beside a run; left as it is
 _MATCH_COLUMNS = [
     "time_s",
@@ -105,7 +105,7 @@ class Recorder:
         return bool(names & {SUMMARY, _EARLIER}) or names <= _BESIDE
 
     def _put_in_place(self) -> None:
-        """Replace an earlier run's files; without its summary the folder counts as no run until the new one, moved last."""
+        """Replace an earlier run's files. Its summary goes first, the new one comes last: between, this is no run."""
         self.out.mkdir(parents=True, exist_ok=True)
         if (self.out / SUMMARY).exists():
             os.replace(self.out / SUMMARY, self.out / _EARLIER)
