@@ -70,51 +70,96 @@ def _normal_equations(points_M, points_Q, R, t, s, angle_sigma, depth_sigma, los
     """Hessian ``(7, 7)``, gradient ``(7,)`` and ``|residual| / sigma`` ``(k, 3)`` around ``p = s R exp(phi) q + t + R rho``.
 
     The unknowns are (rho, phi, log scale). A residual's covariance is the match's own noise plus the query's, carried over.
+    Small sums are spelled out: calls for 3-vectors would cost more than the arithmetic.
     """
     hessian, gradient = np.zeros((7, 7)), np.zeros(7)
     ratios = np.empty((len(points_M), 3))
-    residual, to_point, jacobian = np.empty(3), np.empty((3, 3)), np.empty((3, 7))
+    frame, to_point, jacobian = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 7))
+    p, turned, residual, ray, weighed = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    cov = np.empty((3, 3))
+    own = (angle_sigma**2, angle_sigma**2, depth_sigma**2)
     for k in range(len(points_M)):
-        m, q = points_M[k], points_Q[k]
-        observed = np.sqrt(m @ m)
-        b = m / observed
-        # Two unit vectors across the observed direction.
-        helper = np.zeros(3)
-        helper[1 if abs(b[0]) > 0.9 else 0] = 1.0
-        e1 = np.cross(b, helper)
-        e1 /= np.sqrt(e1 @ e1)
-        e2 = np.cross(b, e1)
-        turned = R @ q
-        p = s * turned + t
-        distance = max(np.sqrt(p @ p), 1e-9)
-        d = p / distance
-        residual[0], residual[1], residual[2] = e1 @ d, e2 @ d, 1.0 / distance - 1.0 / observed
-        to_point[0] = (e1 - residual[0] * d) / distance
-        to_point[1] = (e2 - residual[1] * d) / distance
-        to_point[2] = -d / distance**2
-        # Noise of the query's measurement: across its ray, and along it.
-        reach = s * np.sqrt(q @ q)
-        ray = to_point @ (turned * (s / reach))
-        across2, along2 = (angle_sigma * reach) ** 2, depth_sigma**2 * reach**4
-        covariance = across2 * (to_point @ to_point.T) + (along2 - across2) * np.outer(ray, ray)
-        covariance[0, 0] += angle_sigma**2
-        covariance[1, 1] += angle_sigma**2
-        covariance[2, 2] += depth_sigma**2
-        inverse = np.linalg.inv(covariance)
+        q = points_Q[k]
+        observed = _frame_of(points_M[k], frame)
         for a in range(3):
-            ratios[k, a] = abs(residual[a]) / np.sqrt(covariance[a, a])
-        weight = 1.0 / (1.0 + (residual @ inverse @ residual) / loss_scale**2)
+            turned[a] = s * (R[a, 0] * q[0] + R[a, 1] * q[1] + R[a, 2] * q[2])
+            p[a] = turned[a] + t[a]
+        distance = max(np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1e-9)
+        for a in range(2):
+            residual[a] = (frame[a, 0] * p[0] + frame[a, 1] * p[1] + frame[a, 2] * p[2]) / distance
+            for b in range(3):
+                to_point[a, b] = (frame[a, b] - residual[a] * p[b] / distance) / distance
+        residual[2] = 1.0 / distance - 1.0 / observed
+        for b in range(3):
+            to_point[2, b] = -p[b] / distance**3
+        # Noise of the query's measurement: across its ray, and along it.
+        reach = s * np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
+        across2 = (angle_sigma * reach) ** 2
+        excess = depth_sigma**2 * reach**4 - across2
+        for a in range(3):
+            ray[a] = (to_point[a, 0] * turned[0] + to_point[a, 1] * turned[1] + to_point[a, 2] * turned[2]) / reach
+        for a in range(3):
+            for b in range(3):
+                cov[a, b] = excess * ray[a] * ray[b] + across2 * (
+                    to_point[a, 0] * to_point[b, 0] + to_point[a, 1] * to_point[b, 1] + to_point[a, 2] * to_point[b, 2]
+                )
+            cov[a, a] += own[a]
+            ratios[k, a] = abs(residual[a]) / np.sqrt(cov[a, a])
         # Columns: rho; phi, which moves p by s R (e_a x q); log scale.
-        columns = s * (to_point @ R)
-        jacobian[:, :3] = columns / s
-        jacobian[:, 3] = columns[:, 2] * q[1] - columns[:, 1] * q[2]
-        jacobian[:, 4] = columns[:, 0] * q[2] - columns[:, 2] * q[0]
-        jacobian[:, 5] = columns[:, 1] * q[0] - columns[:, 0] * q[1]
-        jacobian[:, 6] = to_point @ (s * turned)
-        weighted = weight * (jacobian.T @ inverse)
-        hessian += weighted @ jacobian
-        gradient += weighted @ residual
+        for a in range(3):
+            for b in range(3):
+                jacobian[a, b] = to_point[a, 0] * R[0, b] + to_point[a, 1] * R[1, b] + to_point[a, 2] * R[2, b]
+            for b in range(3):
+                c, d = (b + 1) % 3, (b + 2) % 3
+                jacobian[a, 3 + b] = s * (jacobian[a, d] * q[c] - jacobian[a, c] * q[d])
+            jacobian[a, 6] = to_point[a, 0] * turned[0] + to_point[a, 1] * turned[1] + to_point[a, 2] * turned[2]
+        _invert_symmetric(cov)
+        squared = 0.0
+        for a in range(3):
+            weighed[a] = cov[a, 0] * residual[0] + cov[a, 1] * residual[1] + cov[a, 2] * residual[2]
+            squared += residual[a] * weighed[a]
+        weight = 1.0 / (1.0 + squared / loss_scale**2)
+        for i in range(7):
+            x, y, z = jacobian[0, i], jacobian[1, i], jacobian[2, i]
+            gradient[i] += weight * (x * weighed[0] + y * weighed[1] + z * weighed[2])
+            u = weight * (x * cov[0, 0] + y * cov[1, 0] + z * cov[2, 0])
+            v = weight * (x * cov[0, 1] + y * cov[1, 1] + z * cov[2, 1])
+            w = weight * (x * cov[0, 2] + y * cov[1, 2] + z * cov[2, 2])
+            for j in range(7):
+                hessian[i, j] += u * jacobian[0, j] + v * jacobian[1, j] + w * jacobian[2, j]
     return hessian, gradient, ratios
+
+
+@njit(cache=True, nogil=True)
+def _frame_of(point, frame):  # type: ignore[no-untyped-def]
+    """Fill the rows of ``frame`` with two unit vectors across ``point`` and its own direction; returns its distance."""
+    distance = np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
+    for a in range(3):
+        frame[2, a] = point[a] / distance
+    x, y, z = frame[2]
+    # Across: the point's direction times the axis it is least along of x and y.
+    if abs(x) <= abs(y):
+        norm = np.sqrt(y * y + z * z)
+        frame[0, 0], frame[0, 1], frame[0, 2] = 0.0, z / norm, -y / norm
+    else:
+        norm = np.sqrt(x * x + z * z)
+        frame[0, 0], frame[0, 1], frame[0, 2] = -z / norm, 0.0, x / norm
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        frame[1, a] = frame[2, b] * frame[0, c] - frame[2, c] * frame[0, b]
+    return distance
+
+
+@njit(cache=True, nogil=True)
+def _invert_symmetric(m):  # type: ignore[no-untyped-def]
+    """Replace a symmetric ``(3, 3)`` matrix by its inverse."""
+    a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
+    aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * aa + b * bb + c * cc
+    m[0, 0], m[1, 1], m[2, 2] = aa / determinant, (a * f - c * c) / determinant, (a * d - b * b) / determinant
+    m[0, 1] = m[1, 0] = bb / determinant
+    m[0, 2] = m[2, 0] = cc / determinant
+    m[1, 2] = m[2, 1] = (b * c - a * e) / determinant
 
 
 def _moved(T: Sim3, step: Array) -> Sim3:
