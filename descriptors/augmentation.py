@@ -34,12 +34,18 @@ class Augmentation(BaseModel):
 
 PHOTOS = Augmentation()
 """For two views of one photograph: all of the change must be made here."""
-RENDERED = Augmentation(min_crop=0.85, rotation_deg=3.0, perspective=0.04, log_gamma=0.3, log_gain=0.3, shading=0.35, occlusion=0.3)
+RENDERED = Augmentation(
+    min_crop=0.85, rotation_deg=3.0, perspective=0.04, log_gamma=0.3, log_gain=0.3, shading=0.35, occlusion=0.3
+)
 """For two renderings of one place, which differ by pose, light and cars already."""
 
 
 def augment_pair(
-    first: NDArray[np.uint8], second: NDArray[np.uint8], size: tuple[int, int], kind: Augmentation, rng: np.random.Generator
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    size: tuple[int, int],
+    kind: Augmentation,
+    rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor]:
     """Two augmented batches ``(n, 1, H, W)`` float32, 0 to 255, of paired images ``(n, h, w)``; ``size`` is (H, W)."""
     mirrored = rng.random(len(first)) < (0.5 if kind.mirror else 0.0)
@@ -100,7 +106,9 @@ def _relight(x: Tensor, kind: Augmentation, rng: np.random.Generator) -> Tensor:
         top, left = int(rng.integers(height - h + 1)), int(rng.integers(width - w + 1))
         other = int(rng.integers(count))
         # What stands in the way is a piece of another image, so that it looks like something.
-        x[i, :, top : top + h, left : left + w] = x[other, :, height - h - top : height - top, width - w - left : width - left].clone()
+        x[i, :, top : top + h, left : left + w] = x[
+            other, :, height - h - top : height - top, width - w - left : width - left
+        ].clone()
     sigma = torch.from_numpy(rng.uniform(0.05, max(kind.blur_px, 0.06), (count, 1)).astype(np.float32)).expand(-1, 2)
     x = gaussian_blur2d(x, (7, 7), sigma.contiguous())
     level = torch.from_numpy((rng.uniform(0, kind.noise, (count, 1, 1, 1))).astype(np.float32))

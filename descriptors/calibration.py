@@ -86,7 +86,9 @@ def precision_recall(retrieval: Retrieval) -> PrecisionRecall:
     matches = np.arange(1, len(hits) + 1)
     precision = hits / matches
     recall = hits / max(int(retrieval.findable.sum()), 1)
-    last = np.append(np.diff(distance) > 0, True) if len(distance) else np.zeros(0, dtype=bool)  # equal distances stand or fall together
+    last = (
+        np.append(np.diff(distance) > 0, True) if len(distance) else np.zeros(0, dtype=bool)
+    )  # equal distances stand or fall together
     return PrecisionRecall(distance[last], matches[last], precision[last], recall[last])
 
 
@@ -116,16 +118,22 @@ def candidate_point(curve: PrecisionRecall, share: float, precision: float) -> O
     return _point(curve, int(good[-1])) if len(good) else None
 
 
-def calibrate(retrieval: Retrieval, data: str, strict_precision: float, candidate_share: float, candidate_precision: float) -> Calibration:
+def calibrate(
+    retrieval: Retrieval, data: str, strict_precision: float, candidate_share: float, candidate_precision: float
+) -> Calibration:
     """Both thresholds and the curve they were read from; an error where the data cannot support them."""
     curve = precision_recall(retrieval)
     strict = strict_point(curve, strict_precision)
     candidate = candidate_point(curve, candidate_share, candidate_precision)
     if strict is None or candidate is None:
-        raise DescriptorError(f"calibration on {data}: no distance reaches precision {strict_precision} over {len(retrieval.findable)} queries")
+        raise DescriptorError(
+            f"calibration on {data}: no distance reaches precision {strict_precision} over {len(retrieval.findable)} queries"
+        )
     if candidate.distance < strict.distance:
         candidate = strict
-    return Calibration(data=data, queries=len(retrieval.findable), strict=strict, candidate=candidate, curve=_thin(curve))
+    return Calibration(
+        data=data, queries=len(retrieval.findable), strict=strict, candidate=candidate, curve=_thin(curve)
+    )
 
 
 def pool(retrievals: Sequence[Retrieval]) -> Retrieval:

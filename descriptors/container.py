@@ -37,7 +37,9 @@ class PlaceVectors:
         count = len(self.stamps_ns)
         shapes = (self.stamps_ns.shape, self.vectors.shape, self.textured.shape)
         if shapes != ((count,), (count, self.dim), (count,)):
-            raise DescriptorError(f"place vectors of {self.name}: {count} stamps and dimension {self.dim}, but shapes {shapes}")
+            raise DescriptorError(
+                f"place vectors of {self.name}: {count} stamps and dimension {self.dim}, but shapes {shapes}"
+            )
         if not np.isfinite(self.vectors).all():
             row = int(np.flatnonzero(~np.isfinite(self.vectors).all(axis=1))[0])
             raise DescriptorError(f"place vectors of {self.name}: vector {row} is not finite")
@@ -76,7 +78,9 @@ class PlaceVectors:
         if fields.keys() != _FIELDS:
             raise DescriptorError(f"{path}: not a file of place vectors: it holds {sorted(fields)}")
         if int(fields["version"]) != _VERSION:
-            raise DescriptorError(f"{path}: version {int(fields['version'])} of place vectors; this program reads {_VERSION}")
+            raise DescriptorError(
+                f"{path}: version {int(fields['version'])} of place vectors; this program reads {_VERSION}"
+            )
         try:
             return cls(
                 str(fields["name"]), str(fields["sha256"]), int(fields["dim"]), fields["stamps_ns"].astype(np.int64),
@@ -86,7 +90,9 @@ class PlaceVectors:
             raise DescriptorError(f"{path}: {error}") from error
 
 
-def import_predecessor(path: Path, image_stamps_ns: NDArray[np.int64], keyframe_stamps_ns: NDArray[np.int64], dim: int = 128) -> PlaceVectors:
+def import_predecessor(
+    path: Path, image_stamps_ns: NDArray[np.int64], keyframe_stamps_ns: NDArray[np.int64], dim: int = 128
+) -> PlaceVectors:
     """Vectors of key-frames from the predecessor's ``netvlad_feats.bin``: 4096 float32 for every image of the sequence, no header.
 
     A key-frame takes the image nearest in time. The first ``dim`` values are kept (its PCA output is sorted by variance) and scaled
@@ -102,11 +108,15 @@ def import_predecessor(path: Path, image_stamps_ns: NDArray[np.int64], keyframe_
         raise DescriptorError(f"{path}: {error.strerror}") from error
     expected = 4 * PREDECESSOR_DIM * len(image_stamps_ns)
     if size != expected or not len(image_stamps_ns):
-        raise DescriptorError(f"{path}: {size} bytes, but {len(image_stamps_ns)} images of {PREDECESSOR_DIM} float32 make {expected}")
+        raise DescriptorError(
+            f"{path}: {size} bytes, but {len(image_stamps_ns)} images of {PREDECESSOR_DIM} float32 make {expected}"
+        )
     values = np.fromfile(path, dtype="<f4").reshape(-1, PREDECESSOR_DIM)
     order = np.argsort(image_stamps_ns, kind="stable")
     stamps = np.asarray(image_stamps_ns, dtype=np.int64)[order]
-    right = np.clip(np.searchsorted(stamps, keyframe_stamps_ns), 1, max(len(stamps) - 1, 1)) if len(stamps) > 1 else None
+    right = (
+        np.clip(np.searchsorted(stamps, keyframe_stamps_ns), 1, max(len(stamps) - 1, 1)) if len(stamps) > 1 else None
+    )
     if right is None:
         nearest = np.zeros(len(keyframe_stamps_ns), dtype=np.int64)
     else:
@@ -116,4 +126,6 @@ def import_predecessor(path: Path, image_stamps_ns: NDArray[np.int64], keyframe_
     norms = np.linalg.norm(cut, axis=1)
     unit = (cut / np.maximum(norms, 1e-12)[:, None]).astype(np.float32)
     digest = hashlib.sha256(PREDECESSOR_NAME.encode()).hexdigest()
-    return PlaceVectors(PREDECESSOR_NAME, digest, dim, np.asarray(keyframe_stamps_ns, dtype=np.int64), unit, norms > 1e-6)
+    return PlaceVectors(
+        PREDECESSOR_NAME, digest, dim, np.asarray(keyframe_stamps_ns, dtype=np.int64), unit, norms > 1e-6
+    )

@@ -65,7 +65,9 @@ def export_onnx(network: NetVladNetwork, path: Path) -> None:
         [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", network.config.dim])],
         graph.constants,
     )
-    model = helper.make_model(built, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="maslam", ir_version=8)
+    model = helper.make_model(
+        built, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="maslam", ir_version=8
+    )
     onnx.checker.check_model(model)
     partial = path.with_name(path.name + ".part")
     partial.write_bytes(model.SerializeToString(deterministic=True))
@@ -102,7 +104,13 @@ def _aggregate(graph: _Graph, network: NetVladNetwork, features: str) -> None:
     """The VLAD layer and the projection, up to the graph's output."""
     clusters, local_dim = network.config.clusters, network.config.local_dim
     weight, bias = _array(network.vlad.assign.weight), _array(network.vlad.assign.bias)
-    scores = graph.add("Conv", features, graph.constant(weight.astype(np.float32)), graph.constant(bias.astype(np.float32)), kernel_shape=[1, 1])
+    scores = graph.add(
+        "Conv",
+        features,
+        graph.constant(weight.astype(np.float32)),
+        graph.constant(bias.astype(np.float32)),
+        kernel_shape=[1, 1],
+    )
     soft = graph.add("Softmax", scores, axis=1)
     flat = graph.add("Reshape", soft, graph.constant(np.array([0, clusters, -1], dtype=np.int64)))
     columns = graph.add("Reshape", features, graph.constant(np.array([0, local_dim, -1], dtype=np.int64)))

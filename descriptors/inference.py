@@ -42,7 +42,7 @@ class NetVlad:
         options.log_severity_level = 3
         try:
             session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # noqa: BLE001 - onnxruntime has no common root for its errors
+        except Exception as error:
             raise DescriptorError(f"{path}: onnxruntime cannot load it: {error}") from error
         return cls(session, card)
 
@@ -104,7 +104,12 @@ class NetVlad:
         from descriptors.container import PlaceVectors
 
         return PlaceVectors(
-            self.name, self.sha256, self.dim, np.asarray(stamps_ns, dtype=np.int64), self.describe(images), self.textured(images)
+            self.name,
+            self.sha256,
+            self.dim,
+            np.asarray(stamps_ns, dtype=np.int64),
+            self.describe(images),
+            self.textured(images),
         )
 
     def _prepare(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -115,14 +120,18 @@ def to_working_size(image: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
     """A grey or BGR uint8 image as grey ``(h, w)`` of about ``pixels`` pixels, its shape kept: every image costs the same."""
     grey = np.asarray(image)
     if grey.dtype != np.uint8 or grey.ndim not in (2, 3) or not grey.size:
-        raise DescriptorError(f"an image must be (H, W) or (H, W, 3) uint8 with pixels in it, got {grey.shape} {grey.dtype}")
+        raise DescriptorError(
+            f"an image must be (H, W) or (H, W, 3) uint8 with pixels in it, got {grey.shape} {grey.dtype}"
+        )
     if grey.ndim == 3:
         if grey.shape[2] not in (1, 3):
             raise DescriptorError(f"a colour image must have 3 channels (BGR), got {grey.shape[2]}")
         grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY) if grey.shape[2] == 3 else grey[:, :, 0]
     height, width = grey.shape
     if max(height, width) > MAX_SIDE_RATIO * min(height, width):
-        raise DescriptorError(f"an image of {width}x{height} px is too narrow: sides may differ by a factor of {MAX_SIDE_RATIO:g}")
+        raise DescriptorError(
+            f"an image of {width}x{height} px is too narrow: sides may differ by a factor of {MAX_SIDE_RATIO:g}"
+        )
     scale = (pixels / (height * width)) ** 0.5
     size = (max(MIN_SIDE_PX, round(width * scale)), max(MIN_SIDE_PX, round(height * scale)))
     if size == (width, height):

@@ -38,15 +38,30 @@ def initialise(network: NetVladNetwork, images: NDArray[np.uint8], rng: np.rando
     centres = torch.from_numpy(kmeans(features, network.config.clusters, rng))
     nearest = torch.topk(torch.cdist(torch.from_numpy(features), centres).square(), 2, dim=1, largest=False).values
     network.vlad.set_centres(centres, assignment_alpha(nearest[:, 0], nearest[:, 1]))
-    vlads = torch.cat([network.aggregate(batch) for batch in batches(images)])
+    fit_projection(network, images)
+
+
+@torch.no_grad()
+def fit_projection(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Set the projection to the principal axes of the VLAD vectors of ``images``, half whitened, strongest axis first.
+
+    Returns the share of the variance along each kept axis, ``(dim,)``. Half whitening (an axis is divided by the fourth
+    root of its variance) lies between plain PCA, where a few axes drown the rest, and full whitening, which lifts the
+    noise of the last axes to the strength of the first; docs/netvlad.md has the figures.
+    """
+    network.eval()
+    vlads = torch.cat([network.aggregate(batch) for batch in batches(images)]).double()
     mean = vlads.mean(dim=0)
-    _, singular, axes = torch.linalg.svd(vlads - mean, full_matrices=False)
-    dim = network.config.dim
-    # Half-way whitening: full whitening would lift the noise of the last axes to the strength of the first.
-    scale = (singular[:dim] / singular[0]).clamp(min=1e-3).rsqrt()
-    weight = axes[:dim] * scale[:, None]
-    network.project.weight.copy_(weight)
-    network.project.bias.copy_(-weight @ mean)
+    variances, axes = torch.linalg.eigh((vlads - mean).T @ (vlads - mean) / len(vlads))
+    variances, axes = variances.flip(0).clamp(min=0.0), axes.flip(1).T
+    kept, shares = axes[: network.config.dim], variances / variances.sum()
+    # An axis' sign is free: fix it, so that the same training gives the same file on every machine.
+    kept = kept * kept.gather(1, kept.abs().argmax(dim=1, keepdim=True)).sign()
+    scale = (variances[: network.config.dim] / variances[0]).clamp(min=1e-6) ** -0.25
+    weight = kept * scale[:, None]
+    network.project.weight.copy_(weight.float())
+    network.project.bias.copy_((-weight @ mean).float())
+    return np.asarray(shares[: network.config.dim].numpy())
 
 
 @torch.no_grad()
@@ -65,31 +80,14 @@ def settle_batch_norms(network: NetVladNetwork, images: NDArray[np.uint8]) -> No
         norm.momentum = momentum
 
 
-@torch.no_grad()
-def order_by_variance(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Rotate the projection to the principal axes of its outputs over ``images``, strongest first; distances stay as they are.
-
-    Returns the share of the total spread that each output dimension holds, ``(dim,)``, falling.
-    """
-    network.eval()
-    outputs = torch.cat([network(batch) for batch in batches(images)]).double()
-    values, axes = torch.linalg.eigh(torch.cov(outputs.T))
-    rotation = axes.flip(1).T
-    # An eigenvector's sign is free: fix it, so that the same training gives the same file on every machine.
-    strongest = rotation.abs().argmax(dim=1, keepdim=True)
-    rotation = rotation * rotation.gather(1, strongest).sign()
-    network.project.weight.copy_((rotation @ network.project.weight.double()).float())
-    network.project.bias.copy_((rotation @ network.project.bias.double()).float())
-    shares = values.flip(0) / values.sum()
-    return np.asarray(shares.numpy())
-
-
 def batches(images: NDArray[np.uint8]) -> list[Tensor]:
     """Lazy-free list of ``(<= 32, 1, H, W)`` tensors that view ``images`` ``(n, H, W)``."""
     return [torch.from_numpy(images[i : i + _BATCH])[:, None] for i in range(0, len(images), _BATCH)]
 
 
-def _sample_features(network: NetVladNetwork, images: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.float32]:
+def _sample_features(
+    network: NetVladNetwork, images: NDArray[np.uint8], rng: np.random.Generator
+) -> NDArray[np.float32]:
     samples = []
     for batch in batches(images):
         features = network.local_features(batch).flatten(2).transpose(1, 2).numpy()

@@ -74,7 +74,9 @@ class NetVladNetwork(nn.Module):
             layers.append(nn.ReLU(inplace=True))
             previous = width
         self.backbone = nn.Sequential(*layers)
-        self.reduce = nn.Sequential(nn.Conv2d(previous, config.local_dim, 1, bias=False), nn.BatchNorm2d(config.local_dim))
+        self.reduce = nn.Sequential(
+            nn.Conv2d(previous, config.local_dim, 1, bias=False), nn.BatchNorm2d(config.local_dim)
+        )
         self.vlad = VladLayer(config.clusters, config.local_dim)
         self.project = nn.Linear(config.clusters * config.local_dim, config.dim)
 

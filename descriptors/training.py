@@ -16,12 +16,12 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torch import Tensor, nn
 
 from descriptors.augmentation import PHOTOS, Augmentation, augment_pair, share_strips
 from descriptors.errors import DescriptorError
-from descriptors.initialisation import initialise, order_by_variance, settle_batch_norms
+from descriptors.initialisation import fit_projection, initialise, settle_batch_norms
 from descriptors.netvlad import NetVladConfig, NetVladNetwork, build_network
 
 _MAX_SCALE = 60.0
@@ -41,8 +41,6 @@ class TrainingConfig(BaseModel):
     warmup_steps: int = Field(100, ge=0)
     weight_decay: float = Field(1e-4, ge=0)
     start_scale: float = Field(12.0, gt=0)  # inverse temperature; learned
-    prefixes: tuple[int, ...] = (128,)  # shorter vectors that are trained alongside the whole one
-    prefix_weight: float = Field(0.3, ge=0)  # of the loss on each prefix
     seed: int = 0
     threads: int = Field(1, gt=0)
     initial_images: int = Field(1024, gt=0)  # for k-means centres and principal axes
@@ -67,9 +65,13 @@ class PlaceSet:
 
     def __post_init__(self) -> None:
         if self.views.ndim != 4 or self.views.dtype != np.uint8:
-            raise DescriptorError(f"place set {self.name}: views must be (P, V, h, w) uint8, got {self.views.shape} {self.views.dtype}")
+            raise DescriptorError(
+                f"place set {self.name}: views must be (P, V, h, w) uint8, got {self.views.shape} {self.views.dtype}"
+            )
         if self.conflicts is not None and self.conflicts.shape != (len(self.views),) * 2:
-            raise DescriptorError(f"place set {self.name}: {len(self.views)} places but conflicts of shape {self.conflicts.shape}")
+            raise DescriptorError(
+                f"place set {self.name}: {len(self.views)} places but conflicts of shape {self.conflicts.shape}"
+            )
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Two images ``(n, h, w)`` of each of up to ``count`` places, no two of which see each other."""
@@ -128,7 +130,9 @@ class Trainer:
         rng = np.random.default_rng([self.config.seed, 0, 1])
         initialise(self.network, self.sample_images(self.config.initial_images, rng), rng)
 
-    def run(self, validate: Callable[[NetVladNetwork], dict[str, float]] | None = None, every: int = 50) -> Iterator[Progress]:
+    def run(
+        self, validate: Callable[[NetVladNetwork], dict[str, float]] | None = None, every: int = 50
+    ) -> Iterator[Progress]:
         """Train up to the configured number of steps; yields the averages of every ``every`` steps."""
         loss_sum = accuracy_sum = count = 0.0
         while self.step < self.config.steps:
@@ -136,17 +140,21 @@ class Trainer:
             loss_sum, accuracy_sum, count = loss_sum + loss, accuracy_sum + accuracy, count + 1
             if self.step % every == 0 or self.step == self.config.steps:
                 figures = {}
-                if validate is not None and (self.step % self.config.checkpoint_every == 0 or self.step == self.config.steps):
+                if validate is not None and (
+                    self.step % self.config.checkpoint_every == 0 or self.step == self.config.steps
+                ):
                     self.network.eval()
                     figures = validate(self.network)
-                yield Progress(self.step, loss_sum / count, accuracy_sum / count, float(self.log_scale.detach().exp()), figures)
+                yield Progress(
+                    self.step, loss_sum / count, accuracy_sum / count, float(self.log_scale.detach().exp()), figures
+                )
                 loss_sum = accuracy_sum = count = 0.0
 
     def finish(self) -> NDArray[np.float64]:
-        """Settle batch norms and order the output dimensions by variance; returns the share of variance of each."""
+        """Settle batch norms and fit the projection; returns the share of the variance along each output axis."""
         images = self.sample_images(self.config.initial_images, np.random.default_rng([self.config.seed, 0, 2]))
         settle_batch_norms(self.network, images)
-        shares = order_by_variance(self.network, images)
+        shares = fit_projection(self.network, images)
         torch.set_num_threads(self._previous_threads)
         return shares
 
@@ -173,7 +181,7 @@ class Trainer:
     def resume(self, path: Path) -> None:
         """Continue from :meth:`save`; a checkpoint of another configuration is an error (a longer training is not)."""
         state = read_checkpoint(path)
-        config = TrainingConfig.model_validate_json(state["config"])
+        config = _config_of(state, path)
         same = {"steps": 0, "checkpoint_every": 1, "threads": 1}
         if config.model_copy(update=same) != self.config.model_copy(update=same):
             raise DescriptorError(f"{path}: checkpoint of another training configuration")
@@ -200,11 +208,11 @@ class Trainer:
         rate = self.config.learning_rate * _schedule(self.step, self.config)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        both = self.network.project(self.network.aggregate(torch.cat([first, second])))
+        # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training images by heart
+        # and places of another world are told apart far worse than by the vector it was given (docs/netvlad.md).
+        vlad = self.network.aggregate(torch.cat([first, second]))
         scale = self.log_scale.exp().clamp(max=_MAX_SCALE)
-        loss, accuracy = info_nce(*_halves(both), scale)
-        for prefix in self.config.prefixes:
-            loss = loss + self.config.prefix_weight * info_nce(*_halves(both[:, :prefix]), scale)[0]
+        loss, accuracy = info_nce(vlad[: len(first)], vlad[len(first) :], scale)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
@@ -219,7 +227,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """The state that :meth:`Trainer.save` wrote, read without executing anything in the file."""
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # noqa: BLE001 - torch raises half a dozen kinds for a broken file
+    except Exception as error:
         raise DescriptorError(f"{path}: not a checkpoint of NetVLAD training: {error}") from error
     if not isinstance(state, dict) or not {"config", "step", "network"} <= state.keys():
         raise DescriptorError(f"{path}: not a checkpoint of NetVLAD training")
@@ -229,15 +237,17 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 def load_network(path: Path) -> NetVladNetwork:
     """The network of a checkpoint, ready to evaluate."""
     state = read_checkpoint(path)
-    config = TrainingConfig.model_validate_json(state["config"])
+    config = _config_of(state, path)
     network = build_network(config.network, config.seed)
     network.load_state_dict(state["network"])
     return network.eval()
 
 
-def _halves(rows: Tensor) -> tuple[Tensor, Tensor]:
-    unit = F.normalize(rows, dim=1)
-    return unit[: len(unit) // 2], unit[len(unit) // 2 :]
+def _config_of(state: dict[str, Any], path: Path) -> TrainingConfig:
+    try:
+        return TrainingConfig.model_validate_json(state["config"])
+    except ValidationError as error:
+        raise DescriptorError(f"{path}: made by another version of this program ({error.error_count()} settings differ)") from error
 
 
 def _schedule(step: int, config: TrainingConfig) -> float:

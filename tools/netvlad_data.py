@@ -38,7 +38,9 @@ def fill(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]
     cut_w, cut_h = min(w, round(width / scale)), min(h, round(height / scale))
     left, top = (w - cut_w) // 2, (h - cut_h) // 2
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image[top : top + cut_h, left : left + cut_w], (width, height), interpolation=method), dtype=np.uint8)
+    return np.asarray(
+        cv2.resize(image[top : top + cut_h, left : left + cut_w], (width, height), interpolation=method), dtype=np.uint8
+    )
 
 
 def read_photos(folder: Path, width: int = 240, height: int = 180) -> NDArray[np.uint8]:
@@ -48,28 +50,35 @@ def read_photos(folder: Path, width: int = 240, height: int = 180) -> NDArray[np
 
 @dataclass(frozen=True)
 class PlaceBenchmark:
-    """Queries against references: ``truth[q]`` holds the references that show the place of query q (empty: none does)."""
+    """Q queries against R references, grey images of any size.
+
+    ``truth`` ``(Q, R)`` bool: the reference shows the query's place; a query may have no place to find. ``ignore`` ``(Q, R)`` bool or
+    None: pairs that are neither right nor wrong, as far as thresholds are concerned (recall counts them as wrong).
+    """
 
     name: str
     queries: list[NDArray[np.uint8]]
     references: list[NDArray[np.uint8]]
-    truth: list[frozenset[int]]
+    truth: NDArray[np.bool_]
+    ignore: NDArray[np.bool_] | None = None
 
 
 def gardenspoint(root: Path, tolerance: int = 2) -> PlaceBenchmark:
-    """GardensPoint day left against night right: the same number is the same place, within ``tolerance`` images."""
+    """GardensPoint day against night, cut from figures: the same number is the same place, within ``tolerance`` images."""
     folder = root / "places_gardenspoint"
     references, queries = ([read_grey(p) for p in image_files(folder / side)] for side in ("gt", "query"))
-    count = len(references)
-    truth = [frozenset(range(max(q - tolerance, 0), min(q + tolerance + 1, count))) for q in range(len(queries))]
-    return PlaceBenchmark("places_gardenspoint", queries, references, truth)
+    apart = np.abs(np.arange(len(queries))[:, None] - np.arange(len(references)))
+    return PlaceBenchmark("places_gardenspoint", queries, references, apart <= tolerance)
 
 
 def corridor(root: Path) -> PlaceBenchmark:
     """The corridor set (Milford, IJRR 2013) with its own list of right answers."""
     folder = root / "places_corridor"
     references, queries = ([read_grey(p) for p in image_files(folder / side)] for side in ("ref", "query"))
-    return PlaceBenchmark("places_corridor", queries, references, _read_truth(folder / "ground_truth_new.npy", len(queries)))
+    truth = np.zeros((len(queries), len(references)), dtype=bool)
+    for query, answers in enumerate(_read_truth(folder / "ground_truth_new.npy", len(queries))):
+        truth[query, sorted(answers)] = True
+    return PlaceBenchmark("places_corridor", queries, references, truth)
 
 
 def _read_truth(path: Path, queries: int) -> list[frozenset[int]]:

@@ -22,7 +22,7 @@ def textured_image(seed: int, height: int = 120, width: int = 160) -> NDArray[np
     return np.asarray((127 + 45 * image / image.std()).clip(0, 255).astype(np.uint8))
 
 
-@pytest.fixture()
+@pytest.fixture
 def images() -> list[NDArray[np.uint8]]:
     """Eight different pictures of 160x120."""
     return [textured_image(seed) for seed in range(8)]

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from descriptors.calibration import Retrieval, calibrate, candidate_point, pool, precision_recall, retrieve, strict_point
+from descriptors.calibration import (
+    Retrieval,
+    calibrate,
+    candidate_point,
+    pool,
+    precision_recall,
+    retrieve,
+    strict_point,
+)
 from descriptors.errors import DescriptorError
 
 
@@ -20,7 +28,9 @@ def _retrieval(distances: list[float], right: list[bool], findable: list[bool] |
 
 def test_precision_and_recall_by_hand() -> None:
     # Sorted: 0.1 right, 0.2 right, 0.3 wrong, 0.4 right; a fifth query finds nothing of its own and answers wrongly at 0.5.
-    curve = precision_recall(_retrieval([0.3, 0.1, 0.4, 0.2, 0.5], [False, True, True, True, False], [True, True, True, True, False]))
+    curve = precision_recall(
+        _retrieval([0.3, 0.1, 0.4, 0.2, 0.5], [False, True, True, True, False], [True, True, True, True, False])
+    )
     np.testing.assert_allclose(curve.distance, [0.1, 0.2, 0.3, 0.4, 0.5], rtol=1e-6)
     np.testing.assert_allclose(curve.precision, [1, 1, 2 / 3, 3 / 4, 3 / 5])
     np.testing.assert_allclose(curve.recall, [1 / 4, 2 / 4, 2 / 4, 3 / 4, 3 / 4])

@@ -12,14 +12,23 @@ torch = pytest.importorskip("torch")
 from descriptors.augmentation import PHOTOS, augment_pair, share_strips  # noqa: E402
 from descriptors.errors import DescriptorError  # noqa: E402
 from descriptors.export import export_onnx  # noqa: E402
-from descriptors.initialisation import initialise, kmeans, order_by_variance  # noqa: E402
+from descriptors.initialisation import fit_projection, initialise, kmeans  # noqa: E402
 from descriptors.netvlad import NetVladConfig, VladLayer, build_network  # noqa: E402
 from descriptors.training import PlaceSet, Trainer, TrainingConfig, load_network, read_checkpoint  # noqa: E402
 from tests.descriptors.conftest import textured_image  # noqa: E402
 
 TINY = NetVladConfig(channels=(8, 16, 16), strides=(2, 2, 2), local_dim=16, clusters=8, dim=32)
 SMALL = TrainingConfig(
-    network=TINY, steps=25, pairs=12, width=64, height=48, learning_rate=3e-3, warmup_steps=5, prefixes=(16,), initial_images=64, checkpoint_every=10
+    network=TINY,
+    steps=25,
+    pairs=12,
+    width=64,
+    height=48,
+    learning_rate=3e-3,
+    warmup_steps=5,
+   
+    initial_images=64,
+    checkpoint_every=10,
 )
 
 
@@ -115,19 +124,21 @@ def test_checkpoints_are_checked(tmp_path: Path, places: list[PlaceSet]) -> None
         Trainer(SMALL.model_copy(update={"pairs": 10}), places).resume(tmp_path / "zero.pt")
 
 
-def test_ordering_by_variance_keeps_distances() -> None:
+def test_projection_is_half_whitened_principal_components() -> None:
     network = build_network(TINY, 2)
     images = np.stack([textured_image(seed, 48, 64) for seed in range(64)])
     initialise(network, images, np.random.default_rng(3))
+    shares = fit_projection(network, images)
     batch = torch.from_numpy(images)[:, None]
     with torch.no_grad():
-        before = network(batch)
-        shares = order_by_variance(network, images)
-        after = network(batch)
-    np.testing.assert_allclose((before @ before.T).numpy(), (after @ after.T).numpy(), atol=1e-5)
-    spread = after.double().var(dim=0)
-    assert (np.diff(spread.numpy()) <= 1e-9).all()
-    assert shares.sum() == pytest.approx(1.0)
+        vlads = network.aggregate(batch).double().numpy()
+        outputs = network.project(network.aggregate(batch)).numpy()
+    centred = vlads - vlads.mean(axis=0)
+    _, singular, axes = np.linalg.svd(centred, full_matrices=False)
+    expected = centred @ axes[:32].T / np.sqrt(singular[:32] / singular[0])
+    np.testing.assert_allclose(np.abs(outputs), np.abs(expected), atol=1e-4)
+    np.testing.assert_allclose(shares, singular[:32] ** 2 / (singular**2).sum(), atol=1e-6)
+    assert (np.diff(outputs.var(axis=0)) <= 1e-9).all()
 
 
 def test_kmeans_finds_separate_clusters() -> None:
@@ -167,7 +178,7 @@ def test_augmentation_repeats_and_stays_an_image(images: list[np.ndarray]) -> No
     assert a.shape == b.shape == (8, 1, 48, 64)
     assert torch.equal(a, again)
     assert not torch.equal(a, b)
-    assert 0 <= float(a.min()) and float(a.max()) <= 255
+    assert float(a.min()) >= 0 and float(a.max()) <= 255
     assert float(a.std()) > 10
 
 
