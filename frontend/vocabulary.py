@@ -50,7 +50,7 @@ class Vocabulary:
         self.branching, self.depth = branching, depth
         self.parents = np.ascontiguousarray(parents, dtype=np.int32)
         self.descriptors = np.ascontiguousarray(descriptors, dtype=np.uint8)
-        self.weights = np.ascontiguousarray(weights, dtype=np.float64)
+        self.weights = np.where(np.arange(n) > 0, weights, 0.0)
         # Children of one node are made neighbours, so that a descent reads memory in a row; DBoW2's order is kept among them.
         self._children = (np.argsort(self.parents[1:], kind="stable") + 1).astype(np.int32)
         counts = np.bincount(self.parents[1:], minlength=n)
@@ -172,11 +172,11 @@ def popcount(typing_context: Any, bits: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def hamming(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> np.int64:
-    """Differing bits of two descriptors of four uint64."""
+def hamming(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> np.int64:
+    """Differing bits of row i of ``a`` ``(n, 4)`` and row j of ``b`` ``(m, 4)``."""
     total = np.int64(0)
-    for j in range(4):
-        total += np.int64(popcount(a[j] ^ b[j]))
+    for k in range(4):
+        total += np.int64(popcount(a[i, k] ^ b[j, k]))
     return total
 
 
@@ -190,9 +190,9 @@ def _descend(
         node, level = 0, 0
         for k in range(len(levels)):
             while level < levels[k] and begin[node] < begin[node + 1]:
-                best, nearest = 257, 0
+                best, nearest = np.int64(257), 0
                 for c in range(begin[node], begin[node + 1]):
-                    distance = hamming(rows[i], child_bits[c])
+                    distance = hamming(rows, i, child_bits, c)
                     if distance < best:
                         best, nearest = distance, c
                 node = children[nearest]

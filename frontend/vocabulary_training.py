@@ -8,7 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frontend.vocabulary import Vocabulary, hamming
+from frontend.vocabulary import Vocabulary, hamming, popcount
+
+_CANDIDATES = 4  # seeds tried for each centre
 
 
 def train_vocabulary(
@@ -16,7 +18,7 @@ def train_vocabulary(
 ) -> Vocabulary:
     """A vocabulary from the ORB descriptors ``(n_i, 32)`` of many images.
 
-    Each node's descriptors are split in ``branching`` clusters: seeds drawn as in k-means++ by squared Hamming distance, then at most
+    Each node's descriptors are split in ``branching`` clusters: seeds by greedy k-means++ on squared Hamming distance, then at most
     ``iterations`` rounds of assignment and bitwise majority (Grana et al., k-majority, 2013). A node of fewer different descriptors
     than ``branching`` gets as many children. Leaf weights: ``log(images / images with the word)``.
     """
@@ -30,7 +32,7 @@ def train_vocabulary(
     for _ in range(depth):
         order = np.argsort(node_of, kind="stable")
         begin = np.searchsorted(node_of[order], np.arange(first, first + count + 1))
-        draws = rng.random((count, branching))
+        draws = rng.random((count, branching, _CANDIDATES))
         centres, assigned = _split_nodes(bits[order], begin, draws, iterations)
         used = np.zeros((count, branching), dtype=bool)
         slot = np.repeat(np.arange(count), np.diff(begin))
@@ -74,55 +76,76 @@ def _split_nodes(
     bits: NDArray[np.uint64], begin: NDArray[np.int64], draws: NDArray[np.float64], iterations: int
 ) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
     """Clusters of each node's descriptors ``bits[begin[n]:begin[n + 1]]``: centres ``(nodes, k, 4)`` and cluster of each descriptor."""
-    nodes, k = draws.shape
+    nodes, k = draws.shape[0], draws.shape[1]
     centres = np.zeros((nodes, k, 4), dtype=np.uint64)
-    assigned = np.zeros(len(bits), dtype=np.int64)
+    own = np.zeros(len(bits), dtype=np.int64)
+    nearest = np.empty(len(bits), dtype=np.int64)
+    ones = np.zeros((k, 256), dtype=np.int64)
     for n in range(nodes):
-        rows = bits[begin[n] : begin[n + 1]]
-        if not len(rows):
+        first, last = begin[n], begin[n + 1]
+        if first == last:
             continue
-        used = _seed(rows, draws[n], centres[n])
-        own = assigned[begin[n] : begin[n + 1]]
+        used = _seed(bits, first, last, draws, n, centres, nearest)
         for _ in range(iterations):
-            if not _assign(rows, centres[n, :used], own):
+            if not _assign(bits, first, last, centres, n, used, own):
                 break
-            _majority(rows, own, centres[n, :used])
-        _assign(rows, centres[n, :used], own)
-    return centres, assigned
+            _majority(bits, first, last, own, centres, n, used, ones)
+        _assign(bits, first, last, centres, n, used, own)
+    return centres, own
 
 
 @njit(cache=True, nogil=True)
-def _seed(rows: NDArray[np.uint64], draws: NDArray[np.float64], centres: NDArray[np.uint64]) -> int:
-    """Spread first centres by drawing proportionally to the squared distance from those drawn; how many different ones there are."""
-    nearest = np.full(len(rows), 1 << 20, dtype=np.int64)
-    pick = min(int(draws[0] * len(rows)), len(rows) - 1)
-    for c in range(len(draws)):
+def _seed(
+    bits: NDArray[np.uint64], first: int, last: int, draws: NDArray[np.float64], n: int, centres: NDArray[np.uint64], nearest: NDArray[np.int64]
+) -> int:
+    """First centres of node n, each the best of several drawn by squared distance (greedy k-means++); how many different ones."""
+    nearest[first:last] = 1 << 20
+    pick = min(first + int(draws[n, 0, 0] * (last - first)), last - 1)
+    for c in range(draws.shape[1]):
         if c > 0:
             total = 0.0
-            for i in range(len(rows)):
+            for i in range(first, last):
                 total += float(nearest[i] * nearest[i])
             if total == 0.0:
                 return c
-            target, pick = draws[c] * total, len(rows) - 1
-            for i in range(len(rows)):
-                target -= float(nearest[i] * nearest[i])
-                if target < 0.0:
-                    pick = i
-                    break
-        centres[c] = rows[pick]
-        for i in range(len(rows)):
-            nearest[i] = min(nearest[i], hamming(rows[i], centres[c]))
-    return len(draws)
+            best = np.inf
+            for t in range(draws.shape[2]):
+                candidate = _drawn(nearest, first, last, draws[n, c, t] * total)
+                cost = 0.0
+                for i in range(first, last):
+                    d = min(nearest[i], hamming(bits, i, bits, candidate))
+                    cost += float(d * d)
+                if cost < best:
+                    best, pick = cost, candidate
+        for j in range(4):
+            centres[n, c, j] = bits[pick, j]
+        for i in range(first, last):
+            nearest[i] = min(nearest[i], hamming(bits, i, bits, pick))
+    return draws.shape[1]
 
 
 @njit(cache=True, nogil=True)
-def _assign(rows: NDArray[np.uint64], centres: NDArray[np.uint64], own: NDArray[np.int64]) -> bool:
-    """Give each row its nearest centre, of equals the first; whether any changed."""
+def _drawn(nearest: NDArray[np.int64], first: int, last: int, target: float) -> int:
+    """The row at which the running sum of squared distances passes ``target``."""
+    for i in range(first, last):
+        target -= float(nearest[i] * nearest[i])
+        if target < 0.0:
+            return i
+    return last - 1
+
+
+@njit(cache=True, nogil=True)
+def _assign(
+    bits: NDArray[np.uint64], first: int, last: int, centres: NDArray[np.uint64], n: int, used: int, own: NDArray[np.int64]
+) -> bool:
+    """Give each row its nearest centre of node n, of equals the first; whether any changed."""
     changed = False
-    for i in range(len(rows)):
-        best, nearest = 257, 0
-        for c in range(len(centres)):
-            distance = hamming(rows[i], centres[c])
+    for i in range(first, last):
+        best, nearest = np.int64(257), 0
+        for c in range(used):
+            distance = np.int64(0)
+            for j in range(4):
+                distance += np.int64(popcount(bits[i, j] ^ centres[n, c, j]))
             if distance < best:
                 best, nearest = distance, c
         changed = changed or own[i] != nearest
@@ -131,21 +154,22 @@ def _assign(rows: NDArray[np.uint64], centres: NDArray[np.uint64], own: NDArray[
 
 
 @njit(cache=True, nogil=True)
-def _majority(rows: NDArray[np.uint64], own: NDArray[np.int64], centres: NDArray[np.uint64]) -> None:
-    """Centres become the bitwise majority of their rows; a centre without rows stays."""
-    ones = np.zeros((len(centres), 256), dtype=np.int64)
-    sizes = np.zeros(len(centres), dtype=np.int64)
-    for i in range(len(rows)):
+def _majority(
+    bits: NDArray[np.uint64], first: int, last: int, own: NDArray[np.int64], centres: NDArray[np.uint64], n: int, used: int, ones: NDArray[np.int64]
+) -> None:
+    """Centres of node n become the bitwise majority of their rows; a centre without rows stays."""
+    ones[:] = 0
+    sizes = np.zeros(used, dtype=np.int64)
+    for i in range(first, last):
         sizes[own[i]] += 1
         for j in range(4):
             for b in range(64):
-                ones[own[i], 64 * j + b] += np.int64((rows[i, j] >> np.uint64(b)) & np.uint64(1))
-    for c in range(len(centres)):
-        if sizes[c] == 0:
-            continue
+                ones[own[i], 64 * j + b] += np.int64((bits[i, j] >> np.uint64(b)) & np.uint64(1))
+    for c in range(used):
         for j in range(4):
             value = np.uint64(0)
             for b in range(64):
                 if 2 * ones[c, 64 * j + b] >= sizes[c]:
                     value |= np.uint64(1) << np.uint64(b)
-            centres[c, j] = value
+            if sizes[c] > 0:
+                centres[n, c, j] = value
