@@ -34,13 +34,16 @@ class SolverConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    method: Literal["dgs", "jor", "sor"] = Field("dgs", description="order and relaxation of the distributed sweeps")
+    method: Literal["dgs", "jor", "sor"] = Field("sor", description="order and relaxation of the distributed sweeps")
     relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor takes at most 1 of it")
+    start: Literal["flagged", "warm"] = Field(
+        "flagged", description="flagged: no initial guess needed; warm: from the poses, which share a frame already"
+    )
     rotation_sweeps: int = Field(50, ge=1, description="rotation sweeps at most")
     pose_sweeps: int = Field(50, ge=1, description="pose sweeps of one Gauss-Newton step, at most")
     scale_sweeps: int = Field(100, ge=1, description="sweeps over the robots' scales, at most (monocular members only)")
-    rotation_threshold: float = Field(0.1, ge=0, description="quiet when a robot's rotation entries change less, 2-norm")
-    pose_threshold: float = Field(0.1, ge=0, description="quiet when a robot's poses change less, 2-norm of m and rad")
+    rotation_threshold: float = Field(0.01, ge=0, description="quiet when a robot's rotation entries change less, 2-norm")
+    pose_threshold: float = Field(0.01, ge=0, description="quiet when a robot's poses change less, 2-norm of m and rad")
     scale_threshold: float = Field(1e-5, ge=0, description="quiet when a robot's log scale changes by less")
     newton_steps: int = Field(1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
 

@@ -55,10 +55,11 @@ class LocalProblem:
                            self.kappa[self._counted], self.tau[self._counted])  # fmt: skip
         return float(costs[np.isfinite(costs)].sum())
 
-    def rotation_stage(self) -> Relaxation:
-        """The relaxed rotation problem, nothing known but the anchor."""
+    def rotation_stage(self, warm: bool) -> Relaxation:
+        """The relaxed rotation problem; nothing known but the anchor, or, ``warm``, starting from the current rotations."""
         values = np.full((len(self.nodes), 3, 3), np.nan)
-        values[self.given] = np.swapaxes(self.poses[self.given, :3, :3], 1, 2)
+        start = slice(None) if warm else self.given
+        values[start] = np.swapaxes(self.poses[start, :3, :3], 1, 2)
         blocks = rotation_blocks(self.measured[:, :3, :3], self.kappa)
         return Relaxation(self.ends, blocks, values, self.own_count, self.given)
 

@@ -39,6 +39,7 @@ class Node:
         self._stage: Relaxation | None = None
         self._reached = np.zeros(len(self._problem.nodes), dtype=bool)
         self._round = Round(Stage.SCALE if share.arbitrary_scale else Stage.START)
+        self._warm = config.start == "warm"
         self._solved = self._reported = False
         self._change = 0.0
         self._cost_before = 0.0
@@ -110,9 +111,9 @@ class Node:
         if stage is Stage.SCALE:
             self._stage = scale_stage(self.share)
         elif stage is Stage.ROTATION:
-            self._stage = problem.rotation_stage()
+            self._stage = problem.rotation_stage(self._warm)
         elif stage is Stage.POSE:
-            self._stage = problem.pose_stage(self._reached, warm=self._round.step > 0)
+            self._stage = problem.pose_stage(self._reached, self._warm or self._round.step > 0)
         else:
             self._stage = None
 
@@ -120,7 +121,8 @@ class Node:
         """Neighbours whose values complete the round."""
         if self._round.stage is Stage.COST:
             return []
-        higher_only = self._round.stage is Stage.START
+        # To count the cost once, the lower of two robots must know the higher one's poses.
+        higher_only = self._round.stage is Stage.START and not self._warm
         return [n for n in self.share.neighbours if n > self.share.robot or not higher_only]
 
     def _try_solve(self) -> list[Message] | None:
@@ -141,7 +143,7 @@ class Node:
             case Stage.COST:
                 receivers = []
             case Stage.START:
-                receivers = [n for n in self.share.neighbours if n < self.share.robot]
+                receivers = [n for n in self.share.neighbours if n < self.share.robot or self._warm]
             case _:
                 receivers = self.share.neighbours
         return self._emit([Values(self.share.robot, n, self._round, self._say(n)) for n in receivers])

@@ -1,0 +1,69 @@
+"""Synthetic pose graphs of which the truth is known: a grid, a circle, robots on crossing loops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.geometry import se3, se3_exp, se3_inverse, so3_exp
+from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+
+
+def loops(rng, robots=4, length=100, separators=8, sigma_t=0.02, sigma_deg=0.1, step=1.0):
+    """Robots on overlapping circles, noisy odometry, ``separators`` matches between neighbours in a ring.
+
+    Returns the graph, each robot's poses spread from its own first pose in its own frame, and the true poses.
+    """
+    radius = length * step / (2 * np.pi)
+    truth = {}
+    for r in range(robots):
+        centre = 1.2 * radius * np.array([np.cos(2 * np.pi * r / robots), 0.0, np.sin(2 * np.pi * r / robots)])
+        for k in range(length):
+            angle = 2 * np.pi * k / length
+            position = centre + radius * np.array([np.sin(angle), 0.02 * np.sin(3 * angle), np.cos(angle)])
+            truth[NodeId(r, k)] = se3(so3_exp([0.0, angle + np.pi / 2, 0.0]), position)
+    sigma = np.array([sigma_t] * 3 + [np.radians(sigma_deg)] * 3)
+    information = np.diag(1.0 / sigma**2)
+    edges = [measured(truth, NodeId(r, k), NodeId(r, k + 1), EdgeKind.ODOMETRY, sigma, information, rng)
+             for r in range(robots) for k in range(length - 1)]  # fmt: skip
+    for r in range(robots):
+        other = (r + 1) % robots
+        if other == r:
+            continue
+        i, j = sorted([r, other])
+        near = sorted(
+            ((np.linalg.norm(truth[NodeId(i, a)][:3, 3] - truth[NodeId(j, b)][:3, 3]), a, b)
+             for a in range(length) for b in range(length)),
+        )[: separators * 3 : 3]  # fmt: skip
+        edges += [measured(truth, NodeId(i, a), NodeId(j, b), EdgeKind.SEPARATOR, sigma, information, rng) for _, a, b in near]
+    poses = {}
+    for r in range(robots):
+        own = [e for e in edges if e.i.robot == e.j.robot == r]
+        poses |= spread_poses({NodeId(r, 0): np.eye(4)}, own)
+    return PoseGraph(poses, tuple(edges)), truth
+
+
+def measured(truth, i, j, kind, sigma, information, rng, scale=1.0):
+    """The true relative pose with noise of ``sigma`` ``(6,)``."""
+    T = se3_inverse(truth[i]) @ truth[j] @ se3_exp(sigma * rng.normal(size=6))
+    return Edge(i, j, T, information, kind, scale)
+
+
+def grid(rng, robots_across=2, side=3, sigma=0.05):
+    """A planar lattice of robots, each a lattice of nodes: odometry along rows, loops and separators between neighbours."""
+    truth, cell = {}, {}
+    for rx in range(robots_across):
+        for ry in range(robots_across):
+            for k in range(side * side):
+                x, y = rx * side + k % side, ry * side + k // side
+                node = NodeId(rx * robots_across + ry, k)
+                truth[node] = se3(so3_exp(0.5 * rng.normal(size=3)), [x, y, 0.3 * rng.normal()])
+                cell[x, y] = node
+    edges = []
+    for (x, y), a in sorted(cell.items()):
+        for neighbour in ((x + 1, y), (x, y + 1)):
+            if neighbour in cell:
+                i, j = sorted([a, cell[neighbour]])
+                kind = EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP
+                edges.append(measured(truth, i, j, kind, np.full(6, sigma), np.eye(6), rng))
+    start = {n: T @ se3_exp(0.3 * rng.normal(size=6)) for n, T in truth.items()}
+    return PoseGraph(start, tuple(edges)), truth
