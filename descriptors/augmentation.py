@@ -1,6 +1,8 @@
-"""Two views of one place for training: how an image may change between visits (view, light, focus, noise, things in the way).
+"""Two views of one place for training: how an image may change between visits (view, light, focus, noise, things in
+the way).
 
-Random numbers come from numpy generators and are turned into tensors, so that a step repeats whatever torch's own state is.
+Random numbers come from numpy generators and are turned into tensors, so that a step repeats whatever torch's own
+state is.
 """
 
 from __future__ import annotations
@@ -59,7 +61,8 @@ def augment_pair(
 def share_strips(images: NDArray[np.uint8], share: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Collages as hard negatives: neighbours 2m and 2m+1 of ``(n, h, w)`` get the same upright strip of a third image.
 
-    ``share``: probability for each pair of neighbours. Two images then look alike in part and are different places all the same.
+    ``share``: probability for each pair of neighbours. Two images then look alike in part and are different places
+    all the same.
     """
     out = images.copy()
     count, _, width = images.shape
@@ -93,7 +96,8 @@ def _reframe(images: NDArray[np.uint8], size: tuple[int, int], kind: Augmentatio
 
 
 def _relight(x: Tensor, kind: Augmentation, rng: np.random.Generator) -> Tensor:
-    """Light, shadow, something in the way, focus, noise: ``(n, 1, H, W)`` in 0 to 1 to the same in 0 to 255, whole levels."""
+    """Light, shadow, something in the way, focus, noise: ``(n, 1, H, W)`` in 0 to 1 to the same in 0 to 255, whole
+    levels."""
     from kornia.filters import gaussian_blur2d
 
     count, _, height, width = x.shape

@@ -1,7 +1,8 @@
 """Distance thresholds from data: how precise and how complete place recognition is at each distance. numpy only.
 
-What is measured is what agents do: each query takes its nearest neighbour, and the match stands if the distance is small enough. Precision
-counts the matches that stand; recall counts, of the queries that have a place to find, those that found it.
+What is measured is what agents do: each query takes its nearest neighbour, and the match stands if the distance is
+small enough. Precision counts the matches that stand; recall counts, of the queries that have a place to find,
+those that found it.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ _CURVE_POINTS = 40
 
 @dataclass(frozen=True)
 class Retrieval:
-    """Nearest neighbours of Q queries, nearest first: ``distances`` ``(Q, k)``, ``right`` ``(Q, k)`` whether each shows the query's place;
-    ``findable`` ``(Q,)`` whether anything does."""
+    """Nearest neighbours of Q queries, nearest first: ``distances`` ``(Q, k)``, ``right`` ``(Q, k)`` whether each
+    shows the query's place; ``findable`` ``(Q,)`` whether anything does."""
 
     distances: NDArray[np.float32]
     right: NDArray[np.bool_]
@@ -30,13 +31,14 @@ class Retrieval:
 
     def recall_at(self, k: int) -> float:
         """Share of the findable queries with a right answer among their first ``k``; 0 where nothing can be found."""
-        hits = self.right[self.findable, :k].any(axis=1)
+        hits = np.asarray(self.right[self.findable, :k].any(axis=1))
         return float(hits.mean()) if len(hits) else 0.0
 
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """One row for each distance at which a match appears, growing, all ``(n,)``; ``matches`` counts those that stand there."""
+    """One row for each distance at which a match appears, growing, all ``(n,)``; ``matches`` counts those that
+    stand there."""
 
     distance: NDArray[np.float64]
     matches: NDArray[np.int64]
@@ -55,10 +57,11 @@ def retrieve(
     k: int = 5,
     ignore: NDArray[np.bool_] | None = None,
 ) -> Retrieval:
-    """The ``k`` nearest of ``references`` ``(R, d)`` to each of ``queries`` ``(Q, d)``, unit rows, judged by ``truth`` ``(Q, R)``.
+    """The ``k`` nearest of ``references`` ``(R, d)`` to each of ``queries`` ``(Q, d)``, unit rows, judged by
+    ``truth`` ``(Q, R)``.
 
-    ``ignore`` ``(Q, R)``: pairs that may not be answered, neither right nor wrong (the query itself, its neighbours in time, pairs so
-    close to the border of "same place" that calling them wrong would be unfair).
+    ``ignore`` ``(Q, R)``: pairs that may not be answered, neither right nor wrong (the query itself, its neighbours
+    in time, pairs so close to the border of "same place" that calling them wrong would be unfair).
     """
     if truth.shape != (len(queries), len(references)):
         raise DescriptorError(f"truth must be ({len(queries)}, {len(references)}), got {truth.shape}")
@@ -73,14 +76,15 @@ def retrieve(
         distances[rows] = np.take_along_axis(d, order, axis=1)
         right[rows] = np.take_along_axis(truth[rows], order, axis=1) & np.isfinite(distances[rows])
     allowed = truth if ignore is None else truth & ~ignore
-    return Retrieval(distances, right, allowed.any(axis=1))
+    return Retrieval(distances, right, np.asarray(allowed.any(axis=1)))
 
 
 def precision_recall(retrieval: Retrieval) -> PrecisionRecall:
-    """Precision and recall of "the nearest neighbour, if it is nearer than d", for every d at which something changes."""
+    """Precision and recall of "the nearest neighbour, if it is nearer than d", for every d at which something
+    changes."""
     answered = np.isfinite(retrieval.distances[:, 0])
     distance = retrieval.distances[answered, 0].astype(np.float64)
-    right = retrieval.right[answered, 0]
+    right = np.asarray(retrieval.right[answered, 0])
     order = np.argsort(distance, kind="stable")
     distance, hits = distance[order], np.cumsum(right[order])
     matches = np.arange(1, len(hits) + 1)
@@ -93,10 +97,11 @@ def precision_recall(retrieval: Retrieval) -> PrecisionRecall:
 
 
 def strict_point(curve: PrecisionRecall, precision: float) -> OperatingPoint | None:
-    """The largest distance at and below which precision never falls under ``precision``; None where even the nearest match is wrong.
+    """The largest distance at and below which precision never falls under ``precision``; None where even the
+    nearest match is wrong.
 
-    "Never", not "at that point": a later lucky run of right matches would hide a worse stretch before it. A stretch of fewer matches
-    than it takes to measure the precision is not held against it.
+    "Never", not "at that point": a later lucky run of right matches would hide a worse stretch before it. A stretch
+    of fewer matches than it takes to measure the precision is not held against it.
     """
     enough = 1.0 / max(1.0 - precision, 1e-3)
     bad = (curve.precision < precision) & (curve.matches >= enough)
@@ -106,8 +111,8 @@ def strict_point(curve: PrecisionRecall, precision: float) -> OperatingPoint | N
 
 
 def candidate_point(curve: PrecisionRecall, share: float, precision: float) -> OperatingPoint | None:
-    """The smallest distance that keeps ``share`` of all the right matches there are; smaller still where precision there would be
-    lower than ``precision``. None where there is no right match."""
+    """The smallest distance that keeps ``share`` of all the right matches there are; smaller still where precision
+    there would be lower than ``precision``. None where there is no right match."""
     if not len(curve.recall) or curve.recall[-1] <= 0:
         return None
     wanted = int(np.argmax(curve.recall >= share * curve.recall[-1]))
@@ -127,7 +132,8 @@ def calibrate(
     candidate = candidate_point(curve, candidate_share, candidate_precision)
     if strict is None or candidate is None:
         raise DescriptorError(
-            f"calibration on {data}: no distance reaches precision {strict_precision} over {len(retrieval.findable)} queries"
+            f"calibration on {data}: no distance reaches precision {strict_precision} "
+            f"over {len(retrieval.findable)} queries"
         )
     if candidate.distance < strict.distance:
         candidate = strict

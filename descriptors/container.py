@@ -1,4 +1,5 @@
-"""Place vectors of one sequence on disk: ``netvlad.npz``, which says what made it, and the predecessor's bare float file."""
+"""Place vectors of one sequence on disk: ``netvlad.npz``, which says what made it, and the predecessor's bare float
+file."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ PREDECESSOR_NAME = "vd16_pitts30k_conv5_3_vlad_preL2_intra_white"
 
 @dataclass(frozen=True)
 class PlaceVectors:
-    """Vectors of K key-frames: ``stamps_ns`` ``(K,)`` int64, ``vectors`` ``(K, dim)`` float32 unit rows, ``textured`` ``(K,)`` bool.
+    """Vectors of K key-frames: ``stamps_ns`` ``(K,)`` int64, ``vectors`` ``(K, dim)`` float32 unit rows,
+    ``textured`` ``(K,)`` bool.
 
     ``name`` and ``sha256`` say which model made them; ``dim`` is repeated so that a cut file shows.
     """
@@ -60,9 +62,15 @@ class PlaceVectors:
         partial = path.with_name(path.name + ".part")
         with partial.open("wb") as file:
             np.savez(
-                file, version=np.int64(_VERSION), name=np.array(self.name), sha256=np.array(self.sha256), dim=np.int64(self.dim),
-                stamps_ns=self.stamps_ns, vectors=self.vectors.astype("<f4"), textured=self.textured,
-            )  # fmt: skip
+                file,
+                version=np.int64(_VERSION),
+                name=np.array(self.name),
+                sha256=np.array(self.sha256),
+                dim=np.int64(self.dim),
+                stamps_ns=self.stamps_ns,
+                vectors=self.vectors.astype("<f4"),
+                textured=self.textured,
+            )
         os.replace(partial, path)
 
     @classmethod
@@ -93,10 +101,12 @@ class PlaceVectors:
 def import_predecessor(
     path: Path, image_stamps_ns: NDArray[np.int64], keyframe_stamps_ns: NDArray[np.int64], dim: int = 128
 ) -> PlaceVectors:
-    """Vectors of key-frames from the predecessor's ``netvlad_feats.bin``: 4096 float32 for every image of the sequence, no header.
+    """Vectors of key-frames from the predecessor's ``netvlad_feats.bin``: 4096 float32 for every image of the
+    sequence, no header.
 
-    A key-frame takes the image nearest in time. The first ``dim`` values are kept (its PCA output is sorted by variance) and scaled
-    to unit length. The file does not say which network made it; the one its authors used is assumed, and the hash is of that name.
+    A key-frame takes the image nearest in time. The first ``dim`` values are kept (its PCA output is sorted by
+    variance) and scaled to unit length. The file does not say which network made it; the one its authors used is
+    assumed, and the hash is of that name.
     """
     import hashlib
 

@@ -1,7 +1,7 @@
 """NetVLAD from torch to one ONNX graph: pixels in, unit vector out, batch and size free.
 
-The graph is put together node by node from the trained arrays: batch norms folded into the convolutions, the same bytes on every
-export, and nothing in it that depends on a tracer's version.
+The graph is put together node by node from the trained arrays: batch norms folded into the convolutions, the same
+bytes on every export, and nothing in it that depends on a tracer's version.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class _Graph:
 
 
 def export_onnx(network: NetVladNetwork, path: Path) -> None:
-    """Write ``network`` (its evaluation mode) as ONNX: input ``images`` ``(N, 1, H, W)`` uint8, output ``vectors`` ``(N, dim)`` float32."""
+    """Write ``network`` (its evaluation mode) as ONNX: input ``images`` ``(N, 1, H, W)`` uint8, output ``vectors``
+    ``(N, dim)`` float32."""
     import onnx
     from onnx import TensorProto, helper
 

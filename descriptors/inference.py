@@ -31,7 +31,8 @@ class NetVlad:
 
     @classmethod
     def load(cls, model: str | Path = "default", threads: int = 1) -> NetVlad:
-        """A shipped model by name, or the path of an ``.onnx`` file with its card beside it. ``threads``: for one image."""
+        """A shipped model by name, or the path of an ``.onnx`` file with its card beside it. ``threads``: for one
+        image."""
         import onnxruntime
 
         if threads < 1:
@@ -61,7 +62,8 @@ class NetVlad:
 
     @property
     def threshold(self) -> float:
-        """Euclidean distance below which two images show one place on appearance alone (precision 0.99 where calibrated)."""
+        """Euclidean distance below which two images show one place on appearance alone (precision 0.99 where
+        calibrated)."""
         return self._card.threshold
 
     @property
@@ -86,8 +88,8 @@ class NetVlad:
     def describe(self, images: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDArray[np.float32]:
         """Place vectors ``(N, dim)`` float32, rows of unit norm.
 
-        ``images``: N images ``(H, W)`` grey or ``(H, W, 3)`` BGR, uint8, each of any size, or one such stack ``(N, H, W)``. An
-        image without texture still gets a vector, a meaningless one: see :meth:`textured`.
+        ``images``: N images ``(H, W)`` grey or ``(H, W, 3)`` BGR, uint8, each of any size, or one such stack ``(N,
+        H, W)``. An image without texture still gets a vector, a meaningless one: see :meth:`textured`.
         """
         # One image at a time: a batch is no faster on one thread, and its sums would depend on what else is in it.
         rows = [self._session.run(None, {self._input: self._prepare(image)[None, None]})[0] for image in images]
@@ -100,7 +102,8 @@ class NetVlad:
     def place_vectors(
         self, images: Sequence[NDArray[np.uint8]] | NDArray[np.uint8], stamps_ns: NDArray[np.int64] | Sequence[int]
     ) -> PlaceVectors:
-        """Vectors, texture flags and time stamps (nanoseconds, one an image) in the container that is written to disk."""
+        """Vectors, texture flags and time stamps (nanoseconds, one an image) in the container that is written to
+        disk."""
         from descriptors.container import PlaceVectors
 
         return PlaceVectors(
@@ -117,7 +120,8 @@ class NetVlad:
 
 
 def to_working_size(image: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
-    """A grey or BGR uint8 image as grey ``(h, w)`` of about ``pixels`` pixels, its shape kept: every image costs the same."""
+    """A grey or BGR uint8 image as grey ``(h, w)`` of about ``pixels`` pixels, its shape kept: every image costs
+    the same."""
     grey = np.asarray(image)
     if grey.dtype != np.uint8 or grey.ndim not in (2, 3) or not grey.size:
         raise DescriptorError(
@@ -142,7 +146,8 @@ def to_working_size(image: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
 
 
 def local_contrast(grey: NDArray[np.uint8]) -> float:
-    """Standard deviation, grey levels, of an image minus its own local mean: shading does not count as texture, edges do."""
+    """Standard deviation, grey levels, of an image minus its own local mean: shading does not count as texture,
+    edges do."""
     values = grey.astype(np.float32)
     window = (_CONTRAST_WINDOW_PX, _CONTRAST_WINDOW_PX)
     return float(np.sqrt(np.mean((values - cv2.blur(values, window, borderType=cv2.BORDER_REFLECT)) ** 2)))

@@ -15,7 +15,8 @@ _KMEANS_ROUNDS = 25
 
 
 def kmeans(features: NDArray[np.float32], clusters: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Centres ``(clusters, D)`` of ``(n, D)`` features by Lloyd's rounds; a centre that loses all its features is drawn anew."""
+    """Centres ``(clusters, D)`` of ``(n, D)`` features by Lloyd's rounds; a centre that loses all its features is
+    drawn anew."""
     centres = features[np.sort(rng.choice(len(features), clusters, replace=False))].copy()
     for _ in range(_KMEANS_ROUNDS):
         labels = np.argmax(features @ centres.T - 0.5 * np.square(centres).sum(axis=1), axis=1)
@@ -30,7 +31,8 @@ def kmeans(features: NDArray[np.float32], clusters: int, rng: np.random.Generato
 
 @torch.no_grad()
 def initialise(network: NetVladNetwork, images: NDArray[np.uint8], rng: np.random.Generator) -> None:
-    """Set batch-norm statistics, VLAD centres and projection from ``images`` ``(n, H, W)``; n at least the output dimension."""
+    """Set batch-norm statistics, VLAD centres and projection from ``images`` ``(n, H, W)``; n at least the output
+    dimension."""
     if len(images) < network.config.dim:
         raise ValueError(f"initialisation needs at least {network.config.dim} images, got {len(images)}")
     settle_batch_norms(network, images)

@@ -1,4 +1,5 @@
-"""NetVLAD in torch: a small grey-level CNN, the VLAD layer, a learned projection (Arandjelovic et al., CVPR 2016; thesis 2.1.4, 3.4).
+"""NetVLAD in torch: a small grey-level CNN, the VLAD layer, a whitening projection (Arandjelovic et al., CVPR 2016;
+thesis 2.1.4, 3.4).
 
 Imports torch, so only training and export may import this module; agents run the exported graph (``inference.py``).
 """
@@ -31,7 +32,8 @@ class NetVladConfig(BaseModel):
 
 
 class VladLayer(nn.Module):
-    """Soft-assigned residuals of unit local features ``(N, D, h, w)`` to K centres: ``(N, K * D)``, rows of unit norm."""
+    """Soft-assigned residuals of unit local features ``(N, D, h, w)`` to K centres: ``(N, K * D)``, rows of unit
+    norm."""
 
     def __init__(self, clusters: int, local_dim: int) -> None:
         super().__init__()
@@ -41,7 +43,8 @@ class VladLayer(nn.Module):
 
     @torch.no_grad()
     def set_centres(self, centres: Tensor, alpha: float) -> None:
-        """Start from ``centres`` ``(K, D)``; ``softmax(-alpha * |f - c|^2)`` written as a 1x1 convolution (eq. 3 of the paper)."""
+        """Start from ``centres`` ``(K, D)``; ``softmax(-alpha * |f - c|^2)`` written as a 1x1 convolution (eq. 3 of
+        the paper)."""
         self.centres.copy_(centres)
         self.assign.weight.copy_((2.0 * alpha * centres)[:, :, None, None])
         self.assign.bias.copy_(-alpha * centres.square().sum(dim=1))
@@ -57,8 +60,8 @@ class VladLayer(nn.Module):
 class NetVladNetwork(nn.Module):
     """Grey images ``(N, 1, H, W)``, 0 to 255, any type and size, to unit place vectors ``(N, dim)`` float32.
 
-    Plain 3x3 convolutions; a batch norm before the VLAD layer keeps the unit features spread out. The projection is learned with
-    the rest and at the end rotated to principal axes (``training.order_by_variance``), so that a prefix is usable alone.
+    Plain 3x3 convolutions; a batch norm before the VLAD layer keeps the unit features spread out. The projection is
+    fitted after the rest (``initialisation.fit_projection``), strongest axis first, so that a prefix is usable alone.
     """
 
     def __init__(self, config: NetVladConfig) -> None:

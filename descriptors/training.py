@@ -1,7 +1,7 @@
 """Training of NetVLAD from images alone: symmetric InfoNCE over pairs of views of one place.
 
-Images come as :class:`PlaceSet` (photographs, rendered worlds); nothing here reads or renders them. Every step draws its batch from
-``(seed, step)``, so a resumed training goes exactly where an unbroken one would have gone.
+Images come as :class:`PlaceSet` (photographs, rendered worlds); nothing here reads or renders them. Every step
+draws its batch from ``(seed, step)``, so a resumed training goes exactly where an unbroken one would have gone.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ class TrainingConfig(BaseModel):
 class PlaceSet:
     """Places seen V times each: ``views`` ``(P, V, h, w)`` uint8; V = 1 for photographs, whose second view is made.
 
-    ``conflicts`` ``(P, P)`` bool: pairs of places that see each other and so must not be told apart (None: no such pairs).
-    ``weight``: this set's share of the batches, relative to the others'. ``strips``: share of neighbours in a batch that are made
-    look-alikes by a common strip.
+    ``conflicts`` ``(P, P)`` bool: pairs of places that see each other and so must not be told apart (None: no such
+    pairs). ``weight``: this set's share of the batches, relative to the others'. ``strips``: share of neighbours in
+    a batch that are made look-alikes by a common strip.
     """
 
     name: str
@@ -110,7 +110,8 @@ def info_nce(first: Tensor, second: Tensor, scale: Tensor) -> tuple[Tensor, Tens
 
 
 class Trainer:
-    """The state of a training: network, optimiser, step. ``run`` yields progress; ``save`` and ``resume`` keep all of it."""
+    """The state of a training: network, optimiser, step. ``run`` yields progress; ``save`` and ``resume`` keep all
+    of it."""
 
     def __init__(self, config: TrainingConfig, sets: Sequence[PlaceSet]) -> None:
         if not sets:
@@ -192,14 +193,21 @@ class Trainer:
         self.step = int(state["step"])
 
     def _draw_batch(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Both views of a batch, ``(n, 1, H, W)`` each. Every batch mixes all sets: batch norms see in training
+        what they see later, and no batch can be told from another by its style."""
         weights = np.array([s.weight for s in self.sets])
-        chosen = self.sets[int(rng.choice(len(self.sets), p=weights / weights.sum()))]
-        first, second = chosen.draw(self.config.pairs, rng)
-        if chosen.strips > 0:
-            strip_seed = int(rng.integers(2**32))  # the same strips in both views
-            first = share_strips(first, chosen.strips, np.random.default_rng(strip_seed))
-            second = share_strips(second, chosen.strips, np.random.default_rng(strip_seed))
-        return augment_pair(first, second, (self.config.height, self.config.width), chosen.augmentation, rng)
+        counts = rng.multinomial(self.config.pairs, weights / weights.sum())
+        size = (self.config.height, self.config.width)
+        parts = []
+        for chosen, count in zip(self.sets, counts, strict=True):
+            if count:
+                first, second = chosen.draw(int(count), rng)
+                strip_seed = int(rng.integers(2**32))  # the same strips in both views
+                if chosen.strips > 0:
+                    first = share_strips(first, chosen.strips, np.random.default_rng(strip_seed))
+                    second = share_strips(second, chosen.strips, np.random.default_rng(strip_seed))
+                parts.append(augment_pair(first, second, size, chosen.augmentation, rng))
+        return torch.cat([a for a, _ in parts]), torch.cat([b for _, b in parts])
 
     def _train_step(self) -> tuple[float, float]:
         rng = np.random.default_rng([self.config.seed, 1, self.step])
@@ -208,7 +216,8 @@ class Trainer:
         rate = self.config.learning_rate * _schedule(self.step, self.config)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training images by heart
+        # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training
+        # images by heart
         # and places of another world are told apart far worse than by the vector it was given (docs/netvlad.md).
         vlad = self.network.aggregate(torch.cat([first, second]))
         scale = self.log_scale.exp().clamp(max=_MAX_SCALE)
@@ -247,7 +256,9 @@ def _config_of(state: dict[str, Any], path: Path) -> TrainingConfig:
     try:
         return TrainingConfig.model_validate_json(state["config"])
     except ValidationError as error:
-        raise DescriptorError(f"{path}: made by another version of this program ({error.error_count()} settings differ)") from error
+        raise DescriptorError(
+            f"{path}: made by another version of this program ({error.error_count()} settings differ)"
+        ) from error
 
 
 def _schedule(step: int, config: TrainingConfig) -> float:

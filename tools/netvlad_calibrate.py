@@ -18,10 +18,11 @@ from tools.progress import Progress
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """``worlds`` held-out worlds of each kind, ``places`` places each, a share ``absent`` of which has no reference to be found.
+    """``worlds`` held-out worlds of each kind, ``places`` places each, a share ``absent`` of which has no reference
+    to be found.
 
-    The strict threshold keeps ``precision``; the candidate threshold keeps ``candidate_share`` of the right nearest neighbours as long as
-    ``candidate_precision`` of what it lets through is right.
+    The strict threshold keeps ``precision``; the candidate threshold keeps ``candidate_share`` of the right nearest
+    neighbours as long as ``candidate_precision`` of what it lets through is right.
     """
 
     worlds: int = 2
@@ -61,13 +62,12 @@ def calibrate_model(
     result = calibrate(
         pool(retrievals), data, settings.precision, settings.candidate_share, settings.candidate_precision
     )
-    changed = {
-        "calibration": result,
-        "threshold": result.strict.distance,
-        "candidate_threshold": result.candidate.distance,
-    }
-    written = ModelCard.model_validate(
-        {**card.model_dump(), **{k: v.model_dump() if k == "calibration" else v for k, v in changed.items()}}
+    written = card.model_copy(
+        update={
+            "calibration": result,
+            "threshold": result.strict.distance,
+            "candidate_threshold": result.candidate.distance,
+        }
     )
     write_card(path, written)
     return written

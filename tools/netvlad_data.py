@@ -1,4 +1,5 @@
-"""Images for training and evaluating NetVLAD: photographs from a folder, and the public place-recognition sets on disk."""
+"""Images for training and evaluating NetVLAD: photographs from a folder, and the public place-recognition sets on
+disk."""
 
 from __future__ import annotations
 
@@ -52,8 +53,9 @@ def read_photos(folder: Path, width: int = 240, height: int = 180) -> NDArray[np
 class PlaceBenchmark:
     """Q queries against R references, grey images of any size.
 
-    ``truth`` ``(Q, R)`` bool: the reference shows the query's place; a query may have no place to find. ``ignore`` ``(Q, R)`` bool or
-    None: pairs that are neither right nor wrong, as far as thresholds are concerned (recall counts them as wrong).
+    ``truth`` ``(Q, R)`` bool: the reference shows the query's place; a query may have no place to find. ``ignore``
+    ``(Q, R)`` bool or None: pairs that are neither right nor wrong, as far as thresholds are concerned (recall
+    counts them as wrong).
     """
 
     name: str
@@ -64,7 +66,8 @@ class PlaceBenchmark:
 
 
 def gardenspoint(root: Path, tolerance: int = 2) -> PlaceBenchmark:
-    """GardensPoint day against night, cut from figures: the same number is the same place, within ``tolerance`` images."""
+    """GardensPoint day against night, cut from figures: the same number is the same place, within ``tolerance``
+    images."""
     folder = root / "places_gardenspoint"
     references, queries = ([read_grey(p) for p in image_files(folder / side)] for side in ("gt", "query"))
     apart = np.abs(np.arange(len(queries))[:, None] - np.arange(len(references)))
@@ -82,7 +85,8 @@ def corridor(root: Path) -> PlaceBenchmark:
 
 
 def _read_truth(path: Path, queries: int) -> list[frozenset[int]]:
-    """The pickled object array ``[[query, [references]], ...]``, its integers picked out without unpickling anything."""
+    """The pickled object array ``[[query, [references]], ...]``, its integers picked out without unpickling
+    anything."""
     data = path.read_bytes()
     header = 10 + int.from_bytes(data[8:10], "little")
     truth: dict[int, frozenset[int]] = {}
@@ -91,11 +95,11 @@ def _read_truth(path: Path, queries: int) -> list[frozenset[int]]:
     for opcode, argument, _ in pickletools.genops(data[header:]):
         if opcode.name == "EMPTY_LIST":
             answers, opened = ([] if opened else None), True  # the first list is the whole table
-        elif opcode.name in {"BININT", "BININT1", "BININT2"}:
+        elif isinstance(argument, int) and opcode.name.startswith("BININT"):
             if answers is None:
-                query = int(argument)
+                query = argument
             else:
-                answers.append(int(argument))
+                answers.append(argument)
         elif opcode.name in {"APPEND", "APPENDS"} and answers is not None:
             truth[query], answers = frozenset(answers), None
     if sorted(truth) != list(range(queries)):

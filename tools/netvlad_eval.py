@@ -30,7 +30,8 @@ class Method:
 
 @dataclass(frozen=True)
 class Score:
-    """One row of the table. ``ap``: average precision of "nearest neighbour, if near enough"; ``ms``: for one image, one thread."""
+    """One row of the table. ``ap``: average precision of "nearest neighbour, if near enough"; ``ms``: for one
+    image, one thread."""
 
     dataset: str
     method: str
@@ -62,7 +63,8 @@ def thumbnail_method() -> Method:
 
 
 def random_method(images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Method:
-    """Our architecture before any training (k-means centres and principal axes from ``images``): what training must add to. Needs torch."""
+    """Our architecture before any training (k-means centres and principal axes from ``images``): what training must
+    add to. Needs torch."""
     import torch
 
     from descriptors.initialisation import initialise
@@ -117,12 +119,17 @@ def retrieval_for_thresholds(method: Method, benchmark: PlaceBenchmark) -> Retri
 
 def table(scores: Sequence[Score]) -> str:
     """The scores as text, one line each, sets together."""
-    head = f"{'dataset':24} {'method':22} {'code':12} {'bytes':>6} {'queries':>7} {'R@1':>6} {'R@5':>6} {'AP':>6} {'ms':>6}"
-    rows = [
-        f"{s.dataset:24} {s.method:22} {s.code:12} {s.bytes:6d} {s.queries:7d} {s.recall_at_1:6.3f} {s.recall_at_5:6.3f} {s.ap:6.3f} {s.ms:6.1f}"
-        for s in sorted(scores, key=lambda s: s.dataset)
+    widths = {"dataset": 24, "method": 24, "code": 12, "bytes": 6, "queries": 7}
+    figures = {"recall_at_1": "R@1", "recall_at_5": "R@5", "ap": "AP"}
+    lines = [
+        " ".join(
+            [*(f"{name:{width}}" for name, width in widths.items()), *(f"{f:>6}" for f in figures.values()), "    ms"]
+        )
     ]
-    return "\n".join([head, *rows])
+    for record in as_records(sorted(scores, key=lambda score: score.dataset)):
+        cells = [f"{record[name]!s:{width}}" for name, width in widths.items()]
+        lines.append(" ".join([*cells, *(f"{record[name]:6.3f}" for name in figures), f"{record['ms']:6.1f}"]))
+    return "\n".join(lines)
 
 
 def as_records(scores: Sequence[Score]) -> list[dict[str, object]]:

@@ -1,4 +1,5 @@
-"""``maslam netvlad train`` and ``export``: images in, a checkpoint out; a checkpoint in, an ONNX model with its card out."""
+"""``maslam netvlad train`` and ``export``: images in, a checkpoint out; a checkpoint in, an ONNX model with its
+card out."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from descriptors.card import ModelCard, file_sha256, write_card
@@ -50,8 +52,8 @@ class MaterialConfig(BaseModel):
 
 @dataclass(frozen=True)
 class TrainJob:
-    """``photos``: folder of photographs or None; ``out``: folder for checkpoints and log; ``cache``: folder for rendered places;
-    ``start``: a checkpoint whose weights training goes on from."""
+    """``photos``: folder of photographs or None; ``out``: folder for checkpoints and log; ``cache``: folder for
+    rendered places; ``start``: a checkpoint whose weights training goes on from."""
 
     out: Path
     photos: Path | None
@@ -61,7 +63,8 @@ class TrainJob:
 
 
 def train(job: TrainJob, config: TrainingConfig, material: MaterialConfig, progress: Progress) -> Path:
-    """Train to the configured number of steps; the checkpoint's path. An unfinished training in ``job.out`` is taken up again.
+    """Train to the configured number of steps; the checkpoint's path. An unfinished training in ``job.out`` is
+    taken up again.
 
     Writes ``log.jsonl`` (one line for each 50 steps) beside the checkpoint.
     """
@@ -104,7 +107,8 @@ def train(job: TrainJob, config: TrainingConfig, material: MaterialConfig, progr
 
 
 def gather(job: TrainJob, material: MaterialConfig, progress: Progress) -> list[PlaceSet]:
-    """Photographs and rendered places as sets to draw from; worlds are rendered by as many processes as the machine has cores."""
+    """Photographs and rendered places as sets to draw from; worlds are rendered by as many processes as the machine
+    has cores."""
     from descriptors.augmentation import RENDERED
     from descriptors.training import PlaceSet
 
@@ -152,24 +156,24 @@ def watcher(
     )
     sets = [benchmark(kind, places, config_for(kind), absent=0.0) for (kind, _), places in rendered.items()]
 
+    def vlads(network: NetVladNetwork, images: list[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        stack = np.stack([to_working_size(image, config.width * config.height) for image in images])
+        with torch.no_grad():
+            return np.concatenate([network.aggregate(x).numpy() for x in torch.from_numpy(stack)[:, None].split(32)])
+
     def watch(network: NetVladNetwork) -> dict[str, float]:
-        figures = {}
-        for held_out in sets:
-            sides = []
-            for images in (held_out.queries, held_out.references):
-                stack = np.stack([to_working_size(image, config.width * config.height) for image in images])
-                with torch.no_grad():
-                    sides.append(
-                        np.concatenate([network(batch).numpy() for batch in torch.from_numpy(stack)[:, None].split(32)])
-                    )
-            figures[held_out.name] = retrieve(*sides, held_out.truth).recall_at(1)
-        return figures
+        # The VLAD vector is what is trained; the projection is fitted when training is over.
+        return {
+            one.name: retrieve(vlads(network, one.queries), vlads(network, one.references), one.truth).recall_at(1)
+            for one in sets
+        }
 
     return watch
 
 
 def export(checkpoint: Path, out: Path, name: str, input_pixels: int, training: str) -> Path:
-    """Write ``out`` (``.onnx``) and its card. Thresholds are not known yet: 2.0 (every pair) until ``calibrate`` sets them."""
+    """Write ``out`` (``.onnx``) and its card. Thresholds are not known yet: 2.0 (every pair) until ``calibrate``
+    sets them."""
     from descriptors.export import export_onnx
     from descriptors.training import load_network
 
@@ -179,15 +183,16 @@ def export(checkpoint: Path, out: Path, name: str, input_pixels: int, training: 
     out.parent.mkdir(parents=True, exist_ok=True)
     export_onnx(network, out)
     card = ModelCard(
-        name=name, sha256=file_sha256(out), dim=network.config.dim, input_pixels=input_pixels, threshold=2.0, candidate_threshold=2.0,
-        min_std=MIN_STD, training=training,
+        name=name, sha256=file_sha256(out), dim=network.config.dim, input_pixels=input_pixels, threshold=2.0,
+        candidate_threshold=2.0, min_std=MIN_STD, training=training,
     )  # fmt: skip
     write_card(out, card)
     return out
 
 
 MIN_STD = 2.5
-"""Grey levels of local contrast: above what sensor noise leaves after resizing, below any photograph (docs/netvlad.md)."""
+"""Grey levels of local contrast: above what sensor noise leaves after resizing, below any photograph
+(docs/netvlad.md)."""
 
 
 def _render_job(job: tuple[str, int, int, Path], advance: Callable[[int], None]) -> None:

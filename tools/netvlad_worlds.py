@@ -1,6 +1,8 @@
-"""Rendered worlds as training and test material of the place descriptor: the same places under other light, from other poses.
+"""Rendered worlds as training and test material of the place descriptor: the same places under other light, from
+other poses.
 
-Ground truth is exact: which two views show the same place follows from their poses, and how much they share from their depth.
+Ground truth is exact: which two views show the same place follows from their poses, and how much they share from
+their depth.
 """
 
 from __future__ import annotations
@@ -62,7 +64,8 @@ INDOORS = SamplerConfig(
 
 @dataclass(frozen=True)
 class Visit:
-    """One view: ``image`` ``(h, w)`` uint8, ``T_W_C`` ``(4, 4)``, and points of the surface it sees, ``(g, 3)`` world, NaN = sky."""
+    """One view: ``image`` ``(h, w)`` uint8, ``T_W_C`` ``(4, 4)``, and points of the surface it sees, ``(g, 3)``
+    world, NaN = sky."""
 
     image: NDArray[np.uint8]
     T_W_C: NDArray[np.float64]
@@ -84,7 +87,8 @@ def build_world(kind: str, seed: int) -> World:
 def rendered_places(
     kind: str, seed: int, places: int, cache: Path | None, tick: Callable[[], None] = lambda: None
 ) -> list[list[Visit]]:
-    """The places of one world, taken from ``cache`` (a folder) where they were rendered before with the same settings."""
+    """The places of one world, taken from ``cache`` (a folder) where they were rendered before with the same
+    settings."""
     config = config_for(kind).model_copy(update={"places": places})
     digest = hashlib.sha256(f"{_CACHE_VERSION} {kind} {seed} {config.model_dump_json()}".encode()).hexdigest()[:12]
     path = cache / f"{kind}_{seed}_{places}_{digest}.npz" if cache else None
@@ -104,7 +108,8 @@ def config_for(kind: str) -> SamplerConfig:
 def visit_places(
     world: World, config: SamplerConfig, rng: np.random.Generator, tick: Callable[[], None] = lambda: None
 ) -> list[list[Visit]]:
-    """``config.places`` places, each seen ``config.views`` times, every time by another agent: light, exposure, pose and noise differ."""
+    """``config.places`` places, each seen ``config.views`` times, every time by another agent: light, exposure,
+    pose and noise differ."""
     from tools.worlds.light import random_light
     from tools.worlds.renderer import Renderer
 
@@ -131,10 +136,11 @@ def visit_places(
 
 
 def overlap(first: list[Visit], second: list[Visit]) -> NDArray[np.float64]:
-    """Share of the points seen by each of ``first`` (n) that each of ``second`` (m) has in its image and in front, ``(n, m)``.
+    """Share of the points seen by each of ``first`` (n) that each of ``second`` (m) has in its image and in front,
+    ``(n, m)``.
 
-    Points hidden behind something else in the second view are counted too where they lie within half again of its typical depth:
-    a sparse test that errs towards "they see each other".
+    Points hidden behind something else in the second view are counted too where they lie within half again of its
+    typical depth: a sparse test that errs towards "they see each other".
     """
     points = np.stack([v.points_W for v in first])
     known = ~np.isnan(points[..., 0])
@@ -161,8 +167,9 @@ def conflicts(places: list[list[Visit]], config: SamplerConfig) -> NDArray[np.bo
 def benchmark(name: str, places: list[list[Visit]], config: SamplerConfig, absent: float = 0.3) -> PlaceBenchmark:
     """Held-out places as queries against references: first visits are references, the others queries.
 
-    Same place: within 5 m (indoors 1.5 m) and 30 degrees. Views further apart that still share surface are undecided for thresholds.
-    ``absent``: share of the places, the first ones, that have no reference, as an agent's places often have none with another agent.
+    Same place: within 5 m (indoors 1.5 m) and 30 degrees. Views further apart that still share surface are
+    undecided for thresholds. ``absent``: share of the places, the first ones, that have no reference, as an agent's
+    places often have none with another agent.
     """
     kept = places[round(absent * len(places)) :]
     references, queries = [visits[0] for visits in kept], [visit for visits in places for visit in visits[1:]]
@@ -185,8 +192,8 @@ def save_places(path: Path, places: list[list[Visit]]) -> None:
     partial = path.with_name(path.name + ".part")
     with partial.open("wb") as file:
         np.savez(
-            file, views=np.int64(len(places[0])), images=np.stack([v.image for v in flat]), poses=np.stack([v.T_W_C for v in flat]),
-            cameras=cameras, points=np.stack([v.points_W for v in flat]),
+            file, views=np.int64(len(places[0])), images=np.stack([v.image for v in flat]), poses=np.stack([v.T_W_C
+            for v in flat]), cameras=cameras, points=np.stack([v.points_W for v in flat]),
         )  # fmt: skip
     partial.replace(path)
 

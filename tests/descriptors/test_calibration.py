@@ -27,7 +27,8 @@ def _retrieval(distances: list[float], right: list[bool], findable: list[bool] |
 
 
 def test_precision_and_recall_by_hand() -> None:
-    # Sorted: 0.1 right, 0.2 right, 0.3 wrong, 0.4 right; a fifth query finds nothing of its own and answers wrongly at 0.5.
+    # Sorted: 0.1 right, 0.2 right, 0.3 wrong, 0.4 right; a fifth query finds nothing of its own and answers
+    # wrongly at 0.5.
     curve = precision_recall(
         _retrieval([0.3, 0.1, 0.4, 0.2, 0.5], [False, True, True, True, False], [True, True, True, True, False])
     )
@@ -76,7 +77,7 @@ def test_candidate_threshold_gives_way_to_the_wanted_precision() -> None:
 
 
 def test_data_that_supports_no_threshold_is_an_error() -> None:
-    with pytest.raises(DescriptorError, match="no distance reaches precision 0.99 over 300 queries"):
+    with pytest.raises(DescriptorError, match=r"no distance reaches precision 0\.99 over 300 queries"):
         calibrate(_retrieval(np.linspace(0.1, 1, 300).tolist(), [False] * 300), "look-alikes", 0.99, 0.9, 0.5)
 
 

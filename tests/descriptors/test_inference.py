@@ -136,7 +136,7 @@ def test_models_are_checked(tmp_path: Path) -> None:
     copy.with_suffix(".json").write_text(json.dumps(card))
     assert NetVlad.load(str(copy)).sha256 == card["sha256"]
     copy.write_bytes(copy.read_bytes()[:-1] + b"x")
-    with pytest.raises(DescriptorError, match="not the weights that mine.json describes"):
+    with pytest.raises(DescriptorError, match=r"not the weights that mine\.json describes"):
         NetVlad.load(copy)
     broken = tmp_path / "broken.onnx"
     broken.write_bytes(b"not onnx")

@@ -1,4 +1,5 @@
-"""The torch side: the network against a plain numpy reading of the paper, training that learns, export that equals torch."""
+"""The torch side: the network against a plain numpy reading of the paper, training that learns, export that equals
+torch."""
 
 from __future__ import annotations
 
@@ -26,7 +27,6 @@ SMALL = TrainingConfig(
     height=48,
     learning_rate=3e-3,
     warmup_steps=5,
-   
     initial_images=64,
     checkpoint_every=10,
 )
