@@ -72,7 +72,8 @@ class OptimisationConfig(_Section):
         0.01, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
     )
     match_sigma_deg: float = Field(0.2, gt=0, description="floor of a place match's rotation sigma, degrees")
-    solver: SolverConfig = SolverConfig()
+    # Members' poses share a frame when an optimisation starts (the task places them), so it can go on from there.
+    solver: SolverConfig = SolverConfig(start="warm")
 
 
 class MergeConfig(_Section):
