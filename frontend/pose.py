@@ -30,7 +30,10 @@ def exp_update(delta: Array, T: Array) -> Array:
     R = np.eye(3) + a * K + b * K2
     V = np.eye(3) + b * K + c * K2
     out = np.eye(4)
-    out[:3, :3] = R @ np.ascontiguousarray(T[:3, :3])
+    turned = R @ np.ascontiguousarray(T[:3, :3])
+    # One Newton step to the nearest rotation: velocities are made with transposes for inverses, and there rounding errors would
+    # grow sixfold from frame to frame.
+    out[:3, :3] = 1.5 * turned - 0.5 * turned @ (turned.T @ turned)
     out[:3, 3] = R @ np.ascontiguousarray(T[:3, 3]) + V @ delta[:3]
     return out
 
