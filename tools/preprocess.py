@@ -166,14 +166,13 @@ def _claim(out: Path) -> None:
 def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[list[TrackingJob], list[str]]:
     """A job for each sequence that can be used, and what is wrong with the data."""
     from frontend.datasets.base import Severity
-    from tools.tracked_store import TrackingJob
+    from tools.tracked_store import make_job
 
     jobs, problems = [], []
     for sequence in dataset.sequences:
         problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
         if all(problem.severity is not Severity.ERROR for problem in sequence.problems):
-            store = out / FRONTEND / f"{sequence.name}.npz"
-            jobs.append(TrackingJob(sequence, settings.odometry, settings.model, settings.vocabulary, store))
+            jobs.append(make_job(sequence, settings.odometry, settings.model, settings.vocabulary, out / FRONTEND))
     return jobs, problems
 
 

@@ -28,42 +28,48 @@ CODE_FOLDERS = ("frontend", "descriptors", "backend/geometry.py", "tools/trackin
 
 @dataclass(frozen=True)
 class TrackingJob:
-    """One sequence to be tracked, with what it takes, and the file for the result."""
+    """One sequence to be tracked, with what it takes, the file for the result, and the fingerprint of all of it."""
 
     sequence: ImageSequence
     odometry: OdometryConfig
     model: str
     vocabulary: Path | None
     store: Path
+    fingerprint: str
 
-    def fingerprint(self) -> str:
-        """Of the images (names, sizes, times of change), the calibration, the settings, the models and the code."""
-        sequence = self.sequence
-        digest = hashlib.sha256(f"{sequence.rig} {self.odometry.model_dump_json()} {self.model}".encode())
-        digest.update(sequence.stamps_ns.tobytes())
-        models = [path for path in (self.vocabulary, Path(self.model)) if path is not None and path.is_file()]
-        for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
-            status = path.stat() if path.exists() else None
-            digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
-        digest.update(code_digest().encode())
-        return digest.hexdigest()
+
+def make_job(
+    sequence: ImageSequence, odometry: OdometryConfig, model: str, vocabulary: Path | None, folder: Path
+) -> TrackingJob:
+    """The job of a sequence, its result to be kept in ``folder``.
+
+    The fingerprint covers the images (names, sizes, times of change), the calibration, the settings, the models and the
+    code.
+    """
+    digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {code_digest()}".encode())
+    digest.update(sequence.stamps_ns.tobytes())
+    models = [path for path in (vocabulary, Path(model)) if path is not None and path.is_file()]
+    for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
+        status = path.stat() if path.exists() else None
+        digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
+    store = folder / f"{sequence.name}.npz"
+    return TrackingJob(sequence, odometry, model, vocabulary, store, digest.hexdigest())
 
 
 def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
     """Track the job's sequence into its store, unless the store has it."""
-    fingerprint = job.fingerprint()
-    if load_tracked(job.store, fingerprint) is None:
+    if load_tracked(job.store, job.fingerprint) is None:
         from descriptors.inference import NetVlad
         from frontend.vocabulary import Vocabulary
 
         vocabulary, model = Vocabulary.load(job.vocabulary), NetVlad.load(job.model)
-        save_tracked(job.store, track(job.sequence, job.odometry, vocabulary, model, advance), fingerprint)
+        save_tracked(job.store, track(job.sequence, job.odometry, vocabulary, model, advance), job.fingerprint)
     advance(len(job.sequence))
 
 
 def take_tracked(job: TrackingJob) -> Tracked:
     """The result of a job that :func:`track_job` has done."""
-    tracked = load_tracked(job.store, job.fingerprint())
+    tracked = load_tracked(job.store, job.fingerprint)
     if tracked is None:
         raise ToolError(f"{job.store}: changed or deleted while it was needed; run the command again")
     return tracked
