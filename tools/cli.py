@@ -19,7 +19,7 @@ from tools.errors import UsageError, describe
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("tools.demo", "render a small town, run four agents in it, write the report"),
-    "render": ("tools.render", "synthetic images, depth and ground truth of several agents"),
+    "render": ("tools.render_command", "synthetic images, depth and ground truth of several agents"),
     "inspect": ("tools.inspect", "what would be read from a folder of images, and what is wrong with it"),
     "preprocess": ("tools.preprocess", "images to agent sequences: odometry, map points, place vectors"),
     "run": ("tools.run", "the multi-agent system on agent sequences"),

@@ -124,7 +124,7 @@ def bars(entries: Sequence[tuple[str, float, str, str]], highest: float) -> str:
     for name, value, text, colour in entries:
         share = 100 * value / highest if highest > 0 else 0.0
         bar = f'<div class="bar"><div style="width:{share:.1f}%;background:{colour}"></div></div>'
-        rows.append(f'<div class="barrow"><span>{escape(name)}</span>{bar}<b>{escape(text)}</b></div>')
+        rows.append(f"<span>{escape(name)}</span>{bar}<b>{escape(text)}</b>")
     return f'<div class="bars">{"".join(rows)}</div>'
 
 

@@ -56,7 +56,7 @@ def tiles(run: RunData) -> list[Tile]:
             f"least {min(explored, default=0):.0f} %",
         ),
         Tile("on the air", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
-        Tile("agents' time", f"{s['wall_s']:.1f} s", f"{s['realtime_factor']:.1f} x real time, front end apart"),
+        Tile("time, without front end", f"{s['wall_s']:.1f} s", f"{s['realtime_factor']:.1f} x real time"),
     ]
 
 
@@ -66,8 +66,9 @@ def _error_tiles(run: RunData) -> list[Tile]:
     if after is None:
         return [Tile("mean ATE", "unknown", "no ground truth")]
     better = before is not None and after < before
-    share = f", {100 * after / np.mean(paths):.2f} % of the path" if paths else ""
-    return [Tile("mean ATE", f"{after:.3f} m", f"odometry alone {before:.3f} m{share}", "good" if better else "")]
+    share = f" ({100 * after / np.mean(paths):.2f} % of the path)" if paths else ""
+    alone = "" if before is None else f"odometry alone {before:.3f} m"
+    return [Tile(f"mean ATE{share}", f"{after:.3f} m", alone, "good" if better else "")]
 
 
 def sections(run: RunData) -> list[Section]:
@@ -242,7 +243,7 @@ def _match_cells(row: dict[str, str]) -> list[str]:
     said = "accepted, but false" if false else row["fate"]
     ends = [f"agent_{int(row[f'{end}_agent']):02d} · {row[f'{end}_keyframe']}" for end in ("query", "match")]
     error = f"{float(row['error_m']):.2f} m" if row["error_m"] else "–"
-    why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word))
+    why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word and word != row["fate"]))
     badge = f'<span class="fate {fate}">{escape(said)}</span>'
     return [f"{float(row['time_s']):.1f} s", *ends, row["distance"], badge, why, row["matches"], row["inliers"], error]
 
