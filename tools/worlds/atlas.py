@@ -19,7 +19,7 @@ class Atlas:
 
     texels: NDArray[np.uint8]
     table: NDArray[np.int64]
-    texel_m: NDArray[np.float32]
+    texel_m: NDArray[np.float64]
     clamped: NDArray[np.bool_]
     materials: NDArray[np.int32]
 
@@ -67,7 +67,7 @@ class AtlasBuilder:
             for k, level in enumerate(levels):
                 texels[table[t, k, 0] : table[t, k, 0] + level.shape[0] * level.shape[1]] = level.reshape(-1, 3)
             levels.clear()
-        return Atlas(texels.reshape(-1), table, np.array(self._texel_m, np.float32), np.array(self._clamped),
+        return Atlas(texels.reshape(-1), table, np.array(self._texel_m, np.float64), np.array(self._clamped),
                      np.array(self._materials, np.int32).reshape(-1, 3))  # fmt: skip
 
 

@@ -37,7 +37,7 @@ def facade(rng: np.random.Generator) -> Image:
     if rng.random() < 0.6:
         x = int(rng.integers(BAYS)) * CELL + int(rng.integers(2, 8))
         canvas[:, x : x + 4] = canvas[:, x : x + 4] * 0.55 + 20
-    drips = np.clip(noise(rng, (SIZE, SIZE), (6, 90)), -1.5, 1.5) * 0.045 + fractal(rng, (SIZE, SIZE), 3, 5) * 0.04
+    drips = np.clip(noise(rng, (SIZE, SIZE), (4, 64)), -1.5, 1.5) * 0.045
     fade = np.linspace(1.04, 0.93, SIZE, dtype=np.float32)[:, None, None]
     return to_image(canvas * (1 + drips[:, :, None]) * fade)
 

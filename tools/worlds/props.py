@@ -47,23 +47,25 @@ def sphere(level: int) -> tuple[Floats, NDArray[np.int64]]:
     return vertices, faces
 
 
-def tree(mesh: MeshBuilder, at: Floats, foot: float, stuff: Stuff, rng: np.random.Generator, height: float | None = None) -> None:
-    """A trunk and a crown of lumps whose surface is bent at random; ``at`` (x, z)."""
-    height = float(rng.uniform(4.5, 9.5)) if height is None else height
+def tree_mesh(stuff: Stuff, height: float, rng: np.random.Generator) -> Mesh:
+    """A trunk and a crown of lumps whose surface is bent at random, about the origin on the ground; placed by :func:`placed`."""
+    mesh = MeshBuilder()
     trunk = 0.36 * height
-    cylinder(mesh, at, foot - 0.2, foot + trunk * 1.3, 0.022 * height, stuff.bark)
+    cylinder(mesh, np.zeros(2), -0.2, trunk * 1.3, 0.022 * height, stuff.bark)
     material, tone = int(rng.choice(stuff.leaves)), rng.uniform(0.75, 1.2) * np.array([rng.uniform(0.85, 1.25), 1.0, rng.uniform(0.7, 1.0)])
-    unit, faces = sphere(2)
     for k in range(int(rng.integers(4, 7))):
+        unit, faces = sphere(2 if k < 2 else 1)
         radius = height * (0.24 if k == 0 else rng.uniform(0.13, 0.2))
         centre = np.zeros(3) if k == 0 else rng.normal(0, 0.13, 3) * height * np.array([1, 0.8, 1])
-        bumps = sum(rng.uniform(0.02, 0.07) * np.sin(unit @ rng.normal(0, f, 3) + rng.uniform(0, 6.28)) for f in (3, 5, 8, 12, 12, 18))
-        points = unit * radius * (1 + bumps[:, None]) * np.array([1.0, 0.9, 1.0])
-        middle = np.array([at[0], -(foot + trunk + 0.28 * height), at[1]]) + centre
-        angle = np.arctan2(unit[:, 2], unit[:, 0])
-        # u on the angle would break at the seam: an equal-area map folded in the middle has none.
-        uv = np.stack([np.abs(angle) * radius * 1.1, unit[:, 1] * radius * 1.5], axis=1) + rng.uniform(0, 5, 2)
+        waves = 0.05 * rng.uniform(0.4, 1.4, 6)
+        bumps = sum(a * np.sin(unit @ rng.normal(0, f, 3) + rng.uniform(0, 6.28)) for a, f in zip(waves, (3, 5, 8, 12, 12, 18), strict=True))
+        points = unit * radius * (1 + np.asarray(bumps)[:, None]) * np.array([1.0, 0.9, 1.0])
+        middle = np.array([0, -(trunk + 0.28 * height), 0]) + centre
+        # u on the angle would break at the seam: folded in the middle it has none.
+        angle = np.abs(np.arctan2(unit[:, 2], unit[:, 0]))
+        uv = np.stack([angle * radius * 1.1, unit[:, 1] * radius * 1.5], axis=1) + rng.uniform(0, 5, 2)
         mesh.surface(points + middle, faces, uv, material, tone * rng.uniform(0.85, 1.15))
+    return mesh.build()
 
 
 def cylinder(mesh: MeshBuilder, at: Floats, bottom: float, top: float, radius: float, material: int, tint: object = (1, 1, 1),
@@ -152,12 +154,12 @@ def car_mesh(stuff: Stuff, tint: Floats, look: int) -> Mesh:
     return mesh.build()
 
 
-def parked(car: Mesh, at: Floats, heading: Floats, foot: float) -> Mesh:
-    """``car`` moved to ``at`` (x, z), nose along ``heading`` (x, z)."""
+def placed(thing: Mesh, at: Floats, heading: Floats, foot: float) -> Mesh:
+    """``thing``, made about the origin, moved to ``at`` (x, z), its +Z along ``heading`` (x, z), onto ground of height ``foot``."""
     T = np.eye(4)
     T[:3, :3] = _axes(heading)
     T[:3, 3] = at[0], -foot, at[1]
-    return car.moved(T)
+    return thing.moved(T)
 
 
 def bench(mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff) -> None:

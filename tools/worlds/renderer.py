@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frontend.cameras import PinholeCamera
-from tools.worlds.kernels import LightArrays, SceneArrays, edge_pixels, hit_points, shade
+from tools.worlds.kernels import LightArrays, SceneArrays, edge_pixels, hit_points, odd_pixels, pack_rays, pack_shadow_rays, shade
 from tools.worlds.light import Light
 from tools.worlds.mesh import Mesh
 from tools.worlds.world import World
@@ -35,53 +36,117 @@ class Renderer:
 
         self._o3d = o3d
         self.world = world
-        mesh = world.mesh
-        self._scene = o3d.t.geometry.RaycastingScene(1)
-        faces = np.arange(3 * len(mesh), dtype=np.uint32).reshape(-1, 3)
-        vertices = np.ascontiguousarray(mesh.vertices.reshape(-1, 3), np.float32)
-        self._scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces))
-        self._arrays = scene_arrays(world, mesh)
+        self._layers = [self._layer(world.mesh)]
 
     def render(self, T_W_C: NDArray[np.float64], camera: PinholeCamera, light: Light, movers: Mesh | None = None) -> View:
-        """The view of ``camera`` at pose ``T_W_C`` ``(4, 4)``. The same arguments give the same bytes."""
+        """The view of ``camera`` at pose ``T_W_C`` ``(4, 4)``; ``movers``: further surfaces of this moment, such as driving cars, in the
+        world's materials. The same arguments give the same bytes."""
         h, w = camera.height, camera.width
-        R, origin = np.ascontiguousarray(T_W_C[:3, :3]), np.ascontiguousarray(T_W_C[:3, 3])
-        step_x, step_y = np.ascontiguousarray(R[:, 0] / camera.fx), np.ascontiguousarray(R[:, 1] / camera.fy)
-        u, v = np.meshgrid(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64))
-        rays = _rays(u.ravel(), v.ravel(), camera, R)
+        cast = _Cast(self._o3d, self._layers + ([self._layer(movers)] if movers is not None and len(movers) else []))
+        view = _view(T_W_C, camera)
         lights = light.arrays()
-        radiance, depth, triangle, lit = self._trace(origin, rays, lights, step_x, step_y)
-        edges = edge_pixels(self._arrays.group, triangle, depth, lit, h, w)
+        y, x = np.divmod(np.arange(h * w), w)
+        pixels = np.stack([x, y], axis=1).astype(np.float64)
+        even = np.flatnonzero((x + y) % 2 == 0)
+
+        triangle = np.zeros(h * w, np.int32)
+        triangle[even] = cast.triangles(pixels, even, view)
+        rest = odd_pixels(triangle, np.zeros(h * w, np.bool_), h, w)
+        triangle[rest] = cast.triangles(pixels, rest, view)
+        depth, group, facing = cast.hits(pixels, triangle, view, lights)
+        lit = facing.copy()
+        sunny = even[facing[even]]
+        lit[sunny] = cast.sunlit(pixels, depth, sunny, view, lights)
+        unsure = odd_pixels(lit, triangle, h, w)
+        unsure = unsure[facing[unsure]]
+        lit[unsure] = cast.sunlit(pixels, depth, unsure, view, lights)
+        lit &= facing
+        radiance = cast.shaded(pixels, triangle, depth, lit, view, lights, 1.0)
+
+        edges = edge_pixels(group, depth, lit, h, w)
         if len(edges):
-            offsets = np.array(SAMPLES)
-            eu = ((edges % w)[:, None] + offsets[:, 0]).ravel()
-            ev = ((edges // w)[:, None] + offsets[:, 1]).ravel()
-            fine, *_ = self._trace(origin, _rays(eu, ev, camera, R), lights, step_x / 2, step_y / 2)
-            radiance[edges] = fine.reshape(len(edges), len(offsets), 3).mean(axis=1)
+            fine = (pixels[edges][:, None] + np.array(SAMPLES)).reshape(-1, 2)
+            radiance[edges] = cast.samples(fine, view, lights).reshape(len(edges), len(SAMPLES), 3).mean(axis=1)
         return View(radiance.reshape(h, w, 3), depth.reshape(h, w), triangle.reshape(h, w))
 
-    def _trace(self, origin: NDArray, rays: NDArray, light: LightArrays, step_x: NDArray, step_y: NDArray
-               ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.int32], NDArray[np.bool_]]:  # fmt: skip
-        n = len(rays)
-        packed = np.empty((n, 6), np.float32)
-        packed[:, :3], packed[:, 3:] = origin, rays
-        ids = self._scene.cast_rays(self._o3d.core.Tensor(packed), nthreads=1)["primitive_ids"].numpy()
-        triangle = ids.astype(np.int32)  # the invalid id, all bits set, becomes -1
-        depth, lit = np.empty(n), np.zeros(n, np.bool_)
-        shadow_of = np.empty(n, np.int64)
-        count = hit_points(self._arrays, origin, rays, triangle, light, depth, packed, shadow_of)
-        if count:
-            blocked = self._scene.test_occlusions(self._o3d.core.Tensor(packed[:count]), nthreads=1).numpy()
-            lit[shadow_of[:count]] = ~blocked
-        radiance = np.empty((n, 3), np.float32)
-        shade(self._arrays, light, origin, rays, triangle, depth, lit, step_x, step_y, radiance)
-        return radiance, depth, triangle, lit
+    def _layer(self, mesh: Mesh) -> _Layer:
+        scene = self._o3d.t.geometry.RaycastingScene(1)
+        faces = np.arange(3 * len(mesh), dtype=np.uint32).reshape(-1, 3)
+        vertices = np.ascontiguousarray(mesh.vertices.reshape(-1, 3), np.float32)
+        scene.add_triangles(self._o3d.core.Tensor(vertices), self._o3d.core.Tensor(faces))
+        return _Layer(scene, scene_arrays(self.world, mesh))
 
 
-def _rays(u: NDArray[np.float64], v: NDArray[np.float64], camera: PinholeCamera, R: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World directions of pixels, of length 1 along the optical axis, so that a ray's parameter is the depth."""
-    d = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=1)
-    return d @ R.T
+@dataclass(frozen=True)
+class _Layer:
+    """Surfaces with a ray casting scene of their own."""
+
+    scene: Any
+    arrays: SceneArrays
+
+
+class _Cast:
+    """Rays through one or two layers; the triangles of the second are numbered on from those of the first."""
+
+    def __init__(self, o3d: Any, layers: list[_Layer]) -> None:
+        self._tensor, self._layers = o3d.core.Tensor, layers
+        self._first = [0, *np.cumsum([len(layer.arrays.row) for layer in layers]).tolist()]
+
+    def triangles(self, pixels: NDArray, which: NDArray, view: NDArray) -> NDArray[np.int32]:
+        """The nearest triangle seen at each of ``pixels[which]``, -1 = none."""
+        rays = np.empty((len(which), 6), np.float32)
+        pack_rays(pixels, which, view, rays)
+        best, nearest = np.full(len(which), -1, np.int32), np.full(len(which), np.inf, np.float32)
+        for layer, first in zip(self._layers, self._first, strict=False):
+            answer = layer.scene.cast_rays(self._tensor(rays), nthreads=1)
+            distance = answer["t_hit"].numpy()
+            nearer = distance < nearest
+            best[nearer] = answer["primitive_ids"].numpy()[nearer].astype(np.int32) + np.int32(first)
+            nearest[nearer] = distance[nearer]
+        return best
+
+    def hits(self, pixels: NDArray, triangle: NDArray, view: NDArray, light: LightArrays
+             ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.bool_]]:  # fmt: skip
+        n = len(pixels)
+        depth, group, facing = np.zeros(n), np.full(n, -1, np.int32), np.zeros(n, np.bool_)
+        for layer, first in zip(self._layers, self._first, strict=False):
+            hit_points(layer.arrays, first, view, pixels, triangle, light, depth, group, facing)
+        return depth, group, facing
+
+    def sunlit(self, pixels: NDArray, depth: NDArray, which: NDArray, view: NDArray, light: LightArrays) -> NDArray[np.bool_]:
+        """Whether nothing stands between the sun and the points seen at ``pixels[which]``."""
+        rays = np.empty((len(which), 6), np.float32)
+        pack_rays(pixels, which, view, rays)
+        pack_shadow_rays(rays, depth, which, light.sun, rays)
+        blocked = np.zeros(len(which), np.bool_)
+        for layer in self._layers:
+            if len(which):
+                blocked |= layer.scene.test_occlusions(self._tensor(rays), nthreads=1).numpy()
+        return ~blocked
+
+    def shaded(self, pixels: NDArray, triangle: NDArray, depth: NDArray, lit: NDArray, view: NDArray, light: LightArrays,
+               footprint: float) -> NDArray[np.float32]:  # fmt: skip
+        radiance = np.empty((len(pixels), 3), np.float32)
+        for layer, first in zip(self._layers, self._first, strict=False):
+            shade(layer.arrays, first, light, view, footprint, pixels, triangle, depth, lit, radiance)
+        return radiance
+
+    def samples(self, pixels: NDArray, view: NDArray, light: LightArrays) -> NDArray[np.float32]:
+        """Radiance at single points of the image, each half a pixel wide."""
+        every = np.arange(len(pixels))
+        triangle = self.triangles(pixels, every, view)
+        depth, _, lit = self.hits(pixels, triangle, view, light)
+        sunny = np.flatnonzero(lit)
+        lit[sunny] = self.sunlit(pixels, depth, sunny, view, light)
+        return self.shaded(pixels, triangle, depth, lit, view, light, 0.5)
+
+
+def _view(T_W_C: NDArray[np.float64], camera: PinholeCamera) -> NDArray[np.float64]:
+    """``(4, 3)``, world axes: the camera's centre, the ray of pixel (0, 0), its change from one column and one row to the next. Rays have
+    length 1 along the optical axis, so that a ray's parameter is the depth."""
+    R = T_W_C[:3, :3]
+    across, down = R[:, 0] / camera.fx, R[:, 1] / camera.fy
+    return np.stack([T_W_C[:3, 3], R[:, 2] - camera.cx * across - camera.cy * down, across, down])
 
 
 def scene_arrays(world: World, mesh: Mesh) -> SceneArrays:
@@ -96,12 +161,13 @@ def scene_arrays(world: World, mesh: Mesh) -> SceneArrays:
         d1, d2 = values[:, 1] - values[:, 0], values[:, 2] - values[:, 0]
         return d1[:, :, None] * dual1[:, None] + d2[:, :, None] * dual2[:, None]
 
+    n = len(mesh)
+    row = np.concatenate([
+        p, cross / np.sqrt(square), mesh.uv[:, 0], gradient(mesh.uv).reshape(n, 6), mesh.normals[:, 0], gradient(mesh.normals).reshape(n, 9),
+        mesh.tint,
+    ], axis=1)  # fmt: skip
     atlas = world.atlas
-    linear = (np.arange(257) / 255.0) ** 2.2
     return SceneArrays(
-        np.ascontiguousarray(p), cross / np.sqrt(square), np.ascontiguousarray(mesh.uv[:, 0]), gradient(mesh.uv),
-        np.ascontiguousarray(mesh.normals[:, 0], np.float32), gradient(mesh.normals).astype(np.float32),
-        mesh.material, mesh.tint.astype(np.float32), mesh.group, mesh.zone,
-        atlas.texels, atlas.table, atlas.texel_m, atlas.clamped, atlas.materials, linear.astype(np.float32),
-        world.lamps, world.zone_lamps, world.sky_texture,
+        row, mesh.material, mesh.group, mesh.zone, atlas.texels, atlas.table, atlas.texel_m, atlas.clamped, atlas.materials,
+        (np.arange(257) / 255.0) ** 2.2, world.lamps, world.zone_lamps, world.sky_texture,
     )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +28,7 @@ MARGIN_M = 45.0
 KERB_M = ROAD_HALF_M + 0.5
 
 
-def build_town(seed: int, facade_count: int = 40, ground_texel_m: float = 0.05) -> tuple[World, Network]:
+def build_town(seed: int, facade_count: int = 32, ground_texel_m: float = 0.05) -> tuple[World, Network]:
     """The town of ``seed`` and its streets. Fewer facades and a coarser ground make a cheaper town of the same shape."""
     rng = np.random.default_rng([seed, 1])
     network = town_network(rng)
@@ -45,14 +47,15 @@ def build_streets(kind: str, seed: int, lines: tuple[Line, ...], crossings: NDAr
     for plot in plots:
         add_house(mesh, plot, masonry, 0.0, rng)
     cars = [props.car_mesh(stuff, np.array(c), k) for k, c in enumerate(_paints(rng))]
-    parked = _furnish(mesh, lines, crossings, plan, taken, stuff, cars, rng)
+    trees = [props.tree_mesh(stuff, float(h), rng) for h in np.linspace(4.2, 9.0, 10)]
+    placed = _furnish(mesh, lines, crossings, plan, taken, stuff, _Models(cars, trees), rng)
     ground = ground_image(plan, lines, crossings, _contact_shade(taken), rng, ground_texel_m)
     h, w = ground.shape[:2]
     texture = atlas.texture(ground, w * ground_texel_m, h * ground_texel_m, clamped=True)
     detail = atlas.texture(textures.grain(rng, 256, 0.12), 2.56, 2.56)
     _ground(mesh, plan, atlas.material(texture, detail), atlas.material(atlas.texture(textures.leaves(rng), 60.0, 60.0)))
     sky = atlas.texture(textures.clouds(rng), 2048.0, 2048.0)
-    return World(kind, seed, Mesh.joined([mesh.build(), *parked]), atlas.build(), free_space(plan), sky, movers=tuple(cars))
+    return World(kind, seed, Mesh.joined([mesh.build(), *placed]), atlas.build(), free_space(plan), sky, movers=tuple(cars))
 
 
 def _materials(atlas: AtlasBuilder, rng: np.random.Generator, facade_count: int) -> tuple[Masonry, props.Stuff]:
@@ -92,27 +95,35 @@ def _paints(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.concatenate([grey, colour]) * rng.uniform(0.85, 1.15, (10, 3))
 
 
+@dataclass(frozen=True)
+class _Models:
+    """Things that are made once and stand in many places; trees by rising height."""
+
+    cars: list[Mesh]
+    trees: list[Mesh]
+
+
 def _furnish(mesh: MeshBuilder, lines: tuple[Line, ...], crossings: NDArray[np.float64], plan: GroundPlan, taken: NDArray[np.uint8],
-             stuff: props.Stuff, cars: list[Mesh], rng: np.random.Generator) -> list[Mesh]:  # fmt: skip
+             stuff: props.Stuff, models: _Models, rng: np.random.Generator) -> list[Mesh]:  # fmt: skip
     """Cars at the kerb, lamps, signs, trees and furniture on the pavements, trees on free grass; returns the cars."""
-    parked: list[Mesh] = []
+    out: list[Mesh] = []
     for line in lines:
         tangent = np.gradient(line, axis=0)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         for side in (1.0, -1.0):
-            _pavement(mesh, line, tangent, side, crossings, plan, stuff, cars, parked, rng)
+            _pavement(mesh, line, tangent, side, crossings, plan, stuff, models, out, rng)
     for p in rng.uniform(np.zeros(2), np.array(plan.distance.shape[::-1]) * plan.cell_m, (1400, 2)) + plan.origin:
         row, col = plan.index(p)
         r = int(2.5 / plan.cell_m)
         near = taken[max(row - r, 0) : row + r + 1, max(col - r, 0) : col + r + 1]
         if not near.any() and plan.distance[row, col] < 26:
-            props.tree(mesh, p, 0.0, stuff, rng)
+            out.append(props.placed(models.trees[int(rng.integers(10))], p, _direction(rng), 0.0))
             taken[row - r : row + r + 1, col - r : col + r + 1] = 2
-    return parked
+    return out
 
 
 def _pavement(mesh: MeshBuilder, line: Line, tangent: NDArray, side: float, crossings: NDArray[np.float64], plan: GroundPlan,
-              stuff: props.Stuff, cars: list[Mesh], parked: list[Mesh], rng: np.random.Generator) -> None:  # fmt: skip
+              stuff: props.Stuff, models: _Models, out: list[Mesh], rng: np.random.Generator) -> None:  # fmt: skip
     """Everything on one side of one street."""
     next_car, next_thing = rng.uniform(0, 12), rng.uniform(0, 6)
     for k in range(len(line)):
@@ -121,20 +132,26 @@ def _pavement(mesh: MeshBuilder, line: Line, tangent: NDArray, side: float, cros
         if k >= next_car and clear:
             at = line[k] + right * (ROAD_HALF_M - 1.0)
             if plan.distance[plan.index(at)] > ROAD_HALF_M - 1.7:
-                car = cars[int(rng.integers(len(cars)))]
-                parked.append(props.parked(car, at + rng.normal(0, 0.08, 2), tangent[k] * side * -1.0, 0.0))
+                car = models.cars[int(rng.integers(len(models.cars)))]
+                out.append(props.placed(car, at + rng.normal(0, 0.08, 2), tangent[k] * side * -1.0, 0.0))
             next_car = k + 5.6 + (rng.exponential(9.0) if rng.random() < 0.6 else 0.0)
         if k >= next_thing:
             at = line[k] + right * KERB_M
             if plan.distance[plan.index(at)] > ROAD_HALF_M + 0.25:
-                _thing(mesh, at, -right, stuff, rng)
+                _thing(mesh, at, -right, stuff, models, out, rng)
             next_thing = k + rng.uniform(4.0, 11.0)
 
 
-def _thing(mesh: MeshBuilder, at: NDArray, towards: NDArray, stuff: props.Stuff, rng: np.random.Generator) -> None:
+def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+    angle = rng.uniform(0, 2 * np.pi)
+    return np.array([np.sin(angle), np.cos(angle)])
+
+
+def _thing(mesh: MeshBuilder, at: NDArray, towards: NDArray, stuff: props.Stuff, models: _Models, out: list[Mesh],
+           rng: np.random.Generator) -> None:  # fmt: skip
     kind = rng.random()
     if kind < 0.30:
-        props.tree(mesh, at - towards * 0.5, 0.0, stuff, rng, height=float(rng.uniform(4.0, 6.5)))
+        out.append(props.placed(models.trees[int(rng.integers(5))], at - towards * 0.5, _direction(rng), 0.0))
     elif kind < 0.55:
         props.lamp_post(mesh, at, towards, 0.0, stuff, rng)
     elif kind < 0.80:
