@@ -38,9 +38,8 @@ def main(arguments: argparse.Namespace) -> None:
     config = build(RenderConfig(), arguments, changes)
     with progress_on(quiet=arguments.quiet) as progress:
         render_dataset(config, arguments.out, counter(progress, "images"), arguments.workers)
-    print(
-        f"{arguments.out}: {config.world}, {config.agents} agents, {config.rig} {config.width}x{config.height}, seed {config.seed}"
-    )
+    pictures = f"{config.rig} {config.width}x{config.height}"
+    print(f"{arguments.out}: {config.world}, {config.agents} agents, {pictures}, seed {config.seed}")
 
 
 def _size(text: str) -> tuple[int, int]:
