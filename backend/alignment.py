@@ -1,9 +1,9 @@
 """Robust least squares for the pose between two cameras that see the same points, with an honest uncertainty.
 
-Each camera measures a point's direction well and its depth badly: the inverse depth has about the same error everywhere (stereo).
-So residuals are direction (2) and inverse depth (1) in the match camera, weighted by the noise of both measurements; far points
-then do not pull. Both noise levels are unknown (bundle adjusted points are better than one stereo pair) and are estimated from the
-residuals. Gauss-Newton with Cauchy weights.
+Each camera measures a point's direction well and its depth badly: the inverse depth has about the same error
+everywhere (stereo). So residuals are direction (2) and inverse depth (1) in the match camera, weighted by the noise
+of both measurements; far points then do not pull. Both noise levels are unknown (bundle adjusted points are better
+than one stereo pair) and are estimated from the residuals. Gauss-Newton with Cauchy weights.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ ITERATIONS = 12
 # A tenth of a pixel of a common camera; noise below it is not believed.
 _MIN_ANGLE_SIGMA = np.radians(0.01)
 _START_ANGLE_SIGMA = np.radians(0.3)
-# Inverse depth noise, as a share of the inverse of the median depth: where it starts, and what is not believed any more.
+# Inverse depth noise, as a share of the inverse of the median depth: start value, and what is not believed.
 _START_DEPTH_SIGMA, _MIN_DEPTH_SIGMA = 0.1, 0.003
 _MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A refined ``T_M_Q``; ``information`` ``(6, 6)`` of its rigid part, translation first, in the match's unit (scale marginalised).
+    """A refined ``T_M_Q``; ``information`` ``(6, 6)`` of its rigid part, translation first, in the match's unit
+    (scale marginalised).
 
     ``angle_sigma`` radians and ``depth_sigma`` (inverse units of the match): the noise found.
     """
@@ -67,10 +68,11 @@ def refine(
 
 @njit(cache=True, nogil=True)
 def _normal_equations(points_M, points_Q, R, t, s, angle_sigma, depth_sigma, loss_scale):  # type: ignore[no-untyped-def]
-    """Hessian ``(7, 7)``, gradient ``(7,)`` and ``|residual| / sigma`` ``(k, 3)`` around ``p = s R exp(phi) q + t + R rho``.
+    """Hessian ``(7, 7)``, gradient ``(7,)`` and ``|residual| / sigma`` ``(k, 3)`` around
+    ``p = s R exp(phi) q + t + R rho``.
 
-    The unknowns are (rho, phi, log scale). A residual's covariance is the match's own noise plus the query's, carried over.
-    Small sums are spelled out: calls for 3-vectors would cost more than the arithmetic.
+    The unknowns are (rho, phi, log scale). A residual's covariance is the match's own noise plus the query's, carried
+    over. Small sums are spelled out: calls for 3-vectors would cost more than the arithmetic.
     """
     hessian, gradient = np.zeros((7, 7)), np.zeros(7)
     ratios = np.empty((len(points_M), 3))

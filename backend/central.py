@@ -1,4 +1,6 @@
-"""Central optimisation of a whole graph: chordal start, then Levenberg-Marquardt by gtsam. The one file that knows gtsam."""
+"""Central optimisation of a whole graph: chordal start, then Levenberg-Marquardt by gtsam. The one file that knows
+gtsam.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,8 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
 
 
 def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 1) -> PoseGraph:
-    """Chordal rotations, then Gauss-Newton steps of F (U with ``unit_weights``): needs no initial guess (Carlone et al., ICRA 2015).
+    """Chordal rotations, then Gauss-Newton steps of F (U with ``unit_weights``): needs no initial guess (Carlone et
+    al., ICRA 2015).
 
     One step is what distributed Gauss-Seidel converges to.
     """
@@ -112,7 +115,9 @@ def _levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseG
         kappa, tau = np.full_like(kappa, 0.5), np.full_like(tau, 0.5)
     for k, edge in enumerate(graph.edges):
         if config.cost == "E":
-            model = gtsam.noiseModel.Gaussian.Information(_positive(a.information[k])[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)])
+            model = gtsam.noiseModel.Gaussian.Information(
+                _positive(a.information[k])[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)]
+            )
         else:
             model = _frobenius_model(float(kappa[k]), float(tau[k]))
         if edge.is_separator or edge.kind != "odometry":
@@ -131,7 +136,9 @@ def _levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseG
 
 
 def _positive(information: Array) -> Array:
-    """The nearest positive definite matrix: some public files hold indefinite ones, which no least-squares solver can use."""
+    """The nearest positive definite matrix: some public files hold indefinite ones, which no least-squares solver can
+    use.
+    """
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     if values[0] > 0:
         return information

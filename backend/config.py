@@ -13,7 +13,9 @@ class RelPoseConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     max_hamming: int = Field(50, ge=0, le=256, description="descriptor distance of a match at most, bits of 256")
-    ratio: float = Field(0.8, gt=0, le=1, description="best over second best descriptor distance, at most; 1: not tested")
+    ratio: float = Field(
+        0.8, gt=0, le=1, description="best over second best descriptor distance, at most; 1: not tested"
+    )
     min_matches: int = Field(20, ge=3, description="fewer tentative matches are not worth a search")
     min_inliers: int = Field(20, ge=3, description="inliers of an accepted match, at least")
     search_angle_deg: float = Field(3.0, gt=0, le=20, description="bearing error of an inlier in the search, degrees")
@@ -42,7 +44,9 @@ class SolverConfig(BaseModel):
     rotation_sweeps: int = Field(50, ge=1, description="rotation sweeps at most")
     pose_sweeps: int = Field(50, ge=1, description="pose sweeps of one Gauss-Newton step, at most")
     scale_sweeps: int = Field(100, ge=1, description="sweeps over the robots' scales, at most (monocular members only)")
-    rotation_threshold: float = Field(0.01, ge=0, description="quiet when a robot's rotation entries change less, 2-norm")
+    rotation_threshold: float = Field(
+        0.01, ge=0, description="quiet when a robot's rotation entries change less, 2-norm"
+    )
     pose_threshold: float = Field(0.01, ge=0, description="quiet when a robot's poses change less, 2-norm of m and rad")
     scale_threshold: float = Field(1e-5, ge=0, description="quiet when a robot's log scale changes by less")
     newton_steps: int = Field(1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
@@ -54,7 +58,9 @@ class CentralConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     cost: Literal["F", "U", "E"] = Field("F", description="cost convention: SE-Sync, unit weights, or geodesic (gtsam)")
-    start: Literal["chordal", "given"] = Field("chordal", description="two-stage chordal solution, or the graph's poses")
+    start: Literal["chordal", "given"] = Field(
+        "chordal", description="two-stage chordal solution, or the graph's poses"
+    )
     loss: Literal["none", "huber", "cauchy"] = Field("none", description="robust loss on loops and separators")
     loss_scale: float = Field(3.0, gt=0, description="its scale, standard deviations")
     iterations: int = Field(100, ge=1, description="iterations at most")

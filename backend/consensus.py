@@ -1,8 +1,9 @@
 """Which rigid or similarity transform do most matched points agree on? A seeded RANSAC, as arrays.
 
-Three matches make a hypothesis (Umeyama's closed form). Three pairs of points can only belong together if their triangles have the
-same sides (up to one factor for similarities), which is cheap to test: many sets are drawn, the most alike are solved and scored.
-Errors are angles, both ways: the depth of a stereo point is off by an amount that grows with its square, its direction is not.
+Three matches make a hypothesis (Umeyama's closed form). Three pairs of points can only belong together if their
+triangles have the same sides (up to one factor for similarities), which is cheap to test: many sets are drawn, the
+most alike are solved and scored. Errors are angles, both ways: the depth of a stereo point is off by an amount that
+grows with its square, its direction is not.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ class Transforms:
 def search(
     points_M: Array, points_Q: Array, with_scale: bool, config: RelPoseConfig, rng: np.random.Generator
 ) -> list[Sim3]:
-    """The best few hypotheses, best first, for matched points ``(k, 3)`` in their cameras' frames; empty if none stands out."""
+    """The best few hypotheses, best first, for matched points ``(k, 3)`` in their cameras' frames; empty if none
+    stands out.
+    """
     triples = _alike_triples(points_M, points_Q, with_scale, config, rng)
     if not len(triples):
         return []
@@ -52,7 +55,9 @@ def search(
 def agreeing(
     transforms: Transforms, points_M: Array, points_Q: Array, angle_deg: float, depth_ratio: float
 ) -> NDArray[np.bool_]:
-    """Which matches ``(h, k)`` each transform explains: directions in both cameras within the angle, depths within the ratio."""
+    """Which matches ``(h, k)`` each transform explains: directions in both cameras within the angle, depths within
+    the ratio.
+    """
     return np.asarray(
         _agreeing(
             transforms.rotations, transforms.translations, transforms.scales,

@@ -1,6 +1,7 @@
 """What a pose graph costs, in the three conventions of the literature; a figure without its convention means nothing.
 
-- **F** (SE-Sync): sum of ``kappa |R_j - R_i R_ij|_F^2 + tau |t_j - t_i - R_i t_ij|^2``, isotropic weights from the information, no one-half.
+- **F** (SE-Sync): sum of ``kappa |R_j - R_i R_ij|_F^2 + tau |t_j - t_i - R_i t_ij|^2``, isotropic weights from the
+  information, no one-half.
 - **U** (distributed-mapper): half of the same sum with unit weights.
 - **E** (gtsam): half of the sum of ``|log(T_ij^-1 T_i^-1 T_j)|^2`` under the information.
 """

@@ -1,6 +1,7 @@
 """g2o files: one file for a graph, or one a robot, in 3-D and 2-D.
 
-Ids are plain numbers, or gtsam symbols (a letter in the top byte says which robot). Planar graphs are held in 3-D, ``dimension`` 2.
+Ids are plain numbers, or gtsam symbols (a letter in the top byte says which robot). Planar graphs are held in 3-D,
+``dimension`` 2.
 """
 
 from __future__ import annotations
@@ -23,40 +24,60 @@ _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 _FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30, "VERTEX_SE2": 4, "EDGE_SE2": 11}
 
 
-def read_g2o(paths: Path | Sequence[Path]) -> PoseGraph:
+def read_g2o(paths: Path | Sequence[Path], skipped: list[str] | None = None) -> PoseGraph:
     """One graph from one file, or from a set with one file a robot.
 
-    Edges between robots that stand in both robots' files count once. Nodes without a VERTEX line get their pose from the edges,
-    odometry first. A line that makes no sense raises :class:`BackendError` with its number.
+    Edges between robots that stand in both robots' files count once. Nodes without a VERTEX line get their pose from
+    the edges, odometry first. A line that makes no sense raises :class:`BackendError` with its number; where
+    ``skipped`` is given, it is left out and the message is appended there.
     """
     files = [paths] if isinstance(paths, Path) else list(paths)
-    poses: dict[NodeId, Array] = {}
-    edges: list[Edge] = []
-    shared: dict[tuple[NodeId, NodeId, bytes], Path] = {}
-    dimensions: set[int] = set()
+    if not files:
+        raise BackendError("no g2o file given")
+    reading = _Reading()
     for path in files:
         for number, tag, fields in _lines(path):
-            where = f"{path}:{number}"
-            values = _numbers(tag, fields, where)
-            dimensions.add(2 if tag.endswith("SE2") else 3)
-            if tag.startswith("VERTEX"):
-                poses[_node(fields[0], where)] = _pose(values[1:], where)
-                continue
-            edge = _edge(_node(fields[0], where), _node(fields[1], where), values[2:], where)
-            if edge.is_separator:
-                key = (edge.i, edge.j, values.tobytes())
-                if shared.setdefault(key, path) != path:
-                    continue
-            edges.append(edge)
-    if not poses and not edges:
-        raise BackendError(f"{files[0] if files else 'no file'}: no vertex and no edge in this graph")
-    if len(dimensions) > 1:
-        raise BackendError(f"{files[0]}: 2-D and 3-D lines in one graph")
-    return PoseGraph(spread_poses(poses, edges), tuple(edges), dimensions.pop())
+            try:
+                reading.take(path, f"{path}:{number}", tag, fields)
+            except BackendError as error:
+                if skipped is None:
+                    raise
+                skipped.append(str(error))
+    return reading.graph(files[0])
+
+
+class _Reading:
+    """What has been read so far."""
+
+    def __init__(self) -> None:
+        self.poses: dict[NodeId, Array] = {}
+        self.edges: list[Edge] = []
+        self.shared: dict[tuple[NodeId, NodeId, bytes], Path] = {}
+        self.dimensions: set[int] = set()
+
+    def take(self, path: Path, where: str, tag: str, fields: list[str]) -> None:
+        values = _numbers(tag, fields, where)
+        self.dimensions.add(2 if tag.endswith("SE2") else 3)
+        if tag.startswith("VERTEX"):
+            self.poses[_node(fields[0], where)] = _pose(values[1:], where)
+            return
+        edge = _edge(_node(fields[0], where), _node(fields[1], where), values[2:], where)
+        if edge.is_separator and self.shared.setdefault((edge.i, edge.j, values.tobytes()), path) != path:
+            return
+        self.edges.append(edge)
+
+    def graph(self, first: Path) -> PoseGraph:
+        if not self.poses and not self.edges:
+            raise BackendError(f"{first}: no vertex and no edge in this graph")
+        if len(self.dimensions) > 1:
+            raise BackendError(f"{first}: 2-D and 3-D lines in one graph")
+        return PoseGraph(spread_poses(self.poses, self.edges), tuple(self.edges), self.dimensions.pop())
 
 
 def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
-    """All poses and edges of ``graph``; ids are gtsam symbols (readable by gtsam and by the multi-robot tools) or plain indices."""
+    """All poses and edges of ``graph``; ids are gtsam symbols (readable by gtsam and by the multi-robot tools) or
+    plain indices.
+    """
     if plain_ids and len(graph.robots) > 1:
         raise BackendError(f"{path}: plain ids cannot tell {len(graph.robots)} robots apart")
     flat = graph.dimension == 2

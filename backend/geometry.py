@@ -1,7 +1,7 @@
 """Rigid and similarity transforms: the ground floor, for everybody.
 
-``T_A_B`` maps B to A: ``p_A = T_A_B @ p_B``. Rigid transforms are plain ``(..., 4, 4)`` float64 arrays, composed with ``@``;
-similarities are :class:`Sim3`, so that a scale can never be forgotten. Tangent vectors put translation first:
+``T_A_B`` maps B to A: ``p_A = T_A_B @ p_B``. Rigid transforms are plain ``(..., 4, 4)`` float64 arrays, composed with
+``@``; similarities are :class:`Sim3`, so that a scale can never be forgotten. Tangent vectors put translation first:
 ``xi = (rho, phi)``, and ``exp`` acts from the right unless a function says otherwise.
 """
 
@@ -98,13 +98,15 @@ def transform_points(transform: ArrayLike, points: ArrayLike) -> Array:
 
 
 def is_se3(transforms: ArrayLike, tolerance: float = 1e-4) -> bool:
-    """Whether all matrices are finite rigid transforms: rotations orthonormal within ``tolerance``, last row 0 0 0 1."""
+    """Whether all are finite rigid transforms: rotations orthonormal within ``tolerance``, last row 0 0 0 1."""
     t = np.asarray(transforms, dtype=np.float64)
     if t.shape[-2:] != (4, 4) or not np.isfinite(t).all():
         return False
     r = t[..., :3, :3]
     orthonormal = np.abs(r @ np.swapaxes(r, -1, -2) - np.eye(3)).max(initial=0.0) < tolerance
-    return bool(orthonormal and (np.linalg.det(r) > 0).all() and (np.abs(t[..., 3, :] - [0, 0, 0, 1]) < tolerance).all())
+    return bool(
+        orthonormal and (np.linalg.det(r) > 0).all() and (np.abs(t[..., 3, :] - [0, 0, 0, 1]) < tolerance).all()
+    )
 
 
 def project_to_so3(matrices: ArrayLike) -> Array:
@@ -202,7 +204,9 @@ class Sim3:
         return self.scale * (np.asarray(other, dtype=np.float64) @ self.rotation.T) + self.translation
 
     def transform_poses(self, poses: ArrayLike) -> Array:
-        """Rigid poses ``T_A_C`` ``(..., 4, 4)`` of cameras given as ``T_B_C``: centres are scaled, rotations only turned."""
+        """Rigid poses ``T_A_C`` ``(..., 4, 4)`` of cameras given as ``T_B_C``: centres are scaled, rotations only
+        turned.
+        """
         t = np.asarray(poses, dtype=np.float64)
         return se3(self.rotation @ t[..., :3, :3], self @ t[..., :3, 3])
 
@@ -210,8 +214,8 @@ class Sim3:
 def umeyama(points_a: ArrayLike, points_b: ArrayLike, with_scale: bool) -> Sim3:
     """Least-squares ``T_A_B`` between paired points ``(n, 3)``, n >= 1 (Umeyama, PAMI 1991).
 
-    Degenerate sets (fewer than three points, or all on a line) give one of the equally good transforms; with all points of B in
-    one place the scale is 1.
+    Degenerate sets (fewer than three points, or all on a line) give one of the equally good transforms; with all
+    points of B in one place the scale is 1.
     """
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3 or not len(a):

@@ -1,7 +1,7 @@
 """Pose graphs of one or many robots: small values without a solver in them.
 
-Conventions: ``T_i_j`` maps node j's frame to node i's; the graph's poses map a node's frame to one common origin frame O,
-``T_O_i``; information matrices are ``(6, 6)``, translation first, of ``log(T_measured^-1 @ T_estimated)``.
+Conventions: ``T_i_j`` maps node j's frame to node i's; the graph's poses map a node's frame to one common origin
+frame O, ``T_O_i``; information matrices are ``(6, 6)``, translation first, of ``log(T_measured^-1 @ T_estimated)``.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def default_information() -> Array:
 class Edge:
     """A measured relative pose.
 
-    ``T_i_j`` ``(4, 4)`` rigid; ``information`` ``(6, 6)``; ``scale``: size of j's unit of length in i's (1 unless a monocular robot
-    takes part; ``T_i_j``'s translation is in i's unit); ``weight`` in [0, 1] multiplies the information: the hook by which robust
-    selection (GNC, switchable edges) turns an edge down without dropping it.
+    ``T_i_j`` ``(4, 4)`` rigid; ``information`` ``(6, 6)``; ``scale``: size of j's unit of length in i's (1 unless a
+    monocular robot takes part; ``T_i_j``'s translation is in i's unit); ``weight`` in [0, 1] multiplies the
+    information: the hook by which robust selection (GNC, switchable edges) turns an edge down without dropping it.
     """
 
     i: NodeId
@@ -79,8 +79,8 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class EdgeArrays:
-    """A graph as arrays: ``poses`` ``(n, 4, 4)``; for each edge ``ends`` ``(m, 2)`` rows into them, ``measured`` ``(m, 4, 4)`` and
-    weighted ``information`` ``(m, 6, 6)``.
+    """A graph as arrays: ``poses`` ``(n, 4, 4)``; for each edge ``ends`` ``(m, 2)`` rows into them, ``measured``
+    ``(m, 4, 4)`` and weighted ``information`` ``(m, 6, 6)``.
     """
 
     nodes: list[NodeId]
@@ -92,7 +92,9 @@ class EdgeArrays:
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
-    """Poses ``T_O_i`` ``(4, 4)`` by node, and edges. ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero)."""
+    """Poses ``T_O_i`` ``(4, 4)`` by node, and edges. ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch
+    zero).
+    """
 
     poses: Mapping[NodeId, Array]
     edges: tuple[Edge, ...]
@@ -135,6 +137,33 @@ class PoseGraph:
         """The same graph with one weight in [0, 1] an edge, in the order of ``edges``."""
         return replace(self, edges=tuple(replace(e, weight=float(w)) for e, w in zip(self.edges, weights, strict=True)))
 
+    def with_unit_weights(self) -> PoseGraph:
+        """The same graph with information that makes both isotropic weights 1: cost F is then twice cost U."""
+        rotation = 2.0 if self.dimension == 3 else 1.0
+        information = np.diag([1.0, 1.0, 1.0, rotation, rotation, rotation])
+        return replace(self, edges=tuple(replace(e, information=information) for e in self.edges))
+
+    def of_robot(self, robot: int) -> PoseGraph:
+        """A robot's own poses and every edge it takes part in; the other ends' poses are kept too."""
+        edges = tuple(e for e in self.edges if robot in (e.i.robot, e.j.robot))
+        kept = {n for e in edges for n in (e.i, e.j)} | {n for n in self.poses if n.robot == robot}
+        return replace(self, poses={n: self.poses[n] for n in sorted(kept)}, edges=edges)
+
+    def partitioned(self, robots: int) -> PoseGraph:
+        """A graph of one robot cut into ``robots`` blocks of consecutive nodes, equally long (the last may be
+        shorter).
+        """
+        nodes = self.nodes
+        if len(self.robots) != 1 or not 1 <= robots <= len(nodes):
+            raise BackendError(f"cannot cut {len(nodes)} poses of {len(self.robots)} robots into {robots} parts")
+        size = -(-len(nodes) // robots)
+        new = {n: NodeId(k // size, n.index) for k, n in enumerate(nodes)}
+        edges = []
+        for e in self.edges:
+            i, j = new[e.i], new[e.j]
+            edges.append(replace(e, i=i, j=j, kind=EdgeKind.SEPARATOR if i.robot != j.robot else e.kind))
+        return replace(self, poses={new[n]: T for n, T in self.poses.items()}, edges=tuple(edges))
+
     def rescaled(self, scales: Mapping[int, float]) -> PoseGraph:
         """Robots' units of length multiplied out: translations of robot r times ``scales[r]`` (1 where not named).
 
@@ -161,12 +190,14 @@ def relative_edges(poses: Mapping[NodeId, Array], information: Array) -> list[Ed
     ]
 
 
-def carry_along(before: Mapping[NodeId, Array], after: Mapping[NodeId, Array], later: Mapping[NodeId, Array]) -> dict[NodeId, Array]:
+def carry_along(
+    before: Mapping[NodeId, Array], after: Mapping[NodeId, Array], later: Mapping[NodeId, Array]
+) -> dict[NodeId, Array]:
     """Move poses that were not optimised rigidly with the nearest earlier optimised pose of their robot.
 
-    ``before`` and ``after`` ``T_O_i``: the optimised nodes' poses then and now; ``later``: further nodes in the old frame (key-frames
-    that arrived while the optimiser ran). A node with no earlier optimised pose follows the robot's first optimised one; robots
-    without any are returned unchanged.
+    ``before`` and ``after`` ``T_O_i``: the optimised nodes' poses then and now; ``later``: further nodes in the old
+    frame (key-frames that arrived while the optimiser ran). A node with no earlier optimised pose follows the robot's
+    first optimised one; robots without any are returned unchanged.
     """
     moved = {}
     optimised = sorted(after)

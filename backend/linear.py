@@ -1,8 +1,9 @@
 """Normal equations of the two stages of pose-graph optimisation, and the costs, as arrays in and arrays out.
 
 The cost everything here belongs to is F of SE-Sync: the sum over edges of
-``kappa |R_j - R_i R_ij|_F^2 + tau |t_j - t_i - R_i t_ij|^2``. With the rotations fixed or relaxed it is quadratic, which the
-two-stage method uses (Carlone et al., ICRA 2015; distributed: Choudhary et al., IJRR 2017; thesis section 3.6).
+``kappa |R_j - R_i R_ij|_F^2 + tau |t_j - t_i - R_i t_ij|^2``. With the rotations fixed or relaxed it is quadratic,
+which the two-stage method uses (Carlone et al., ICRA 2015; distributed: Choudhary et al., IJRR 2017; thesis section
+3.6).
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ _GENERATORS = skew(np.eye(3))
 
 
 def isotropic_weights(information: Array, dimension: int = 3) -> tuple[Array, Array]:
-    """Rotation and translation weights ``kappa``, ``tau`` ``(m,)`` of information matrices ``(m, 6, 6)`` (SE-Sync's choice).
+    """Rotation and translation weights ``kappa``, ``tau`` ``(m,)`` of information matrices ``(m, 6, 6)`` (SE-Sync's
+    choice).
 
-    ``tau = d / trace(inv(Omega_t))``; ``kappa = 3 / (2 trace(inv(Omega_R)))`` in 3-D, the angle's information in 2-D. Directions
-    without or with negative information (some public files) count as nearly unknown, which makes the weight nearly zero.
+    ``tau = d / trace(inv(Omega_t))``; ``kappa = 3 / (2 trace(inv(Omega_R)))`` in 3-D, the angle's information in 2-D.
+    Directions without or with negative information (some public files) count as nearly unknown, which makes the
+    weight nearly zero.
     """
     information = np.asarray(information, dtype=np.float64).reshape(-1, 6, 6)
     tau = dimension / _trace_of_inverse(information[:, :dimension, :dimension])
@@ -58,7 +61,8 @@ def rotation_blocks(R_ij: Array, kappa: Array) -> tuple[Array, Array]:
 
 
 def pose_blocks(R_i: Array, R_j: Array, T_ij: Array, kappa: Array, tau: Array) -> tuple[Array, Array]:
-    """Hessians ``(m, 12, 12)`` and right-hand sides ``(m, 12, 1)`` of one Gauss-Newton step of F around rotations ``(m, 3, 3)``.
+    """Hessians ``(m, 12, 12)`` and right-hand sides ``(m, 12, 1)`` of one Gauss-Newton step of F around rotations
+    ``(m, 3, 3)``.
 
     Unknown of a node: its translation (absolute: F is linear in it) and its turn ``delta``, ``R exp([delta])``.
     """
@@ -81,12 +85,15 @@ def pose_blocks(R_i: Array, R_j: Array, T_ij: Array, kappa: Array, tau: Array) -
 class BlockSystem:
     """A quadratic cost over nodes joined by edges, of which some nodes are to be solved and the others given.
 
-    ``ends`` ``(m, 2)`` rows of the nodes in ``values``; ``hessian`` ``(m, 2w, 2w)`` and ``rhs`` ``(m, 2w, c)`` of each edge for its two
-    ends stacked. Factorised once for a set of solved nodes; each :meth:`solve` is then two triangular solves.
+    ``ends`` ``(m, 2)`` rows of the nodes in ``values``; ``hessian`` ``(m, 2w, 2w)`` and ``rhs`` ``(m, 2w, c)`` of
+    each edge for its two ends stacked. Factorised once for a set of solved nodes; each :meth:`solve` is then two
+    triangular solves.
     """
 
     def __init__(self, ends: np.ndarray, hessian: Array, rhs: Array, solved: np.ndarray, used: np.ndarray) -> None:
-        """``solved`` (k,): rows of the nodes to solve; ``used`` (m,) bool: edges that take part (both ends known or solved)."""
+        """``solved`` (k,): rows of the nodes to solve; ``used`` (m,) bool: edges that take part (both ends known or
+        solved).
+        """
         width = hessian.shape[1] // 2
         self.solved, self.width = solved, width
         position = np.full(int(max(ends.max(initial=-1), solved.max(initial=-1))) + 1, -1)
@@ -116,9 +123,15 @@ class BlockSystem:
         where = (np.concatenate(rows), np.concatenate(columns))
         matrix = coo_array((np.concatenate(entries), where), shape=(size, size)).tocsc()
         try:
-            factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}) if size else None
+            factor = (
+                splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+                if size
+                else None
+            )
         except RuntimeError as error:
-            raise BackendError(f"the {size} equations of this graph are singular: a pose has no weight to hold it") from error
+            raise BackendError(
+                f"the {size} equations of this graph are singular: a pose has no weight to hold it"
+            ) from error
         return matrix, factor
 
     def _collect_couplings(self, ends: np.ndarray, own: np.ndarray, hessian: Array) -> tuple[np.ndarray, ...]:

@@ -1,7 +1,8 @@
 """Errors of estimated trajectories against the truth: ATE, connected ATE, RPE over sub-path lengths.
 
-ATE is the position error after one least-squares alignment (Umeyama): SE(3) for metric trajectories, Sim(3) for monocular ones.
-The thesis calls it "average trajectory error" and the field "absolute"; both RMSE and mean are given (thesis section 3.10).
+ATE is the position error after one least-squares alignment (Umeyama): SE(3) for metric trajectories, Sim(3) for
+monocular ones. The thesis calls it "average trajectory error" and the field "absolute"; both RMSE and mean are given
+(thesis section 3.10).
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class TrajectoryError:
 class RelativeError:
     """Relative pose error over sub-paths of one length (KITTI odometry's measure).
 
-    ``translation_percent``: mean position drift as a share of the length; ``rotation_deg_per_m``; ``count`` sub-paths (0: the
-    trajectory is shorter than ``length_m`` and both means are NaN).
+    ``translation_percent``: mean position drift as a share of the length; ``rotation_deg_per_m``; ``count`` sub-paths
+    (0: the trajectory is shorter than ``length_m`` and both means are NaN).
     """
 
     length_m: float
@@ -58,8 +59,11 @@ def aligned_error(estimate: Array, truth: Array, T_truth_estimate: Sim3) -> Traj
     return TrajectoryError(rmse, float(errors.mean()), float(errors.max()), errors, T_truth_estimate)
 
 
-def connected_error(estimates: Mapping[int, Array], truths: Mapping[int, Array], with_scale: bool) -> dict[int, TrajectoryError]:
-    """One alignment for a whole group of connected agents (the predecessor's connected ATE), then each agent's errors under it.
+def connected_error(
+    estimates: Mapping[int, Array], truths: Mapping[int, Array], with_scale: bool
+) -> dict[int, TrajectoryError]:
+    """One alignment for a whole group of connected agents (the predecessor's connected ATE), then each agent's errors
+    under it.
 
     ``estimates`` and ``truths``: agent to ``(N, 3)`` positions in the group's common frame, and in the world.
     """
@@ -72,10 +76,11 @@ def connected_error(estimates: Mapping[int, Array], truths: Mapping[int, Array],
 
 
 def relative_error(estimate: Array, truth: Array, length_m: float) -> RelativeError:
-    """RPE of poses ``estimate`` and ``truth`` ``(N, 4, 4)`` ``T_W_C`` over all sub-paths of ``length_m`` metres of the truth.
+    """RPE of poses ``estimate`` and ``truth`` ``(N, 4, 4)`` ``T_W_C`` over all sub-paths of ``length_m`` metres of
+    the truth.
 
-    A sub-path from pose i ends at the first pose at least ``length_m`` farther along the true path (as KITTI's tool does, but from
-    every pose). Drift is divided by the nominal length.
+    A sub-path from pose i ends at the first pose at least ``length_m`` farther along the true path (as KITTI's tool
+    does, but from every pose). Drift is divided by the nominal length.
     """
     steps = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -104,7 +109,9 @@ def relative_errors(estimate: Array, truth: Array, lengths_m: Sequence[float]) -
 def _checked(estimate: Array, truth: Array) -> tuple[Array, Array]:
     estimate, truth = np.asarray(estimate, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     if estimate.shape != truth.shape or estimate.ndim != 2 or estimate.shape[1] != 3:
-        raise BackendError(f"trajectory error needs two (N, 3) arrays of the same length, got {estimate.shape} and {truth.shape}")
+        raise BackendError(
+            f"trajectory error needs two (N, 3) arrays of the same length, got {estimate.shape} and {truth.shape}"
+        )
     if not len(estimate):
         raise BackendError("trajectory error of an empty trajectory: no pose has a true counterpart")
     if not (np.isfinite(estimate).all() and np.isfinite(truth).all()):

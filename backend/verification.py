@@ -22,8 +22,9 @@ _QUICK = 5
 class PlaceView:
     """A key-frame's map points as its own camera sees them.
 
-    ``points_C`` ``(n, 3)`` in the camera's frame; ``descriptors`` ``(n, 32)`` uint8 ORB, or None; ``words`` ``(n,)`` vocabulary ids,
-    or None (one of both must be there); ``metric`` False: the unit of length is the robot's own (monocular).
+    ``points_C`` ``(n, 3)`` in the camera's frame; ``descriptors`` ``(n, 32)`` uint8 ORB, or None; ``words`` ``(n,)``
+    vocabulary ids, or None (one of both must be there); ``metric`` False: the unit of length is the robot's own
+    (monocular).
     """
 
     points_C: Array
@@ -38,7 +39,9 @@ class PlaceView:
         if self.descriptors is None and self.words is None:
             raise BackendError("a place view needs descriptors or words")
         if self.descriptors is not None and (self.descriptors.shape != (n, 32) or self.descriptors.dtype != np.uint8):
-            raise BackendError(f"{n} points need ({n}, 32) uint8 descriptors, got {self.descriptors.shape} {self.descriptors.dtype}")
+            raise BackendError(
+                f"{n} points need ({n}, 32) uint8 descriptors, got {self.descriptors.shape} {self.descriptors.dtype}"
+            )
         if self.words is not None and self.words.shape != (n,):
             raise BackendError(f"{n} points need ({n},) words, got shape {self.words.shape}")
 
@@ -47,10 +50,11 @@ class PlaceView:
 class Verdict:
     """Whether the match holds, why, and how the cameras stand.
 
-    ``reason`` is "accepted" or says what was too little and by how much; ``T_M_Q`` maps the query camera to the match camera (scale 1
-    when both are metric); ``matches`` tentative, ``inliers`` of the refined pose; ``rmse``: bearing error of the inliers in the match
-    camera, degrees (NaN without a pose); ``information`` ``(6, 6)`` of the rigid part, translation first, in the match's unit.
-    ``T_M_Q`` and ``information`` may be there without acceptance, for the record.
+    ``reason`` is "accepted" or says what was too little and by how much; ``T_M_Q`` maps the query camera to the match
+    camera (scale 1 when both are metric); ``matches`` tentative, ``inliers`` of the refined pose; ``rmse``: bearing
+    error of the inliers in the match camera, degrees (NaN without a pose); ``information`` ``(6, 6)`` of the rigid
+    part, translation first, in the match's unit. ``T_M_Q`` and ``information`` may be there without acceptance, for
+    the record.
     """
 
     accepted: bool
@@ -96,7 +100,8 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
 def _tentative(query: PlaceView, match: PlaceView, config: RelPoseConfig) -> tuple[NDArray[np.intp], Distances]:
     """Pairs ``(k, 2)`` of query and match rows, and all distances ``(n_Q, n_M)`` for matching again later.
 
-    By descriptors where both views have them, else by words that occur once in either view; equal words count as distance 0.
+    By descriptors where both views have them, else by words that occur once in either view; equal words count as
+    distance 0.
     """
     if query.descriptors is not None and match.descriptors is not None:
         distances = hamming_distances(query.descriptors, match.descriptors)

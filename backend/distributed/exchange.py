@@ -16,7 +16,9 @@ from backend.graph import PoseGraph
 
 @dataclass(frozen=True)
 class Traffic:
-    """``payload_bytes``: rotations and poses of separators, 8 bytes a number, as published tables count; ``wire_bytes``: all of it."""
+    """``payload_bytes``: rotations and poses of separators, 8 bytes a number, as published tables count;
+    ``wire_bytes``: all of it.
+    """
 
     messages: int
     payload_bytes: int
@@ -55,11 +57,15 @@ def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[
     outcomes = {robot: node.outcome for robot, node in nodes.items() if node.outcome is not None}
     if len(outcomes) != len(nodes):
         stuck = sorted(set(nodes) - set(outcomes))
-        raise BackendError(f"robots {stuck} wait for messages that nobody will send: the members' shares do not fit together")
+        raise BackendError(
+            f"robots {stuck} wait for messages that nobody will send: the members' shares do not fit together"
+        )
     return outcomes, Traffic(count, payload, wire)
 
 
-def optimise_distributed(graph: PoseGraph, config: SolverConfig, arbitrary_scale: frozenset[int] = frozenset()) -> GroupResult:
+def optimise_distributed(
+    graph: PoseGraph, config: SolverConfig, arbitrary_scale: frozenset[int] = frozenset()
+) -> GroupResult:
     """A whole graph, cut into its robots' shares and solved by message alone."""
     outcomes, traffic = solve_group(shares(graph, arbitrary_scale), config)
     scales = {robot: outcome.scales[robot] for robot, outcome in outcomes.items()}

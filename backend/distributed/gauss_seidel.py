@@ -1,8 +1,8 @@
 """One robot's block of a quadratic problem, relaxed sweep by sweep: Gauss-Seidel, Jacobi and over-relaxed.
 
-Two-stage distributed Gauss-Seidel (Choudhary et al., IJRR 2017; thesis section 3.6): every robot in turn solves for its own nodes with
-its neighbours' separators held at the last values it heard. Flagged initialisation: edges to nodes without an estimate are left out,
-and a robot with none but such edges waits.
+Two-stage distributed Gauss-Seidel (Choudhary et al., IJRR 2017; thesis section 3.6): every robot in turn solves for
+its own nodes with its neighbours' separators held at the last values it heard. Flagged initialisation: edges to nodes
+without an estimate are left out, and a robot with none but such edges waits.
 """
 
 from __future__ import annotations
@@ -17,10 +17,16 @@ from backend.linear import BlockSystem
 
 
 class Relaxation:
-    """Values ``(n, w, c)`` of a robot's own nodes (the first ``own_count``) and of its neighbours' separators; NaN: no estimate yet."""
+    """Values ``(n, w, c)`` of a robot's own nodes (the first ``own_count``) and of its neighbours' separators; NaN:
+    no estimate yet.
+    """
 
-    def __init__(self, ends: NDArray[np.intp], blocks: tuple[Array, Array], values: Array, own_count: int, given: list[int]) -> None:
-        """``ends`` ``(m, 2)`` rows into ``values``; ``blocks`` Hessians and right-hand sides; ``given``: own rows that stay as they are."""
+    def __init__(
+        self, ends: NDArray[np.intp], blocks: tuple[Array, Array], values: Array, own_count: int, given: list[int]
+    ) -> None:
+        """``ends`` ``(m, 2)`` rows into ``values``; ``blocks`` Hessians and right-hand sides; ``given``: own rows
+        that stay as they are.
+        """
         self.values = values
         self._ends, (self._hessian, self._rhs) = ends, blocks
         self._free = np.setdiff1d(np.arange(own_count), given)
@@ -31,7 +37,7 @@ class Relaxation:
         self._known: NDArray[np.bool_] | None = None
 
     def sweep(self, relaxation: float) -> float:
-        """Solve for the own nodes; returns the 2-norm of their change (infinite where a node got its first estimate)."""
+        """Solve for the own nodes; returns the 2-norm of their change, infinite if one got its first estimate."""
         system = self._current_system()
         rows = system.solved
         if not len(rows):

@@ -1,4 +1,6 @@
-"""A robot's share as arrays: rows for its own nodes, then for its neighbours' separators, and the stages' equations on them."""
+"""A robot's share as arrays: rows for its own nodes, then for its neighbours' separators, and the stages' equations
+on them.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from backend.linear import edge_costs, isotropic_weights, pose_blocks, rotation_
 
 
 class LocalProblem:
-    """Poses ``(n, 4, 4)`` of own nodes (the first ``own_count`` rows) and separators of neighbours (NaN until heard of)."""
+    """Poses ``(n, 4, 4)`` of own nodes (the first ``own_count`` rows) and separators of neighbours (NaN until heard
+    of).
+    """
 
     def __init__(self, share: Share) -> None:
         self.share = share
@@ -56,7 +60,9 @@ class LocalProblem:
         return float(costs[np.isfinite(costs)].sum())
 
     def rotation_stage(self, warm: bool) -> Relaxation:
-        """The relaxed rotation problem; nothing known but the anchor, or, ``warm``, starting from the current rotations."""
+        """The relaxed rotation problem; nothing known but the anchor, or, ``warm``, starting from the current
+        rotations.
+        """
         values = np.full((len(self.nodes), 3, 3), np.nan)
         start = slice(None) if warm else self.given
         values[start] = np.swapaxes(self.poses[start, :3, :3], 1, 2)
@@ -105,8 +111,8 @@ class LocalProblem:
 def scale_stage(share: Share) -> Relaxation:
     """Log scales of this robot (row 0) and its neighbours, from the separators' ``scale``: one unknown number a robot.
 
-    Each pair of robots counts once, by the median of its edges, so that one wrong scale among several does no harm; metric members
-    (or, where there are none, the anchor) stand fixed at 0.
+    Each pair of robots counts once, by the median of its edges, so that one wrong scale among several does no harm;
+    metric members (or, where there are none, the anchor) stand fixed at 0.
     """
     robots = [share.robot, *share.neighbours]
     fixed = set(share.members) - share.arbitrary_scale or {share.members[0]}

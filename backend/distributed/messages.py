@@ -1,7 +1,7 @@
 """Everything that solver nodes say to each other: plain values with a sender and a receiver, and their encoding.
 
-``payload_bytes`` is what the published tables count: 8 bytes a number of a separator pose. The true length on the wire is that of
-:func:`encode`.
+``payload_bytes`` is what the published tables count: 8 bytes a number of a separator pose. The true length on the
+wire is that of :func:`encode`.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Round:
 class Values:
     """One robot's separator values after one sweep, for one neighbour.
 
-    ``values`` ``(k, width)``: a row for each of the sender's nodes that share an edge with the receiver, sorted by index, which both
-    sides know; rotations row by row (9), translation and turn (6), log scale (1). A row without an estimate yet is NaN, and ``k`` is 0
-    where no row has one.
+    ``values`` ``(k, width)``: a row for each of the sender's nodes that share an edge with the receiver, sorted by
+    index, which both sides know; rotations row by row (9), translation and turn (6), log scale (1). A row without an
+    estimate yet is NaN, and ``k`` is 0 where no row has one.
     """
 
     sender: int
@@ -62,7 +62,8 @@ class Values:
 class Report:
     """What a robot and those below it in the tree of members found in a round: up the tree.
 
-    ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum over their edges.
+    ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum
+    over their edges.
     """
 
     sender: int

@@ -1,11 +1,12 @@
 """One robot's part in a distributed pose-graph optimisation: a state machine without I/O.
 
-It holds its own poses and edges, and of its neighbours only the separator poses they send. The same code runs in one process, in
-tests that lose or repeat messages, and over a network.
+It holds its own poses and edges, and of its neighbours only the separator poses they send. The same code runs in one
+process, in tests that lose or repeat messages, and over a network.
 
-A round is: hear what the sweep needs (Gauss-Seidel: this sweep's values of lower robots; Jacobi: none), solve, send the separators,
-hear all neighbours, report up a binary tree over the members, get the decision down the same tree. So every member knows at the
-same sweep that all of them changed by less than the threshold, and no member decides for others by looking into them.
+A round is: hear what the sweep needs (Gauss-Seidel: this sweep's values of lower robots; Jacobi: none), solve, send
+the separators, hear all neighbours, report up a binary tree over the members, get the decision down the same tree. So
+every member knows at the same sweep that all of them changed by less than the threshold, and no member decides for
+others by looking into them.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from backend.geometry import Array
 class Node:
     """``start()`` once, then ``handle`` every message addressed to it, in any order; what these return is to be sent.
 
-    ``outcome`` is None while it works. Messages that come twice or too early do no harm; one that contradicts its graph raises
-    :class:`BackendError`. ``tick()`` gives again what others may have missed: for transports that lose messages, also after the end.
+    ``outcome`` is None while it works. Messages that come twice or too early do no harm; one that contradicts its
+    graph raises :class:`BackendError`. ``tick()`` gives again what others may have missed: for transports that lose
+    messages, also after the end.
     """
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
@@ -80,12 +82,14 @@ class Node:
     def _check(self, message: Values) -> None:
         heard = self._problem.heard_rows.get(message.sender)
         if heard is None:
-            raise BackendError(f"robot {self.share.robot} shares no edge with robot {message.sender}, which sent it poses")
+            raise BackendError(
+                f"robot {self.share.robot} shares no edge with robot {message.sender}, which sent it poses"
+            )
         expected = (1 if message.round.stage is Stage.SCALE else len(heard), WIDTH[message.round.stage])
         if message.values.shape != expected and len(message.values):
             raise BackendError(
-                f"robot {message.sender} sent {message.values.shape} values to robot {self.share.robot}, which expected {expected}: "
-                "the two hold different edges between them"
+                f"robot {message.sender} sent {message.values.shape} values to robot {self.share.robot}, "
+                f"which expected {expected}: the two hold different edges between them"
             )
 
     def _advance(self) -> list[Message]:

@@ -14,10 +14,11 @@ from backend.graph import Edge, NodeId, PoseGraph
 class Share:
     """What one robot brings to its group.
 
-    ``members``: all robots of the group, this one among them; the lowest is the anchor: the result is in the frame of its poses.
-    ``poses`` ``T_O_i`` ``(4, 4)`` of its own nodes, in any frame. ``edges``: those between its own nodes, and every edge it shares
-    with another member, exactly as that member holds it. ``arbitrary_scale``: the members whose unit of length is their own
-    (monocular); their scale is found from the separator edges' ``scale``. ``members`` and ``arbitrary_scale`` are the same for everyone.
+    ``members``: all robots of the group, this one among them; the lowest is the anchor: the result is in the frame of
+    its poses. ``poses`` ``T_O_i`` ``(4, 4)`` of its own nodes, in any frame. ``edges``: those between its own nodes,
+    and every edge it shares with another member, exactly as that member holds it. ``arbitrary_scale``: the members
+    whose unit of length is their own (monocular); their scale is found from the separator edges' ``scale``.
+    ``members`` and ``arbitrary_scale`` are the same for everyone.
     """
 
     robot: int
@@ -38,9 +39,13 @@ class Share:
         for edge in self.edges:
             for node in (edge.i, edge.j):
                 if node.robot == self.robot and node not in self.poses:
-                    raise BackendError(f"robot {self.robot}, edge {edge.i} - {edge.j}: there is no pose for node {node}")
+                    raise BackendError(
+                        f"robot {self.robot}, edge {edge.i} - {edge.j}: there is no pose for node {node}"
+                    )
                 if node.robot not in self.members:
-                    raise BackendError(f"robot {self.robot}, edge {edge.i} - {edge.j}: robot {node.robot} is not in the group")
+                    raise BackendError(
+                        f"robot {self.robot}, edge {edge.i} - {edge.j}: robot {node.robot} is not in the group"
+                    )
             if self.robot not in (edge.i.robot, edge.j.robot):
                 raise BackendError(f"robot {self.robot} brings an edge of others: {edge.i} - {edge.j}")
 
@@ -50,7 +55,9 @@ class Share:
         return sorted({n.robot for e in self.edges for n in (e.i, e.j)} - {self.robot})
 
     def separators_with(self, neighbour: int) -> tuple[list[NodeId], list[NodeId]]:
-        """Own nodes with an edge to ``neighbour``, and its nodes with an edge to this robot, each sorted: the order of messages."""
+        """Own nodes with an edge to ``neighbour``, and its nodes with an edge to this robot, each sorted: the order
+        of messages.
+        """
         pairs = [(e.i, e.j) for e in self.edges if {e.i.robot, e.j.robot} == {self.robot, neighbour}]
         nodes = {n for pair in pairs for n in pair}
         return sorted(n for n in nodes if n.robot == self.robot), sorted(n for n in nodes if n.robot == neighbour)
@@ -60,10 +67,10 @@ class Share:
 class Outcome:
     """What a node ends with; acceptance, reason, costs and sweep counts are the same at every member.
 
-    ``poses`` of its own nodes in the anchor's frame and unit; where ``accepted`` is False, or in ``unreached``, the old ones.
-    ``scales``: for this robot and its neighbours, the factor from their unit to the common one (all 1 without monocular members);
-    a robot that adopts the result passes it to :meth:`PoseGraph.rescaled` before the next run. Costs: F over the group's edges.
-    ``unreached``: own nodes that no chain of edges joins to the anchor.
+    ``poses`` of its own nodes in the anchor's frame and unit; where ``accepted`` is False, or in ``unreached``, the
+    old ones. ``scales``: for this robot and its neighbours, the factor from their unit to the common one (all 1
+    without monocular members); a robot that adopts the result passes it to :meth:`PoseGraph.rescaled` before the next
+    run. Costs: F over the group's edges. ``unreached``: own nodes that no chain of edges joins to the anchor.
     """
 
     robot: int
@@ -92,4 +99,3 @@ def shares(graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset()) -> d
         )
         for robot in members
     }
-

@@ -34,7 +34,9 @@ def loops(rng, robots=4, length=100, separators=8, sigma_t=0.02, sigma_deg=0.1, 
             ((np.linalg.norm(truth[NodeId(i, a)][:3, 3] - truth[NodeId(j, b)][:3, 3]), a, b)
              for a in range(length) for b in range(length)),
         )[: separators * 3 : 3]  # fmt: skip
-        edges += [measured(truth, NodeId(i, a), NodeId(j, b), EdgeKind.SEPARATOR, sigma, information, rng) for _, a, b in near]
+        edges += [
+            measured(truth, NodeId(i, a), NodeId(j, b), EdgeKind.SEPARATOR, sigma, information, rng) for _, a, b in near
+        ]
     poses = {}
     for r in range(robots):
         own = [e for e in edges if e.i.robot == e.j.robot == r]
@@ -49,7 +51,9 @@ def measured(truth, i, j, kind, sigma, information, rng, scale=1.0):
 
 
 def grid(rng, robots_across=2, side=3, sigma=0.05):
-    """A planar lattice of robots, each a lattice of nodes: odometry along rows, loops and separators between neighbours."""
+    """A planar lattice of robots, each a lattice of nodes: odometry along rows, loops and separators between
+    neighbours.
+    """
     truth, cell = {}, {}
     for rx in range(robots_across):
         for ry in range(robots_across):

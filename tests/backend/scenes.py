@@ -58,8 +58,8 @@ def random_descriptors(rng, count):
 def pair(rng, noise=None, xi=None, outliers=0.0, scale=1.0, metric=True, points=None):
     """A query and a match view of one street and the true ``T_M_Q``.
 
-    ``outliers``: share of the query's descriptors that are swapped among its points, so that they match the wrong points.
-    ``scale``: size of the query's unit in the match's.
+    ``outliers``: share of the query's descriptors that are swapped among its points, so that they match the wrong
+    points. ``scale``: size of the query's unit in the match's.
     """
     noise = noise or Noise()
     points = street(rng) if points is None else points

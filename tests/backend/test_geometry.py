@@ -20,7 +20,9 @@ def test_exp_of_log_is_the_identity(xi):
     assert g.is_se3(T)
 
 
-@given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.sampled_from([0.0, 1e-9, 1e-4, 1.0, np.pi - 1e-7, np.pi]))
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.sampled_from([0.0, 1e-9, 1e-4, 1.0, np.pi - 1e-7, np.pi])
+)
 def test_so3_agrees_with_scipy(axis, angle):
     axis = np.array(axis)
     if np.linalg.norm(axis) < 1e-3:
@@ -50,9 +52,13 @@ def test_sim3_composes_like_its_matrices(a, b, scale_a, scale_b):
 def test_umeyama_finds_the_transform_it_was_given(xi, scale, seed):
     points_b = np.random.default_rng(seed).normal(size=(12, 3))
     truth = g.Sim3(g.so3_exp(xi[3:]), xi[:3], scale)
-    np.testing.assert_allclose(g.umeyama(truth @ points_b, points_b, with_scale=True).matrix(), truth.matrix(), atol=1e-7)
+    np.testing.assert_allclose(
+        g.umeyama(truth @ points_b, points_b, with_scale=True).matrix(), truth.matrix(), atol=1e-7
+    )
     rigid = g.Sim3(truth.rotation, truth.translation)
-    np.testing.assert_allclose(g.umeyama(rigid @ points_b, points_b, with_scale=False).matrix(), rigid.matrix(), atol=1e-7)
+    np.testing.assert_allclose(
+        g.umeyama(rigid @ points_b, points_b, with_scale=False).matrix(), rigid.matrix(), atol=1e-7
+    )
 
 
 def test_umeyama_survives_degenerate_sets():

@@ -1,0 +1,90 @@
+"""Joining maps of points: from one frame to another, duplicates merged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from backend.errors import BackendError
+from backend.geometry import Array, Sim3
+
+
+@dataclass(frozen=True, eq=False)
+class PointMap:
+    """``points`` ``(n, 3)``, ``descriptors`` ``(n, 32)`` uint8 or None, ``owners`` ``(n,)``: the robot each point
+    comes from.
+    """
+
+    points: Array
+    owners: NDArray[np.int32]
+    descriptors: NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        if self.points.shape != (n, 3) or self.owners.shape != (n,):
+            raise BackendError(
+                f"a map needs (n, 3) points and (n,) owners, got {self.points.shape} and {self.owners.shape}"
+            )
+        if self.descriptors is not None and self.descriptors.shape != (n, 32):
+            raise BackendError(f"{n} points need ({n}, 32) descriptors, got {self.descriptors.shape}")
+
+    def moved(self, T_A_B: Sim3) -> PointMap:
+        """The map in frame A, of a map in frame B."""
+        return PointMap(T_A_B @ self.points, self.owners, self.descriptors)
+
+
+def fuse(maps: Sequence[PointMap], radius: float, max_hamming: int = 50) -> PointMap:
+    """One map of several that stand in one frame: points of different maps that are the same are merged into their
+    mean.
+
+    Same: within ``radius`` (in the frame's unit) and, where both maps have descriptors, at most ``max_hamming`` bits
+    apart. The first point's owner and descriptor stay. Order of input decides order of output, nothing else.
+    """
+    maps = [m for m in maps if len(m.points)]
+    if not maps:
+        return PointMap(np.zeros((0, 3)), np.zeros(0, dtype=np.int32))
+    points = np.concatenate([m.points for m in maps])
+    owners = np.concatenate([m.owners for m in maps])
+    described = all(m.descriptors is not None for m in maps)
+    descriptors = np.concatenate([m.descriptors for m in maps if m.descriptors is not None]) if described else None
+    number = np.repeat(np.arange(len(maps)), [len(m.points) for m in maps])
+    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    pairs = pairs[number[pairs[:, 0]] != number[pairs[:, 1]]]
+    if descriptors is not None:
+        bits = np.bitwise_count(descriptors[pairs[:, 0]] ^ descriptors[pairs[:, 1]]).sum(axis=1, dtype=np.int64)
+        pairs = pairs[bits <= max_hamming]
+    pairs = _mutual(pairs, points)
+    n = len(points)
+    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    label = connected_components(joined, directed=False)[1]
+    first = np.unique(label, return_index=True)[1]
+    count = np.bincount(label)
+    mean = np.stack([np.bincount(label, weights=points[:, a]) / count for a in range(3)], axis=1)
+    order = np.argsort(first)
+    first = first[order]
+    return PointMap(mean[order], owners[first], None if descriptors is None else descriptors[first])
+
+
+def _mutual(pairs: NDArray[np.intp], points: Array) -> NDArray[np.intp]:
+    """Of all close pairs only those in which each is the other's nearest partner: else chains would grow along
+    surfaces.
+    """
+    if not len(pairs):
+        return pairs
+    distance = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    order = np.lexsort((pairs[:, 1], pairs[:, 0], distance))
+    best = np.full(len(points), -1)
+    for side in range(2):
+        ends = pairs[order, side]
+        node, place = np.unique(ends, return_index=True)
+        better = (best[node] < 0) | (place < best[node])
+        best[node[better]] = place[better]
+    rank = np.arange(len(order))
+    mutual = (best[pairs[order, 0]] == rank) & (best[pairs[order, 1]] == rank)
+    return pairs[order[mutual]]
