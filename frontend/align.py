@@ -39,6 +39,18 @@ def _sample(image: NDArray[np.uint8], x: float, y: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _cut(image: NDArray[np.uint8], x: float, y: float, out: Array) -> None:
+    """The patch around a point with a border of one pixel; all its samples share their weights."""
+    x0, y0 = int(x), int(y)
+    a, b = x - x0, y - y0
+    w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+    for r in range(_SIDE + 2):
+        for c in range(_SIDE + 2):
+            yy, xx = y0 + r - HALF - 1, x0 + c - HALF - 1
+            out[r, c] = w00 * image[yy, xx] + w01 * image[yy, xx + 1] + w10 * image[yy + 1, xx] + w11 * image[yy + 1, xx + 1]
+
+
+@njit(cache=True, nogil=True)
 def align_patches(
     source: NDArray[np.uint8], target: NDArray[np.uint8], uv: Array, warp: Array, guess: Array, reach_px: float
 ) -> tuple[Array, Array]:
@@ -52,11 +64,11 @@ def align_patches(
     height_s, width_s = source.shape
     height_t, width_t = target.shape
     T, gx, gy = np.zeros(_SIDE * _SIDE), np.zeros(_SIDE * _SIDE), np.zeros(_SIDE * _SIDE)
-    I = np.zeros(_SIDE * _SIDE)
+    I, P = np.zeros(_SIDE * _SIDE), np.zeros((_SIDE + 2, _SIDE + 2))
     count = _SIDE * _SIDE
     for i in range(n):
         x, y = uv[i, 0], uv[i, 1]
-        if not (x >= HALF + 1 and y >= HALF + 1 and x < width_s - HALF - 3 and y < height_s - HALF - 3):
+        if not (x >= HALF + 2 and y >= HALF + 2 and x < width_s - HALF - 3 and y < height_s - HALF - 3):
             continue
         A = warp[i]
         det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
@@ -64,12 +76,12 @@ def align_patches(
             continue
         b00, b01, b10, b11 = A[1, 1] / det, -A[0, 1] / det, -A[1, 0] / det, A[0, 0] / det
         mean, mx, my = 0.0, 0.0, 0.0
+        _cut(source, x, y, P)
         k = 0
-        for dy in range(-HALF, HALF + 1):
-            for dx in range(-HALF, HALF + 1):
-                T[k] = _sample(source, x + dx, y + dy)
-                sx = 0.5 * (_sample(source, x + dx + 1, y + dy) - _sample(source, x + dx - 1, y + dy))
-                sy = 0.5 * (_sample(source, x + dx, y + dy + 1) - _sample(source, x + dx, y + dy - 1))
+        for r in range(1, _SIDE + 1):
+            for c in range(1, _SIDE + 1):
+                T[k] = P[r, c]
+                sx, sy = 0.5 * (P[r, c + 1] - P[r, c - 1]), 0.5 * (P[r + 1, c] - P[r - 1, c])
                 # The template's gradient as a step in the target image sees it.
                 gx[k], gy[k] = sx * b00 + sy * b10, sx * b01 + sy * b11
                 mean, mx, my = mean + T[k], mx + gx[k], my + gy[k]

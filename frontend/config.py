@@ -14,9 +14,9 @@ class FeatureConfig(_Frozen):
 
     tracks: int = Field(400, ge=50, description="points followed from frame to frame")
     landmarks: int = Field(600, ge=0, description="ORB key-points looked for in a key-frame, beside the followed ones")
-    fast_threshold: int = Field(12, ge=2, le=100, description="grey levels; lowered to a third in cells that stay empty")
-    levels: int = Field(6, ge=1, le=8, description="levels of the scale pyramid")
-    scale_factor: float = Field(1.2, gt=1.0, le=2.0, description="ratio of two levels")
+    fast_threshold: int = Field(6, ge=2, le=100, description="grey levels: the lowest threshold; tiles with much texture take higher ones")
+    levels: int = Field(4, ge=1, le=8, description="levels of the scale pyramid")
+    scale_factor: float = Field(1.4, gt=1.0, le=2.0, description="ratio of two levels")
     min_distance_px: float = Field(8.0, gt=0.0, description="between two followed points")
 
 
@@ -68,8 +68,8 @@ class KeyframeConfig(_Frozen):
     still_flow: float = Field(0.003, ge=0.0, description="motion: less displacement than this share of the width is standing still")
     refill_share: float = Field(0.6, gt=0.0, le=1.0, description="motion: fewer points than this share of the reference's")
     max_frames: int = Field(10, ge=1, description="motion: at the latest after so many frames, if anything moved")
-    keep_distance: float = Field(0.08, gt=0.0, description="a key-frame nearer than this share of the median depth to its neighbour is thinned out ...")
-    keep_angle_deg: float = Field(8.0, gt=0.0, description="... unless it is turned by more than this")
+    keep_distance: float = Field(0.08, ge=0.0, description="motion: key-frames this share of the median depth apart stay for good ...")
+    keep_angle_deg: float = Field(8.0, ge=0.0, description="... or turned by this; those between support the window, then go")
 
 
 class MappingConfig(_Frozen):

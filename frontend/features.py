@@ -6,6 +6,7 @@ Pixel centres are kept between levels: a point at ``x`` on a level of scale ``s`
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +19,7 @@ from frontend.config import FeatureConfig
 EDGE_PX = 20
 """ORB's rotated sampling pattern reaches 18.4 pixels from its centre."""
 _HALF_PATCH = 15
+_TILE_PX = 120
 
 
 @dataclass(frozen=True)
@@ -54,37 +56,70 @@ class Pyramid:
         return (uv + 0.5) / self.scales[level] - 0.5
 
 
-def detect(pyramid: Pyramid, count: int, taken_uv: NDArray[np.float64], config: FeatureConfig) -> tuple[NDArray, NDArray, NDArray]:
-    """About ``count`` FAST corners spread over the grid cells of all levels, away from ``taken_uv`` ``(m, 2)``.
+class Detector:
+    """FAST corners spread over the image: tiles with thresholds of their own, which learn from one image to the next, then cells."""
 
-    Returns ``uv`` ``(n, 2)`` level-0 pixels, ``level`` ``(n,)`` int8 and ``strength`` ``(n,)``, strongest first.
-    """
-    areas = np.array([im.size for im in pyramid.levels], dtype=np.float64)
-    all_uv, all_level, all_strength = [np.zeros((0, 2))], [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
-    for level, image in enumerate(pyramid.levels):
-        quota = max(round(count * areas[level] / areas.sum()), 8)
-        xy, strength = _detect_level(image, quota, pyramid.from_base(taken_uv, level), config)
-        all_uv.append(pyramid.to_base(xy, level))
-        all_level.append(np.full(len(xy), level, dtype=np.int8))
-        all_strength.append(strength)
-    uv, levels, strength = np.concatenate(all_uv), np.concatenate(all_level), np.concatenate(all_strength)
-    order = np.argsort(-strength, kind="stable")
-    return uv[order], levels[order], strength[order]
+    def __init__(self, config: FeatureConfig) -> None:
+        self.config = config
+        self._thresholds: dict[tuple[int, int, int], int] = {}
 
+    def detect(
+        self, pyramid: Pyramid, count: int, taken_uv: NDArray[np.float64], levels: int | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
+        """About ``count`` corners over the cells of ``levels`` levels (None: all), away from ``taken_uv`` ``(m, 2)``.
 
-def _detect_level(image: NDArray, quota: int, taken: NDArray[np.float64], config: FeatureConfig) -> tuple[NDArray, NDArray]:
-    height, width = image.shape
-    # Cells for about two corners each; corners of the low threshold count only where the cell has no strong one.
-    cell = max(np.sqrt(2.0 * (width - 2 * EDGE_PX) * (height - 2 * EDGE_PX) / quota), 12.0)
-    inner = image[EDGE_PX - 3 : height - EDGE_PX + 3, EDGE_PX - 3 : width - EDGE_PX + 3]
-    found = cv2.FastFeatureDetector_create(max(config.fast_threshold // 2, 3)).detect(np.ascontiguousarray(inner))
-    if not found:
-        return np.zeros((0, 2)), np.zeros(0)
-    xy = cv2.KeyPoint_convert(found).astype(np.float64) + (EDGE_PX - 3)
-    strength = np.fromiter((k.response for k in found), dtype=np.float64, count=len(found))
-    strength = strength + np.where(strength >= config.fast_threshold, 0.0, -1000.0)
-    keep = _spread(xy, strength, taken, width, height, cell, 2, 4.0)
-    return xy[keep], np.where(strength[keep] < 0, strength[keep] + 1000.0, strength[keep])
+        Returns ``uv`` ``(n, 2)`` level-0 pixels, ``level`` ``(n,)`` int8 and ``strength`` ``(n,)``, strongest first.
+        """
+        images = pyramid.levels[:levels]
+        area = sum(im.size for im in images)
+        all_uv, all_level, all_strength = [np.zeros((0, 2))], [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
+        for level, image in enumerate(images):
+            quota = max(round(count * image.size / area), 8)
+            xy, strength = self._detect_level(image, level, quota, pyramid.from_base(taken_uv, level))
+            all_uv.append(pyramid.to_base(xy, level))
+            all_level.append(np.full(len(xy), level, dtype=np.int8))
+            all_strength.append(strength)
+        uv, level_of, strength = np.concatenate(all_uv), np.concatenate(all_level), np.concatenate(all_strength)
+        order = np.argsort(-strength, kind="stable")
+        return uv[order], level_of[order], strength[order]
+
+    def _detect_level(
+        self, image: NDArray[np.uint8], level: int, quota: int, taken: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        height, width = image.shape
+        columns, rows = max(width // _TILE_PX, 1), max(height // _TILE_PX, 1)
+        x_edges = np.linspace(EDGE_PX, width - EDGE_PX, columns + 1).astype(int)
+        y_edges = np.linspace(EDGE_PX, height - EDGE_PX, rows + 1).astype(int)
+        want = max(3 * quota // (columns * rows), 4)
+        found_xy, found_strength = [np.zeros((0, 2))], [np.zeros(0)]
+        for r in range(rows):
+            for c in range(columns):
+                # FAST leaves a border of 3 pixels.
+                tile = image[y_edges[r] - 3 : y_edges[r + 1] + 3, x_edges[c] - 3 : x_edges[c + 1] + 3]
+                corners = self._detect_tile(tile, (level, r, c), want)
+                if corners:
+                    found_xy.append(cv2.KeyPoint_convert(corners).astype(np.float64) + [x_edges[c] - 3, y_edges[r] - 3])
+                    found_strength.append(np.array([k.response for k in corners]))
+        xy, strength = np.concatenate(found_xy), np.concatenate(found_strength)
+        cell = max(float(np.sqrt(2.0 * (width - 2 * EDGE_PX) * (height - 2 * EDGE_PX) / quota)), 12.0)
+        keep = _spread(xy, strength, taken, width, height, cell, 2, 4.0)
+        return xy[keep], strength[keep]
+
+    def _detect_tile(self, tile: NDArray[np.uint8], key: tuple[int, int, int], want: int) -> Sequence[cv2.KeyPoint]:
+        """Corners of a tile by its own threshold, which is halved at once where it finds far too few."""
+        low = self.config.fast_threshold
+        threshold = self._thresholds.get(key, 3 * low)
+        tile = np.ascontiguousarray(tile)
+        corners = cv2.FastFeatureDetector_create(threshold).detect(tile)
+        while len(corners) < want // 2 and threshold > low:
+            threshold = max(threshold // 2, low)
+            corners = cv2.FastFeatureDetector_create(threshold).detect(tile)
+        if len(corners) > 2 * want:
+            threshold += max(threshold // 5, 1)
+        elif len(corners) < want:
+            threshold = max(threshold - max(threshold // 5, 1), low)
+        self._thresholds[key] = threshold
+        return corners
 
 
 @njit(cache=True, nogil=True)
@@ -109,7 +144,7 @@ def _spread(
     for i in np.argsort(-strength, kind="mergesort"):
         x, y = int(xy[i, 0]), int(xy[i, 1])
         row, column = int(y / cell), int(x / cell)
-        if blocked[y, x] or used[row, column] >= per_cell or (strength[i] < 0 and used[row, column] > 0):
+        if blocked[y, x] or used[row, column] >= per_cell:
             continue
         used[row, column] += 1
         kept[n] = i
@@ -169,3 +204,8 @@ def describe(pyramid: Pyramid, uv: NDArray[np.float64], level: NDArray[np.int8])
         descriptors[kept_index] = rows
         angle[np.setdiff1d(index, kept_index)] = np.nan
     return Keypoints(uv, level, angle, descriptors)
+
+
+def undescribed(uv: NDArray[np.float64], level: NDArray[np.int8]) -> Keypoints:
+    """Key-points without descriptors."""
+    return Keypoints(uv, level, np.full(len(uv), np.nan, dtype=np.float32), np.zeros((len(uv), 32), dtype=np.uint8))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from frontend.cameras import RigKind
 from frontend.config import OdometryConfig
-from frontend.features import Pyramid, detect, spread_cells
+from frontend.features import Detector, Pyramid, spread_cells
 from frontend.flow import follow_both_ways
 from frontend.frames import Frame
 from frontend.segment import Segment
@@ -97,7 +97,7 @@ class MonoStarter:
         """Take ``frame`` as first view."""
         features = self.config.features
         pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
-        uv, _, _ = detect(pyramid, 2 * features.tracks, np.zeros((0, 2)), features)
+        uv, _, _ = Detector(features).detect(pyramid, 2 * features.tracks, np.zeros((0, 2)))
         chosen = spread_cells(uv, np.zeros((0, 2)), frame.image.shape[1], frame.image.shape[0], 2 * features.tracks)
         if len(chosen) < self.config.mono.min_matches:
             self._first = None

@@ -31,6 +31,8 @@ class KeyFrame:
     descriptors: NDArray[np.uint8]
     described: NDArray[np.bool_]
     followed: NDArray[np.bool_]
+    stays: bool = True
+    """False: supports the window only and goes when it leaves it; it has no descriptors."""
     parent: int = -1
     T_C_P: Array | None = None
     """Set when the key-frame was culled: its pose then hangs on the key-frame ``parent``."""
@@ -43,6 +45,9 @@ class KeyFrame:
         return out
 
 
+_COLUMNS = ("_xyz", "_alive", "_metric", "_views", "_descriptors", "_described", "_level", "_depth")
+
+
 class Map:
     """Points are numbered for good; arrays grow by doubling. A point whose position is not yet known has NaN in ``xyz``."""
 
@@ -53,6 +58,7 @@ class Map:
         self._xyz = np.full((1024, 3), np.nan)
         self._alive = np.zeros(1024, dtype=bool)
         self._metric = np.zeros(1024, dtype=bool)
+        self._views = np.zeros(1024, dtype=np.int64)
         self._descriptors = np.zeros((1024, 32), dtype=np.uint8)
         self._described = np.zeros(1024, dtype=bool)
         self._level = np.zeros(1024, dtype=np.int8)
@@ -73,6 +79,11 @@ class Map:
     def metric(self) -> NDArray[np.bool_]:
         """A disparity or depth gave this point its position at least once."""
         return self._metric[: len(self)]
+
+    @property
+    def views(self) -> Ints:
+        """How many key-frames see each point."""
+        return self._views[: len(self)]
 
     @property
     def descriptors(self) -> NDArray[np.uint8]:
@@ -97,8 +108,9 @@ class Map:
         """Numbers ``(count,)`` of new points of unknown position."""
         first, last = len(self), len(self) + count
         while last > len(self._alive):
-            for name, fill in (("_xyz", np.nan), ("_alive", False), ("_metric", False), ("_descriptors", 0), ("_described", False), ("_level", 0), ("_depth", np.nan)):
+            for name in _COLUMNS:
                 old = getattr(self, name)
+                fill = np.nan if name in ("_xyz", "_depth") else 0
                 setattr(self, name, np.concatenate([old, np.full_like(old, fill)]))
         self._alive[first:last] = True
         self.observers.extend([] for _ in range(count))
@@ -109,6 +121,8 @@ class Map:
         self.keyframes[keyframe.number] = keyframe
         for row in np.flatnonzero(keyframe.point >= 0).tolist():
             self.observers[keyframe.point[row]].append((keyframe.number, row))
+        seen = keyframe.point[keyframe.point >= 0]
+        self.views[seen] += 1
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
         ids = keyframe.point[rows]
         self.descriptors[ids], self.described[ids], self.level[ids] = keyframe.descriptors[rows], True, keyframe.level[rows]
@@ -119,11 +133,13 @@ class Map:
         point = int(keyframe.point[row])
         keyframe.point[row] = -1
         self.observers[point].remove((number, row))
+        self.views[point] -= 1
 
     def drop_point(self, point: int) -> None:
         for number, row in self.observers[point]:
             self.keyframes[number].point[row] = -1
         self.observers[point] = []
+        self.views[point] = 0
         self.alive[point] = False
 
     def merge_points(self, kept: int, gone: int) -> None:
@@ -137,6 +153,7 @@ class Map:
                 self.observers[kept].append((number, row))
         self.observers[kept].sort()
         self.observers[gone] = []
+        self.views[kept], self.views[gone] = len(self.observers[kept]), 0
         self.alive[gone] = False
 
     def cull_keyframe(self, number: int, parent: int) -> None:
@@ -144,6 +161,7 @@ class Map:
         keyframe = self.keyframes.pop(number)
         for row in np.flatnonzero(keyframe.point >= 0).tolist():
             self.observers[keyframe.point[row]].remove((number, row))
+        self.views[keyframe.point[keyframe.point >= 0]] -= 1
         keyframe.parent = parent
         keyframe.T_C_P = keyframe.T_C_W @ self.keyframes[parent].T_W_C
         empty = np.zeros(0)

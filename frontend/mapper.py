@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from backend.geometry import rotation_angle_deg, se3_inverse, transform_points
 from frontend.config import OdometryConfig
-from frontend.features import Keypoints, Pyramid, describe, detect, spread_cells
+from frontend.features import Detector, Keypoints, Pyramid, describe, spread_cells, undescribed
 from frontend.frames import Frame
 from frontend.map import Ints, KeyFrame, Map
 from frontend.matching import guided_match
@@ -23,6 +23,7 @@ class Mapper:
 
     def __init__(self, map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         self.map, self.ranging, self.config = map_, ranging, config
+        self._detector = Detector(config.features)
         self._log_scale = np.log(config.features.scale_factor)
 
     def insert(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> KeyFrame:
@@ -36,31 +37,46 @@ class Mapper:
         return keyframe
 
     def _make(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> KeyFrame:
-        features = self.config.features
-        pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
-        new_uv, new_level, _ = detect(pyramid, features.landmarks + features.tracks - len(uv), uv, features)
-        level = self._expected_level(T_C_W, point)
-        all_uv = np.concatenate([uv, new_uv])
-        keypoints = describe(pyramid, all_uv, np.concatenate([np.clip(np.rint(level), 0, len(pyramid.levels) - 1).astype(np.int8), new_level]))
+        """Observations of the new key-frame: what was followed, what fills empty cells, and (if it stays) more ORB key-points."""
+        features, stays = self.config.features, self._stays(T_C_W, point)
+        pyramid = Pyramid(frame.image, features.levels if stays else 2, features.scale_factor)
+        extra = features.landmarks if stays else 0
+        new_uv, new_level, _ = self._detector.detect(pyramid, features.tracks + extra, uv, None if stays else 1)
+        fill = spread_cells(new_uv, uv, frame.image.shape[1], frame.image.shape[0], features.tracks)
+        if not stays:
+            new_uv, new_level, fill = new_uv[fill], new_level[fill], np.arange(len(fill))
         n = len(uv)
+        all_uv = np.concatenate([uv, new_uv])
+        level = np.clip(np.rint(self._expected_level(T_C_W, point)), 0, features.levels - 1).astype(np.int8)
+        level = np.concatenate([level, new_level])
+        keypoints = describe(pyramid, all_uv, level) if stays else undescribed(all_uv, level)
         described = np.isfinite(keypoints.angle_deg)
         points = np.concatenate([point, self._seen_again(T_C_W, point, keypoints, n)])
-        matched = np.arange(len(points)) >= n
-        matched &= points >= 0
-        chosen = spread_cells(new_uv, uv, frame.image.shape[1], frame.image.shape[0], features.tracks)
+        matched = (np.arange(len(points)) >= n) & (points >= 0)
         followed = np.arange(len(points)) < n
-        followed[n + chosen[points[n + chosen] < 0]] = True
+        followed[n + fill[points[n + fill] < 0]] = True
         fresh = points < 0
         points[fresh] = self.map.add_points(int(fresh.sum()))
         _, depth = self.ranging.project(T_C_W, self.map.xyz[points])
         disparity = self.ranging.measure(frame, all_uv, np.where(depth > 0, depth, np.nan))
-        scale = pyramid.scales[keypoints.level, 0]
-        sigma = np.where(matched, 1.0 * scale, self.config.pose.pixel_sigma_px)
+        sigma = np.where(matched, features.scale_factor ** level.astype(np.float64), self.config.pose.pixel_sigma_px)
         return KeyFrame(
             number=len(self.map.keyframes) + len(self.map.culled), frame_index=frame.index, stamp_ns=frame.stamp_ns, T_C_W=T_C_W.copy(),
-            uv=all_uv, disparity=disparity, point=points, sigma=sigma, level=keypoints.level, descriptors=keypoints.descriptors,
-            described=described, followed=followed,
+            uv=all_uv, disparity=disparity, point=points, sigma=sigma, level=level, descriptors=keypoints.descriptors,
+            described=described, followed=followed, stays=stays,
         )  # fmt: skip
+
+    def _stays(self, T_C_W: Array, point: Ints) -> bool:
+        """Whether the view differs enough from the last key-frame that stays."""
+        kept = [k for k in sorted(self.map.keyframes) if self.map.keyframes[k].stays]
+        settings = self.config.keyframes
+        if not kept or settings.policy == "thesis":
+            return True
+        step = T_C_W @ se3_inverse(self.map.keyframes[kept[-1]].T_C_W)
+        _, depth = self.ranging.project(T_C_W, self.map.xyz[point])
+        median_depth = float(np.nanmedian(depth)) if np.isfinite(depth).any() else 1.0
+        far = float(np.linalg.norm(step[:3, 3])) >= settings.keep_distance * median_depth
+        return far or float(rotation_angle_deg(step[:3, :3])) >= settings.keep_angle_deg
 
     def _expected_level(self, T_C_W: Array, point: Ints) -> Array:
         """The pyramid level a point shows itself on from here: coarser when nearer; its old level where its depth is unknown."""
@@ -120,6 +136,9 @@ class Mapper:
         self.map.xyz[ids] = transform_points(keyframe.T_W_C, p_C[good])
         self.map.metric[ids] = True
         self.map.depth[ids] = p_C[good, 2]
+        if self.ranging.rig.metric:
+            # What has no depth here is hardly worth following: the next key-frame fills its cell anew.
+            keyframe.followed &= (keyframe.point < 0) | np.isfinite(self.map.xyz[keyframe.point, 0])
 
     def _triangulate_waiting(self, keyframe: KeyFrame) -> None:
         """Points without a position get one where their rays have parallax by now."""
@@ -215,7 +234,7 @@ class Mapper:
         """Points seen once hang on their key-frame: they move with it and with the calibration."""
         for keyframe in keyframes:
             rows = np.flatnonzero((keyframe.point >= 0) & np.isfinite(keyframe.disparity))
-            rows = np.array([r for r in rows.tolist() if len(self.map.observers[keyframe.point[r]]) == 1], dtype=np.int64)
+            rows = rows[self.map.views[keyframe.point[rows]] == 1]
             p_C = self.ranging.back_project(keyframe.uv[rows], keyframe.disparity[rows])
             good = np.isfinite(p_C[:, 0])
             self.map.xyz[keyframe.point[rows[good]]] = transform_points(keyframe.T_W_C, p_C[good])
@@ -237,17 +256,9 @@ class Mapper:
                 self.map.drop_point(int(ids[point]))
 
     def _cull_keyframes(self) -> None:
-        """Thin out key-frames that have left the moving part of the window: near their kept neighbour and turned little."""
+        """Key-frames that only supported the window go when they leave it; the one before carries their frames."""
         numbers = sorted(self.map.keyframes)
-        settings = self.config.keyframes
-        settled = numbers[: -self.config.mapping.window]
-        if len(settled) < 2:
-            return
-        before, candidate, after = settled[-2], settled[-1], numbers[len(settled)]
-        a, b = self.map.keyframes[before], self.map.keyframes[after]
-        step = b.T_C_W @ se3_inverse(a.T_C_W)
-        ids = a.point[a.point >= 0]
-        _, depth = self.ranging.project(a.T_C_W, self.map.xyz[ids])
-        median_depth = float(np.nanmedian(depth)) if np.isfinite(depth).any() else 1.0
-        if np.linalg.norm(step[:3, 3]) < settings.keep_distance * median_depth and rotation_angle_deg(step[:3, :3]) < settings.keep_angle_deg:
-            self.map.cull_keyframe(candidate, before)
+        for k in range(1, len(numbers) - self.config.mapping.window):
+            if not self.map.keyframes[numbers[k]].stays:
+                parent = next(n for n in reversed(numbers[:k]) if n in self.map.keyframes)
+                self.map.cull_keyframe(numbers[k], parent)

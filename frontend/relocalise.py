@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frontend.config import OdometryConfig
-from frontend.features import Pyramid, describe, detect
+from frontend.features import Detector, Pyramid, describe
 from frontend.frames import Frame
 from frontend.matching import guided_match
 from frontend.pose import refine_pose
@@ -21,7 +21,7 @@ def relocalise(frame: Frame, segment: Segment, ranging: Ranging, config: Odometr
     """
     features = config.features
     pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
-    uv, level, _ = detect(pyramid, features.landmarks + features.tracks, np.zeros((0, 2)), features)
+    uv, level, _ = Detector(features).detect(pyramid, features.landmarks + features.tracks, np.zeros((0, 2)))
     keypoints = describe(pyramid, uv, level)
     usable = np.flatnonzero(np.isfinite(keypoints.angle_deg))
     map_ = segment.map
