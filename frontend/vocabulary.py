@@ -106,9 +106,9 @@ class Vocabulary:
     def bag(self, descriptors: NDArray[np.uint8]) -> BagOfWords:
         """The tf-idf vector of an image's descriptors ``(N, 32)``; empty where none has a weight."""
         words, counts = np.unique(self.leaves(descriptors), return_counts=True)
-        values = counts * self.weights[words]
-        words, values = words[values > 0], values[values > 0]
-        return BagOfWords(words, values / values.sum() if len(values) else values)
+        values: NDArray[np.float64] = counts * self.weights[words]
+        kept = values > 0
+        return BagOfWords(words[kept], values[kept] / values[kept].sum())
 
     def _descend(self, descriptors: NDArray[np.uint8], levels: NDArray[np.int64]) -> NDArray[np.int32]:
         rows = np.ascontiguousarray(descriptors, dtype=np.uint8)
