@@ -10,25 +10,14 @@ import math
 
 import torch
 import torch.nn.functional as F
-from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor, nn
+
+from descriptors.config import NetVladConfig
 
 STD_FLOOR = 1.0
 """Grey levels added (in quadrature) to an image's own deviation, so that a constant image divides by something."""
 MAX_ALPHA = 30.0
 """Cap on the sharpness of the initial assignment: sharper, and no gradient reaches any but the nearest centre."""
-
-
-class NetVladConfig(BaseModel):
-    """The shape of the network. Lengths are channel counts unless said otherwise."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    channels: tuple[int, ...] = (32, 64, 96, 128, 128)
-    strides: tuple[int, ...] = (2, 2, 2, 1, 1)
-    local_dim: int = Field(64, gt=0)  # dimensions of a local feature
-    clusters: int = Field(64, gt=1)  # VLAD centres
-    dim: int = Field(256, gt=0)  # dimensions of the place vector
 
 
 class VladLayer(nn.Module):

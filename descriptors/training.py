@@ -16,35 +16,16 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 from torch import Tensor, nn
 
 from descriptors.augmentation import PHOTOS, Augmentation, augment_pair, share_strips
+from descriptors.config import TrainingConfig
 from descriptors.errors import DescriptorError
 from descriptors.initialisation import fit_projection, initialise, settle_batch_norms
-from descriptors.netvlad import NetVladConfig, NetVladNetwork, build_network
+from descriptors.netvlad import NetVladNetwork, build_network
 
 _MAX_SCALE = 60.0
-
-
-class TrainingConfig(BaseModel):
-    """How to train. The same configuration, images, seed and thread count give the same weights."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    network: NetVladConfig = NetVladConfig()
-    steps: int = Field(2500, gt=0)
-    pairs: int = Field(48, gt=1)  # places in a batch, two views each
-    width: int = Field(160, ge=32)  # pixels of a training image
-    height: int = Field(120, ge=32)
-    learning_rate: float = Field(2e-3, gt=0)  # at its peak; falls to zero on a half cosine
-    warmup_steps: int = Field(100, ge=0)
-    weight_decay: float = Field(1e-4, ge=0)
-    start_scale: float = Field(12.0, gt=0)  # inverse temperature; learned
-    seed: int = 0
-    threads: int = Field(1, gt=0)
-    initial_images: int = Field(1024, gt=0)  # for k-means centres and principal axes
-    checkpoint_every: int = Field(250, gt=0)  # steps
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,9 @@ def random_method(images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Method:
     add to. Needs torch."""
     import torch
 
+    from descriptors.config import NetVladConfig
     from descriptors.initialisation import initialise
-    from descriptors.netvlad import NetVladConfig, build_network
+    from descriptors.netvlad import build_network
 
     config, pixels = NetVladConfig(), NetVlad.load().card.input_pixels
     network = build_network(config, seed)

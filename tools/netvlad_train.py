@@ -29,25 +29,26 @@ from tools.progress import Progress
 from tools.workers import core_count, run_jobs
 
 if TYPE_CHECKING:
+    from descriptors.config import TrainingConfig
     from descriptors.netvlad import NetVladNetwork
-    from descriptors.training import PlaceSet, TrainingConfig
+    from descriptors.training import PlaceSet
 
 KINDS = ("indoor", "town")
 
 
 class MaterialConfig(BaseModel):
-    """What is trained on. Weights are shares of the batches, relative to each other."""
+    """What is trained on."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    towns: int = Field(4, ge=0)  # rendered worlds of each kind
-    indoors: int = Field(4, ge=0)
-    places: int = Field(220, gt=1)  # of each world, three visits each
-    held_out_places: int = Field(120, ge=0)  # of one more world of each kind, to watch and to choose by
-    photo_weight: float = Field(0.5, ge=0)
-    town_weight: float = Field(0.25, ge=0)  # all towns together
-    indoor_weight: float = Field(0.25, ge=0)
-    strips: float = Field(0.3, ge=0, le=1)  # share of the photographs that are made look-alikes by a common strip
+    towns: int = Field(4, ge=0, description="rendered towns to train on")
+    indoors: int = Field(4, ge=0, description="rendered indoor floors to train on")
+    places: int = Field(220, gt=1, description="of each world, three visits each")
+    held_out_places: int = Field(120, ge=0, description="of one more world of each kind, to watch the training by")
+    photo_weight: float = Field(0.5, ge=0, description="share of the photographs, relative to the other two")
+    town_weight: float = Field(0.25, ge=0, description="share of all towns together")
+    indoor_weight: float = Field(0.25, ge=0, description="share of all indoor floors together")
+    strips: float = Field(0.3, ge=0, le=1, description="share of photographs made look-alikes by a common strip")
 
 
 @dataclass(frozen=True)

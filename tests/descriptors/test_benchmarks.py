@@ -1,4 +1,4 @@
-"""The measuring of place recognition: truth from poses and depth, public sets, scores; and the shipped weights on real images."""
+"""The measuring of place recognition: truth from poses and depth, public sets, scores; the weights on real images."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def test_an_absent_set_is_one_line(tmp_path: Path) -> None:
         gardenspoint(tmp_path)
 
 
-@pytest.mark.realdata()
+@pytest.mark.realdata
 @pytest.mark.parametrize("reader", [gardenspoint, corridor])
 def test_shipped_weights_beat_the_thumbnail_on_real_images(reader: object) -> None:
     if not (DATA / f"places_{reader.__name__}").is_dir():  # type: ignore[attr-defined]

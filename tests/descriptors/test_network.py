@@ -11,11 +11,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from descriptors.augmentation import PHOTOS, augment_pair, share_strips  # noqa: E402
+from descriptors.config import NetVladConfig, TrainingConfig  # noqa: E402
 from descriptors.errors import DescriptorError  # noqa: E402
 from descriptors.export import export_onnx  # noqa: E402
 from descriptors.initialisation import fit_projection, initialise, kmeans  # noqa: E402
-from descriptors.netvlad import NetVladConfig, VladLayer, build_network  # noqa: E402
-from descriptors.training import PlaceSet, Trainer, TrainingConfig, load_network, read_checkpoint  # noqa: E402
+from descriptors.netvlad import VladLayer, build_network  # noqa: E402
+from descriptors.training import PlaceSet, Trainer, load_network, read_checkpoint  # noqa: E402
 from tests.descriptors.conftest import textured_image  # noqa: E402
 
 TINY = NetVladConfig(channels=(8, 16, 16), strides=(2, 2, 2), local_dim=16, clusters=8, dim=32)

@@ -1,0 +1,37 @@
+"""The shape of the network and how it is trained, as settings; no torch here."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class NetVladConfig(BaseModel):
+    """The shape of the network."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    channels: tuple[int, ...] = Field((32, 64, 96, 128, 128), description="of the 3x3 convolutions")
+    strides: tuple[int, ...] = Field((2, 2, 2, 1, 1), description="of the 3x3 convolutions")
+    local_dim: int = Field(64, gt=0, description="dimensions of a local feature")
+    clusters: int = Field(64, gt=1, description="VLAD centres")
+    dim: int = Field(256, gt=0, description="dimensions of the place vector")
+
+
+class TrainingConfig(BaseModel):
+    """How to train. The same configuration, images, seed and thread count give the same weights."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    network: NetVladConfig = NetVladConfig()
+    steps: int = Field(2500, gt=0)
+    pairs: int = Field(48, gt=1, description="places in a batch, two views each")
+    width: int = Field(160, ge=32, description="of a training image, pixels")
+    height: int = Field(120, ge=32, description="of a training image, pixels")
+    learning_rate: float = Field(2e-3, gt=0, description="at its peak; falls to zero on a half cosine")
+    warmup_steps: int = Field(100, ge=0)
+    weight_decay: float = Field(1e-4, ge=0)
+    start_scale: float = Field(12.0, gt=0, description="inverse temperature at the start; learned")
+    seed: int = Field(0, ge=0)
+    threads: int = Field(1, gt=0)
+    initial_images: int = Field(1024, gt=0, description="images that k-means centres and principal axes come from")
+    checkpoint_every: int = Field(250, gt=0, description="steps")
