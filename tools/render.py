@@ -35,7 +35,7 @@ class RenderConfig(BaseModel):
     world: Literal["town", "indoor"] = "town"
     seed: int = Field(0, ge=0, description="of the world, the ways, the lights and the noise")
     agents: int = Field(4, ge=1, le=100)
-    frames: int = Field(120, ge=1, description="of each agent (with a pose file: at most so many in all)")
+    frames: int = Field(120, ge=1, description="of each agent; of all agents together with a pose file")
     width: int = Field(640, ge=32, le=4096, description="pixels")
     height: int = Field(360, ge=32, le=4096, description="pixels")
     fov_deg: float = Field(84.0, gt=20, lt=140, description="horizontal field of view")
@@ -174,7 +174,7 @@ def _render_one(job: _Job, renderer: Renderer, scenario: Scenario, config: Rende
     if job.right:
         pose = pose.copy()
         pose[:3, 3] += config.baseline() * pose[:3, 0]
-    view: View = renderer.render(pose, camera, plan.light, scenario.movers(job.frame / config.rate_hz))
+    view: View = renderer.render(pose, camera, plan.light, scenario.moving(job.frame))
     rng = np.random.default_rng([config.seed, 7, job.agent, job.frame, int(job.right)])
     exposure = exposure_of(plan.light, plan.exposures[job.frame])
     image = develop(view.radiance, config.sensor, exposure, rng)

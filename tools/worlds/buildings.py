@@ -11,6 +11,8 @@ from tools.worlds.facades import BAY_M, FLOOR_M
 from tools.worlds.mesh import MeshBuilder
 from tools.worlds.streets import PAVEMENT_M, ROAD_HALF_M, GroundPlan, Line
 
+SOLID = 3
+"""A house in the raster of taken ground (1: street)."""
 SETBACK_M = ROAD_HALF_M + PAVEMENT_M + 0.3
 
 
@@ -61,7 +63,6 @@ def _fit(path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np
         depth = float(rng.choice([8.0, 9.6, 11.2, 12.8]))
         # Seen from the street, the house on the right begins on the left where the path goes on.
         plot = Plot(path[k] + width * along + SETBACK_M * right, -along, right, width, depth)
-        mask = np.zeros_like(taken)
         cells = (plot.outline(-0.2) - plan.origin) / plan.cell_m
         x, y, w, h = cv2.boundingRect(np.floor(cells).astype(np.int32))
         if x < 0 or y < 0 or x + w >= taken.shape[1] or y + h >= taken.shape[0]:
@@ -69,9 +70,9 @@ def _fit(path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np
         mask = np.zeros((h + 1, w + 1), np.uint8)
         cv2.fillConvexPoly(mask, np.rint(cells - (x, y)).astype(np.int32), 1)
         window = taken[y : y + h + 1, x : x + w + 1]
-        if (window & mask).any():
+        if window[mask > 0].any():
             continue
-        window |= mask
+        window[mask > 0] = SOLID
         return plot
     return None
 
@@ -96,7 +97,7 @@ def add_house(mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, rng: np.ra
     corners = plot.outline()
     for i in range(4):
         a, b = corners[i], corners[(i + 1) % 4]
-        mesh.wall(a, b, foot - 1.5, top, facade, tint, (BAY_M * int(rng.integers(0, 4)), 1.5))
+        mesh.wall(a, b, foot - 4.0, top, facade, tint, (BAY_M * int(rng.integers(0, 4)), 4.0))
     axes = np.stack([[plot.along[0], 0, plot.along[1]], [0, 1, 0], [-plot.inward[0], 0, -plot.inward[1]]], axis=1)
     middle = corners.mean(axis=0)
     depth = float(rng.uniform(0.25, 0.5))

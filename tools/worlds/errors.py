@@ -1,4 +1,4 @@
-"""The one exception root of the synthetic worlds."""
+"""The one exception of the synthetic worlds."""
 
 from tools.errors import ToolError
 

@@ -241,7 +241,7 @@ def _lamps(s: SceneArrays, zone: int, x: float, y: float, z: float, nx: float, n
     total = 0.0
     for k in range(s.zone_lamps[zone], s.zone_lamps[zone + 1]):
         lx, ly, lz = s.lamps[k, 0] - x, s.lamps[k, 1] - y, s.lamps[k, 2] - z
-        square = lx * lx + ly * ly + lz * lz + 0.15
+        square = lx * lx + ly * ly + lz * lz + 0.5
         facing = (nx * lx + ny * ly + nz * lz) / np.sqrt(square)
         total += s.lamps[k, 3] * max(0.5 + 0.5 * facing, 0.0) / square
     return total

@@ -13,7 +13,8 @@ Line = NDArray[np.float64]
 @dataclass(frozen=True)
 class Gait:
     """How something moves: ``cruise_mps``; accelerations in m/s2; ``height_m`` of the camera; wobble: deviations of the angles (degrees) and
-    of the height (metres), at about ``wobble_hz``."""
+    of the height (metres), at about ``wobble_hz``;
+    ``smooth_m`` rounds the corners of the line; ``turn_dps``: degrees a second at most."""
 
     cruise_mps: float = 9.0
     lateral_mps2: float = 2.4
@@ -24,9 +25,10 @@ class Gait:
     heave_m: float = 0.012
     wobble_hz: float = 0.9
     smooth_m: float = 2.0
+    turn_dps: float = 40.0
 
 
-WALKING = Gait(1.1, 0.5, 0.6, 0.6, 1.5, (1.4, 1.2, 1.1), 0.025, 0.9, 0.35)
+WALKING = Gait(1.1, 0.5, 0.6, 0.6, 1.5, (1.2, 1.0, 0.9), 0.02, 0.8, 0.35, 35.0)
 
 
 def resample(line: Line, step_m: float) -> Line:
@@ -51,6 +53,7 @@ def smoothed(values: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
 def speeds(curvature: NDArray[np.float64], step_m: float, gait: Gait) -> NDArray[np.float64]:
     """Speed at each point of a line: no faster than cruise, than the corner allows, than the car can gain and lose."""
     v = np.minimum(gait.cruise_mps, np.sqrt(gait.lateral_mps2 / np.maximum(np.abs(curvature), 1e-6)))
+    v = np.minimum(v, np.deg2rad(gait.turn_dps) / np.maximum(np.abs(curvature), 1e-6))
     for k in range(1, len(v)):
         v[k] = min(v[k], np.sqrt(v[k - 1] ** 2 + 2 * gait.accelerate_mps2 * step_m))
     for k in range(len(v) - 2, -1, -1):

@@ -28,7 +28,7 @@ class Route:
     stretches: tuple[Stretch, ...]
 
 
-def plan_routes(network: Network, agents: int, length_m: float, rng: np.random.Generator) -> list[Route]:
+def plan_routes(network: Network, agents: int, length_m: float, rng: np.random.Generator, candidates: int = CANDIDATES) -> list[Route]:
     """A route of at least ``length_m`` for each agent. Each is the best of many random ones: it shares about half its way with the agents
     before it, with several of them if it can, comes back on its own tracks if it is long enough, and starts at a place of its own."""
     lengths = {e: _length(network, *e) for a, b in network.edges for e in ((a, b), (b, a))}
@@ -36,7 +36,7 @@ def plan_routes(network: Network, agents: int, length_m: float, rng: np.random.G
     for _ in range(agents):
         driven = [set(r.stretches) for r in routes]
         best, best_score = None, -np.inf
-        for _ in range(CANDIDATES):
+        for _ in range(candidates):
             candidate = _random_route(network, lengths, length_m, routes, rng)
             score = _score(candidate, driven, [r.stretches[0] for r in routes])
             if score > best_score:

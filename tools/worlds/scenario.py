@@ -1,4 +1,4 @@
-"""Who drives where, when, in which light: everything of a rendering but the pictures."""
+"""Who moves where, when, in which light: everything of a rendering but the pictures."""
 
 from __future__ import annotations
 
@@ -11,59 +11,152 @@ from numpy.typing import NDArray
 from tools.worlds.errors import RenderError
 from tools.worlds.light import Light, random_light
 from tools.worlds.mesh import Mesh
-from tools.worlds.paths import Gait, drive
+from tools.worlds.paths import WALKING, Gait, drive
+from tools.worlds.props import placed
 from tools.worlds.routes import lane_line, plan_routes
-from tools.worlds.town import build_town
+from tools.worlds.streets import Network
 from tools.worlds.world import World
 
 if TYPE_CHECKING:
     from tools.render import RenderConfig
+
+Poses = NDArray[np.float64]
+POSES_OVERLAP = 10
+"""Frames that neighbouring agents share where a pose file is cut into one piece for each agent."""
 
 
 @dataclass(frozen=True)
 class AgentPlan:
     """``poses`` ``(F, 4, 4)`` T_W_C of the left camera; ``exposures`` ``(F,)`` factors about 1."""
 
-    poses: NDArray[np.float64]
+    poses: Poses
     light: Light
     exposures: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A driving car: which of the world's movers, and its poses on the ground at the frames' times."""
+
+    look: int
+    poses: Poses
 
 
 @dataclass(frozen=True)
 class Scenario:
     world: World
     agents: tuple[AgentPlan, ...]
+    movers: tuple[Mover, ...] = ()
 
-    def movers(self, time_s: float) -> Mesh | None:
-        """The cars that drive, where they are at ``time_s``; None without any."""
-        return None
+    def moving(self, frame: int) -> Mesh | None:
+        """The cars that drive, where they are at ``frame``; None without any."""
+        meshes = []
+        for mover in self.movers:
+            T = mover.poses[min(frame, len(mover.poses) - 1)]
+            meshes.append(placed(self.world.movers[mover.look], T[[0, 2], 3], T[[0, 2], 2], 0.0))
+        return Mesh.joined(meshes) if meshes else None
 
 
 def plan_scenario(config: RenderConfig) -> Scenario:
     """The world, the ways, the lights. Raises RenderError where they cannot be had."""
-    if config.poses_file is not None or config.world != "town":
-        raise RenderError("only the town is built yet")
-    world, ways = _town(config)
+    movers: tuple[Mover, ...] = ()
+    if config.poses_file is not None:
+        world, ways = _along(config)
+    elif config.world == "indoor":
+        world, ways = _indoor(config)
+    else:
+        world, ways, movers = _town(config)
     rng = np.random.default_rng([config.seed, 3])
-    plans = []
-    for poses in ways:
-        light = random_light(rng, config.light_change, config.world == "indoor")
-        plans.append(AgentPlan(poses, light, _drift(len(poses), config, rng)))
-    return Scenario(world, tuple(plans))
+    lights = [random_light(rng, config.light_change, world.kind == "indoor") for _ in ways]
+    plans = [AgentPlan(poses, light, _drift(len(poses), config, rng)) for poses, light in zip(ways, lights, strict=True)]
+    return Scenario(world, tuple(plans), movers)
 
 
-def _town(config: RenderConfig) -> tuple[World, list[NDArray[np.float64]]]:
-    quality = {"facade_count": 8, "ground_texel_m": 0.1} if config.cheap else {}
-    world, network = build_town(config.seed, **quality)
+def _quality(config: RenderConfig) -> dict[str, float]:
+    return {"facade_count": 6, "ground_texel_m": 0.1} if config.cheap else {}
+
+
+def _town(config: RenderConfig) -> tuple[World, list[Poses], tuple[Mover, ...]]:
+    from tools.worlds.town import build_town
+
+    world, network = build_town(config.seed, **_quality(config))  # type: ignore[arg-type]
     rng = np.random.default_rng([config.seed, 2])
     seconds = config.frames / config.rate_hz
-    routes = plan_routes(network, config.agents, 6.5 * seconds, rng)
     ways = []
-    for route in routes:
+    for route in plan_routes(network, config.agents, 6.5 * seconds, rng):
         gait = Gait(cruise_mps=float(rng.uniform(8.0, 10.0)), height_m=float(rng.uniform(1.55, 1.75)))
-        line = lane_line(network, route, 10.5 * seconds + 60.0)
+        line = lane_line(network, route, gait.cruise_mps * seconds + 60.0)
         ways.append(drive(line, config.frames, config.rate_hz, gait, rng, float(np.clip(rng.normal(0, 0.25), -0.5, 0.5))))
+    return world, ways, _traffic(config, network, ways)
+
+
+def _traffic(config: RenderConfig, network: Network, ways: list[Poses]) -> tuple[Mover, ...]:
+    """Cars on routes of their own that never come near a camera; fewer than asked for is an error."""
+    rng = np.random.default_rng([config.seed, 4])
+    seconds, out = config.frames / config.rate_hz, []
+    for attempt in range(40 * config.moving_cars):
+        if len(out) == config.moving_cars:
+            break
+        route = plan_routes(network, 1, 6.5 * seconds, rng, candidates=1)[0]
+        gait = Gait(cruise_mps=float(rng.uniform(6.0, 9.0)), wobble_deg=(0, 0, 0), heave_m=0.0)
+        poses = drive(lane_line(network, route, gait.cruise_mps * seconds + 60.0), config.frames, config.rate_hz, gait, rng)
+        others = [*ways, *(m.poses for m in out)]
+        if all(np.linalg.norm(poses[:, [0, 2], 3] - way[:, [0, 2], 3], axis=1).min() > 7.0 for way in others):
+            out.append(Mover(attempt % 10, poses))
+    if len(out) < config.moving_cars:
+        raise RenderError(f"only {len(out)} of {config.moving_cars} moving cars fit among {config.agents} agents for {seconds:.0f} s")
+    return tuple(out)
+
+
+def _indoor(config: RenderConfig) -> tuple[World, list[Poses]]:
+    from tools.worlds.indoor import build_indoor
+    from tools.worlds.walks import tour, walk
+
+    world, floor = build_indoor(config.seed)
+    rng = np.random.default_rng([config.seed, 2])
+    way = tour(floor, world.free, rng)
+    seconds = config.frames / config.rate_hz
+    length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    stagger = min(0.5 * 0.75 * seconds / length, 1.0 / config.agents)  # half of what is walked, so that neighbours share the other half
+    first = float(rng.random())
+    ways = []
+    for k in range(config.agents):
+        line = walk(way, (first + k * stagger) % 1.0, WALKING.cruise_mps * seconds + 3.0)
+        ways.append(drive(line, config.frames, config.rate_hz, WALKING, rng, float(np.clip(rng.normal(0, 0.05), -0.1, 0.1))))
     return world, ways
+
+
+def _along(config: RenderConfig) -> tuple[World, list[Poses]]:
+    """The poses of a file, cut into one piece for each agent."""
+    from frontend.trajectory import read_kitti_poses
+    from tools.worlds.town import build_along
+
+    assert config.poses_file is not None
+    _, poses = read_kitti_poses(config.poses_file)
+    poses = poses[:: config.poses_step][: config.frames]
+    _check_path(poses, config)
+    world = build_along(config.seed, poses, **_quality(config))  # type: ignore[arg-type]
+    cuts = np.linspace(0, len(poses), config.agents + 1).astype(int)
+    overlap = POSES_OVERLAP if config.agents > 1 else 0
+    return world, [poses[max(a - overlap, 0) : b + overlap] for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+
+
+def _check_path(poses: Poses, config: RenderConfig) -> None:
+    name = config.poses_file
+    if config.moving_cars:
+        raise RenderError(f"{name}: moving cars need the town's streets; leave moving_cars at 0 with a pose file")
+    if len(poses) < 2 * config.agents:
+        raise RenderError(f"{name}: {len(poses)} poses are too few for {config.agents} agents")
+    step = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    if step.max() > 12.0:
+        k = int(np.argmax(step))
+        raise RenderError(f"{name}: poses {k} and {k + 1} are {step.max():.1f} m apart; a path to drive has at most 12 m between poses")
+    span = np.ptp(poses[:, :3, 3], axis=0)
+    if max(span[0], span[2]) > 2500.0:
+        raise RenderError(f"{name}: the path spans {max(span[0], span[2]):.0f} m; worlds are grown for at most 2500 m")
+    lean = np.rad2deg(np.arccos(np.clip(poses[:, 1, 1], -1, 1)))
+    if lean.max() > 35.0:
+        raise RenderError(f"{name}: a camera leans {lean.max():.0f} degrees; the path of a car on the ground X-Z is expected (+Y down)")
 
 
 def _drift(frames: int, config: RenderConfig, rng: np.random.Generator) -> NDArray[np.float64]:

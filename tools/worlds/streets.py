@@ -72,6 +72,17 @@ def _bent(p: NDArray, q: NDArray, rng: np.random.Generator) -> Line:
     return p + t[:, None] * (q - p) + (bulge * np.sin(np.pi * t) ** 2)[:, None] * across
 
 
+def first_passes(path: Line, apart_m: float = 9.0) -> tuple[Line, ...]:
+    """The pieces of a path (points a metre apart) where it does not run along an earlier part of itself."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(path)
+    again = np.array([any(j < k - 40 for j in near) for k, near in enumerate(tree.query_ball_point(path, apart_m))])
+    cuts = np.flatnonzero(np.diff(again.astype(np.int8))) + 1
+    pieces = [p for p, a in zip(np.split(path, cuts), np.split(again, cuts), strict=True) if not a[0]]
+    return tuple(p for p in pieces if len(p) > 12)
+
+
 @dataclass(frozen=True)
 class GroundPlan:
     """A raster of the ground: ``origin`` (x, z) of its corner, ``cell_m``; ``distance`` ``(h, w)`` metres to the nearest centre line."""
