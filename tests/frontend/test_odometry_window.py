@@ -1,0 +1,107 @@
+"""Window bundle adjustment against scipy's optimum and against the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from backend.geometry import se3, se3_exp, so3_exp
+from frontend.triangulate import triangulate
+from frontend.window import adjust_window, window_residuals
+
+CAM = np.array([400.0, 400.0, 320.0, 180.0, 400.0 * 0.5])
+SIGMA, SIGMA_D = 0.5, 0.3
+
+
+class Problem:
+    """A camera driving past points; exact observations with noise ``noise_px``, a rig with a hidden calibration."""
+
+    def __init__(self, noise_px: float, calib: list[float], keyframes: int = 5, count: int = 40, stereo: bool = True) -> None:
+        rng = np.random.default_rng(7)
+        self.poses = np.stack([se3(so3_exp(rng.normal(0, 0.02, 3)), [0.1 * k, 0.02 * k, -0.8 * k]) for k in range(keyframes)])
+        self.points = rng.uniform([-5, -3, 6], [5, 3, 25], (count, 3))
+        self.kf = np.tile(np.arange(keyframes), count)
+        self.pt = np.repeat(np.arange(count), keyframes)
+        self.start = np.arange(0, count * keyframes + 1, keyframes)
+        self.calib = np.array(calib)
+        blank = np.zeros((len(self.kf), 2))
+        no_d = np.full(len(self.kf), np.nan)
+        self.uv = window_residuals(self.poses, self.points, self.kf, self.pt, blank, no_d, CAM, np.zeros(3))[:, :2].copy()
+        zero = np.zeros(len(self.kf))
+        exact = window_residuals(self.poses, self.points, self.kf, self.pt, self.uv, zero, CAM, self.calib)[:, 2]
+        self.uv += rng.normal(0, noise_px, self.uv.shape) if noise_px else 0.0
+        self.disparity = exact + (rng.normal(0, noise_px, len(exact)) if noise_px else 0.0) if stereo else no_d
+        self.slot = np.arange(keyframes) - 1
+        self.start_poses = np.stack([T if k == 0 else se3_exp(rng.normal(0, 0.01, 6)) @ T for k, T in enumerate(self.poses)])
+        self.start_points = self.points + rng.normal(0, 0.1, self.points.shape)
+
+    def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> tuple:
+        n = len(self.kf)
+        return adjust_window(
+            self.start_poses, self.slot, self.start_points, self.start, self.kf, self.pt, self.uv, self.disparity,
+            np.full(n, SIGMA), np.full(n, SIGMA_D), CAM, np.zeros(3), np.zeros(3), np.full(3, prior_px**-2.0), estimate_calib, iterations,
+        )  # fmt: skip
+
+
+def test_exact_observations_give_the_truth_and_the_hidden_calibration() -> None:
+    problem = Problem(0.0, [0.4, -0.2, 0.1])
+    poses, points, calib, before, after = problem.solve(True, prior_px=1e4)
+    np.testing.assert_allclose(poses, problem.poses, atol=1e-5)
+    np.testing.assert_allclose(points, problem.points, atol=1e-4)
+    np.testing.assert_allclose(calib, problem.calib, atol=1e-5)
+    assert after < 1e-6 < before
+
+
+@pytest.mark.parametrize("estimate_calib", [True, False])
+def test_noisy_observations_give_the_optimum_that_scipy_finds(estimate_calib: bool) -> None:
+    problem = Problem(0.1, [0.1, 0.0, 0.0])
+    poses, points, calib, _, after = problem.solve(estimate_calib)
+    free, count = len(problem.poses) - 1, len(problem.points)
+
+    def cost(x: np.ndarray) -> np.ndarray:
+        moved = np.stack([problem.poses[0], *(se3_exp(x[6 * k : 6 * k + 6]) @ poses[k + 1] for k in range(free))])
+        shifted = points + x[6 * free : 6 * free + 3 * count].reshape(-1, 3)
+        c = calib + x[6 * free + 3 * count :] if estimate_calib else calib
+        r = window_residuals(moved, shifted, problem.kf, problem.pt, problem.uv, problem.disparity, CAM, c)
+        return np.concatenate([(r[:, :2] / SIGMA).ravel(), r[:, 2] / SIGMA_D, c if estimate_calib else np.zeros(0)])
+
+    x0 = np.zeros(6 * free + 3 * count + (3 if estimate_calib else 0))
+    np.testing.assert_allclose((cost(x0) ** 2).sum(), after, rtol=1e-9)
+    best = least_squares(cost, x0, x_scale="jac", xtol=1e-12, ftol=1e-12)
+    assert after <= 2.0 * best.cost * (1 + 1e-5)
+    assert np.abs(best.x[: 6 * free]).max() < 2e-4
+
+
+def test_fixed_poses_stay_and_the_cost_never_rises() -> None:
+    problem = Problem(0.3, [0.0, 0.0, 0.0])
+    problem.slot = np.array([-1, -1, 0, 1, 2])
+    poses, _, calib, before, after = problem.solve(False, iterations=5)
+    np.testing.assert_array_equal(poses[:2], problem.start_poses[:2])
+    np.testing.assert_array_equal(calib, np.zeros(3))
+    assert after <= before
+
+
+def test_wrong_matches_pull_less_than_least_squares_lets_them() -> None:
+    problem = Problem(0.1, [0.0, 0.0, 0.0], count=80)
+    clean = problem.solve(False)[0]
+    problem.uv[::23] += 30.0
+    robust = problem.solve(False)[0]
+    assert np.abs(robust[:, :3, 3] - clean[:, :3, 3]).max() < 0.05
+
+
+def test_monocular_window_keeps_its_reprojection() -> None:
+    problem = Problem(0.0, [0.0, 0.0, 0.0], stereo=False)
+    *_, before, after = problem.solve(False)
+    assert after < 1e-4 < before
+
+
+def test_triangulation_meets_the_point_and_refuses_parallel_rays() -> None:
+    poses = np.stack([np.eye(4), se3(np.eye(3), [-1.0, 0, 0]), np.eye(4)])
+    point = np.array([0.5, -0.2, 8.0])
+    rays = np.stack([point / point[2], (point - [1.0, 0, 0]) / point[2], point / point[2], point / point[2]])
+    found, parallax = triangulate(poses, np.array([0, 2, 4]), np.array([0, 1, 0, 2]), rays)
+    np.testing.assert_allclose(found[0], point, atol=1e-9)
+    a, b = rays[0] / np.linalg.norm(rays[0]), rays[1] / np.linalg.norm(rays[1])
+    assert parallax[0] == pytest.approx(np.arccos(a @ b), abs=1e-9)
+    assert np.isnan(found[1]).all()
