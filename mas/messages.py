@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from mas.solver_messages import SolverDecision, SolverReport, SolverValues
-from mas.tensors import MessageError, Tensor, check, check_poses, check_sim3
+from mas.tensors import EMPTY_SIM3S, MessageError, Tensor, check, check_poses, check_sim3, check_sim3s
 
 VERSION = 1
 
@@ -109,8 +109,8 @@ class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
 class OptimiseTask(msgspec.Struct, frozen=True, array_like=True, tag=3):
     """Take part in a distributed optimisation of ``members``, with the recipient's ``tracks`` and ``matches``.
 
-    The result is in ``frame``, where one of the anchor's own units is worth ``unit``. ``placements``: how the
-    recipient's present coordinates stand in that frame before optimising, ``T_frame_present`` as Sim(3).
+    The result is in ``frame``, where one of the anchor's own units is worth ``unit``. ``placements``
+    ``(n, 8)``: how the recipient's ``present`` coordinates stand in that frame before optimising, ``T_frame_present``.
     """
 
     members: Members
@@ -118,11 +118,11 @@ class OptimiseTask(msgspec.Struct, frozen=True, array_like=True, tag=3):
     unit: Annotated[float, msgspec.Meta(gt=0)]
     tracks: Annotated[tuple[Index, ...], msgspec.Meta(max_length=4096)]
     matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)]
-    placements: Annotated[tuple[tuple[FrameId, Tensor], ...], msgspec.Meta(max_length=4096)]
+    present: Annotated[tuple[FrameId, ...], msgspec.Meta(max_length=4096)]
+    placements: Tensor
 
     def __post_init__(self) -> None:
-        for _, transform in self.placements:
-            check_sim3("placements", transform)
+        check_sim3s("placements", self.placements, len(self.present))
 
 
 class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
@@ -188,7 +188,8 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
 
     ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``;
     ``references`` ``(P,)`` int32: row of the key-frame that saw the point first; ``points`` ``(P, 3)`` float32 in that
-    camera, owner's unit; ``descriptors`` ``(P, 32)``; ``matches``: the owner's accepted ones with their ``T_M_Q``.
+    camera, owner's unit; ``descriptors`` ``(P, 32)``; ``matches``: the owner's accepted ones, with
+    ``transforms`` ``(m, 8)``: their ``T_M_Q``.
     """
 
     owner: Agent
@@ -200,7 +201,8 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
     references: Tensor
     points: Tensor
     descriptors: Tensor
-    matches: Annotated[tuple[tuple[MatchId, Tensor], ...], msgspec.Meta(max_length=100_000)]
+    matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)]
+    transforms: Tensor
 
     def __post_init__(self) -> None:
         k = len(check("keyframes", self.keyframes, "<i4", (None,)))
@@ -213,8 +215,7 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
             raise ValueError(f"references: a point refers to a key-frame beyond the {k} there are")
         if k and (np.diff(self.keyframes.array()) <= 0).any():
             raise ValueError("keyframes: not ascending")
-        for _, transform in self.matches:
-            check_sim3("matches", transform)
+        check_sim3s("transforms", self.transforms, len(self.matches))
 
     @property
     def payload_bytes(self) -> int:
@@ -226,21 +227,23 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
             self.references,
             self.points,
             self.descriptors,
+            self.transforms,
         )
-        return sum(p.nbytes for p in parts) + sum(16 + t.nbytes for _, t in self.matches)
+        return sum(p.nbytes for p in parts) + 16 * len(self.matches)
 
 
 class MapDelivery(msgspec.Struct, frozen=True, array_like=True, tag=4):
-    """The maps ordered, all in the seller's coordinates ``frame``; ``ties``: the seller's key-frames there that it has
-    accepted matches with the buyer for, Sim(3), so that a buyer with other coordinates can place the maps."""
+    """The maps ordered, all in the seller's coordinates ``frame``; ``ties``: the seller's key-frames that it has
+    accepted matches with the buyer for, and ``tie_poses`` ``(n, 8)``: where they stand there, Sim(3), so that a buyer
+    with other coordinates can place the maps."""
 
     frame: FrameId
-    ties: Annotated[tuple[tuple[Index, Tensor], ...], msgspec.Meta(max_length=100_000)]
+    ties: Annotated[tuple[Index, ...], msgspec.Meta(max_length=100_000)]
+    tie_poses: Tensor
     maps: Annotated[tuple[SubMap, ...], msgspec.Meta(max_length=MAX_AGENTS)]
 
     def __post_init__(self) -> None:
-        for _, pose in self.ties:
-            check_sim3("ties", pose)
+        check_sim3s("tie_poses", self.tie_poses, len(self.ties))
 
 
 Outcome = PlaceAnswer | VerifyAnswer | OptimiseAnswer | MapDelivery
@@ -249,20 +252,26 @@ Outcome = PlaceAnswer | VerifyAnswer | OptimiseAnswer | MapDelivery
 # -- terms: what a bid offers -----------------------------------------------------------------------------------------
 
 
-class Link(msgspec.Struct, frozen=True, array_like=True):
-    """An accepted match as one of its owners holds it: ``pose``: the owner's key-frame in ``frame`` as it believes now,
-    Sim(3) with the owner's unit as scale; ``T_M_Q`` from the query's side only (the other side need not repeat it)."""
+class Links(msgspec.Struct, frozen=True, array_like=True):
+    """Accepted matches as one of their owners holds them, one row for each own end.
 
-    match: MatchId
-    track: Index
-    frame: FrameId
-    pose: Tensor
-    T_M_Q: Tensor | None
+    ``poses`` ``(n, 8)``: the owner's key-frames in ``frames`` as it believes now, Sim(3) with the owner's unit as
+    scale; ``query``: which rows are the query's end, and for those, in order, ``transforms`` ``(q, 8)``: ``T_M_Q``.
+    """
+
+    matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)] = ()
+    tracks: Annotated[tuple[Index, ...], msgspec.Meta(max_length=100_000)] = ()
+    frames: Annotated[tuple[FrameId, ...], msgspec.Meta(max_length=100_000)] = ()
+    query: Annotated[tuple[bool, ...], msgspec.Meta(max_length=100_000)] = ()
+    poses: Tensor = EMPTY_SIM3S
+    transforms: Tensor = EMPTY_SIM3S
 
     def __post_init__(self) -> None:
-        check_sim3("pose", self.pose)
-        if self.T_M_Q is not None:
-            check_sim3("T_M_Q", self.T_M_Q)
+        n = len(self.matches)
+        if not n == len(self.tracks) == len(self.frames) == len(self.query):
+            raise ValueError(f"links: {n} matches with other numbers of tracks, frames and ends")
+        check_sim3s("poses", self.poses, n)
+        check_sim3s("transforms", self.transforms, sum(self.query))
 
 
 class PieceTerms(msgspec.Struct, frozen=True, array_like=True):
@@ -298,7 +307,7 @@ class Bid(msgspec.Struct, frozen=True, array_like=True, tag=2):
 
     cost_bytes: Index
     ready_ns: Stamp
-    links: Annotated[tuple[Link, ...], msgspec.Meta(max_length=100_000)] = ()
+    links: Links = Links()
     pieces: Annotated[tuple[PieceTerms, ...], msgspec.Meta(max_length=4096)] = ()
     offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
 

@@ -64,6 +64,7 @@ class Optimisation(Trade):
         self.session: Session | None = None
         self.adoptions: list[Adoption] = []
         self._last: ContractId | None = None
+        self._terms: tuple[int, Bid] | None = None
 
     @property
     def busy(self) -> bool:
@@ -74,7 +75,7 @@ class Optimisation(Trade):
     def start(self, members: list[int]) -> None:
         """Call for an optimisation with these agents; alone if nobody else is named."""
         others = [a for a in members if a != self.state.me]
-        mine = terms(self.state, self.desk.now_ns)
+        mine = self._my_terms()
         if not others:
             self._award(Tender(ContractId(self.state.me, 0), set(), {self.state.me: mine}))
             return
@@ -141,7 +142,7 @@ class Optimisation(Trade):
                 return Refusal("calling for an optimisation itself")
             given_up, self.tender = self.tender, None
             self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
-        return terms(self.state, self.desk.now_ns)
+        return self._my_terms()
 
     def work(self, contract: Contract, task: Task) -> None:
         me = self.state.me
@@ -192,6 +193,12 @@ class Optimisation(Trade):
         elif contract.contractor in session.task.members:
             self.session = None
             self.desk.cancel(self.desk.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
+
+    def _my_terms(self) -> Bid:
+        """The agent's bid, made once for each state it is in: several managers may call at the same time."""
+        if self._terms is None or self._terms[0] != self.state.version:
+            self._terms = (self.state.version, terms(self.state, self.desk.now_ns))
+        return self._terms[1]
 
     def resend(self) -> None:
         """Say again what other members may have missed (transports that lose messages)."""

@@ -7,10 +7,34 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from backend.geometry import Sim3
-from mas.messages import Bid, FrameId, Link, MatchId, OptimiseTask
-from mas.tensors import pack_sim3, unpack_sim3
+from mas.messages import Bid, FrameId, MatchId, OptimiseTask
+from mas.tensors import pack_sim3s, unpack_sim3s
 
 Track = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """One end of a match: its agent's track, the coordinates it is in, and its key-frame there (scale: the agent's
+    unit)."""
+
+    track: Track
+    frame: FrameId
+    pose: Sim3
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A match that both its owners hold."""
+
+    match: End
+    query: End
+    T_M_Q: Sim3
+
+    @property
+    def T_Fm_Fq(self) -> Sim3:
+        """How the query's coordinates stand in the match's."""
+        return self.match.pose @ self.T_M_Q @ self.query.pose.inverse()
 
 
 @dataclass(frozen=True)
@@ -28,57 +52,48 @@ def plan(manager: int, bids: Mapping[int, Bid]) -> Plan:
     the anchor's through the first such match (thesis section 3.5), so that the optimisation starts with all agents in
     one frame.
     """
-    links = _usable(bids)
-    component = _joined_with(manager, bids, links)
+    joints = _usable(bids)
+    component = _joined_with(manager, bids, joints)
     members = tuple(sorted({agent for agent, _ in component}))
     anchor = min(component)
     terms = {(a, p.track): p for a, bid in bids.items() for p in bid.pieces}
     frame, unit = terms[anchor].frame, terms[anchor].unit
-    inside = {m: ends for m, ends in links.items() if all(_track(m, e) in component for e in ends)}
+    inside = {m: j for m, j in joints.items() if j.match.track in component and j.query.track in component}
     placed = _placements(frame, inside)
     tasks = {}
     for agent in members:
         tracks = tuple(sorted(t for a, t in component if a == agent))
         mine = tuple(sorted(m for m in inside if agent in m.agents))
-        frames = sorted({terms[agent, t].frame for t in tracks})
-        where = tuple((f, pack_sim3(placed[f])) for f in frames if f in placed)
-        tasks[agent] = OptimiseTask(members, frame, unit, tracks, mine, where)
+        present = tuple(sorted({terms[agent, t].frame for t in tracks} & set(placed)))
+        where = pack_sim3s([placed[f] for f in present])
+        tasks[agent] = OptimiseTask(members, frame, unit, tracks, mine, present, where)
     return Plan(members, tasks)
 
 
-def _usable(bids: Mapping[int, Bid]) -> dict[MatchId, tuple[Link, Link]]:
-    """Matches that both owners hold: the match's link, then the query's."""
-    held: dict[MatchId, dict[tuple[int, int], Link]] = {}
+def _usable(bids: Mapping[int, Bid]) -> dict[MatchId, Joint]:
+    """Matches that both owners hold."""
+    matched: dict[MatchId, End] = {}
+    queries: dict[MatchId, tuple[End, Sim3]] = {}
     for agent in sorted(bids):
-        for link in bids[agent].links:
-            own = (agent, _own_keyframe(link, agent))
-            held.setdefault(link.match, {})[own] = link
-    usable = {}
-    for m in sorted(held):
-        match_end, query_end = held[m].get((m.match_agent, m.match)), held[m].get((m.query_agent, m.query))
-        if match_end is not None and query_end is not None and query_end.T_M_Q is not None:
-            usable[m] = (match_end, query_end)
-    return usable
+        links = bids[agent].links
+        transforms = iter(unpack_sim3s(links.transforms))
+        ends = zip(links.matches, links.tracks, links.frames, links.query, unpack_sim3s(links.poses), strict=True)
+        for match, track, frame, is_query, pose in ends:
+            end = End((agent, track), frame, pose)
+            if is_query:
+                queries[match] = (end, next(transforms))
+            else:
+                matched[match] = end
+    both = sorted(set(matched) & set(queries))
+    return {m: Joint(matched[m], *queries[m]) for m in both}
 
 
-def _own_keyframe(link: Link, agent: int) -> int:
-    """Which end of the match this link describes; an own loop has a link for each end, told apart by ``T_M_Q``."""
-    m = link.match
-    if m.query_agent == m.match_agent:
-        return m.query if link.T_M_Q is not None else m.match
-    return m.query if m.query_agent == agent else m.match
-
-
-def _track(match: MatchId, end: Link) -> Track:
-    return (match.query_agent if end.T_M_Q is not None else match.match_agent), end.track
-
-
-def _joined_with(manager: int, bids: Mapping[int, Bid], links: Mapping[MatchId, tuple[Link, Link]]) -> set[Track]:
-    """The largest set of tracks joined by links that holds a track of the manager (ties: the older track)."""
+def _joined_with(manager: int, bids: Mapping[int, Bid], joints: Mapping[MatchId, Joint]) -> set[Track]:
+    """The largest set of tracks joined by matches that holds a track of the manager (ties: the older track)."""
     tracks = {(a, p.track) for a, bid in bids.items() for p in bid.pieces}
     around: dict[Track, set[Track]] = {t: set() for t in tracks}
-    for match, (match_end, query_end) in links.items():
-        a, b = _track(match, match_end), _track(match, query_end)
+    for joint in joints.values():
+        a, b = joint.match.track, joint.query.track
         if a in tracks and b in tracks:
             around[a].add(b)
             around[b].add(a)
@@ -94,19 +109,18 @@ def _joined_with(manager: int, bids: Mapping[int, Bid], links: Mapping[MatchId, 
     return best
 
 
-def _placements(frame: FrameId, links: Mapping[MatchId, tuple[Link, Link]]) -> dict[FrameId, Sim3]:
-    """``T_frame_f`` for every coordinate frame f that links join to ``frame``."""
+def _placements(frame: FrameId, joints: Mapping[MatchId, Joint]) -> dict[FrameId, Sim3]:
+    """``T_frame_f`` for every coordinate frame f that matches join to ``frame``."""
     placed = {frame: Sim3.identity()}
+    waiting = [j for _, j in sorted(joints.items()) if j.match.frame != j.query.frame]
     grown = True
     while grown:
         grown = False
-        for _, (match_end, query_end) in sorted(links.items()):
-            if (match_end.frame in placed) == (query_end.frame in placed) or query_end.T_M_Q is None:
-                continue
-            T_Fm_Fq = unpack_sim3(match_end.pose) @ unpack_sim3(query_end.T_M_Q) @ unpack_sim3(query_end.pose).inverse()
-            if match_end.frame in placed:
-                placed[query_end.frame] = placed[match_end.frame] @ T_Fm_Fq
-            else:
-                placed[match_end.frame] = placed[query_end.frame] @ T_Fm_Fq.inverse()
-            grown = True
+        for j in waiting:
+            here, there = j.match.frame in placed, j.query.frame in placed
+            if here and not there:
+                placed[j.query.frame] = placed[j.match.frame] @ j.T_Fm_Fq
+            elif there and not here:
+                placed[j.match.frame] = placed[j.query.frame] @ j.T_Fm_Fq.inverse()
+            grown |= here != there
     return placed

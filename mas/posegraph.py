@@ -11,9 +11,9 @@ from backend.geometry import Array, Sim3, se3_inverse
 from backend.graph import Edge, EdgeKind, NodeId, PoseGraph
 from mas.config import OptimisationConfig
 from mas.matches import Match
-from mas.messages import Bid, FrameId, Link, MatchId, OptimiseTask, PieceTerms
+from mas.messages import Bid, FrameId, Links, MatchId, OptimiseTask, PieceTerms
 from mas.state import AgentState, Piece, stretched
-from mas.tensors import pack_sim3, unpack_sim3
+from mas.tensors import pack_sim3s, unpack_sim3s
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,31 +33,37 @@ def terms(state: AgentState, now_ns: int) -> Bid:
     pieces = state.pieces
     if not state.profile.metric and pieces:
         pieces = [max(pieces, key=lambda p: (len(state.members(p.track)), -p.track))]
-    tracks = {p.track for p in pieces}
-    links = [link for m in state.accepted_matches() for link in _links(state, m) if link.track in tracks]
+    links = _links(state, {p.track for p in pieces})
     return Bid(
-        cost_bytes=48 * len(links),
+        cost_bytes=48 * len(links.matches),
         ready_ns=now_ns,
-        links=tuple(links),
+        links=links,
         pieces=tuple(PieceTerms(p.track, p.frame, p.unit) for p in pieces),
     )
 
 
-def _links(state: AgentState, match: Match) -> list[Link]:
-    out = []
-    ends = ((match.id.match_agent, match.id.match, None), (match.id.query_agent, match.id.query, match.T_M_Q))
-    for agent, index, transform in ends:
-        if agent == state.me:
-            piece = state.piece_of(index)
-            packed = None if transform is None else pack_sim3(transform)
-            out.append(Link(match.id, piece.track, piece.frame, pack_sim3(state.pose(index)), packed))
-    return out
+def _links(state: AgentState, tracks: set[int]) -> Links:
+    """Both ends of own loops, the own end of all others."""
+    rows: list[tuple[MatchId, int, bool]] = []
+    for m in sorted(state.accepted):
+        ends = ((m.match_agent, m.match, False), (m.query_agent, m.query, True))
+        rows += [(m, index, query) for agent, index, query in ends if agent == state.me]
+    rows = [r for r in rows if state.keyframes[r[1]].track in tracks]
+    pieces = [state.piece_of(index) for _, index, _ in rows]
+    return Links(
+        matches=tuple(m for m, _, _ in rows),
+        tracks=tuple(p.track for p in pieces),
+        frames=tuple(p.frame for p in pieces),
+        query=tuple(query for _, _, query in rows),
+        poses=pack_sim3s([state.pose(index) for _, index, _ in rows]),
+        transforms=pack_sim3s([state.verified[m].T_M_Q for m, _, query in rows if query]),
+    )
 
 
 def share_of(state: AgentState, task: OptimiseTask) -> Share:
     """The agent's part of the group's graph, in its own unit of length; ValueError if the task names what it has
     not."""
-    placed = {frame: unpack_sim3(t) for frame, t in task.placements}
+    placed = dict(zip(task.present, unpack_sim3s(task.placements), strict=True))
     poses: dict[NodeId, Array] = {}
     edges: list[Edge] = []
     for track in task.tracks:

@@ -35,7 +35,7 @@ from mas.messages import (
 )
 from mas.posegraph import Adoption
 from mas.state import AgentState
-from mas.tensors import Tensor, pack_poses, pack_sim3, unpack_poses, unpack_sim3
+from mas.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ class MapTrade(Trade):
         optimisation, else by the first accepted match between the two whose both key-frames are placed."""
         if delivery.frame == self.state.frame:
             return Sim3.identity()
-        ties = {index: unpack_sim3(pose) for index, pose in delivery.ties}
+        ties = dict(zip(delivery.ties, unpack_sim3s(delivery.tie_poses), strict=True))
         placed = set(self.state.placed())
         for match in self.state.accepted_matches():
             if set(match.id.agents) != {self.state.me, seller}:
@@ -174,7 +174,9 @@ class MapTrade(Trade):
             raise WorkError(f"no map of agent {missing[0]} here")
         self.desk.say(contract, Confirmation())
         maps = tuple(self.own_map() if o == self.state.me else _resold(self.held[o]) for o in task.owners)
-        self.desk.say(contract, Result(MapDelivery(self.state.frame, self._ties(contract.manager), maps)))
+        ties = self._ties(contract.manager)
+        poses = pack_sim3s([self.state.pose(i) for i in ties])
+        self.desk.say(contract, Result(MapDelivery(self.state.frame, ties, poses, maps)))
 
     def own_map(self) -> SubMap:
         """The agent's own map as it stands: key-frames in its reference frame, each point once, where it was first
@@ -183,10 +185,11 @@ class MapTrade(Trade):
             self._sold = (self.state.version, _own_map(self.state))
         return self._sold[1]
 
-    def _ties(self, buyer: int) -> tuple[tuple[int, Tensor], ...]:
+    def _ties(self, buyer: int) -> tuple[int, ...]:
+        """Own key-frames that the buyer can place the maps by."""
         placed = set(self.state.placed())
         mine = {_mine(m, self.state.me) for m in self.state.accepted if set(m.agents) == {self.state.me, buyer}}
-        return tuple((i, pack_sim3(self.state.pose(i))) for i in sorted(mine & placed))
+        return tuple(sorted(mine & placed))
 
 
 def _mine(match: MatchId, me: int) -> int:
@@ -198,6 +201,7 @@ def _resold(held: HeldMap) -> SubMap:
         owner=held.owner, version=held.version, unit=held.unit, keyframes=held.wire.keyframes,
         stamps_ns=held.wire.stamps_ns, poses=pack_poses(held.poses), references=held.wire.references,
         points=held.wire.points, descriptors=held.wire.descriptors, matches=held.wire.matches,
+        transforms=held.wire.transforms,
     )  # fmt: skip
 
 
@@ -219,7 +223,8 @@ def _own_map(state: AgentState) -> SubMap:
         references=Tensor.of(np.repeat(np.arange(len(indices)), counts), "<i4"),
         points=Tensor.of(np.concatenate([np.zeros((0, 3)), *stack]), "<f4"),
         descriptors=Tensor.of(np.concatenate([np.zeros((0, 32), dtype=np.uint8), *descriptors]), "|u1"),
-        matches=tuple((m.id, pack_sim3(m.T_M_Q)) for m in state.accepted_matches()),
+        matches=tuple(m.id for m in state.accepted_matches()),
+        transforms=pack_sim3s([m.T_M_Q for m in state.accepted_matches()]),
     )
 
 

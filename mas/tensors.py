@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -67,6 +68,7 @@ POSE_WIDTH = 7
 SIM3_WIDTH = 8
 MAX_TRANSLATION = 1e9
 MAX_SCALE = 1e6
+EMPTY_SIM3S = Tensor("<f8", (0, SIM3_WIDTH), b"")
 
 
 def pack_poses(poses: ArrayLike, dtype: str = "<f8") -> Tensor:
@@ -95,22 +97,52 @@ def check_poses(name: str, tensor: Tensor, dtype: str, shape: Shape) -> None:
         raise ValueError(f"{name}: a position is farther than {MAX_TRANSLATION:.0e} away")
 
 
+def pack_sim3s(transforms: Sequence[Sim3]) -> Tensor:
+    """Rows ``tx ty tz qw qx qy qz scale``, ``(n, 8)``."""
+    if not transforms:
+        return EMPTY_SIM3S
+    q = quat_wxyz_from_rotation(np.array([t.rotation for t in transforms]))
+    t = np.array([t.translation for t in transforms])
+    s = np.array([[t.scale] for t in transforms])
+    return Tensor.of(np.concatenate([t, q, s], axis=1), "<f8")
+
+
+def unpack_sim3s(tensor: Tensor) -> list[Sim3]:
+    """Inverse of :func:`pack_sim3s`."""
+    rows = tensor.array()
+    if not len(rows):
+        return []
+    rotations = rotation_from_quat_wxyz(rows[:, 3:7])
+    return [Sim3(rotation, row[:3].copy(), float(row[7])) for rotation, row in zip(rotations, rows, strict=True)]
+
+
+def check_sim3s(name: str, tensor: Tensor, count: int) -> None:
+    """``count`` rows as :func:`pack_sim3s` makes them."""
+    rows = check(name, tensor, "<f8", (count, SIM3_WIDTH))
+    if not count:
+        return
+    if np.abs(np.linalg.norm(rows[:, 3:7], axis=1) - 1.0).max() > 1e-3:
+        raise ValueError(f"{name}: a quaternion's length is not 1")
+    if (
+        not (rows[:, 7] * MAX_SCALE > 1.0).all()
+        or rows[:, 7].max() > MAX_SCALE
+        or np.abs(rows[:, :3]).max() > MAX_TRANSLATION
+    ):
+        raise ValueError(f"{name}: a scale or position is out of range")
+
+
 def pack_sim3(transform: Sim3) -> Tensor:
-    """``tx ty tz qw qx qy qz scale``."""
-    q = quat_wxyz_from_rotation(transform.rotation)
-    return Tensor.of(np.concatenate([transform.translation, q, [transform.scale]]), "<f8")
+    """One row ``(8,)``."""
+    row = pack_sim3s([transform])
+    return Tensor(row.dtype, (SIM3_WIDTH,), row.data)
 
 
 def unpack_sim3(tensor: Tensor) -> Sim3:
     """Inverse of :func:`pack_sim3`."""
-    row = tensor.array()
-    return Sim3(rotation_from_quat_wxyz(row[3:7]), row[:3].copy(), float(row[7]))
+    return unpack_sim3s(Tensor(tensor.dtype, (1, SIM3_WIDTH), tensor.data))[0]
 
 
 def check_sim3(name: str, tensor: Tensor) -> None:
-    """A row as :func:`pack_sim3` makes it."""
-    row = check(name, tensor, "<f8", (SIM3_WIDTH,))
-    if abs(np.linalg.norm(row[3:7]) - 1.0) > 1e-3:
-        raise ValueError(f"{name}: the quaternion's length is not 1")
-    if not 1.0 / MAX_SCALE < row[7] < MAX_SCALE or np.abs(row[:3]).max() > MAX_TRANSLATION:
-        raise ValueError(f"{name}: scale {row[7]:.3g} or position out of range")
+    """One row as :func:`pack_sim3` makes it."""
+    check(name, tensor, "<f8", (SIM3_WIDTH,))
+    check_sim3s(name, Tensor(tensor.dtype, (1, SIM3_WIDTH), tensor.data), 1)
