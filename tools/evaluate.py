@@ -70,10 +70,10 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     for i in range(summary["agents"]):
         rows.append([f"agent_{i:02d}", *(_metres(column[i]) for column in metres), _percent(explored[i])])
     rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(explored))])
-    groups = [len(group) for group in summary["groups"] if len(group) > 1]
-    shared = f"{max(groups)} of {summary['agents']} agents share one frame" if groups else "no two agents share a frame"
+    biggest = max(len(group) for group in summary["groups"])
+    shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
     truth = [] if any(v is not None for v in rmse["agents"]) else ["no ground truth: errors cannot be known"]
-    return [*_aligned(rows), shared, *truth]
+    return [*_aligned(rows), *shared, *truth]
 
 
 def _traffic(summary: dict[str, Any]) -> list[str]:

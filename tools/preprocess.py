@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
 SECTION = "odometry"
+DEFAULT_OVERLAP = 3  # key-frames; the predecessor's on KITTI
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class PreprocessSettings:
 
     odometry: OdometryConfig
     agents: int | None = None
-    overlap: int = 8
+    overlap: int = DEFAULT_OVERLAP
     rig: str | None = None
     model: str = "default"
     vocabulary: Path | None = None
@@ -65,9 +66,9 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overlap",
         type=int,
-        default=8,
+        default=DEFAULT_OVERLAP,
         metavar="K",
-        help="key-frames that a block takes from its neighbours (default: 8)",
+        help=f"key-frames that a block takes from its neighbours (default: {DEFAULT_OVERLAP})",
     )
     parser.add_argument(
         "--rig", choices=["mono", "stereo", "rgbd"], help="use only this much of the sensors (default: all there is)"

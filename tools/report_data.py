@@ -62,16 +62,21 @@ class RunData:
         return [list(group) for group in self.summary["groups"]]
 
     @cached_property
-    def in_world(self) -> list[Array]:
-        """Positions ``(N, 3)`` of each agent: one alignment to the truth for each group, the group's own frame where
-        none is known.
+    def T_world_agent(self) -> list[Sim3]:
+        """From each agent's frame to the world: one alignment to the truth for each group, identity where none is
+        known.
         """
-        positions: list[Array] = [agent.estimate.centres for agent in self.agents]
+        transforms = [Sim3.identity()] * len(self.agents)
         for group in self.groups:
             T = self.alignment([(i, self.agents[i].estimate) for i in group])
             for i in group:
-                positions[i] = T @ positions[i]
-        return positions
+                transforms[i] = T
+        return transforms
+
+    @cached_property
+    def in_world(self) -> list[Array]:
+        """Positions ``(N, 3)`` of each agent in the world."""
+        return [T @ agent.estimate.centres for T, agent in zip(self.T_world_agent, self.agents, strict=True)]
 
     def alignment(self, pieces: Sequence[tuple[int, Trajectory]]) -> Sim3:
         """The one transform that brings all ``pieces`` (an agent, a trajectory on its clock) nearest to the truth."""

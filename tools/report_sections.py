@@ -214,7 +214,7 @@ def _images(run: RunData) -> Section:
         ends = [
             f"agent_{int(row[f'{end}_agent']):02d} key-frame {row[f'{end}_keyframe']}" for end in ("query", "match")
         ]
-        said = f"{ends[0]} at {ends[1]}: {row['inliers']} inliers of {row['matches']} matched points"
+        said = f"{ends[0]} at {ends[1]}: {row['inliers']} map points agree"
         pair = f'<img src="{one.query}" alt="query image"><img src="{one.match}" alt="matched image">'
         figures.append(f'<figure><div class="pair">{pair}</div><figcaption>{escape(said)}</figcaption></figure>')
     note = reason or "Left the query, right the place it was recognised as."
