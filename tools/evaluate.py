@@ -115,7 +115,8 @@ def _percent(value: float | None) -> str:
 def _aligned(rows: list[list[str]]) -> list[str]:
     """The first column set left, the others right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    cells = [
-        [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))] for row in rows
-    ]
-    return ["  ".join(row).rstrip() for row in cells]
+    lines = []
+    for first, *others in rows:
+        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
+    return lines
