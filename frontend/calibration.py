@@ -19,7 +19,8 @@ class Distortion(StrEnum):
 
 @dataclass(frozen=True)
 class RawCamera:
-    """A camera as its calibration file has it. ``size`` ``(width, height)`` pixels, None where the file does not say."""
+    """A camera as its calibration file has it. ``size`` ``(width, height)`` pixels, None where the file does not
+    say."""
 
     fx: float
     fy: float
@@ -49,8 +50,9 @@ class RawCamera:
 class RawRig:
     """One or two cameras as calibrated, and what else the file said.
 
-    ``T_left_right`` ``(4, 4)`` maps the right camera's coordinates into the left's, metres. ``rectified``: the images are an ideal
-    stereo pair already; then only its x is used. ``depth_unit_m``: metres a step of the depth images. ``rate_hz``: frames a second.
+    ``T_left_right`` ``(4, 4)`` maps the right camera's coordinates into the left's, metres. ``rectified``: the
+    images are an ideal stereo pair already; then only its x is used. ``depth_unit_m``: metres a step of the depth
+    images. ``rate_hz``: frames a second.
     """
 
     left: RawCamera

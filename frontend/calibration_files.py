@@ -1,4 +1,5 @@
-"""Calibration files that people bring, told apart by what is in them: OpenCV, ROS camera_info, ORB-SLAM, Kalibr, and our own."""
+"""Calibration files that people bring, told apart by what is in them: OpenCV, ROS camera_info, ORB-SLAM, Kalibr, and
+our own."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ _COUNTS = {Distortion.NONE: range(99), Distortion.RADIAL_TANGENTIAL: (4, 5, 8, 1
 def read_calibration(path: Path) -> RawRig:
     """One or two cameras from a YAML file of any of the formats named above.
 
-    A ROS or OpenCV file holds one camera; for a pair of such files see :func:`pair_of_files`. Raises :class:`FrontendError` naming the
-    key that is missing or wrong, or for a file of no known format.
+    A ROS or OpenCV file holds one camera; for a pair of such files see :func:`pair_of_files`. Raises
+    :class:`FrontendError` naming the key that is missing or wrong, or for a file of no known format.
     """
     data = Fields(_load(path), path)
     if "fx" in data and "width" in data:
@@ -39,7 +40,10 @@ def read_calibration(path: Path) -> RawRig:
         return _orb_slam(data)
     if "camera_matrix" in data or "K" in data:
         return RawRig(_ros_or_opencv(data))
-    raise FrontendError(f"{path}: no camera in this file (known: OpenCV camera_matrix, ROS camera_info, ORB-SLAM Camera.fx, Kalibr cam0, our own fx and width)")
+    raise FrontendError(
+        f"{path}: no camera in this file (known: OpenCV camera_matrix, ROS camera_info, ORB-SLAM Camera.fx, "
+        "Kalibr cam0, our own fx and width)"
+    )
 
 
 class Fields:
@@ -96,14 +100,21 @@ class Fields:
         return matrix
 
 
-def camera(fields: Fields, intrinsics: Sequence[float], size: tuple[int, int] | None, model: str, coefficients: Sequence[float]) -> RawCamera:
+def camera(
+    fields: Fields, intrinsics: Sequence[float], size: tuple[int, int] | None, model: str, coefficients: Sequence[float]
+) -> RawCamera:
     """A camera of ``fx fy cx cy`` in pixels; ``model`` by any of the names that the formats use for it."""
     distortion = _DISTORTIONS.get(model.lower())
     if distortion is None:
-        raise FrontendError(f"{fields.path}: distortion model {model!r} is not known (radial-tangential, equidistant, none)")
+        raise FrontendError(
+            f"{fields.path}: distortion model {model!r} is not known (radial-tangential, equidistant, none)"
+        )
     kept = tuple(coefficients) if any(coefficients) else ()
     if kept and len(kept) not in _COUNTS[distortion]:
-        raise FrontendError(f"{fields.path}: {len(kept)} coefficients for {distortion} distortion, expected one of {list(_COUNTS[distortion])}")
+        raise FrontendError(
+            f"{fields.path}: {len(kept)} coefficients for {distortion} distortion, "
+            f"expected one of {list(_COUNTS[distortion])}"
+        )
     fx, fy, cx, cy = intrinsics
     if min(fx, fy) <= 0:
         raise FrontendError(f"{fields.path}: focal lengths {fx}, {fy} px cannot be")
@@ -126,7 +137,7 @@ def _load(path: Path) -> dict[str, Any]:
     if text.startswith("%YAML"):  # OpenCV's "%YAML:1.0" is not what YAML allows there
         text = text.partition("\n")[2]
     try:
-        data = yaml.load(text, Loader=_Loader)  # noqa: S506 (a SafeLoader)
+        data = yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError) as error:
         raise FrontendError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
@@ -140,7 +151,9 @@ def load_fields(path: Path) -> Fields:
 
 
 def _own(data: Fields) -> RawRig:
-    left = camera(data, [data.number(key) for key in ("fx", "fy", "cx", "cy")], data.size("width", "height"), "none", ())
+    left = camera(
+        data, [data.number(key) for key in ("fx", "fy", "cx", "cy")], data.size("width", "height"), "none", ()
+    )
     optional = {key: data.number(key) for key in ("baseline_m", "depth_unit_m", "rate_hz") if key in data}
     T_left_right = se3(np.eye(3), [optional["baseline_m"], 0.0, 0.0]) if "baseline_m" in optional else None
     right = left if T_left_right is not None else None
@@ -152,12 +165,18 @@ def _ros_or_opencv(data: Fields) -> RawCamera:
     K = data.numbers("camera_matrix" if "camera_matrix" in data else "K", 9)
     coefficients_key = next((key for key in ("distortion_coefficients", "dist_coeffs", "D") if key in data), None)
     coefficients = data.numbers(coefficients_key) if coefficients_key else ()
-    sizes = (data.size(w, h) for w, h in (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")))
-    return camera(data, (K[0], K[4], K[2], K[5]), next(filter(None, sizes), None), data.text("distortion_model"), coefficients)
+    sizes = (
+        data.size(w, h)
+        for w, h in (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
+    )
+    return camera(
+        data, (K[0], K[4], K[2], K[5]), next(filter(None, sizes), None), data.text("distortion_model"), coefficients
+    )
 
 
 def pair_of_files(left: Path, right: Path) -> RawRig:
-    """A stereo rig of two ROS camera_info files, whose rectification and projection matrices hold how the cameras stand."""
+    """A stereo rig of two ROS camera_info files, whose rectification and projection matrices hold how the cameras
+    stand."""
     fields = [Fields(_load(path), path) for path in (left, right)]
     rectified = [_rectified(f, "rectification_matrix", "R", "projection_matrix", "P") for f in fields]
     cameras = [_ros_or_opencv(f) for f in fields]
@@ -183,7 +202,13 @@ def _kalibr(data: Fields) -> RawRig:
         if cam.text("camera_model") not in ("pinhole", ""):
             raise cam.fail("camera_model", "pinhole")
     cameras = [
-        camera(cam, cam.numbers("intrinsics", 4), _resolution(cam), cam.text("distortion_model"), cam.numbers("distortion_coeffs"))
+        camera(
+            cam,
+            cam.numbers("intrinsics", 4),
+            _resolution(cam),
+            cam.text("distortion_model"),
+            cam.numbers("distortion_coeffs"),
+        )
         for cam in cams
     ]
     if len(cams) == 1:
@@ -197,7 +222,8 @@ def _resolution(fields: Fields) -> tuple[int, int]:
 
 
 def _orb_slam(data: Fields) -> RawRig:
-    """ORB-SLAM2's and ORB-SLAM3's settings: one camera, a rectified pair (``Camera.bf`` or ``Stereo.b``), or a raw pair."""
+    """ORB-SLAM2's and ORB-SLAM3's settings: one camera, a rectified pair (``Camera.bf`` or ``Stereo.b``), or a raw
+    pair."""
     name = "Camera" if "Camera.fx" in data else "Camera1"
     left = _orb_slam_camera(data, name)
     rate = data.number("Camera.fps") if "Camera.fps" in data else None
@@ -205,7 +231,9 @@ def _orb_slam(data: Fields) -> RawRig:
     depth_unit = None if factor is None else (1.0 / factor if factor > 0 else 1.0)
     if "LEFT.K" in data:
         sides = [_orb_slam_side(data, side) for side in ("LEFT", "RIGHT")]
-        transform = _transform_of_rectified([_rectified(data, f"{s}.R", f"{s}.R", f"{s}.P", f"{s}.P") for s in ("LEFT", "RIGHT")])
+        transform = _transform_of_rectified(
+            [_rectified(data, f"{s}.R", f"{s}.R", f"{s}.P", f"{s}.P") for s in ("LEFT", "RIGHT")]
+        )
         return RawRig(sides[0], sides[1], transform, rectified=False, rate_hz=rate)
     if "Stereo.T_c1_c2" in data:
         right = _orb_slam_camera(data, "Camera2")
@@ -224,9 +252,17 @@ def _orb_slam_camera(data: Fields, name: str) -> RawCamera:
     coefficients = [data.number(f"{name}.{key}", 0.0) for key in order]
     if len(order) == 5 and coefficients[-1] == 0.0:
         coefficients.pop()
-    return camera(data, [data.number(f"{name}.{key}") for key in ("fx", "fy", "cx", "cy")], data.size("Camera.width", "Camera.height"), model, coefficients)
+    return camera(
+        data,
+        [data.number(f"{name}.{key}") for key in ("fx", "fy", "cx", "cy")],
+        data.size("Camera.width", "Camera.height"),
+        model,
+        coefficients,
+    )
 
 
 def _orb_slam_side(data: Fields, side: str) -> RawCamera:
     K = data.numbers(f"{side}.K", 9)
-    return camera(data, (K[0], K[4], K[2], K[5]), data.size(f"{side}.width", f"{side}.height"), "", data.numbers(f"{side}.D"))
+    return camera(
+        data, (K[0], K[4], K[2], K[5]), data.size(f"{side}.width", f"{side}.height"), "", data.numbers(f"{side}.D")
+    )

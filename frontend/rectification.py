@@ -1,4 +1,5 @@
-"""From images as stored to images of an ideal pinhole or an ideal stereo pair: maps built once, applied to every frame."""
+"""From images as stored to images of an ideal pinhole or an ideal stereo pair: maps built once, applied to every
+frame."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ from frontend.cameras import PinholeCamera, RigKind
 Array = NDArray[np.float64]
 Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
 
-_MAX_TANGENT = 2.0  # of the half field of view kept on each side (63 degrees): beyond, an ideal pinhole has hardly any pixels left
+_MAX_TANGENT = (
+    2.0  # of the half field of view kept on each side (63 degrees): beyond, an ideal pinhole has hardly any pixels left
+)
 _BORDER_SAMPLES = 64  # points along each side of the image
 
 
@@ -22,8 +25,8 @@ _BORDER_SAMPLES = 64  # points along each side of the image
 class Rectifier:
     """Look-up maps of ``cv2.remap`` for the left and, in stereo, the right image; sizes are those of the stored images.
 
-    ``depth_index`` ``(H, W)`` int64: position in the flattened stored depth whose value a rectified pixel takes, or -1 (RGB-D only).
-    Depth is not interpolated: a mean across an edge would be a surface that does not exist.
+    ``depth_index`` ``(H, W)`` int64: position in the flattened stored depth whose value a rectified pixel takes, or
+    -1 (RGB-D only). Depth is not interpolated: a mean across an edge would be a surface that does not exist.
     """
 
     left: Maps
@@ -43,8 +46,9 @@ class Rectifier:
 
 @dataclass(frozen=True)
 class Rectification:
-    """What rectifying a rig gives: the ideal camera, the baseline (stereo), the maps (None where images are ideal already), and
-    ``R_rectified_left`` ``(3, 3)``, which turns the calibrated left camera's coordinates into the rectified one's."""
+    """What rectifying a rig gives: the ideal camera, the baseline (stereo), the maps (None where images are ideal
+    already), and ``R_rectified_left`` ``(3, 3)``, which turns the calibrated left camera's coordinates into the
+    rectified one's."""
 
     camera: PinholeCamera
     baseline_m: float | None
@@ -55,7 +59,8 @@ class Rectification:
 def rectify_rig(raw: RawRig, kind: RigKind, size: tuple[int, int]) -> Rectification:
     """The ideal rig of ``raw`` used as ``kind``, for stored images of ``size`` ``(width, height)``.
 
-    The rectified image has the stored size, square pixels, and shows only what all cameras of the rig see: no empty corners.
+    The rectified image has the stored size, square pixels, and shows only what all cameras of the rig see: no empty
+    corners.
     """
     identity = np.eye(3)
     if kind is RigKind.STEREO and raw.right is not None and raw.T_left_right is not None:
@@ -73,10 +78,11 @@ def rectify_rig(raw: RawRig, kind: RigKind, size: tuple[int, int]) -> Rectificat
 
 
 def stereo_rotations(T_left_right: Array) -> tuple[Array, Array, float]:
-    """Rotations ``(3, 3)`` of the left and the right camera into the common rectified orientation, and the baseline in metres.
+    """Rotations ``(3, 3)`` of the left and the right camera into the common rectified orientation, and the baseline in
+    metres.
 
-    Each camera is turned by half their relative rotation, then both so that x runs along the baseline (Bouguet's method, as
-    ``cv2.stereoRectify``). A right camera that stands left of the left one gives a negative baseline.
+    Each camera is turned by half their relative rotation, then both so that x runs along the baseline (Bouguet's
+    method, as ``cv2.stereoRectify``). A right camera that stands left of the left one gives a negative baseline.
     """
     T_right_left = np.linalg.inv(T_left_right)
     none, K = np.zeros(4), np.eye(3)
@@ -86,7 +92,8 @@ def stereo_rotations(T_left_right: Array) -> tuple[Array, Array, float]:
 
 
 def common_camera(cameras: list[tuple[RawCamera, Array]], size: tuple[int, int]) -> PinholeCamera:
-    """The pinhole with square pixels, of the largest field of view that all ``cameras``, each turned by its rotation, fill entirely."""
+    """The pinhole with square pixels, of the largest field of view that all ``cameras``, each turned by its
+    rotation, fill entirely."""
     width, height = size
     low, high = np.full(2, -_MAX_TANGENT), np.full(2, _MAX_TANGENT)
     for camera, rotation in cameras:
@@ -124,10 +131,16 @@ def _directions(camera: RawCamera, rotation: Array, u: Array, v: Array) -> Array
     return rays[:, :2] / rays[:, 2:]
 
 
-def _float_maps(camera: RawCamera, rotation: Array, ideal: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _float_maps(
+    camera: RawCamera, rotation: Array, ideal: PinholeCamera
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Column and row of the stored image for each rectified pixel."""
     coefficients, size = np.array(camera.coefficients), (ideal.width, ideal.height)
-    make = cv2.fisheye.initUndistortRectifyMap if camera.distortion is Distortion.EQUIDISTANT else cv2.initUndistortRectifyMap
+    make = (
+        cv2.fisheye.initUndistortRectifyMap
+        if camera.distortion is Distortion.EQUIDISTANT
+        else cv2.initUndistortRectifyMap
+    )
     return make(camera.K, coefficients, rotation, ideal.K, size, cv2.CV_32FC1)
 
 

@@ -45,7 +45,8 @@ def seconds_text(stamp_ns: int) -> str:
 def read_stamps(path: Path, nanoseconds: bool = False) -> NDArray[np.int64]:
     """Nanoseconds ``(N,)`` of the first column of a text file, which holds seconds, or integer ``nanoseconds``.
 
-    Lines starting with ``#`` and empty ones are passed over; anything else that is not a time is an error with its line.
+    Lines starting with ``#`` and empty ones are passed over; anything else that is not a time is an error with its
+    line.
     """
     parse = int if nanoseconds else decimal_ns
     stamps = []

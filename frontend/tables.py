@@ -20,9 +20,10 @@ _BYTES = [str(value) for value in range(256)]
 def read_table(path: Path, columns: int | Sequence[int], what: str) -> NDArray[np.float64]:
     """All rows of a table of numbers separated by blanks, tabs or commas: ``(rows, columns)`` float64.
 
-    ``columns``: the number of columns, or the numbers allowed (all rows alike). Empty lines and lines that start with ``#`` are passed
-    over. ``what`` names a row in messages ("a pose has 16 numbers"). Raises :class:`FrontendError` with file and line for anything that is
-    not a finite number, and for a row of another length. An empty table has as many columns as the first number allowed.
+    ``columns``: the number of columns, or the numbers allowed (all rows alike). Empty lines and lines that start
+    with ``#`` are passed over. ``what`` names a row in messages ("a pose has 16 numbers"). Raises
+    :class:`FrontendError` with file and line for anything that is not a finite number, and for a row of another
+    length. An empty table has as many columns as the first number allowed.
     """
     values, width = _read(path, columns, what, np.float64)
     return values.reshape(-1, width).astype(np.float64, copy=False)

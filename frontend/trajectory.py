@@ -13,7 +13,15 @@ from frontend import tables
 from frontend.errors import FrontendError
 from frontend.stamps import NS_PER_S, read_stamps, seconds_text, stamp_ns_from_s
 
-__all__ = ["NS_PER_S", "Trajectory", "read_kitti_poses", "read_tum", "stamp_ns_from_s", "write_kitti_poses", "write_tum"]
+__all__ = [
+    "NS_PER_S",
+    "Trajectory",
+    "read_kitti_poses",
+    "read_tum",
+    "stamp_ns_from_s",
+    "write_kitti_poses",
+    "write_tum",
+]
 
 _QUATERNION_TOLERANCE = 0.05  # of its length: rounded digits are fine, a column mixed up is not
 _ROTATION_TOLERANCE = 0.02  # of R R^T against the identity: 7-Scenes poses are off by up to a percent
@@ -68,7 +76,9 @@ def read_tum(path: Path) -> Trajectory:
     stamps = read_stamps(path)
     lengths = np.linalg.norm(values[:, 4:], axis=1)
     for row in np.flatnonzero(np.abs(lengths - 1.0) > _QUATERNION_TOLERANCE)[:1]:
-        raise FrontendError(f"{path}:{tables.row_line(path, row)}: the quaternion's length is {lengths[row]:.3f}, expected 1")
+        raise FrontendError(
+            f"{path}:{tables.row_line(path, row)}: the quaternion's length is {lengths[row]:.3f}, expected 1"
+        )
     for row in np.flatnonzero(np.diff(stamps) <= 0)[:1] + 1:
         times = f"from {seconds_text(stamps[row - 1])} s to {seconds_text(stamps[row])} s"
         raise FrontendError(f"{path}:{tables.row_line(path, row)}: time does not go on, but {times}")
@@ -78,14 +88,17 @@ def read_tum(path: Path) -> Trajectory:
 def read_kitti_poses(path: Path) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
     """Rows of 12 numbers (3x4 row-major ``T_W_C``), or 13 with a leading time in seconds.
 
-    Returns the times ``(N,)`` in seconds, or None where the file has none, and the poses ``(N, 4, 4)``, each rotation made exactly
-    orthonormal: files hold as few as seven digits. A rotation more than that away from one is an error with its line.
+    Returns the times ``(N,)`` in seconds, or None where the file has none, and the poses ``(N, 4, 4)``, each
+    rotation made exactly orthonormal: files hold as few as seven digits. A rotation more than that away from one is
+    an error with its line.
     """
     values = tables.read_table(path, (12, 13), "a KITTI pose (13 with a time)")
     if not len(values):
         raise FrontendError(f"{path}: no poses in this file")
     matrices = values[:, -12:].reshape(-1, 3, 4)
-    return values[:, 0] if values.shape[1] == 13 else None, se3(rigid_rotations(matrices[:, :, :3], path), matrices[:, :, 3])
+    return values[:, 0] if values.shape[1] == 13 else None, se3(
+        rigid_rotations(matrices[:, :, :3], path), matrices[:, :, 3]
+    )
 
 
 def rigid_rotations(rotations: NDArray[np.float64], path: Path) -> NDArray[np.float64]:

@@ -1,4 +1,5 @@
-"""A tree of binary words: every ORB descriptor falls to one node on each level (Galvez-Lopez and Tardos, DBoW2, T-RO 2012)."""
+"""A tree of binary words: every ORB descriptor falls to one node on each level (Galvez-Lopez and Tardos, DBoW2, T-RO
+2012)."""
 
 from __future__ import annotations
 
@@ -35,12 +36,17 @@ class BagOfWords:
 class Vocabulary:
     """Nodes numbered as DBoW2 numbers them: 0 is the root, children of one node follow each other, depth first.
 
-    ``parents`` ``(n,)`` int32, -1 for the root, each smaller than the node's own id; ``descriptors`` ``(n, 32)`` uint8; ``weights``
-    ``(n,)`` float64, idf of the leaves. A ``ValueError`` where these are no tree.
+    ``parents`` ``(n,)`` int32, -1 for the root, each smaller than the node's own id; ``descriptors`` ``(n, 32)``
+    uint8; ``weights`` ``(n,)`` float64, idf of the leaves. A ``ValueError`` where these are no tree.
     """
 
     def __init__(
-        self, branching: int, depth: int, parents: NDArray[np.int32], descriptors: NDArray[np.uint8], weights: NDArray[np.float64]
+        self,
+        branching: int,
+        depth: int,
+        parents: NDArray[np.int32],
+        descriptors: NDArray[np.uint8],
+        weights: NDArray[np.float64],
     ) -> None:
         n = len(parents)
         if n < 2 or descriptors.shape != (n, 32) or weights.shape != (n,):
@@ -51,7 +57,7 @@ class Vocabulary:
         self.parents = np.ascontiguousarray(parents, dtype=np.int32)
         self.descriptors = np.ascontiguousarray(descriptors, dtype=np.uint8)
         self.weights = np.where(np.arange(n) > 0, weights, 0.0)
-        # Children of one node are made neighbours, so that a descent reads memory in a row; DBoW2's order is kept among them.
+        # Children of one node are made neighbours, so that a descent reads memory in a row, in DBoW2's order.
         self._children = (np.argsort(self.parents[1:], kind="stable") + 1).astype(np.int32)
         counts = np.bincount(self.parents[1:], minlength=n)
         self._begin = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
@@ -72,7 +78,8 @@ class Vocabulary:
 
     @classmethod
     def load(cls, path: Path | None = None) -> Vocabulary:
-        """A vocabulary of our own binary form (``.npz``) or of DBoW2's text form (any other name); None: the one shipped."""
+        """A vocabulary of our own binary form (``.npz``) or of DBoW2's text form (any other name); None: the one
+        shipped."""
         path = DEFAULT_PATH if path is None else Path(path)
         if path.suffix == ".npz":
             return _load_npz(path)
@@ -90,13 +97,15 @@ class Vocabulary:
 
         return write_npz(
             path, {
-                "format": np.array(1), "branching": np.array(self.branching), "depth": np.array(self.depth), "parents": self.parents,
+                "format": np.array(1), "branching": np.array(self.branching), "depth": np.array(self.depth),
+                "parents": self.parents,
                 "descriptors": self.descriptors, "weights": self.weights.astype(np.float32),
             },
         )  # fmt: skip
 
     def words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """Node ids ``(N, 2)`` at level 3 and level 4 of ORB descriptors ``(N, 32)``; where the tree ends above a level, the leaf's."""
+        """Node ids ``(N, 2)`` at level 3 and level 4 of ORB descriptors ``(N, 32)``; where the tree ends above a
+        level, the leaf's."""
         return self._descend(descriptors, np.array(WORD_LEVELS))
 
     def leaves(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int32]:
@@ -106,9 +115,9 @@ class Vocabulary:
     def bag(self, descriptors: NDArray[np.uint8]) -> BagOfWords:
         """The tf-idf vector of an image's descriptors ``(N, 32)``; empty where none has a weight."""
         words, counts = np.unique(self.leaves(descriptors), return_counts=True)
-        values: NDArray[np.float64] = counts * self.weights[words]
-        kept = values > 0
-        return BagOfWords(words[kept], values[kept] / values[kept].sum())
+        values = np.asarray(counts * self.weights[words], dtype=np.float64)
+        weighty = np.flatnonzero(values > 0)
+        return BagOfWords(words[weighty], values[weighty] / values[weighty].sum())
 
     def _descend(self, descriptors: NDArray[np.uint8], levels: NDArray[np.int64]) -> NDArray[np.int32]:
         rows = np.ascontiguousarray(descriptors, dtype=np.uint8)
@@ -122,7 +131,9 @@ def _load_npz(path: Path) -> Vocabulary:
         with np.load(path, allow_pickle=False) as data:
             version = int(data["format"])
             if version != 1:
-                raise FrontendError(f"{path}: a vocabulary file of format {version}; this version of maslam reads format 1")
+                raise FrontendError(
+                    f"{path}: a vocabulary file of format {version}; this version of maslam reads format 1"
+                )
             weights = data["weights"].astype(np.float64)
             return Vocabulary(int(data["branching"]), int(data["depth"]), data["parents"], data["descriptors"], weights)
     except OSError as error:
@@ -182,9 +193,14 @@ def hamming(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> np.
 
 @njit(cache=True, nogil=True)
 def _descend(
-    rows: NDArray[np.uint64], begin: NDArray[np.int32], children: NDArray[np.int32], child_bits: NDArray[np.uint64], levels: NDArray[np.int64]
+    rows: NDArray[np.uint64],
+    begin: NDArray[np.int32],
+    children: NDArray[np.int32],
+    child_bits: NDArray[np.uint64],
+    levels: NDArray[np.int64],
 ) -> NDArray[np.int32]:
-    """Node ``(N, len(levels))`` reached at each of the ascending ``levels``; the nearest child is taken, of equals the first."""
+    """Node ``(N, len(levels))`` reached at each of the ascending ``levels``; the nearest child is taken, of equals
+    the first."""
     out = np.empty((len(rows), len(levels)), dtype=np.int32)
     for i in range(len(rows)):
         node, level = 0, 0

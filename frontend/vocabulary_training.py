@@ -1,4 +1,5 @@
-"""Growing a vocabulary: hierarchical k-majority clustering of binary descriptors, seeded, with idf weights of the leaves."""
+"""Growing a vocabulary: hierarchical k-majority clustering of binary descriptors, seeded, with idf weights of the
+leaves."""
 
 from __future__ import annotations
 
@@ -14,13 +15,18 @@ _CANDIDATES = 4  # seeds tried for each centre
 
 
 def train_vocabulary(
-    images: Sequence[NDArray[np.uint8]], rng: np.random.Generator, branching: int = 10, depth: int = 4, iterations: int = 12
+    images: Sequence[NDArray[np.uint8]],
+    rng: np.random.Generator,
+    branching: int = 10,
+    depth: int = 4,
+    iterations: int = 12,
 ) -> Vocabulary:
     """A vocabulary from the ORB descriptors ``(n_i, 32)`` of many images.
 
-    Each node's descriptors are split in ``branching`` clusters: seeds by greedy k-means++ on squared Hamming distance, then at most
-    ``iterations`` rounds of assignment and bitwise majority (Grana et al., k-majority, 2013). A node of fewer different descriptors
-    than ``branching`` gets as many children. Leaf weights: ``log(images / images with the word)``.
+    Each node's descriptors are split in ``branching`` clusters: seeds by greedy k-means++ on squared Hamming
+    distance, then at most ``iterations`` rounds of assignment and bitwise majority (Grana et al., k-majority, 2013).
+    A node of fewer different descriptors than ``branching`` gets as many children. Leaf weights: ``log(images /
+    images with the word)``.
     """
     descriptors = np.ascontiguousarray(np.concatenate(list(images)), dtype=np.uint8)
     if len(descriptors) < branching:
@@ -55,7 +61,8 @@ def _idf(vocabulary: Vocabulary, images: Sequence[NDArray[np.uint8]]) -> NDArray
 
 
 def _depth_first(parents: NDArray[np.int64], octets: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """Renumber as DBoW2 does: the children of a node in one block, then the descendants of the first child, of the second, ..."""
+    """Renumber as DBoW2 does: the children of a node in one block, then the descendants of the first child, of the
+    second, ..."""
     children: list[list[int]] = [[] for _ in parents]
     for node, parent in enumerate(parents.tolist()):
         if parent >= 0:
@@ -75,7 +82,8 @@ def _depth_first(parents: NDArray[np.int64], octets: NDArray[np.uint8]) -> tuple
 def _split_nodes(
     bits: NDArray[np.uint64], begin: NDArray[np.int64], draws: NDArray[np.float64], iterations: int
 ) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
-    """Clusters of each node's descriptors ``bits[begin[n]:begin[n + 1]]``: centres ``(nodes, k, 4)`` and cluster of each descriptor."""
+    """Clusters of each node's descriptors ``bits[begin[n]:begin[n + 1]]``: centres ``(nodes, k, 4)`` and cluster of
+    each descriptor."""
     nodes, k = draws.shape[0], draws.shape[1]
     centres = np.zeros((nodes, k, 4), dtype=np.uint64)
     own = np.zeros(len(bits), dtype=np.int64)
@@ -96,9 +104,16 @@ def _split_nodes(
 
 @njit(cache=True, nogil=True)
 def _seed(
-    bits: NDArray[np.uint64], first: int, last: int, draws: NDArray[np.float64], n: int, centres: NDArray[np.uint64], nearest: NDArray[np.int64]
+    bits: NDArray[np.uint64],
+    first: int,
+    last: int,
+    draws: NDArray[np.float64],
+    n: int,
+    centres: NDArray[np.uint64],
+    nearest: NDArray[np.int64],
 ) -> int:
-    """First centres of node n, each the best of several drawn by squared distance (greedy k-means++); how many different ones."""
+    """First centres of node n, each the best of several drawn by squared distance (greedy k-means++); how many
+    different ones."""
     nearest[first:last] = 1 << 20
     pick = min(first + int(draws[n, 0, 0] * (last - first)), last - 1)
     for c in range(draws.shape[1]):
@@ -136,7 +151,13 @@ def _drawn(nearest: NDArray[np.int64], first: int, last: int, target: float) -> 
 
 @njit(cache=True, nogil=True)
 def _assign(
-    bits: NDArray[np.uint64], first: int, last: int, centres: NDArray[np.uint64], n: int, used: int, own: NDArray[np.int64]
+    bits: NDArray[np.uint64],
+    first: int,
+    last: int,
+    centres: NDArray[np.uint64],
+    n: int,
+    used: int,
+    own: NDArray[np.int64],
 ) -> bool:
     """Give each row its nearest centre of node n, of equals the first; whether any changed."""
     changed = False
@@ -155,7 +176,14 @@ def _assign(
 
 @njit(cache=True, nogil=True)
 def _majority(
-    bits: NDArray[np.uint64], first: int, last: int, own: NDArray[np.int64], centres: NDArray[np.uint64], n: int, used: int, ones: NDArray[np.int64]
+    bits: NDArray[np.uint64],
+    first: int,
+    last: int,
+    own: NDArray[np.int64],
+    centres: NDArray[np.uint64],
+    n: int,
+    used: int,
+    ones: NDArray[np.int64],
 ) -> None:
     """Centres of node n become the bitwise majority of their rows; a centre without rows stays."""
     ones[:] = 0

@@ -1,6 +1,7 @@
 """The five VO files of one uninterrupted track: the border between a front end and the rest of the system.
 
-Same layout as the public predecessor (dslam_open, ICRA 2018), so its files are read and ours can be read there; thesis section 3.3.
+Same layout as the public predecessor (dslam_open, ICRA 2018), so its files are read and ours can be read there;
+thesis section 3.3.
 """
 
 from __future__ import annotations
@@ -16,7 +17,13 @@ from backend.geometry import is_se3
 from frontend import tables
 from frontend.errors import FrontendError
 
-_NAMES = ("lm_pos", "lm_obs", "descs", "times", "poses")  # in the order in which they are put in place: poses_<k> marks a whole track
+_NAMES = (
+    "lm_pos",
+    "lm_obs",
+    "descs",
+    "times",
+    "poses",
+)  # in the order in which they are put in place: poses_<k> marks a whole track
 _ROTATION_TOLERANCE = 1e-3  # of R R^T against the identity: files with few decimals are read too
 
 
@@ -24,9 +31,10 @@ _ROTATION_TOLERANCE = 1e-3  # of R R^T against the identity: files with few deci
 class VoTrack:
     """K key-frames, P map points, N observations, in the track's own world frame W.
 
-    ``stamps_s`` ``(K,)`` float64 seconds; ``poses`` ``(K, 4, 4)`` ``T_W_C``; ``points`` ``(P, 3)``; ``observations`` ``(N, 2)`` int32:
-    key-frame index, map-point index, sorted; ``descriptors`` ``(N, 32)`` uint8 ORB; ``words`` ``(N, 2)`` int32: DBoW2 node id at
-    level 3 and at level 4. Arrays of other shapes, and observations of what does not exist, are a ``ValueError``.
+    ``stamps_s`` ``(K,)`` float64 seconds; ``poses`` ``(K, 4, 4)`` ``T_W_C``; ``points`` ``(P, 3)``; ``observations``
+    ``(N, 2)`` int32: key-frame index, map-point index, sorted; ``descriptors`` ``(N, 32)`` uint8 ORB; ``words``
+    ``(N, 2)`` int32: DBoW2 node id at level 3 and at level 4. Arrays of other shapes, and observations of what does
+    not exist, are a ``ValueError``.
     """
 
     stamps_s: NDArray[np.float64]
@@ -53,7 +61,8 @@ class VoTrack:
 
 
 def write_track(folder: Path, number: int, track: VoTrack) -> None:
-    """Write ``poses_<k>.txt times_<k>.txt lm_pos_<k>.txt lm_obs_<k>.txt descs_<k>.txt`` of track ``number`` into ``folder``.
+    """Write ``poses_<k>.txt times_<k>.txt lm_pos_<k>.txt lm_obs_<k>.txt descs_<k>.txt`` of track ``number`` into
+    ``folder``.
 
     Floats are written with as many digits as give back the same float64. All five appear together or not at all.
     """
@@ -73,15 +82,18 @@ def write_track(folder: Path, number: int, track: VoTrack) -> None:
 def read_tracks(folder: Path) -> list[VoTrack]:
     """All tracks in ``folder``, in order of their numbers.
 
-    Observations come back sorted by key-frame and point, whatever their order in the file. Raises :class:`FrontendError` with file and
-    line for a broken row, and for a folder that has no track or only some of a track's five files.
+    Observations come back sorted by key-frame and point, whatever their order in the file. Raises
+    :class:`FrontendError` with file and line for a broken row, and for a folder that has no track or only some of a
+    track's five files.
     """
     if not folder.is_dir():
         raise FrontendError(f"{folder}: no such folder")
     pattern = re.compile(rf"(?:{'|'.join(_NAMES)})_(\d+)\.txt")
     numbers = sorted({int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))})
     if not numbers:
-        raise FrontendError(f"{folder}: no VO files here (poses_0.txt, times_0.txt, lm_pos_0.txt, lm_obs_0.txt, descs_0.txt)")
+        raise FrontendError(
+            f"{folder}: no VO files here (poses_0.txt, times_0.txt, lm_pos_0.txt, lm_obs_0.txt, descs_0.txt)"
+        )
     return [_read_track(folder, number) for number in numbers]
 
 
@@ -95,12 +107,17 @@ def _read_track(folder: Path, number: int) -> VoTrack:
     if len(stamps) != len(poses):
         raise FrontendError(f"{paths['times']}: {len(stamps)} times, but {len(poses)} poses in {paths['poses'].name}")
     for row in np.flatnonzero(np.diff(stamps) < 0)[:1] + 1:
-        raise FrontendError(f"{paths['times']}:{tables.row_line(paths['times'], row)}: time goes back to {float(stamps[row])} s")
+        raise FrontendError(
+            f"{paths['times']}:{tables.row_line(paths['times'], row)}: time goes back to {float(stamps[row])} s"
+        )
     points = tables.read_table(paths["lm_pos"], 3, "a map point")
     observations = _read_observations(paths["lm_obs"], len(poses), len(points))
     described = tables.read_integer_table(paths["descs"], 34, "a descriptor with its two node ids")
     if len(described) != len(observations):
-        raise FrontendError(f"{paths['descs']}: {len(described)} descriptors, but {len(observations)} observations in {paths['lm_obs'].name}")
+        raise FrontendError(
+            f"{paths['descs']}: {len(described)} descriptors, "
+            f"but {len(observations)} observations in {paths['lm_obs'].name}"
+        )
     _check_range(paths["descs"], described[:, :32], 0, 255, "a descriptor byte")
     _check_range(paths["descs"], described[:, 32:], 0, 2**31 - 1, "a node id")
     order = np.lexsort((observations[:, 1], observations[:, 0]))
@@ -118,7 +135,9 @@ def _read_poses(path: Path) -> NDArray[np.float64]:
     poses = tables.read_table(path, 16, "a key-frame pose").reshape(-1, 4, 4)
     if not is_se3(poses, _ROTATION_TOLERANCE):
         row = next(i for i, pose in enumerate(poses) if not is_se3(pose, _ROTATION_TOLERANCE))
-        raise FrontendError(f"{path}:{tables.row_line(path, row)}: not a rigid 4x4 transform (rotation, position, last row 0 0 0 1)")
+        raise FrontendError(
+            f"{path}:{tables.row_line(path, row)}: not a rigid 4x4 transform (rotation, position, last row 0 0 0 1)"
+        )
     return poses
 
 
@@ -133,4 +152,6 @@ def _check_range(path: Path, values: NDArray[np.int64], low: int, high: int, wha
     wrong = (values < low) | (values > high)
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
-        raise FrontendError(f"{path}:{tables.row_line(path, row)}: {what} is {values[row, column]}, allowed are {low} to {high}")
+        raise FrontendError(
+            f"{path}:{tables.row_line(path, row)}: {what} is {values[row, column]}, allowed are {low} to {high}"
+        )

@@ -22,7 +22,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "tools": ("backend", "frontend", "descriptors", "mas"),
 }  # fmt: skip
 TORCH_SIDE = ("augmentation", "export", "initialisation", "netvlad", "training")
-"""Modules of ``descriptors`` that only training needs: torch is their subject, so nothing else may import them on import."""
+"""Modules of ``descriptors`` that only training needs: torch is their subject, so nothing else may import them on
+import."""
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
@@ -83,13 +84,19 @@ def test_imports_run_down_only(path: Path) -> None:
 def test_heavy_libraries_are_imported_where_they_are_used(path: Path) -> None:
     if path.parent == ROOT / "descriptors" and path.stem in TORCH_SIDE:
         pytest.skip("torch is its subject")
-    outside = imports(top_level(ast.parse(path.read_text(encoding="utf-8"))), ".".join(path.relative_to(ROOT).parent.parts))
+    outside = imports(
+        top_level(ast.parse(path.read_text(encoding="utf-8"))), ".".join(path.relative_to(ROOT).parent.parts)
+    )
     heavy = (*HEAVY, *(f"descriptors.{name}" for name in TORCH_SIDE))
     assert [f"line {line}: {name}" for line, name in outside if any(is_under(name, one) for one in heavy)] == []
 
 
 def test_the_table_is_the_one_in_the_documents() -> None:
-    rows = [line for line in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
+    rows = [
+        line
+        for line in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").splitlines()
+        if line.startswith("| `")
+    ]
     named = [row.split("`")[1].rstrip("/") for row in rows]
     assert sorted(named[: len(PACKAGES)]) == sorted(PACKAGES)
 

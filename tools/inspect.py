@@ -18,7 +18,8 @@ _SHOWN_PROBLEMS = 20
 
 @dataclass(frozen=True)
 class SequenceReport:
-    """What one sequence is. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded`` frames were tried."""
+    """What one sequence is. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
+    frames were tried."""
 
     name: str
     kind: str
@@ -44,9 +45,11 @@ class SequenceReport:
             truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path"
         first = [
             f"{self.name} ({self.kind})",
-            f"  frames        {self.frames}, {self.rate_hz:.2f} a second, {self.duration_s:.2f} s from {self.start_s:.3f} s",
+            f"  frames        {self.frames}, {self.rate_hz:.2f} a second, {self.duration_s:.2f} s "
+            f"from {self.start_s:.3f} s",
             f"  rig           {self.rig.kind}{baseline}; scale {'metric' if self.rig.metric else 'arbitrary'}",
-            f"  camera        {camera.width}x{camera.height} px, fx {camera.fx:.2f} fy {camera.fy:.2f} cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
+            f"  camera        {camera.width}x{camera.height} px, fx {camera.fx:.2f} fy {camera.fy:.2f} "
+            f"cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
             f"  ground truth  {truth}",
             f"  decoded       {self.decoded} of {self.frames} frames",
         ]
@@ -150,7 +153,9 @@ def _count(number: int, noun: str) -> str:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("source", metavar="SRC", type=Path, help="a data set, or a folder of agent_00, agent_01, ...")
-    parser.add_argument("--rig", choices=("mono", "stereo", "rgbd"), help="read it as this (default: the most that the files allow)")
+    parser.add_argument(
+        "--rig", choices=("mono", "stereo", "rgbd"), help="read it as this (default: the most that the files allow)"
+    )
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
 
 

@@ -38,13 +38,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the two actions."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     train = actions.add_parser("train", help="cluster the ORB descriptors of many images")
-    train.add_argument("out", metavar="OUT", type=Path, help="file to write: .npz our own form, any other name DBoW2's text form")
-    train.add_argument("sources", metavar="DIR", type=Path, nargs="+", help="folders, searched for images in all their sub-folders")
+    train.add_argument(
+        "out", metavar="OUT", type=Path, help="file to write: .npz our own form, any other name DBoW2's text form"
+    )
+    train.add_argument(
+        "sources", metavar="DIR", type=Path, nargs="+", help="folders, searched for images in all their sub-folders"
+    )
     defaults = TrainingSettings()
-    train.add_argument("--branching", type=int, default=defaults.branching, help="children of a node (default: %(default)s)")
+    train.add_argument(
+        "--branching", type=int, default=defaults.branching, help="children of a node (default: %(default)s)"
+    )
     train.add_argument("--depth", type=int, default=defaults.depth, help="levels below the root (default: %(default)s)")
-    train.add_argument("--features", type=int, default=defaults.features, help="key-points an image (default: %(default)s)")
-    train.add_argument("--every", type=int, default=defaults.every, help="use every n-th image of a folder (default: %(default)s)")
+    train.add_argument(
+        "--features", type=int, default=defaults.features, help="key-points an image (default: %(default)s)"
+    )
+    train.add_argument(
+        "--every", type=int, default=defaults.every, help="use every n-th image of a folder (default: %(default)s)"
+    )
     train.add_argument("--seed", type=int, default=defaults.seed, help="(default: %(default)s)")
     train.add_argument("--quiet", action="store_true", help="no progress")
     info = actions.add_parser("info", help="branching, depth, nodes on each level, weights")
@@ -61,7 +71,9 @@ def main(arguments: argparse.Namespace) -> None:
         return
     from tools.progress import progress_on
 
-    settings = TrainingSettings(arguments.branching, arguments.depth, arguments.features, arguments.every, arguments.seed)
+    settings = TrainingSettings(
+        arguments.branching, arguments.depth, arguments.features, arguments.every, arguments.seed
+    )
     with progress_on(quiet=arguments.quiet) as progress:
         vocabulary = train_from_images(arguments.sources, settings, progress)
     vocabulary.save(arguments.out)
@@ -74,7 +86,8 @@ def vocabulary_info(path: Path, vocabulary: Vocabulary) -> list[str]:
 
     levels, leaves = vocabulary.levels, vocabulary.is_leaf
     lines = [
-        f"{path}: branching {vocabulary.branching}, depth {vocabulary.depth}, {len(vocabulary)} nodes, {int(leaves.sum())} words",
+        f"{path}: branching {vocabulary.branching}, depth {vocabulary.depth}, "
+        f"{len(vocabulary)} nodes, {int(leaves.sum())} words",
         f"  node ids need {2 if len(vocabulary) <= 2**16 else 4} bytes",
     ]
     for level in range(1, int(levels.max()) + 1):
@@ -87,7 +100,8 @@ def vocabulary_info(path: Path, vocabulary: Vocabulary) -> list[str]:
 
 
 def train_from_images(sources: Sequence[Path], settings: TrainingSettings, progress: Progress) -> Vocabulary:
-    """A vocabulary of all images under ``sources``, each folder's in natural order. ``ToolError`` where they are too few."""
+    """A vocabulary of all images under ``sources``, each folder's in natural order. ``ToolError`` where they are too
+    few."""
     import numpy as np
 
     from frontend.vocabulary_training import train_vocabulary
@@ -98,8 +112,12 @@ def train_from_images(sources: Sequence[Path], settings: TrainingSettings, progr
     images = _describe_all(paths, settings.features, progress)
     total = sum(map(len, images))
     if total < settings.branching**2:
-        raise ToolError(f"{len(paths)} images with {total} descriptors in {', '.join(map(str, sources))}: too few for a vocabulary")
-    progress.say(f"{total} descriptors of {len(images)} images ({len(paths) - len(images)} with too few left out); clustering")
+        raise ToolError(
+            f"{len(paths)} images with {total} descriptors in {', '.join(map(str, sources))}: too few for a vocabulary"
+        )
+    progress.say(
+        f"{total} descriptors of {len(images)} images ({len(paths) - len(images)} with too few left out); clustering"
+    )
     return train_vocabulary(images, np.random.default_rng(settings.seed), settings.branching, settings.depth)
 
 
@@ -110,7 +128,9 @@ def _images_under(source: Path, every: int) -> list[Path]:
         raise ToolError(f"{source}: no such folder")
     folders = [source, *sorted((p for p in source.rglob("*") if p.is_dir()), key=lambda p: natural_key(str(p)))]
     # Depth images are no photographs; a right image shows what the left one does.
-    used = [folder for folder in folders if not folder.name.startswith(("depth", "image_1", "image_3", "right", "cam1"))]
+    used = [
+        folder for folder in folders if not folder.name.startswith(("depth", "image_1", "image_3", "right", "cam1"))
+    ]
     return [path for folder in used for path in list_images(folder)[::every] if ".depth." not in path.name]
 
 
@@ -132,5 +152,5 @@ def _describe(image: NDArray[np.uint8], features: int) -> NDArray[np.uint8]:
     import cv2
     import numpy as np
 
-    _, descriptors = cv2.ORB_create(features, fastThreshold=_FAST_THRESHOLD).detectAndCompute(image, None)
+    _, descriptors = cv2.ORB.create(features, fastThreshold=_FAST_THRESHOLD).detectAndCompute(image, None)
     return np.zeros((0, 32), np.uint8) if descriptors is None else np.asarray(descriptors, dtype=np.uint8)

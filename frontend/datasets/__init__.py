@@ -24,15 +24,19 @@ _AGENT = re.compile(r"agent_\d+")
 
 
 def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) -> Dataset:
-    """The data set in folder ``path``: one sequence, or one for each sub-folder ``agent_<n>``, each of which may be of any kind.
+    """The data set in folder ``path``: one sequence, or one for each sub-folder ``agent_<n>``, each of which may be of
+    any kind.
 
-    ``rig``: read it as this, for example stereo images as mono; None takes the most that the files allow. With ``strict``, the first
-    problem that would spoil a run is raised as :class:`FrontendError`; without, problems stay listed in each sequence.
+    ``rig``: read it as this, for example stereo images as mono; None takes the most that the files allow. With
+    ``strict``, the first problem that would spoil a run is raised as :class:`FrontendError`; without, problems stay
+    listed in each sequence.
     """
     path = Path(path)
     if not path.is_dir():
         raise FrontendError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
-    agents = sorted((p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name))
+    agents = sorted(
+        (p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name)
+    )
     if agents:
         sequences = [replace(_reader(folder).open(folder, rig), name=folder.name) for folder in agents]
         kinds = sorted({sequence.kind for sequence in sequences})

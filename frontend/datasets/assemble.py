@@ -22,8 +22,9 @@ from frontend.trajectory import Trajectory
 class Found:
     """What a reader found in a folder. Paths need not exist: missing ones become problems.
 
-    ``calibration``: where ``raw`` comes from; ``stamps_source``: where ``stamps_ns`` come from (for messages). ``truth``: ``T_W_C`` of the
-    calibrated left camera, before rectification. ``depth_unit_m``: metres a step of the depth images.
+    ``calibration``: where ``raw`` comes from; ``stamps_source``: where ``stamps_ns`` come from (for messages).
+    ``truth``: ``T_W_C`` of the calibrated left camera, before rectification. ``depth_unit_m``: metres a step of the
+    depth images.
     """
 
     kind: str
@@ -40,7 +41,8 @@ class Found:
 
 
 def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
-    """The sequence, rectified as ``kind``; files that this rig does not use are left out. What is wrong is added to ``problems``."""
+    """The sequence, rectified as ``kind``; files that this rig does not use are left out. What is wrong is added to
+    ``problems``."""
     right = found.right if kind is RigKind.STEREO else ()
     depth = found.depth if kind is RigKind.RGBD else ()
     checks.check_files(found.images, "image", problems)
@@ -74,7 +76,8 @@ def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
 
 
 def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:
-    """Ground truth given a pose a frame; None where the frames' times do not ascend, which is listed as a problem of its own."""
+    """Ground truth given a pose a frame; None where the frames' times do not ascend, which is listed as a problem of
+    its own."""
     return Trajectory(stamps_ns, poses) if (np.diff(stamps_ns) > 0).all() else None
 
 

@@ -56,10 +56,11 @@ class Problems:
 class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
 
-    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file a frame; ``right`` (stereo) and ``depth`` (RGB-D, 16 bit,
-    ``depth_unit_m`` metres a step, registered to the image) likewise, else empty. ``rectifier`` maps the images as stored to those of
-    ``rig``; None where they are rectified already. ``stored_size`` ``(width, height)`` of the image files, pixels. ``groundtruth``:
-    ``T_W_C`` of the rectified left camera, for as many moments as are known, not only those of frames.
+    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file a frame; ``right`` (stereo) and ``depth``
+    (RGB-D, 16 bit, ``depth_unit_m`` metres a step, registered to the image) likewise, else empty. ``rectifier`` maps
+    the images as stored to those of ``rig``; None where they are rectified already. ``stored_size`` ``(width,
+    height)`` of the image files, pixels. ``groundtruth``: ``T_W_C`` of the rectified left camera, for as many
+    moments as are known, not only those of frames.
     """
 
     kind: str
@@ -84,7 +85,8 @@ class ImageSequence:
         return len(self.left)
 
     def read(self, i: int) -> Frame:
-        """Frame ``i``, decoded and rectified. :class:`FrontendError` where a file is missing, damaged or of another size."""
+        """Frame ``i``, decoded and rectified. :class:`FrontendError` where a file is missing, damaged or of another
+        size."""
         if not 0 <= i < len(self):
             raise IndexError(f"frame {i} of {len(self)}")
         image = self._sized(read_grey(self.left[i]), self.left[i])
@@ -95,7 +97,8 @@ class ImageSequence:
         return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]))
 
     def frames(self, start: int = 0, stop: int | None = None, ahead: int = 4) -> Iterator[Frame]:
-        """Frames ``start`` to ``stop`` in order, each decoded once; a thread decodes up to ``ahead`` frames before they are asked for.
+        """Frames ``start`` to ``stop`` in order, each decoded once; a thread decodes up to ``ahead`` frames before they
+        are asked for.
 
         What :meth:`read` raises is raised when the damaged frame's turn comes, not before.
         """
@@ -115,7 +118,9 @@ class ImageSequence:
     def _sized(self, image: NDArray[Pixel], path: Path) -> NDArray[Pixel]:
         width, height = self.stored_size
         if image.shape != (height, width):
-            raise FrontendError(f"{path}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}")
+            raise FrontendError(
+                f"{path}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}"
+            )
         return image
 
 
@@ -148,7 +153,8 @@ class Reader(ABC):
 
 
 def choose_rig(available: Sequence[RigKind], wanted: RigKind | None, folder: Path) -> RigKind:
-    """The rig asked for if the files allow it, else an error that says what they allow; None takes the first ``available``."""
+    """The rig asked for if the files allow it, else an error that says what they allow; None takes the first
+    ``available``."""
     if wanted is None:
         return available[0]
     if wanted not in available:

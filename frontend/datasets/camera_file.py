@@ -15,9 +15,14 @@ _USUAL = ("camera", "calibration", "camera_info", "camchain", "calib")
 def find_camera_file(folder: Path) -> tuple[RawRig, Path] | None:
     """The rig and the file that it comes from; None where the folder has no YAML file.
 
-    ``left.yaml`` with ``right.yaml`` are a stereo pair; else a file named as usual comes first; the only YAML file may have any name.
+    ``left.yaml`` with ``right.yaml`` are a stereo pair; else a file named as usual comes first; the only YAML file
+    may have any name.
     """
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file() and not path.name.startswith("."))
+    files = sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in _SUFFIXES and path.is_file() and not path.name.startswith(".")
+    )
     if not files:
         return None
     by_stem = {path.stem.lower(): path for path in files}

@@ -18,7 +18,9 @@ MAX_BASELINE_M = 10.0
 MIN_BASELINE_M = 0.001
 _GAP_FACTOR = 5.0  # times the median interval: a gap worth a word
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
-_CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, the calibration is probably of another image size
+_CENTRE_SHARE = (
+    0.25  # of the width or height: farther from the centre, the calibration is probably of another image size
+)
 
 
 def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Path, problems: Problems) -> None:
@@ -29,46 +31,61 @@ def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Pat
     for i in np.flatnonzero(intervals <= 0)[:1]:
         how = "goes back" if intervals[i] < 0 else "stands still"
         problems.error(
-            f"{source}: time {how} at frame {i + 1} ({names[i + 1]}): {seconds_text(stamps_ns[i])} s, then {seconds_text(stamps_ns[i + 1])} s"
+            f"{source}: time {how} at frame {i + 1} ({names[i + 1]}): "
+            f"{seconds_text(stamps_ns[i])} s, then {seconds_text(stamps_ns[i + 1])} s"
             + _more(int((intervals <= 0).sum()) - 1)
         )
         return
     median_s = float(np.median(intervals)) / NS_PER_S
     if not MIN_RATE_HZ <= 1.0 / median_s <= MAX_RATE_HZ:
         problems.error(
-            f"{source}: {1.0 / median_s:.4g} images a second (one every {median_s:.4g} s), outside {MIN_RATE_HZ} to {MAX_RATE_HZ:.0f}: "
-            "time stamps are in another unit than expected"
+            f"{source}: {1.0 / median_s:.4g} images a second (one every {median_s:.4g} s), outside "
+            f"{MIN_RATE_HZ} to {MAX_RATE_HZ:.0f}: time stamps are in another unit than expected"
         )
     gaps = np.flatnonzero(intervals > _GAP_FACTOR * median_s * NS_PER_S)
     if len(gaps):
-        problems.warning(f"{source}: a gap of {intervals[gaps[0]] / NS_PER_S:.3f} s after {names[gaps[0]]}{_more(len(gaps) - 1)}; the median interval is {median_s:.4g} s")
+        problems.warning(
+            f"{source}: a gap of {intervals[gaps[0]] / NS_PER_S:.3f} s after {names[gaps[0]]}{_more(len(gaps) - 1)}; "
+            f"the median interval is {median_s:.4g} s"
+        )
 
 
 def check_camera(camera: PinholeCamera, source: Path, problems: Problems) -> None:
     """Finite positive focal lengths, close to each other; the principal point inside the image, near its centre."""
     values = (camera.fx, camera.fy, camera.cx, camera.cy)
     if not np.isfinite(values).all() or min(camera.fx, camera.fy) <= 0:
-        problems.error(f"{source}: focal lengths {camera.fx}, {camera.fy} px and principal point {camera.cx}, {camera.cy} px cannot be")
+        problems.error(
+            f"{source}: focal lengths {camera.fx}, {camera.fy} px and principal point "
+            f"{camera.cx}, {camera.cy} px cannot be"
+        )
         return
     ratio = max(camera.fx, camera.fy) / min(camera.fx, camera.fy)
     if ratio > _FOCAL_RATIO:
-        problems.warning(f"{source}: fx {camera.fx:.2f} px and fy {camera.fy:.2f} px differ by {100 * (ratio - 1):.0f} %: pixels are seldom so far from square")
+        problems.warning(
+            f"{source}: fx {camera.fx:.2f} px and fy {camera.fy:.2f} px differ by {100 * (ratio - 1):.0f} %: "
+            "pixels are seldom so far from square"
+        )
     if not (0 <= camera.cx < camera.width and 0 <= camera.cy < camera.height):
         problems.error(
-            f"{source}: the principal point ({camera.cx:.1f}, {camera.cy:.1f}) px lies outside the image of {camera.width}x{camera.height}: "
-            "the calibration is for another image size"
+            f"{source}: the principal point ({camera.cx:.1f}, {camera.cy:.1f}) px lies outside the image of "
+            f"{camera.width}x{camera.height}: the calibration is for another image size"
         )
     elif abs(camera.cx / camera.width - 0.5) > _CENTRE_SHARE or abs(camera.cy / camera.height - 0.5) > _CENTRE_SHARE:
         problems.warning(
-            f"{source}: the principal point ({camera.cx:.1f}, {camera.cy:.1f}) px is far from the centre of the image of "
-            f"{camera.width}x{camera.height}: is the calibration for another image size?"
+            f"{source}: the principal point ({camera.cx:.1f}, {camera.cy:.1f}) px is far from the centre of the image "
+            f"of {camera.width}x{camera.height}: is the calibration for another image size?"
         )
 
 
-def check_size(calibrated: tuple[int, int] | None, stored: tuple[int, int], source: Path, image: Path, problems: Problems) -> None:
+def check_size(
+    calibrated: tuple[int, int] | None, stored: tuple[int, int], source: Path, image: Path, problems: Problems
+) -> None:
     """The size that the calibration was made for against that of the first image; both ``(width, height)``."""
     if calibrated is not None and calibrated != stored:
-        problems.error(f"{source}: a calibration for {calibrated[0]}x{calibrated[1]} pixels, but {image} has {stored[0]}x{stored[1]}")
+        problems.error(
+            f"{source}: a calibration for {calibrated[0]}x{calibrated[1]} pixels, "
+            f"but {image} has {stored[0]}x{stored[1]}"
+        )
 
 
 def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
@@ -76,9 +93,15 @@ def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
     if not np.isfinite(baseline_m) or baseline_m == 0:
         problems.error(f"{source}: the stereo baseline is {baseline_m} m")
     elif baseline_m < 0:
-        problems.error(f"{source}: the stereo baseline is {baseline_m:.4g} m: the right camera stands left of the left one; are the two swapped?")
+        problems.error(
+            f"{source}: the stereo baseline is {baseline_m:.4g} m: the right camera stands left of the left one; "
+            "are the two swapped?"
+        )
     elif not MIN_BASELINE_M <= baseline_m <= MAX_BASELINE_M:
-        problems.error(f"{source}: the stereo baseline is {baseline_m:.4g} m, outside {MIN_BASELINE_M} to {MAX_BASELINE_M:.0f} m: another unit than metres?")
+        problems.error(
+            f"{source}: the stereo baseline is {baseline_m:.4g} m, outside {MIN_BASELINE_M} to {MAX_BASELINE_M:.0f} m: "
+            "another unit than metres?"
+        )
 
 
 def check_files(files: Sequence[Path], what: str, problems: Problems) -> None:

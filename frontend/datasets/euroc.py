@@ -22,10 +22,11 @@ from frontend.trajectory import Trajectory, read_tum
 
 
 class EurocReader(Reader):
-    """``mav0/cam0``, ``mav0/cam1`` with ``sensor.yaml``, ``data.csv`` and ``data/<ns>.png``; the folder may be ``mav0`` itself.
+    """``mav0/cam0``, ``mav0/cam1`` with ``sensor.yaml``, ``data.csv`` and ``data/<ns>.png``; the folder may be ``mav0``
+    itself.
 
-    Ground truth: ``mav0/state_groundtruth_estimate0`` (of the body), else a ``groundtruth*.tum`` beside ``mav0``: TUM lines, poses of
-    the rectified left camera.
+    Ground truth: ``mav0/state_groundtruth_estimate0`` (of the body), else a ``groundtruth*.tum`` beside ``mav0``:
+    TUM lines, poses of the rectified left camera.
     """
 
     kind = "euroc"
@@ -49,7 +50,9 @@ class EurocReader(Reader):
             raw = RawRig(left, right, se3_inverse(T_body_left) @ T_body_right, rectified=False)
         if kind is RigKind.STEREO:
             right_stamps, right_images = _images(mav / "cam1")
-            left_stamps, left_images, right_images = _pairs(left_stamps, left_images, right_stamps, right_images, mav, problems)
+            left_stamps, left_images, right_images = _pairs(
+                left_stamps, left_images, right_stamps, right_images, mav, problems
+            )
         found = Found(
             kind=cls.kind,
             folder=mav.resolve().parent,
@@ -102,15 +105,23 @@ def _sensor(cam: Path) -> tuple[RawCamera, NDArray[np.float64]]:
 
 
 def _pairs(
-    left_stamps: NDArray[np.int64], left: tuple[Path, ...], right_stamps: NDArray[np.int64], right: tuple[Path, ...], mav: Path, problems: Problems
+    left_stamps: NDArray[np.int64],
+    left: tuple[Path, ...],
+    right_stamps: NDArray[np.int64],
+    right: tuple[Path, ...],
+    mav: Path,
+    problems: Problems,
 ) -> tuple[NDArray[np.int64], tuple[Path, ...], tuple[Path, ...]]:
-    """Frames that both cameras have by their tables: the recorder dropped some images of one camera in some sequences."""
+    """Frames that both cameras have by their tables: the recorder dropped some images of one camera in some
+    sequences."""
     right_of = dict(zip(right_stamps.tolist(), right, strict=True))
     kept = [i for i, stamp in enumerate(left_stamps.tolist()) if stamp in right_of]
     if not kept:
         raise FrontendError(f"{mav}: no image of cam0 has the time of one of cam1")
     if len(kept) < len(left):
-        problems.warning(f"{mav / 'cam1'}: no right image for {len(left) - len(kept)} of {len(left)} frames; these are left out")
+        problems.warning(
+            f"{mav / 'cam1'}: no right image for {len(left) - len(kept)} of {len(left)} frames; these are left out"
+        )
     return left_stamps[kept], tuple(left[i] for i in kept), tuple(right_of[int(left_stamps[i])] for i in kept)
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.cameras import RigKind
 from frontend.calibration import RawRig
+from frontend.cameras import RigKind
 from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
 from frontend.datasets.camera_file import find_camera_file
@@ -26,11 +26,13 @@ _DEFAULT_RATE_HZ = 10.0
 
 
 class FolderReader(Reader):
-    """Images in the folder itself or in ``image_0`` (``left``, ``images``, ``rgb``, ...); stereo with ``image_1`` (``right``), RGB-D with
-    ``depth_0`` (``depth``), files of one frame having one name; a calibration file (see :mod:`frontend.calibration_files`).
+    """Images in the folder itself or in ``image_0`` (``left``, ``images``, ``rgb``, ...); stereo with ``image_1``
+    (``right``), RGB-D with ``depth_0`` (``depth``), files of one frame having one name; a calibration file (see
+    :mod:`frontend.calibration_files`).
 
-    Time stamps: ``times.txt`` (seconds, one an image), else file names that are times (seconds with a point; ns, us or ms by their number
-    of digits), else the rate in the calibration file. Ground truth: ``poses.txt`` (KITTI rows, one an image) or ``groundtruth.txt|.tum``.
+    Time stamps: ``times.txt`` (seconds, one an image), else file names that are times (seconds with a point; ns, us
+    or ms by their number of digits), else the rate in the calibration file. Ground truth: ``poses.txt`` (KITTI rows,
+    one an image) or ``groundtruth.txt|.tum``.
     """
 
     kind = "images"
@@ -46,7 +48,10 @@ class FolderReader(Reader):
         images = tuple(list_images(folder / inside)) if inside else ()
         calibration = find_camera_file(folder) or (find_camera_file(folder / inside) if inside else None)
         if calibration is None:
-            raise FrontendError(f"{folder}: images but no calibration file; put a camera.yaml beside them (width, height, fx, fy, cx, cy)")
+            raise FrontendError(
+                f"{folder}: images but no calibration file; put a camera.yaml beside them "
+                "(width, height, fx, fy, cx, cy)"
+            )
         raw, source = calibration
         right = _partners(folder, _RIGHT.get(inside or ""), images) if raw.right is not None else ()
         depth = next((files for name in _DEPTH if (files := _partners(folder, name, images))), ())
@@ -74,7 +79,8 @@ def _image_folder(folder: Path) -> str | None:
 
 
 def _partners(folder: Path, name: str | None, images: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The files in sub-folder ``name`` that belong to ``images``, by name whatever the suffix; empty where there is no such folder."""
+    """The files in sub-folder ``name`` that belong to ``images``, by name whatever the suffix; empty where there is
+    no such folder."""
     if name is None or not (folder / name).is_dir():
         return ()
     by_stem = {path.stem: path for path in list_images(folder / name)}
@@ -94,7 +100,9 @@ def _times(folder: Path, images: tuple[Path, ...], raw: RawRig, problems: Proble
     rate_hz = raw.rate_hz
     if rate_hz is None or rate_hz <= 0:
         rate_hz = _DEFAULT_RATE_HZ
-        problems.warning(f"{folder}: no times.txt, no times in the file names, no rate in the calibration: {rate_hz:.0f} Hz taken")
+        problems.warning(
+            f"{folder}: no times.txt, no times in the file names, no rate in the calibration: {rate_hz:.0f} Hz taken"
+        )
     return np.rint(np.arange(len(images)) * (NS_PER_S / rate_hz)).astype(np.int64), folder
 
 

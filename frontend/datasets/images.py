@@ -26,22 +26,28 @@ def list_images(folder: Path) -> list[Path]:
     """Image files directly in ``folder``, in natural order; hidden files are not images."""
     if not folder.is_dir():
         return []
-    found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()]
+    found = [
+        p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()
+    ]
     return sorted(found, key=lambda p: natural_key(p.name))
 
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
-    """``(H, W)`` uint8 grey, whatever the file holds. :class:`FrontendError` where the file is missing, cut off or not an image."""
+    """``(H, W)`` uint8 grey, whatever the file holds. :class:`FrontendError` where the file is missing, cut off or
+    not an image."""
     image = _decode(path, cv2.IMREAD_GRAYSCALE)
     return image.astype(np.uint8, copy=False)
 
 
 def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
-    """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres a step; 0 and 65535 are unknown and become 0."""
+    """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres a step; 0 and 65535 are unknown and
+    become 0."""
     raw = _decode(path, cv2.IMREAD_UNCHANGED)
     if raw.ndim != 2 or raw.dtype != np.uint16:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
-        raise FrontendError(f"{path}: a depth image has one channel of 16 bits, found {channels} of {raw.dtype.itemsize * 8}")
+        raise FrontendError(
+            f"{path}: a depth image has one channel of 16 bits, found {channels} of {raw.dtype.itemsize * 8}"
+        )
     depth = raw.astype(np.float32) * np.float32(unit_m)
     depth[raw == np.uint16(65535)] = 0.0
     return depth
@@ -65,7 +71,9 @@ def _decode(path: Path, flags: int) -> NDArray[np.generic]:
     except cv2.error as error:
         raise FrontendError(f"{path}: cannot be decoded: {error.err}") from error
     if image is None or not image.size:
-        raise FrontendError(f"{path}: not an image that can be decoded (damaged, or of another format than its name says)")
+        raise FrontendError(
+            f"{path}: not an image that can be decoded (damaged, or of another format than its name says)"
+        )
     return image
 
 
@@ -74,7 +82,7 @@ def _is_complete(data: bytes) -> bool:
     if data.startswith(_PNG_START):
         return _png_is_complete(data)
     if data.startswith(_JPEG_START):
-        # The end marker must follow the last scan: inside coded data FF is always stuffed, and a thumbnail's end comes earlier.
+        # The end marker must follow the last scan: in coded data FF is stuffed, and a thumbnail's end comes earlier.
         return data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda")
     return True
 

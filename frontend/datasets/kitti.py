@@ -23,8 +23,8 @@ _PAIRS = ((0, 1), (2, 3))  # grey, then colour: folders image_<n>
 
 
 class KittiReader(Reader):
-    """A sequence folder: ``image_<n>/``, ``calib.txt`` (with or without ``P0:`` labels), ``times.txt``, and the ground truth in
-    ``poses.txt`` beside them or in ``../../poses/<name>.txt``."""
+    """A sequence folder: ``image_<n>/``, ``calib.txt`` (with or without ``P0:`` labels), ``times.txt``, and the
+    ground truth in ``poses.txt`` beside them or in ``../../poses/<name>.txt``."""
 
     kind = "kitti"
 
@@ -59,7 +59,8 @@ class KittiReader(Reader):
 
 
 def read_projections(path: Path) -> dict[int, Array]:
-    """Camera number to 3x4 projection matrix; rows without a label count up from 0; labels other than ``P<n>:`` are passed over."""
+    """Camera number to 3x4 projection matrix; rows without a label count up from 0; labels other than ``P<n>:`` are
+    passed over."""
     projections: dict[int, Array] = {}
     for number, line in enumerate(tables.read_bytes(path).decode("ascii", "replace").splitlines(), 1):
         label, colon, rest = line.partition(":")
@@ -90,7 +91,11 @@ def _projection(projections: dict[int, Array], camera: int, folder: Path) -> Arr
 
 
 def _rig(P_left: Array, P_right: Array | None) -> RawRig:
-    cameras = [RawCamera(float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2])) for P in (P_left, P_right) if P is not None]
+    cameras = [
+        RawCamera(float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2]))
+        for P in (P_left, P_right)
+        if P is not None
+    ]
     if P_right is None:
         return RawRig(cameras[0])
     baseline_m = float((P_left[0, 3] - P_right[0, 3]) / P_left[0, 0])
@@ -98,11 +103,12 @@ def _rig(P_left: Array, P_right: Array | None) -> RawRig:
 
 
 def _rows_of_images(count: int, images: tuple[Path, ...]) -> NDArray[np.int64] | None:
-    """Row of a per-image table for each image: in order, or by the number in the file name where some images were taken out."""
+    """Row of a per-image table for each image: in order, or by the number in the file name where some images were
+    taken out."""
     if count == len(images):
         return np.arange(count)
     numbers = [int(path.stem) if path.stem.isdigit() else -1 for path in images]
-    return np.array(numbers) if 0 <= min(numbers) and max(numbers) < count else None
+    return np.array(numbers) if min(numbers) >= 0 and max(numbers) < count else None
 
 
 def _times(folder: Path, images: tuple[Path, ...], problems: Problems) -> NDArray[np.int64]:

@@ -21,11 +21,14 @@ from frontend.trajectory import Trajectory
 
 _COLOUR = re.compile(r"frame-(\d+)\.color\.(?:png|jpg|jpeg)")
 _RATE_HZ = 30  # of the Kinect; the data set has no time stamps
-_KINECT_FOCAL_PX = 525.0  # its colour camera at 640x480, which the depth is registered to; the published 585 is the depth camera's
+_KINECT_FOCAL_PX = (
+    525.0  # its colour camera at 640x480, which the depth is registered to; the published 585 is the depth camera's
+)
 
 
 class SevenScenesReader(Reader):
-    """``frame-<n>.color.png|jpg``, ``frame-<n>.depth.png`` (mm, 0 and 65535 unknown), ``frame-<n>.pose.txt`` (``T_W_C``, 4x4).
+    """``frame-<n>.color.png|jpg``, ``frame-<n>.depth.png`` (mm, 0 and 65535 unknown), ``frame-<n>.pose.txt``
+    (``T_W_C``, 4x4).
 
     ``camera.txt``, if there: ``fx fy cx cy`` pixels of the colour images. Time stamps are the frame numbers at 30 Hz.
     """
@@ -41,7 +44,9 @@ class SevenScenesReader(Reader):
         problems = Problems()
         images = tuple(path for path in list_images(folder) if _COLOUR.fullmatch(path.name))
         depth = tuple(path.with_name(f"{_stem(path)}.depth.png") for path in images)
-        times = np.array([int(_stem(path).removeprefix("frame-")) * NS_PER_S // _RATE_HZ for path in images], dtype=np.int64)
+        times = np.array(
+            [int(_stem(path).removeprefix("frame-")) * NS_PER_S // _RATE_HZ for path in images], dtype=np.int64
+        )
         found = Found(
             kind=cls.kind,
             folder=folder,
@@ -75,7 +80,8 @@ def _camera(folder: Path, size: tuple[int, int], problems: Problems) -> RawCamer
 
 
 def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: Problems) -> Trajectory | None:
-    """Poses of the frames that have one. The published rotations are not exactly orthonormal: the nearest rotation is taken."""
+    """Poses of the frames that have one. The published rotations are not exactly orthonormal: the nearest rotation
+    is taken."""
     stamps, poses, missing = [], [], []
     for stamp, image in zip(times.tolist(), images, strict=True):
         path = image.with_name(f"{_stem(image)}.pose.txt")

@@ -23,7 +23,9 @@ _DEPTH_UNIT_M = 1.0 / 5000.0
 _RADTAN = Distortion.RADIAL_TANGENTIAL
 _PUBLISHED = {  # colour cameras, from the data set's page; the recordings' folder names say which
     "freiburg1": RawCamera(517.3, 516.5, 318.6, 255.3, (640, 480), _RADTAN, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
-    "freiburg2": RawCamera(520.9, 521.0, 325.1, 249.7, (640, 480), _RADTAN, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg2": RawCamera(
+        520.9, 521.0, 325.1, 249.7, (640, 480), _RADTAN, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+    ),
     "freiburg3": RawCamera(535.4, 539.2, 320.1, 247.6, (640, 480)),
 }
 _ROS_DEFAULT = RawCamera(525.0, 525.0, 319.5, 239.5, (640, 480))
@@ -32,7 +34,8 @@ _ROS_DEFAULT = RawCamera(525.0, 525.0, 319.5, 239.5, (640, 480))
 class TumReader(Reader):
     """``rgb.txt``, ``depth.txt`` (``time file`` lines), ``groundtruth.txt`` if there. Depth: 5000 steps a metre.
 
-    Camera: a calibration file in the folder, else the published one by the folder's name (freiburg1 to 3), else the ROS default.
+    Camera: a calibration file in the folder, else the published one by the folder's name (freiburg1 to 3), else the
+    ROS default.
     """
 
     kind = "tum"
@@ -77,7 +80,9 @@ def _listed(path: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
             stamps.append(decimal_ns(fields[0]))
             files.append(path.parent / fields[1])
         except (ValueError, IndexError):
-            raise FrontendError(f"{path}:{number}: a time in seconds and a file expected, found {line[:60]!r}") from None
+            raise FrontendError(
+                f"{path}:{number}: a time in seconds and a file expected, found {line[:60]!r}"
+            ) from None
     if not files:
         raise FrontendError(f"{path}: no images")
     return np.array(stamps, dtype=np.int64), tuple(files)
@@ -95,9 +100,14 @@ def _with_depth(
     mutual = to_colour[to_depth] == np.arange(len(stamps))
     kept = np.flatnonzero(mutual & (np.abs(depth_stamps[to_depth] - stamps) <= _TOLERANCE_NS))
     if not len(kept):
-        raise FrontendError(f"{folder / 'depth.txt'}: no depth image within {_TOLERANCE_NS / 1e6:.0f} ms of a colour image")
+        raise FrontendError(
+            f"{folder / 'depth.txt'}: no depth image within {_TOLERANCE_NS / 1e6:.0f} ms of a colour image"
+        )
     if len(kept) < len(images):
-        problems.warning(f"{folder / 'depth.txt'}: no depth image for {len(images) - len(kept)} of {len(images)} frames; these are left out")
+        problems.warning(
+            f"{folder / 'depth.txt'}: no depth image for {len(images) - len(kept)} of {len(images)} frames; "
+            "these are left out"
+        )
     return stamps[kept], tuple(images[i] for i in kept), tuple(depth[i] for i in to_depth[kept])
 
 
@@ -114,5 +124,8 @@ def _camera(folder: Path, problems: Problems) -> tuple[RawRig, Path]:
     name = re.search(r"freiburg[123]", folder.resolve().name)
     if name:
         return RawRig(_PUBLISHED[name[0]]), folder
-    problems.warning(f"{folder}: no calibration file, and no freiburg1 to 3 in the folder's name: fx = fy = 525 px taken (ROS default)")
+    problems.warning(
+        f"{folder}: no calibration file, and no freiburg1 to 3 in the folder's name: "
+        "fx = fy = 525 px taken (ROS default)"
+    )
     return RawRig(_ROS_DEFAULT), folder

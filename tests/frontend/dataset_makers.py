@@ -1,4 +1,5 @@
-"""Small data sets with known content, written as each kind is laid out; nothing here reads through the code under test."""
+"""Small data sets with known content, written as each kind is laid out; nothing here reads through the code under
+test."""
 
 from __future__ import annotations
 
@@ -103,7 +104,11 @@ distortion_coefficients: [{d}]
 
 
 def write_euroc_camera(
-    cam: Path, images: NDArray, stamps_ns: NDArray[np.int64], T_body_camera: NDArray, distortion: tuple[float, ...] = (0, 0, 0, 0)
+    cam: Path,
+    images: NDArray,
+    stamps_ns: NDArray[np.int64],
+    T_body_camera: NDArray,
+    distortion: tuple[float, ...] = (0, 0, 0, 0),
 ) -> None:
     names = [f"{stamp}.png" for stamp in stamps_ns]
     write_images(cam / "data", names, images)
@@ -111,7 +116,16 @@ def write_euroc_camera(
     (cam / "data.csv").write_text("#timestamp [ns],filename\r\n" + rows)
     text = ", ".join(map(str, np.asarray(T_body_camera).ravel()))
     height, width = images[0].shape
-    values = {"T": text, "w": width, "h": height, "fx": FX, "fy": FY, "cx": CX, "cy": CY, "d": ", ".join(map(str, distortion))}
+    values = {
+        "T": text,
+        "w": width,
+        "h": height,
+        "fx": FX,
+        "fy": FY,
+        "cx": CX,
+        "cy": CY,
+        "d": ", ".join(map(str, distortion)),
+    }
     (cam / "sensor.yaml").write_text(SENSOR.format(**values))
 
 
@@ -151,7 +165,9 @@ def write_seven_scenes(folder: Path, scene: Scene) -> None:
     stored[:, 0, 0] = 0
     write_images(folder, [f"frame-{i:06d}.depth.png" for i in range(COUNT)], stored)
     for i, pose in enumerate(scene.poses):
-        (folder / f"frame-{i:06d}.pose.txt").write_text("\n".join("\t ".join(f"{v:.16e}" for v in row) + "\t " for row in pose) + "\n")
+        (folder / f"frame-{i:06d}.pose.txt").write_text(
+            "\n".join("\t ".join(f"{v:.16e}" for v in row) + "\t " for row in pose) + "\n"
+        )
     (folder / "camera.txt").write_text(f"# a comment\n{FX} {FY} {CX} {CY}\n# another\n")
 
 
@@ -164,7 +180,9 @@ def write_tum(folder: Path, scene: Scene) -> None:
     head = "# color images\n# file: 'x.bag'\n# timestamp filename\n"
     (folder / "rgb.txt").write_text(head + "".join(f"{n[:-4]} rgb/{n}\n" for n in names))
     (folder / "depth.txt").write_text(head + "".join(f"{n[:-4]} depth/{n}\n" for n in depth_names))
-    (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + tum_rows(scene.stamps_ns, scene.poses))
+    (folder / "groundtruth.txt").write_text(
+        "# timestamp tx ty tz qx qy qz qw\n" + tum_rows(scene.stamps_ns, scene.poses)
+    )
     (folder / "camera.yaml").write_text(own_camera())
 
 

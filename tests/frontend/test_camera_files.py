@@ -12,7 +12,16 @@ from frontend.calibration_files import read_calibration
 from frontend.datasets.camera_file import find_camera_file
 from frontend.errors import FrontendError
 
-OWN = "width: 640\nheight: 480\nfx: 500.0\nfy: 501.0\ncx: 320.5\ncy: 241.0\nbaseline_m: 0.12\ndepth_unit_m: 0.0002\nrate_hz: 15\n"
+OWN = """width: 640
+height: 480
+fx: 500.0
+fy: 501.0
+cx: 320.5
+cy: 241.0
+baseline_m: 0.12
+depth_unit_m: 0.0002
+rate_hz: 15
+"""
 
 OPENCV = """%YAML:1.0
 ---
@@ -131,7 +140,9 @@ IDENTITY = "1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0"
 RADTAN, FISHEYE, NONE = Distortion.RADIAL_TANGENTIAL, Distortion.EQUIDISTANT, Distortion.NONE
 
 
-def ros(model: str = "plumb_bob", d: str = "-0.2, 0.05, 0.001, -0.001, 0.002", R: str = IDENTITY, Tx: float = 0.0) -> str:
+def ros(
+    model: str = "plumb_bob", d: str = "-0.2, 0.05, 0.001, -0.001, 0.002", R: str = IDENTITY, Tx: float = 0.0
+) -> str:
     return ROS.format(model=model, d=d, R=R, Tx=Tx)
 
 
@@ -156,7 +167,9 @@ def read(tmp_path: Path, text: str) -> RawRig:
         (KALIBR, (640, 480), FISHEYE, (-0.01, 0.002, -0.003, 0.0004)),
     ],
 )
-def test_the_left_camera(tmp_path: Path, text: str, size: tuple[int, int], distortion: Distortion, coefficients: tuple[float, ...]) -> None:
+def test_the_left_camera(
+    tmp_path: Path, text: str, size: tuple[int, int], distortion: Distortion, coefficients: tuple[float, ...]
+) -> None:
     left = read(tmp_path, text).left
     assert (left.fx, left.fy, left.cx, left.cy) == (500.0, 501.0, 320.5, 241.0)
     assert (left.size, left.distortion, left.coefficients) == (size, distortion, coefficients)
@@ -171,7 +184,13 @@ def test_our_own_file(tmp_path: Path) -> None:
 def test_orb_slam_settings(tmp_path: Path) -> None:
     mono = read(tmp_path, ORB2)
     assert mono.right is None and mono.depth_unit_m == pytest.approx(1 / 5000) and mono.rate_hz == 30
-    flat = ORB2.replace("-0.2", "0").replace("0.05", "0").replace("0.001", "0").replace("-0.001", "0").replace("-0\n", "0\n")
+    flat = (
+        ORB2.replace("-0.2", "0")
+        .replace("0.05", "0")
+        .replace("0.001", "0")
+        .replace("-0.001", "0")
+        .replace("-0\n", "0\n")
+    )
     rectified = read(tmp_path, flat + "Camera.bf: 60.0\n")
     assert rectified.rectified and rectified.baseline_m == pytest.approx(0.12)
     raw = read(tmp_path, ORB3)
@@ -182,9 +201,14 @@ def test_orb_slam_settings(tmp_path: Path) -> None:
 
 
 def test_orb_slam2_raw_stereo_settings(tmp_path: Path) -> None:
-    side = "{s}.width: 640\n{s}.height: 480\n{s}.D: [-0.2, 0.05, 0.0, 0.0, 0.0]\n{s}.K: [500.0, 0.0, 320.5, 0.0, 501.0, 241.0, 0.0, 0.0, 1.0]\n"
+    side = "{s}.width: 640\n{s}.height: 480\n{s}.D: [-0.2, 0.05, 0.0, 0.0, 0.0]\n"
+    side += "{s}.K: [500.0, 0.0, 320.5, 0.0, 501.0, 241.0, 0.0, 0.0, 1.0]\n"
     side += "{s}.R: [{R}]\n{s}.P: [480.0, 0.0, 322.0, {Tx}, 0.0, 480.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]\n"
-    text = ORB2.replace("%YAML:1.0\n", "") + side.format(s="LEFT", R=IDENTITY, Tx=0.0) + side.format(s="RIGHT", R=IDENTITY, Tx=-57.6)
+    text = (
+        ORB2.replace("%YAML:1.0\n", "")
+        + side.format(s="LEFT", R=IDENTITY, Tx=0.0)
+        + side.format(s="RIGHT", R=IDENTITY, Tx=-57.6)
+    )
     rig = read(tmp_path, text)
     assert not rig.rectified and rig.baseline_m == pytest.approx(0.12) and rig.left.coefficients[0] == -0.2
 
@@ -206,7 +230,7 @@ def test_a_pair_of_ros_files_stands_as_its_rectification_says(tmp_path: Path) ->
     assert found is not None
     T = found[0].T_left_right
     assert T is not None
-    # A point ahead of the right camera, by hand: turned into the rectified frame, then moved by the baseline 57.6 / 480.
+    # A point ahead of the right camera, by hand: turned into the rectified frame, moved by the baseline 57.6 / 480.
     np.testing.assert_allclose(T[:3, :3] @ [0, 0, 2] + T[:3, 3], turn @ [0, 0, 2] + [0.12, 0, 0], atol=1e-12)
 
 
@@ -220,8 +244,14 @@ def test_a_pair_of_ros_files_stands_as_its_rectification_says(tmp_path: Path) ->
         (ros("omnidirectional"), "distortion model 'omnidirectional' is not known"),
         (ros("equidistant"), "5 coefficients for equidistant distortion"),
         (ros().replace("data: [500.0, 0.0,", "data: [500.0,"), "camera_matrix: 9 finite numbers expected"),
-        (KALIBR.replace("camera_model: pinhole", "camera_model: omni"), "cam0.camera_model: pinhole expected, found 'omni'"),
-        (KALIBR.replace("[0.0, 1.0, 0.0, 0.0]", "[0.0, 2.0, 0.0, 0.0]"), "cam1.T_cn_cnm1: a rigid 4x4 transform expected"),
+        (
+            KALIBR.replace("camera_model: pinhole", "camera_model: omni"),
+            "cam0.camera_model: pinhole expected, found 'omni'",
+        ),
+        (
+            KALIBR.replace("[0.0, 1.0, 0.0, 0.0]", "[0.0, 2.0, 0.0, 0.0]"),
+            "cam1.T_cn_cnm1: a rigid 4x4 transform expected",
+        ),
         ("a: [1, 2", "camera.yaml: not YAML"),
         ("just words", "camera.yaml: not a calibration"),
         ("lens: good\n", "no camera in this file"),

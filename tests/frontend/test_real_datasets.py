@@ -69,7 +69,10 @@ def test_euroc_ground_truth_is_upright_and_still() -> None:
     assert truth is not None
     down = truth.poses[:, :3, 1]
     assert down[:, 2].max() < -0.9
-    assert np.ptp(truth.centres, axis=0).max() < 0.02 and rotation_angle_deg(truth.poses[0, :3, :3].T @ truth.poses[:, :3, :3]).max() < 0.5
+    assert (
+        np.ptp(truth.centres, axis=0).max() < 0.02
+        and rotation_angle_deg(truth.poses[0, :3, :3].T @ truth.poses[:, :3, :3]).max() < 0.5
+    )
 
 
 def test_euroc_ground_truth_follows_the_rig() -> None:

@@ -22,7 +22,8 @@ WALL_M = 3.0  # distance of a wall across the left camera's optical axis
 
 
 def rays(camera: RawCamera) -> NDArray[np.float64]:
-    """Directions ``(H, W, 3)`` with z = 1 of all pixels, by inverting the distortion with fixed-point iterations written here."""
+    """Directions ``(H, W, 3)`` with z = 1 of all pixels, by inverting the distortion with fixed-point iterations
+    written here."""
     u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
     xd, yd = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     x, y = xd.copy(), yd.copy()

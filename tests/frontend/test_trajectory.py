@@ -42,14 +42,20 @@ def test_a_tum_line_by_hand(tmp_path: Path) -> None:
     assert trajectory.stamps_ns.tolist() == [1403715274312143087]
     np.testing.assert_allclose(trajectory.poses[0] @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-7)
     write_tum(path, trajectory)
-    assert path.read_text() == "1403715274.312143087 1.000000000 2.000000000 3.000000000 0.000000000 0.000000000 0.707106781 0.707106781\n"
+    assert (
+        path.read_text()
+        == "1403715274.312143087 1.000000000 2.000000000 3.000000000 0.000000000 0.000000000 0.707106781 0.707106781\n"
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("1 2 3\n", r"t.tum:1: a TUM line .* has 8 numbers, found 3"),
-        ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", r"t.tum:2: time does not go on, but from 0.000000000 s to 0.000000000 s"),
+        (
+            "0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n",
+            r"t.tum:2: time does not go on, but from 0.000000000 s to 0.000000000 s",
+        ),
         ("# x\n5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n", r"t.tum:3: time does not go on"),
         ("0 0 0 0 1 1 1 1\n", r"t.tum:1: the quaternion's length is 2.000, expected 1"),
         ("0 0 0 0 0 0 0 x\n", r"t.tum:1: not a number: 'x'"),
@@ -130,7 +136,15 @@ def test_every_nanosecond_survives_text(stamp_ns: int) -> None:
 
 @pytest.mark.parametrize(
     ("text", "stamp_ns"),
-    [("0", 0), ("1.", 10**9), ("-0.5", -500_000_000), ("1.0000000019", 1_000_000_001), ("1.000000e-01", 100_000_000), ("+2e0", 2 * 10**9), (".25", 250_000_000)],
+    [
+        ("0", 0),
+        ("1.", 10**9),
+        ("-0.5", -500_000_000),
+        ("1.0000000019", 1_000_000_001),
+        ("1.000000e-01", 100_000_000),
+        ("+2e0", 2 * 10**9),
+        (".25", 250_000_000),
+    ],
 )
 def test_seconds_as_written(text: str, stamp_ns: int) -> None:
     assert decimal_ns(text) == stamp_ns
@@ -138,7 +152,7 @@ def test_seconds_as_written(text: str, stamp_ns: int) -> None:
 
 @pytest.mark.parametrize("text", ["nan", "inf", "1,5", "one", "1_0", ""])
 def test_no_times(text: str) -> None:
-    with pytest.raises(ValueError, match="."):
+    with pytest.raises(ValueError, match="finite"):
         decimal_ns(text)
 
 
@@ -164,5 +178,6 @@ def test_evo_reads_our_tum_files(tmp_path: Path) -> None:
 
 def test_importing_costs_no_image_library() -> None:
     """Agents read trajectories and VO files without decoding anything."""
-    code = "import sys, frontend.trajectory, frontend.vofiles; sys.exit(any(m in sys.modules for m in ('cv2', 'numba', 'torch')))"
+    heavy = "{'cv2', 'numba', 'torch'}"
+    code = f"import sys, frontend.trajectory, frontend.vofiles; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

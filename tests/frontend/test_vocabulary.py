@@ -56,7 +56,13 @@ def test_a_tree_made_by_hand() -> None:
     # The last is as far from both branches: DBoW2 takes the first.
     assert vocabulary.leaves(asked).tolist() == [3, 4, 2, 3]
     assert vocabulary.words(asked).tolist() == [[3, 3], [4, 4], [2, 2], [3, 3]]
-    assert vocabulary.levels.tolist() == [0, 1, 1, 2, 2] and vocabulary.is_leaf.tolist() == [False, False, True, True, True]
+    assert vocabulary.levels.tolist() == [0, 1, 1, 2, 2] and vocabulary.is_leaf.tolist() == [
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
     bag = vocabulary.bag(asked)
     assert bag.words.tolist() == [2, 3, 4]
     np.testing.assert_allclose(bag.values, np.array([0.5, 2 * 1.0, 2.0]) / 4.5)
@@ -103,7 +109,8 @@ ORBVOC = "\n".join([
     "2 2  0 0", line(0, 0, tuple(range(10)), "0"), line(0, 1, tuple(range(100, 110)), "0.5"),
     line(1, 1, tuple(range(5)), "1"), line(1, 1, tuple(range(5, 10)), "2.0e0 "), "",
 ])  # fmt: skip
-"""ORB-SLAM2's layout, written here: header, then a line a node; two blanks in the header, one after a descriptor or a line."""
+"""ORB-SLAM2's layout, written here: header, then a line a node; two blanks in the header, one after a descriptor or
+a line."""
 
 
 def test_the_text_form_of_orb_slam2(tmp_path: Path) -> None:
@@ -152,7 +159,9 @@ def test_broken_binary_files(tmp_path: Path) -> None:
         Vocabulary.load(path)
 
 
-def clustered(rng: np.random.Generator, centres: int, each: int, flips: int) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def clustered(
+    rng: np.random.Generator, centres: int, each: int, flips: int
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Descriptors around random centres, ``flips`` of 256 bits away each, and which centre each belongs to."""
     middle = rng.integers(0, 2, (centres, 256)).astype(np.uint8)
     rows = np.repeat(middle, each, axis=0)
@@ -179,7 +188,7 @@ def test_training_numbers_nodes_as_dbow2_and_weighs_by_rarity() -> None:
         children = np.flatnonzero(vocabulary.parents == node)
         # Children in one block, and a subtree ends before the next sibling's begins.
         assert len(children) == 0 or np.array_equal(children, np.arange(children[0], children[0] + len(children)))
-    inner = np.flatnonzero((levels == 1))
+    inner = np.flatnonzero(levels == 1)
     firsts = [int(np.flatnonzero(vocabulary.parents == node)[0]) for node in inner]
     assert firsts == sorted(firsts) and firsts[0] == len(inner) + 1
     leaves = [set(vocabulary.leaves(image).tolist()) for image in images]
@@ -216,7 +225,7 @@ def test_bags_score_as_dbow2() -> None:
     [([-1], 1), ([-1, 0, 3, 0], 4), ([0, 0], 2), ([-1, -1], 2), ([-1, 0], 3)],
 )
 def test_what_is_no_tree_cannot_be_made(parents: list[int], descriptors: int) -> None:
-    with pytest.raises(ValueError, match="tree|parent"):
+    with pytest.raises(ValueError, match=r"tree|parent"):
         Vocabulary(2, 2, np.array(parents, np.int32), np.zeros((descriptors, 32), np.uint8), np.zeros(len(parents)))
 
 

@@ -89,7 +89,12 @@ def test_files_of_another_writer_in_any_order_and_with_other_blanks(tmp_path: Pa
     np.savetxt(tmp_path / "times_0.txt", track.stamps_s, fmt="%.6f")
     np.savetxt(tmp_path / "lm_pos_0.txt", track.points)
     np.savetxt(tmp_path / "lm_obs_0.txt", track.observations[order])  # as 1.000000000000000000e+00
-    np.savetxt(tmp_path / "descs_0.txt", np.concatenate([track.descriptors, track.words], axis=1)[order], fmt="%4d", newline=" \r\n")
+    np.savetxt(
+        tmp_path / "descs_0.txt",
+        np.concatenate([track.descriptors, track.words], axis=1)[order],
+        fmt="%4d",
+        newline=" \r\n",
+    )
     [read] = read_tracks(tmp_path)
     np.testing.assert_array_equal(read.observations, track.observations)
     np.testing.assert_array_equal(read.descriptors, track.descriptors)
@@ -107,28 +112,51 @@ def replace_line(name: str, number: int, edit: Callable[[str], str]) -> Callable
 
 
 def drop_last(name: str) -> Callable[[Path], None]:
-    return lambda folder: (folder / name).write_text("".join((folder / name).read_text().splitlines(keepends=True)[:-1])) and None
+    return lambda folder: (
+        (folder / name).write_text("".join((folder / name).read_text().splitlines(keepends=True)[:-1])) and None
+    )
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (replace_line("poses_0.txt", 3, lambda s: s.rpartition(" ")[0]), r"poses_0.txt:3: a key-frame pose has 16 numbers, found 15"),
+        (
+            replace_line("poses_0.txt", 3, lambda s: s.rpartition(" ")[0]),
+            r"poses_0.txt:3: a key-frame pose has 16 numbers, found 15",
+        ),
         (replace_line("poses_0.txt", 2, lambda s: "nan" + s[s.index(" ") :]), r"poses_0.txt:2: NaN or infinity"),
         (replace_line("poses_0.txt", 2, lambda s: "x1" + s[s.index(" ") :]), r"poses_0.txt:2: not a number: 'x1'"),
-        (replace_line("poses_0.txt", 4, lambda s: "3.0" + s[s.index(" ") :]), r"poses_0.txt:4: not a rigid 4x4 transform"),
+        (
+            replace_line("poses_0.txt", 4, lambda s: "3.0" + s[s.index(" ") :]),
+            r"poses_0.txt:4: not a rigid 4x4 transform",
+        ),
         (replace_line("times_0.txt", 5, lambda s: "1403715274.0"), r"times_0.txt:5: time goes back to 1403715274.0 s"),
         (replace_line("times_0.txt", 1, lambda s: s + " 7"), r"times_0.txt:1: a time stamp has 1 numbers, found 2"),
         (drop_last("times_0.txt"), r"times_0.txt: 4 times, but 5 poses in poses_0.txt"),
         (replace_line("lm_pos_0.txt", 7, lambda s: "1 2"), r"lm_pos_0.txt:7: a map point has 3 numbers, found 2"),
-        (replace_line("lm_obs_0.txt", 9, lambda s: "5 0"), r"lm_obs_0.txt:9: a key-frame index is 5, allowed are 0 to 4"),
-        (replace_line("lm_obs_0.txt", 9, lambda s: "0 -1"), r"lm_obs_0.txt:9: a map-point index is -1, allowed are 0 to 39"),
+        (
+            replace_line("lm_obs_0.txt", 9, lambda s: "5 0"),
+            r"lm_obs_0.txt:9: a key-frame index is 5, allowed are 0 to 4",
+        ),
+        (
+            replace_line("lm_obs_0.txt", 9, lambda s: "0 -1"),
+            r"lm_obs_0.txt:9: a map-point index is -1, allowed are 0 to 39",
+        ),
         (replace_line("lm_obs_0.txt", 9, lambda s: "0 1.5"), r"lm_obs_0.txt:9: not a whole number"),
-        (replace_line("descs_0.txt", 4, lambda s: "256" + s[s.index(" ") :]), r"descs_0.txt:4: a descriptor byte is 256, allowed are 0 to 255"),
+        (
+            replace_line("descs_0.txt", 4, lambda s: "256" + s[s.index(" ") :]),
+            r"descs_0.txt:4: a descriptor byte is 256, allowed are 0 to 255",
+        ),
         (replace_line("descs_0.txt", 4, lambda s: s.rpartition(" ")[0] + " -3"), r"descs_0.txt:4: a node id is -3"),
-        (replace_line("descs_0.txt", 4, lambda s: s + " 1"), r"descs_0.txt:4: a descriptor with its two node ids has 34 numbers, found 35"),
+        (
+            replace_line("descs_0.txt", 4, lambda s: s + " 1"),
+            r"descs_0.txt:4: a descriptor with its two node ids has 34 numbers, found 35",
+        ),
         (drop_last("descs_0.txt"), r"descs_0.txt: 119 descriptors, but 120 observations in lm_obs_0.txt"),
-        (lambda folder: (folder / "descs_0.txt").unlink(), r"descs_0.txt: missing; the five files of track 0 belong together"),
+        (
+            lambda folder: (folder / "descs_0.txt").unlink(),
+            r"descs_0.txt: missing; the five files of track 0 belong together",
+        ),
         (lambda folder: (folder / "times_2.txt").write_text("0\n") and None, r"poses_2.txt|lm_pos_2.txt: missing"),
     ],
 )
@@ -164,10 +192,17 @@ def test_nothing_is_left_of_a_write_that_fails(tmp_path: Path, monkeypatch: pyte
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize(("field", "value"), [("stamps_s", np.zeros(4)), ("observations", np.array([[5, 0]] * 120, np.int32)), ("words", np.zeros((120, 3), np.int32))])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("stamps_s", np.zeros(4)),
+        ("observations", np.array([[5, 0]] * 120, np.int32)),
+        ("words", np.zeros((120, 3), np.int32)),
+    ],
+)
 def test_a_track_that_contradicts_itself_cannot_be_made(field: str, value: np.ndarray) -> None:
     fields = {name: getattr(make_track(), name) for name in VoTrack.__dataclass_fields__}
-    with pytest.raises(ValueError, match="shape|beyond"):
+    with pytest.raises(ValueError, match=r"shape|beyond"):
         VoTrack(**{**fields, field: value})
 
 
@@ -183,7 +218,12 @@ def test_nan_is_not_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [("", []), ("\n \n# 1 2\n", []), ("1 2\n\n  3\t4  \n# x\n5,6", [[1, 2], [3, 4], [5, 6]]), ("-1e-3 +2.5\r\n", [[-0.001, 2.5]])],
+    [
+        ("", []),
+        ("\n \n# 1 2\n", []),
+        ("1 2\n\n  3\t4  \n# x\n5,6", [[1, 2], [3, 4], [5, 6]]),
+        ("-1e-3 +2.5\r\n", [[-0.001, 2.5]]),
+    ],
 )
 def test_tables(tmp_path: Path, text: str, expected: list[list[float]]) -> None:
     path = tmp_path / "t.txt"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "frontend"))
-from dataset_makers import make_scene, write_euroc, write_kitti, write_rendered  # noqa: E402
+from dataset_makers import make_scene, write_euroc, write_kitti, write_rendered
 
-from tools.cli import main  # noqa: E402
-from tools.inspect import inspect_dataset  # noqa: E402
+from tools.cli import main
+from tools.inspect import inspect_dataset
 
 
 def test_what_is_there(tmp_path: Path) -> None:
@@ -25,7 +25,13 @@ def test_what_is_there(tmp_path: Path) -> None:
     assert sequence.rate_hz == pytest.approx(20.0) and sequence.duration_s == pytest.approx(0.25)
     assert sequence.path_length_m == pytest.approx(steps.sum())
     text = "\n".join(report.lines())
-    for part in ("1 sequence, 6 frames", "stereo, baseline 0.2500 m; scale metric", "96x64 px, fx 80.00", f"6 poses, {steps.sum():.1f} m of path", "0 errors, 0 warnings"):
+    for part in (
+        "1 sequence, 6 frames",
+        "stereo, baseline 0.2500 m; scale metric",
+        "96x64 px, fx 80.00",
+        f"6 poses, {steps.sum():.1f} m of path",
+        "0 errors, 0 warnings",
+    ):
         assert part in text
 
 
@@ -39,7 +45,11 @@ def test_every_fault_is_listed(tmp_path: Path) -> None:
     report = inspect_dataset(tmp_path, decode_all=True)
     assert [len(sequence.problems) for sequence in report.sequences] == [1, 1] and report.errors == 2
     text = "\n".join(report.lines())
-    assert "ERROR" in text and "000002.png: the right image is missing" in text and "000004.png: the image is cut off after 100 bytes" in text
+    assert (
+        "ERROR" in text
+        and "000002.png: the right image is missing" in text
+        and "000004.png: the image is cut off after 100 bytes" in text
+    )
     assert "ground truth  none" in text
 
 
