@@ -22,7 +22,7 @@ def loops(rng, robots=4, length=100, separators=8, sigma_t=0.02, sigma_deg=0.1, 
             position = centre + radius * np.array([np.sin(angle), 0.02 * np.sin(3 * angle), np.cos(angle)])
             truth[NodeId(r, k)] = se3(so3_exp([0.0, angle + np.pi / 2, 0.0]), position)
     sigma = np.array([sigma_t] * 3 + [np.radians(sigma_deg)] * 3)
-    information = np.diag(1.0 / sigma**2)
+    information = np.diag(1.0 / np.maximum(sigma, 1e-3) ** 2)
     edges = [measured(truth, NodeId(r, k), NodeId(r, k + 1), EdgeKind.ODOMETRY, sigma, information, rng)
              for r in range(robots) for k in range(length - 1)]  # fmt: skip
     for r in range(robots):

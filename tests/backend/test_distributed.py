@@ -1,0 +1,224 @@
+"""Robots that exchange only separator poses: against the central solution, and under transports that misbehave."""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from graphs import grid, loops, measured
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from backend.central import optimise, two_stage
+from backend.config import CentralConfig, SolverConfig
+from backend.costs import cost
+from backend.distributed.exchange import optimise_distributed, solve_group
+from backend.distributed.messages import Decision, Report, Round, Stage, Values, decode, encode
+from backend.distributed.node import Node
+from backend.distributed.share import shares
+from backend.errors import BackendError
+from backend.geometry import se3_exp, se3_inverse
+from backend.graph import EdgeKind, NodeId, PoseGraph
+
+EXACT = {"rotation_threshold": 1e-10, "pose_threshold": 1e-10, "rotation_sweeps": 2000, "pose_sweeps": 2000}
+
+
+def in_frame_of(truth, anchor, pose):
+    """The truth moved so that the anchor stands at ``pose``."""
+    return {n: pose @ se3_inverse(truth[anchor]) @ T for n, T in truth.items()}
+
+
+@pytest.mark.parametrize("method", ["dgs", "sor"])
+def test_exact_measurements_give_the_truth_from_own_frames(method):
+    graph, truth = loops(np.random.default_rng(0), robots=3, length=30, sigma_t=0.0, sigma_deg=0.0)
+    result = optimise_distributed(graph, SolverConfig(method=method, **EXACT))
+    expected = in_frame_of(truth, NodeId(0, 0), graph.poses[NodeId(0, 0)])
+    for node in truth:
+        np.testing.assert_allclose(result.graph.poses[node], expected[node], atol=1e-6)
+    assert all(o.accepted and not o.unreached for o in result.outcomes.values())
+    assert result.outcomes[0].cost_after < 1e-9 < result.outcomes[0].cost_before
+
+
+@pytest.mark.parametrize("method", ["dgs", "jor", "sor"])
+def test_the_fixed_point_is_the_central_two_stage_solution(method):
+    graph, _ = grid(np.random.default_rng(1))
+    result = optimise_distributed(graph, SolverConfig(method=method, **EXACT))
+    central = two_stage(graph)
+    for node in graph.nodes:
+        np.testing.assert_allclose(result.graph.poses[node], central.poses[node], atol=1e-6)
+    assert result.outcomes[0].cost_after == pytest.approx(cost(central, "F"), rel=1e-7)
+
+
+def test_further_newton_steps_reach_the_optimum():
+    graph, _ = grid(np.random.default_rng(2), sigma=0.15)
+    optimum = optimise(graph, CentralConfig()).cost_after
+    one = optimise_distributed(graph, SolverConfig(**EXACT)).outcomes[0].cost_after
+    eight = optimise_distributed(graph, SolverConfig(newton_steps=8, **EXACT)).outcomes[0].cost_after
+    assert one > optimum * 1.005
+    assert eight == pytest.approx(optimum, rel=2e-5)
+
+
+def test_only_separators_travel_and_all_end_at_the_same_sweep():
+    graph, _ = loops(np.random.default_rng(3), robots=4, length=40, separators=5)
+    group = shares(graph)
+    seen = {(e.i, e.j) for e in graph.edges if e.is_separator}
+    separators = {r: {n for pair in seen for n in pair if n.robot == r} for r in group}
+    nodes = {r: Node(s, SolverConfig()) for r, s in group.items()}
+    queue = deque(m for n in nodes.values() for m in n.start())
+    while queue:
+        message = queue.popleft()
+        if isinstance(message, Values):
+            mine, _ = group[message.sender].separators_with(message.receiver)
+            assert set(mine) <= separators[message.sender] and len(message.values) in (0, len(mine))
+        queue.extend(nodes[message.receiver].handle(message))
+    ends = {(n.outcome.rotation_sweeps, n.outcome.pose_sweeps, n.outcome.cost_after) for n in nodes.values()}
+    assert len(ends) == 1
+    total = cost(graph.with_poses({k: T for n in nodes.values() for k, T in n.outcome.poses.items()}), "F")
+    assert nodes[2].outcome.cost_after == pytest.approx(total, rel=1e-9)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.0, 0.4), st.booleans())
+def test_lost_repeated_and_disordered_messages_change_nothing(seed, loss, shuffle):
+    rng = np.random.default_rng(seed)
+    graph, _ = loops(np.random.default_rng(4), robots=4, length=12, separators=3)
+    config = SolverConfig(rotation_threshold=0.1, pose_threshold=0.1)
+    expected, _ = solve_group(shares(graph), config)
+    nodes = {r: Node(s, config) for r, s in shares(graph).items()}
+    queue = [encode(m) for n in nodes.values() for m in n.start()]
+    for _ in range(20_000):
+        if all(n.outcome for n in nodes.values()):
+            break
+        if not queue:
+            queue = [encode(m) for n in nodes.values() for m in n.tick()]
+        data = queue.pop(int(rng.integers(len(queue))) if shuffle else 0)
+        if rng.random() < loss:
+            continue
+        if rng.random() < 0.2:
+            queue.append(data)
+        message = decode(data)
+        queue += [encode(m) for m in nodes[message.receiver].handle(message)]
+    for robot, outcome in expected.items():
+        assert nodes[robot].outcome is not None
+        for node, T in outcome.poses.items():
+            assert np.array_equal(nodes[robot].outcome.poses[node], T)
+
+
+def test_the_cost_never_ends_higher():
+    graph, _ = grid(np.random.default_rng(5), sigma=0.2)
+    best = optimise(graph, CentralConfig()).graph
+    result = optimise_distributed(best, SolverConfig())
+    outcome = result.outcomes[0]
+    assert not outcome.accepted and outcome.reason.startswith("the cost would rise:")
+    assert outcome.cost_after == outcome.cost_before == pytest.approx(cost(best, "F"))
+    for node in best.nodes:
+        np.testing.assert_allclose(result.graph.poses[node], best.poses[node], atol=1e-12)
+
+
+def test_a_warm_start_takes_fewer_sweeps():
+    graph, _ = loops(np.random.default_rng(6), robots=4, length=40)
+    *fewer, last = graph.edges
+    config = SolverConfig(rotation_threshold=1e-3, pose_threshold=1e-3, pose_sweeps=500)
+    before = optimise_distributed(replace(graph, edges=tuple(fewer)), config).graph
+    again = replace(before, edges=graph.edges)
+    cold = optimise_distributed(again, config)
+    warm = optimise_distributed(again, config.model_copy(update={"start": "warm"}))
+    assert warm.outcomes[0].pose_sweeps < cold.outcomes[0].pose_sweeps
+    assert warm.traffic.payload_bytes < 0.8 * cold.traffic.payload_bytes
+    assert last.is_separator
+
+
+def test_an_edge_of_weight_zero_is_as_good_as_absent():
+    rng = np.random.default_rng(7)
+    graph, truth = grid(rng)
+    wrong = measured(truth, NodeId(0, 0), NodeId(3, 4), EdgeKind.SEPARATOR, np.zeros(6), 100 * np.eye(6), rng)
+    wrong = replace(wrong, T_i_j=wrong.T_i_j @ se3_exp([5.0, 0, 0, 0, 1.0, 0]))
+    config = SolverConfig(**EXACT)
+    clean = optimise_distributed(graph, config).graph
+    weights = [*(1.0 for _ in graph.edges), 0.0]
+    muted = optimise_distributed(replace(graph, edges=(*graph.edges, wrong)).with_weights(weights), config).graph
+    for node in graph.nodes:
+        np.testing.assert_allclose(muted.poses[node], clean.poses[node], atol=1e-6)
+
+
+def test_robots_with_units_of_their_own_find_them():
+    rng = np.random.default_rng(8)
+    graph, truth = loops(rng, robots=3, length=30, sigma_t=0.005, sigma_deg=0.05)
+    units = {0: 1.0, 1: 2.5, 2: 0.4}
+    own = graph.rescaled({r: 1.0 / u for r, u in units.items()})
+    result = optimise_distributed(own, SolverConfig(start="flagged"), arbitrary_scale=frozenset({0, 1, 2}))
+    for robot, outcome in result.outcomes.items():
+        assert outcome.scales[robot] == pytest.approx(units[robot], rel=1e-3)
+    expected = in_frame_of(truth, NodeId(0, 0), own.poses[NodeId(0, 0)])
+    errors = [np.linalg.norm((result.graph.poses[n] - expected[n])[:3, 3]) for n in truth]
+    assert max(errors) < 0.25
+    # With one metric robot the unit is the metre, whoever is the anchor.
+    mixed = optimise_distributed(own, SolverConfig(), arbitrary_scale=frozenset({0, 2}))
+    assert mixed.outcomes[1].scales[1] == 1.0
+    assert mixed.outcomes[0].scales[0] == pytest.approx(1.0 / 2.5, rel=1e-3)
+
+
+def test_what_no_edge_reaches_stays_and_is_named():
+    graph, _ = loops(np.random.default_rng(9), robots=3, length=10)
+    kept = tuple(e for e in graph.edges if not (e.is_separator and 2 in (e.i.robot, e.j.robot)))
+    result = optimise_distributed(replace(graph, edges=kept), SolverConfig())
+    assert result.outcomes[0].accepted and not result.outcomes[1].unreached
+    assert result.outcomes[2].unreached == tuple(n for n in graph.nodes if n.robot == 2)
+    for node in result.outcomes[2].unreached:
+        assert np.array_equal(result.graph.poses[node], graph.poses[node])
+
+
+def test_a_robot_alone_closes_its_own_loops():
+    graph, _ = loops(np.random.default_rng(10), robots=1, length=30)
+    loop = replace(graph.edges[0], i=NodeId(0, 0), j=NodeId(0, 29), kind=EdgeKind.LOOP)
+    loop = replace(loop, T_i_j=graph.poses[NodeId(0, 29)] @ se3_exp([0.3, 0, 0, 0, 0, 0]))
+    result = optimise_distributed(replace(graph, edges=(*graph.edges, loop)), SolverConfig())
+    assert result.outcomes[0].accepted and result.traffic.payload_bytes == 0
+    assert result.outcomes[0].cost_after < 0.5 * result.outcomes[0].cost_before
+
+
+def test_shares_that_contradict_each_other_are_an_error():
+    graph, _ = loops(np.random.default_rng(11), robots=2, length=10, separators=3)
+    group = shares(graph)
+    short = replace(group[1], edges=tuple(e for e in group[1].edges if not e.is_separator)[:-1] + group[1].edges[-1:])
+    with pytest.raises(BackendError, match=r"different edges|wait for messages"):
+        solve_group({0: group[0], 1: short}, SolverConfig())
+    with pytest.raises(BackendError, match="members must be sorted"):
+        replace(group[0], members=(1, 0))
+    with pytest.raises(BackendError, match="not in the group"):
+        replace(group[0], members=(0,))
+    node = Node(group[0], SolverConfig())
+    with pytest.raises(BackendError, match="handed a message for robot 1"):
+        node.handle(Report(1, 1, Round(Stage.START), 0.0, 0.0))
+
+
+@given(
+    st.sampled_from(list(Stage)),
+    st.integers(0, 100),
+    st.integers(0, 60_000),
+    st.integers(0, 4),
+    st.floats(allow_nan=False),
+)
+def test_messages_survive_their_encoding(stage, sweep, robot, rows, number):
+    round_ = Round(stage, 1, sweep)
+    width = {Stage.SCALE: 1, Stage.START: 6, Stage.ROTATION: 9, Stage.POSE: 6, Stage.COST: 1}[stage]
+    values = Values(robot, 7, round_, np.arange(rows * width, dtype=np.float64).reshape(rows, width) + number)
+    data = encode(values)
+    back = decode(data)
+    assert isinstance(back, Values) and back.round == round_ and np.array_equal(back.values, values.values)
+    assert len(data) == 10 + values.payload_bytes
+    for message in (Report(1, robot, round_, abs(number), 2.0), Decision(robot, 3, round_, True, number)):
+        assert decode(encode(message)) == message
+    with pytest.raises(BackendError, match="not a solver message"):
+        decode(encode(Report(0, 1, round_, 1.0, 2.0))[:-3])
+    with pytest.raises(BackendError, match="not a solver message"):
+        decode(b"\x09" + data[1:10])
+
+
+def test_the_same_graph_gives_the_same_bytes():
+    graph, _ = loops(np.random.default_rng(12), robots=4, length=20)
+    a, b = (optimise_distributed(graph, SolverConfig()) for _ in range(2))
+    assert a.traffic == b.traffic
+    assert all(np.array_equal(a.graph.poses[n], b.graph.poses[n]) for n in graph.nodes)
+    empty = PoseGraph({NodeId(0, 0): np.eye(4), NodeId(1, 0): np.eye(4)}, ())
+    assert optimise_distributed(empty, SolverConfig()).outcomes[1].unreached == (NodeId(1, 0),)

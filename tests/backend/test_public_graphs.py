@@ -1,0 +1,96 @@
+"""Published pose graphs: the certified optima, and what the published distributed solver does on its own sets.
+
+Reference values (SE-Sync's F, the distributed mapper's U, gtsam's E) were measured and certified apart from this code.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from backend.central import optimise, two_stage
+from backend.config import CentralConfig, SolverConfig
+from backend.costs import cost
+from backend.distributed.exchange import optimise_distributed
+from backend.g2o import read_g2o
+
+DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "posegraphs"
+pytestmark = [
+    pytest.mark.realdata,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"no pose graphs at {DATA} (MASLAM_DATA)"),
+]
+
+
+def single(name):
+    return read_g2o(DATA / "single" / f"{name}.g2o")
+
+
+def robots(count):
+    return read_g2o([DATA / "multi" / f"{count}robots" / f"{r}.g2o" for r in range(count)])
+
+
+@pytest.mark.parametrize(
+    ("name", "convention", "optimum", "digits"),
+    [
+        ("smallGrid3D", "F", 1025.39806, 1e-7),
+        ("smallGrid3D", "E", 517.92533, 1e-7),
+        ("smallGrid3D", "U", 23.65878, 1e-6),
+        ("kitti_07", "F", 23.9338, 5e-6),
+        ("kitti_07", "E", 6.3305, 1e-5),
+        ("kitti_05", "E", 78.5519, 1e-6),
+        pytest.param("parking-garage", "E", 0.6341924, 1e-6, marks=pytest.mark.slow),
+        pytest.param("sphere2500", "F", 1687.00581, 1e-6, marks=pytest.mark.slow),
+    ],
+)
+def test_central_optima(name, convention, optimum, digits):
+    assert optimise(single(name), CentralConfig(cost=convention)).cost_after == pytest.approx(optimum, rel=digits)
+
+
+@pytest.mark.parametrize(
+    ("count", "poses", "intra", "inter", "u_best", "u_staged", "e_best", "e_file"),
+    [
+        (2, 16, 24, 4, 0.594677, 0.595817, 0.493354, 4.58),
+        (4, 64, 112, 32, 3.222926, 3.237336, 2.776614, 25.3),
+        (9, 72, 108, 48, 6.775963, 6.804872, 5.143525, 166.7),
+        (16, 128, 192, 96, 11.543992, 11.612956, 8.347777, 727),
+        (25, 200, 300, 160, 20.745898, 20.783621, 15.251420, 2929),
+    ],
+)
+def test_sets_of_robots(count, poses, intra, inter, u_best, u_staged, e_best, e_file):
+    graph = robots(count)
+    assert len(graph.poses) == poses and sum(e.is_separator for e in graph.edges) == inter
+    assert len(graph.edges) == intra + inter
+    assert cost(graph, "E") == pytest.approx(e_file, rel=2e-3)
+    assert cost(two_stage(graph, unit_weights=True), "U") == pytest.approx(u_staged, rel=1e-6)
+    assert optimise(graph, CentralConfig(cost="U")).cost_after == pytest.approx(u_best, rel=1e-6)
+    assert optimise(graph, CentralConfig(cost="E")).cost_after == pytest.approx(e_best, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("count", "rotation", "pose", "gap_percent", "kilobytes"),
+    [(4, 2, 3, 1.21, 18), (9, 6, 4, 0.57, 60), (16, 8, 6, 1.26, 166), (25, 8, 9, 1.04, 323)],
+)
+def test_the_published_stop_rule_ends_where_it_was_published(count, rotation, pose, gap_percent, kilobytes):
+    best = {4: 3.222926, 9: 6.775963, 16: 11.543992, 25: 20.745898}[count]
+    graph = robots(count).with_unit_weights()
+    config = SolverConfig(method="dgs", rotation_threshold=0.1, pose_threshold=0.1)
+    result = optimise_distributed(graph, config)
+    outcome = result.outcomes[0]
+    assert (outcome.rotation_sweeps, outcome.pose_sweeps) == (rotation, pose)
+    assert result.traffic.payload_bytes / 1000 == pytest.approx(kilobytes, abs=0.6)
+    assert 100 * (cost(result.graph, "U") / best - 1) == pytest.approx(gap_percent, abs=0.01)
+
+
+@pytest.mark.parametrize(("count", "staged"), [(4, 3.237336), (9, 6.804872)])
+def test_over_relaxation_converges_to_the_two_stage_solution(count, staged):
+    config = SolverConfig(method="sor", relaxation=1.5, rotation_threshold=1e-7, pose_threshold=1e-7, pose_sweeps=500)
+    result = optimise_distributed(robots(count).with_unit_weights(), config.model_copy(update={"rotation_sweeps": 300}))
+    assert cost(result.graph, "U") == pytest.approx(staged, rel=1e-4)
+
+
+def test_a_file_with_a_broken_line_names_it():
+    folder = DATA / "multi_outliers" / "grid_2robots_spoiled"
+    skipped = []
+    graph = read_g2o([folder / "0.g2o", folder / "1.g2o"], skipped)
+    assert len(skipped) == 1 and "1.g2o:16:" in skipped[0]
+    assert len(graph.robots) == 2
