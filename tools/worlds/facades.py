@@ -74,7 +74,7 @@ class _WindowStyle:
         frame = rng.choice([235.0, 220.0, 60.0, 90.0])
         self.frame = (frame, frame, frame * rng.uniform(0.85, 1.05))
         self.shutters = rng.random() < 0.3
-        self.shutter_colour = tuple(float(v) for v in rng.uniform(40, 150, 3))
+        self.shutter_colour = dye(rng, 35, 150)
         self.balcony = rng.random() < 0.25
 
     def draw(self, canvas: NDArray[np.float32], rng: np.random.Generator, x0: int, y0: int) -> None:
@@ -137,7 +137,7 @@ def _ground_floor(canvas: NDArray[np.float32], rng: np.random.Generator, x0: int
     if kind < 0.3:  # door
         w, h = int(rng.integers(38, 56)), int(rng.integers(84, 96))
         x = x0 + (CELL - w) // 2
-        colour = tuple(float(v) for v in rng.uniform(40, 150, 3))
+        colour = dye(rng, 35, 150)
         _rect(canvas, x - 5, foot - h - 6, w + 10, h + 6, style.trim)
         _rect(canvas, x, foot - h, w, h, colour)
         for k in range(2):
@@ -148,7 +148,7 @@ def _ground_floor(canvas: NDArray[np.float32], rng: np.random.Generator, x0: int
     elif kind < 0.6:  # shop with a name
         h = 84
         glass(canvas, rng, x0 + 6, foot - h - 6, CELL - 12, h, (70, 70, 74), (int(rng.integers(2, 4)), 1))
-        board = tuple(float(v) for v in rng.uniform(30, 220, 3))
+        board = dye(rng, 25, 215, 0.4)
         _rect(canvas, x0 + 3, foot - h - 30, CELL - 6, 22, board)
         ink = (240.0, 238.0, 225.0) if sum(board) < 380 else (25.0, 25.0, 30.0)
         letters(canvas, rng, x0 + 8, foot - h - 28, CELL - 16, 18, ink)
@@ -158,7 +158,7 @@ def _ground_floor(canvas: NDArray[np.float32], rng: np.random.Generator, x0: int
         for _ in range(int(rng.integers(1, 4))):
             w, h = int(rng.integers(8, 22)), int(rng.integers(8, 28))
             x, y = x0 + int(rng.integers(0, CELL - w)), foot - int(rng.integers(40, 80))
-            _rect(canvas, x, y, w, h, tuple(rng.uniform(60, 240, 3)))
+            _rect(canvas, x, y, w, h, dye(rng, 60, 240, 0.4))
             _rect(canvas, x + 2, y + 2, max(w - 8, 2), 3, tuple(rng.uniform(20, 120, 3)))
             _rect(canvas, x + 2, y + h // 2, w - 4, 2, tuple(rng.uniform(20, 120, 3)))
 
@@ -183,7 +183,7 @@ def sign(rng: np.random.Generator, w: int = 128, h: int = 64) -> Image:
     """A board: border, a word or two, an emblem."""
     import cv2
 
-    ground = rng.uniform(20, 235, 3).astype(np.float32)
+    ground = np.asarray(dye(rng, 15, 240, 0.35), np.float32)
     canvas = np.full((h, w, 3), ground, np.float32)
     ink = (245.0, 245.0, 240.0) if ground.sum() < 380 else (20.0, 20.0, 30.0)
     cv2.rectangle(canvas, (2, 2), (w - 3, h - 3), ink, 2)
@@ -193,7 +193,7 @@ def sign(rng: np.random.Generator, w: int = 128, h: int = 64) -> Image:
         angle = 2 * np.pi * (np.arange(corners) / corners + rng.random())
         centre, reach = np.array([cut / 2, cut / 2]), cut * 0.32
         shape = np.rint(centre + reach * np.stack([np.cos(angle), np.sin(angle)], 1)).astype(np.int32)
-        cv2.fillPoly(canvas, [shape], tuple(float(v) for v in rng.uniform(20, 250, 3)), cv2.LINE_AA)
+        cv2.fillPoly(canvas, [shape], dye(rng, 10, 250, 0.3), cv2.LINE_AA)
     if w >= 1.5 * h:
         letters(canvas, rng, cut, h // 6, w - cut - 5, h // 3, ink)
         letters(canvas, rng, cut, h // 2 + 2, w - cut - 5, h // 4, ink)
@@ -204,6 +204,13 @@ def sign(rng: np.random.Generator, w: int = 128, h: int = 64) -> Image:
             y = cut + 4 + k * (h - cut - 8) // 4
             letters(canvas, rng, 6, y, w - 12, max((h - cut - 8) // 4 - 3, 6), ink)
     return to_image(canvas)
+
+
+def dye(rng: np.random.Generator, low: float, high: float, grey: float = 0.55) -> Colour:
+    """A random colour, mixed with ``grey`` parts of its own grey: paint is rarely as bright as random numbers."""
+    rgb = rng.uniform(low, high, 3)
+    r, g, b = (float(v) for v in grey * rgb.mean() + (1 - grey) * rgb)
+    return r, g, b
 
 
 def _rect(canvas: NDArray[np.float32], x: int, y: int, w: int, h: int, colour: object) -> None:

@@ -47,7 +47,7 @@ def paint_office(atlas: AtlasBuilder, rng: np.random.Generator) -> Paint:
     coarse = atlas.texture(textures.grain(rng, 256, 0.2), 0.6, 0.6)
     pictures = tuple(office_pictures.poster(rng) for _ in range(18))
     return Paint(
-        wall=tinted(wall),
+        wall=atlas.material(atlas.texture(office_pictures.wall_picture(rng, wall), 3.2, 3.2), grain, stains),
         carpet=atlas.material(atlas.texture(textures.paving(rng, 8, 8, (96, 102, 116), 512, 1, False), 4.0, 4.0), coarse, stains),
         tiles=atlas.material(atlas.texture(textures.paving(rng, 8, 8, (164, 158, 148), 512, 2, False), 4.8, 4.8), grain, stains),
         ceiling=atlas.material(atlas.texture(textures.paving(rng, 8, 8, (214, 214, 210), 512, 2, False), 4.8, 4.8), grain),

@@ -55,3 +55,16 @@ def screen_picture(rng: np.random.Generator) -> textures.Image:
             canvas[y : y + 2, x : min(x + w, 90)] = rng.uniform(60, 200, 3)
             x += w + 3
     return textures.to_image(canvas)
+
+
+def wall_picture(rng: np.random.Generator, colour: textures.Colour) -> textures.Image:
+    """3.2 m of wall, seamless, foot at the bottom: tiles to elbow height, a rail, roughcast paint with specks above."""
+    size = 512
+    specks = textures.splats(rng, (size, size), 2600, (1.2, 6.0), 0.10) + 0.02 * textures.fractal(rng, (size, size), 8, 5)
+    image = textures.coloured(colour, specks, 1.0)
+    low = int(size - 1.05 / 3.2 * size)
+    tiles = textures.paving(rng, 32, 16, tuple(0.82 * c for c in colour), size, 1).astype(np.float32)
+    image[low:] = tiles[low:] * (1 + 0.5 * specks[low:, :, None])
+    image[low - 6 : low] = np.asarray(colour) * 0.55
+    image[low - 7] = np.asarray(colour) * 1.1
+    return textures.to_image(image)

@@ -66,15 +66,8 @@ def drive(line: Line, frames: int, rate_hz: float, gait: Gait, rng: np.random.Ge
 
     ``offset_m`` shifts the line to the right. Raises ValueError when the line is too short for the frames.
     """
-    step = 0.1 if gait.cruise_mps < 3 else 0.25
-    points = smoothed(resample(line, step), gait.smooth_m / step)
-    tangent = np.gradient(points, step, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    drift = offset_m + 0.25 * min(gait.cruise_mps / 9.0, 0.4) * _wander(rng, len(points), 25.0 / step)
-    points = points + drift[:, None] * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
-    heading = smoothed(np.unwrap(np.arctan2(tangent[:, 0], tangent[:, 1])), 0.8 * gait.smooth_m / step)
-    v = speeds(np.gradient(heading, step), step, gait)
-    seconds = np.concatenate([[0.0], np.cumsum(step / (0.5 * (v[1:] + v[:-1])))])
+    points, heading, seconds = _timed(line, gait, offset_m, rng)
+    step = _step(gait)
     times = np.arange(frames) / rate_hz
     if seconds[-1] < times[-1]:
         raise ValueError(f"the way of {len(points) * step:.0f} m ends after {seconds[-1]:.1f} s, {times[-1]:.1f} s are asked for")
@@ -87,6 +80,32 @@ def drive(line: Line, frames: int, rate_hz: float, gait: Gait, rng: np.random.Ge
     poses[:, :3, :3] = _rotations(yaw + dyaw, pitch, roll)
     poses[:, :3, 3] = np.stack([x, -gait.height_m + gait.heave_m * sway[3], z], axis=1)
     return poses
+
+
+def way_at(line: Line, gait: Gait, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Metres along ``line`` that ``gait`` has covered at ``times`` (seconds), gone on at the mean speed beyond its end."""
+    points, _, seconds = _timed(line, gait, 0.0, None)
+    metres = np.arange(len(points)) * _step(gait)
+    return np.interp(times, seconds, metres) + np.maximum(times - seconds[-1], 0) * metres[-1] / seconds[-1]
+
+
+def _step(gait: Gait) -> float:
+    return 0.1 if gait.cruise_mps < 3 else 0.25
+
+
+def _timed(line: Line, gait: Gait, offset_m: float, rng: np.random.Generator | None) -> tuple[Line, NDArray[np.float64], NDArray[np.float64]]:
+    """The smooth line driven, ``offset_m`` to the right and swaying a little where there is an ``rng``; its heading, radians from +Z to
+    +X; the time at each of its points."""
+    step = _step(gait)
+    points = smoothed(resample(line, step), gait.smooth_m / step)
+    tangent = np.gradient(points, step, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    if rng is not None:
+        aside = offset_m + 0.25 * min(gait.cruise_mps / 9.0, 0.4) * _wander(rng, len(points), 25.0 / step)
+        points = points + aside[:, None] * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
+    heading = smoothed(np.unwrap(np.arctan2(tangent[:, 0], tangent[:, 1])), 0.8 * gait.smooth_m / step)
+    v = speeds(np.gradient(heading, step), step, gait)
+    return points, heading, np.concatenate([[0.0], np.cumsum(step / (0.5 * (v[1:] + v[:-1])))])
 
 
 def _rotations(yaw: NDArray, pitch: NDArray, roll: NDArray) -> NDArray[np.float64]:

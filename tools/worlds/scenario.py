@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tools.worlds.errors import RenderError
 from tools.worlds.light import Light, random_light
 from tools.worlds.mesh import Mesh
-from tools.worlds.paths import WALKING, Gait, drive
+from tools.worlds.paths import WALKING, Gait, drive, way_at
 from tools.worlds.props import placed
 from tools.worlds.routes import lane_line, plan_routes
 from tools.worlds.streets import Network
@@ -60,6 +60,8 @@ class Scenario:
 def plan_scenario(config: RenderConfig) -> Scenario:
     """The world, the ways, the lights. Raises RenderError where they cannot be had."""
     movers: tuple[Mover, ...] = ()
+    if config.moving_cars and (config.world != "town" or config.poses_file is not None):
+        raise RenderError(f"{config.moving_cars} moving cars need the streets of the town: not indoors, not with a pose file")
     if config.poses_file is not None:
         world, ways = _along(config)
     elif config.world == "indoor":
@@ -116,12 +118,12 @@ def _indoor(config: RenderConfig) -> tuple[World, list[Poses]]:
     rng = np.random.default_rng([config.seed, 2])
     way = tour(floor, world.free, rng)
     seconds = config.frames / config.rate_hz
-    length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-    stagger = min(0.5 * 0.75 * seconds / length, 1.0 / config.agents)  # half of what is walked, so that neighbours share the other half
+    # Each starts where the one before it is after half of the time: so neighbours share the other half, in the same direction.
+    where = way_at(np.concatenate([way, way[1:]]), WALKING, np.arange(config.agents) * 0.5 * seconds)
     first = float(rng.random())
     ways = []
-    for k in range(config.agents):
-        line = walk(way, (first + k * stagger) % 1.0, WALKING.cruise_mps * seconds + 3.0)
+    for metres in where:
+        line = walk(way, first, metres, WALKING.cruise_mps * seconds + 3.0)
         ways.append(drive(line, config.frames, config.rate_hz, WALKING, rng, float(np.clip(rng.normal(0, 0.05), -0.1, 0.1))))
     return world, ways
 
@@ -143,8 +145,6 @@ def _along(config: RenderConfig) -> tuple[World, list[Poses]]:
 
 def _check_path(poses: Poses, config: RenderConfig) -> None:
     name = config.poses_file
-    if config.moving_cars:
-        raise RenderError(f"{name}: moving cars need the town's streets; leave moving_cars at 0 with a pose file")
     if len(poses) < 2 * config.agents:
         raise RenderError(f"{name}: {len(poses)} poses are too few for {config.agents} agents")
     step = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)

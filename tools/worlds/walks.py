@@ -9,7 +9,7 @@ from tools.worlds.indoor import CORRIDOR_M, Door, Floor
 from tools.worlds.paths import Line, resample, smoothed
 from tools.worlds.world import FreeSpace
 
-VISIT = 0.4
+VISIT = 0.25
 """Part of the doors on the way that are gone through."""
 ROUND_M = 0.6
 """Distance from a wall or a desk that a turn in a room must keep at least: the half of it."""
@@ -48,8 +48,8 @@ def _visit(door: Door, corridor_z: float, free: FreeSpace) -> list[NDArray[np.fl
     return []
 
 
-def walk(way: Line, start: float, length_m: float) -> Line:
-    """``length_m`` of the closed ``way`` from the part ``start`` (0 to 1) of it on, gone round again as often as it takes."""
+def walk(way: Line, first: float, metres: float, length_m: float) -> Line:
+    """``length_m`` of the closed ``way``: from ``metres`` after the part ``first`` (0 to 1) of it, gone round as often as it takes."""
     points = resample(way, 0.1)
-    count = int(length_m / 0.1) + 1
-    return points[(int(start * len(points)) + np.arange(count)) % len(points)]
+    start = int(first * len(points) + metres / 0.1)
+    return points[(start + np.arange(int(length_m / 0.1) + 1)) % len(points)]

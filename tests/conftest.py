@@ -1,0 +1,50 @@
+"""Small rendered data sets that all tests share: rendered once a session, also when several processes run the tests."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tools.render import RenderConfig
+
+Rendered = Callable[[str, "RenderConfig"], Path]
+
+
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Rendered:
+    """``rendered(name, config)``: the folder of that rendering, made by whichever process asks first. Read it, never write to it."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+
+    def render(name: str, config: RenderConfig) -> Path:
+        from tools.render import render_dataset
+
+        with open(shared / f"{name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            render_dataset(config, shared / name)
+        return shared / name
+
+    return render
+
+
+@pytest.fixture(scope="session")
+def town_stereo(rendered: Rendered) -> Path:
+    """Two cars in town, stereo 320x180, 20 frames each at 10 Hz; the second drives where the first did, in another light."""
+    from tools.render import RenderConfig
+
+    return rendered("town_stereo", RenderConfig(seed=5, agents=2, frames=20, width=320, height=180, cheap=True))
+
+
+@pytest.fixture(scope="session")
+def indoor_rgbd(rendered: Rendered) -> Path:
+    """Two walkers on one office floor, RGB-D 320x240, 16 frames each at 10 Hz."""
+    from tools.render import RenderConfig
+
+    config = RenderConfig(world="indoor", rig="rgbd", seed=5, agents=2, frames=16, width=320, height=240, cheap=True)
+    return rendered("indoor_rgbd", config)
