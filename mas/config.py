@@ -45,16 +45,16 @@ class ConsistencyConfig(_Section):
     min_support: int = Field(
         1, ge=0, description="other matches between the same two tracks that must agree with a match"
     )
-    depth_share: float = Field(0.15, gt=0, description="positions agree within this share of the match's median depth")
-    drift: float = Field(0.05, ge=0, description="plus this share of the distance between the matches (odometry drift)")
+    depth_share: float = Field(0.05, gt=0, description="positions agree within this share of the match's median depth")
+    drift: float = Field(0.02, ge=0, description="plus this share of the ways driven between the matches")
     loop_drift: float = Field(
         0.15,
         ge=0,
         description="an own loop may correct odometry by this share of the way driven between, plus depth_share",
     )
-    angle_deg: float = Field(5.0, gt=0, description="and rotations within this, degrees")
+    angle_deg: float = Field(2.0, gt=0, description="and rotations within this, degrees")
     angle_deg_per_depth: float = Field(
-        0.2, ge=0, description="plus this for each median depth of distance between the matches, degrees"
+        0.3, ge=0, description="plus this for each median depth of way driven between the matches, degrees"
     )
 
 
@@ -64,10 +64,10 @@ class OptimisationConfig(_Section):
     period_keyframes: int = Field(5, ge=1, description="own key-frames between optimisations that an agent calls for")
     closing: bool = Field(True, description="optimise once more at the end where something is new")
     odometry_sigma_share: float = Field(
-        0.01, gt=0, description="1 sigma of an odometry step's position over its length"
+        0.003, gt=0, description="1 sigma of an odometry step's position over its length"
     )
-    odometry_sigma_depth: float = Field(0.002, gt=0, description="plus this share of the median depth of the key-frame")
-    odometry_sigma_deg: float = Field(0.1, gt=0, description="1 sigma of an odometry step's rotation, degrees")
+    odometry_sigma_depth: float = Field(0.0005, gt=0, description="plus this share of the median depth of the key-frame")
+    odometry_sigma_deg: float = Field(0.03, gt=0, description="1 sigma of an odometry step's rotation, degrees")
     match_sigma_depth: float = Field(
         0.01, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
     )

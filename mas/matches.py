@@ -25,7 +25,8 @@ class Match:
     """A geometrically verified place match, own loops included (then both agents are the same).
 
     ``T_M_Q``: query camera in match camera, in M's unit; ``T_T_Q``, ``T_T_M`` ``(4, 4)``: the two cameras by odometry
-    in their tracks, each in its own unit; ``depth``: median depth at M, M's unit; ``information`` ``(6, 6)`` of
+    in their tracks, each in its own unit; ``way_Q``, ``way_M``: how far the two agents had
+    travelled by then; ``depth``: median depth at M, M's unit; ``information`` ``(6, 6)`` of
     ``T_M_Q``.
     """
 
@@ -37,6 +38,8 @@ class Match:
     inliers: int
     T_T_Q: Array
     T_T_M: Array
+    way_Q: float
+    way_M: float
     depth: float
 
     @property
@@ -56,7 +59,7 @@ class Match:
         swapped = MatchId(i.match_agent, i.match, i.query_agent, i.query)
         return replace(
             self, id=swapped, query_track=self.match_track, match_track=self.query_track, T_M_Q=back,
-            T_T_Q=self.T_T_M, T_T_M=self.T_T_Q, depth=self.depth * back.scale,
+            T_T_Q=self.T_T_M, T_T_M=self.T_T_Q, way_Q=self.way_M, way_M=self.way_Q, depth=self.depth * back.scale,
         )  # fmt: skip
 
 
@@ -64,15 +67,14 @@ def agree(a: Match, b: Match, config: ConsistencyConfig) -> bool:
     """Whether two matches between the same two tracks say the same about how the tracks stand, up to odometry's drift.
 
     Positions: b's query camera, placed in M's track once by a and once by b, differs by at most ``depth_share``
-    median depths plus ``drift`` times the distance between the matches; rotations likewise. This is the thesis's
+    median depths plus ``drift`` times the ways driven between the matches; rotations likewise. This is the thesis's
     consistency (3.3) as settled: it compares through ``T_M_Q``, not the two camera centres directly. All relative to
     depth, so that it holds for any unit.
     """
     by_a, by_b = a.joins(), b.joins()
     query = b.T_T_Q[:3, 3]
     apart = float(np.linalg.norm(by_a @ query - by_b @ query))
-    travelled = float(np.linalg.norm(a.T_T_M[:3, 3] - b.T_T_M[:3, 3]))
-    travelled += by_b.scale * float(np.linalg.norm(a.T_T_Q[:3, 3] - b.T_T_Q[:3, 3]))
+    travelled = abs(a.way_M - b.way_M) + by_b.scale * abs(a.way_Q - b.way_Q)
     depth = max(a.depth, b.depth)
     angle = float(rotation_angle_deg(by_a.rotation.T @ by_b.rotation))
     return (

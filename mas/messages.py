@@ -83,14 +83,15 @@ class PlaceQuery(msgspec.Struct, frozen=True, array_like=True, tag=1):
 
 class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
     """Verify a place match by geometry: the query's map points in its camera, ``(n, 3)`` float32, with ORB descriptors
-    ``(n, 32)`` or vocabulary words ``(n,)``; ``T_T_Q``: the query camera in its own track, by odometry."""
+    ``(n, 32)`` or vocabulary words ``(n,)``; ``T_T_Q``: the query camera in its own track, by
+    odometry, and ``way``: how far it had travelled by then."""
 
     match: MatchId
     track: Index
     stamp_ns: Stamp
     metric: bool
     T_T_Q: Tensor
-    depth: Annotated[float, msgspec.Meta(gt=0)]
+    way: Annotated[float, msgspec.Meta(ge=0)]
     points: Tensor
     descriptors: Tensor | None
     words: Tensor | None
@@ -146,7 +147,8 @@ class PlaceAnswer(msgspec.Struct, frozen=True, array_like=True, tag=1):
 
 class VerifyAnswer(msgspec.Struct, frozen=True, array_like=True, tag=2):
     """The verdict on a match: ``T_M_Q`` (Sim(3)) and ``information`` ``(6, 6)`` where it holds; the match camera in its
-    own track by odometry, and its median depth, so that both sides can judge whether matches agree with each other."""
+    own track by odometry, its way so far and its median depth, so that both sides can judge whether matches agree
+    with each other."""
 
     match: MatchId
     accepted: bool
@@ -159,6 +161,7 @@ class VerifyAnswer(msgspec.Struct, frozen=True, array_like=True, tag=2):
     track: Index
     stamp_ns: Stamp
     T_T_M: Tensor
+    way: Annotated[float, msgspec.Meta(ge=0)]
     depth: Annotated[float, msgspec.Meta(gt=0)]
 
     def __post_init__(self) -> None:

@@ -138,7 +138,8 @@ class PlaceRecognition(Trade):
         if good and verdict.T_M_Q is not None and verdict.information is not None:
             learned = Match(
                 candidate.id, query.track, match.track, verdict.T_M_Q, verdict.information, verdict.inliers,
-                query.T_T_C, match.T_T_C, match.depth,
+                query.T_T_C, match.T_T_C, self.state.travelled[query.index], self.state.travelled[match.index],
+                match.depth,
             )  # fmt: skip
             if not self._plausible(learned):
                 learned, reason = None, "beyond odometry's drift"

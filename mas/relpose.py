@@ -71,12 +71,12 @@ class Verification(Trade):
         self.desk.say(contract, Confirmation())
         mine = self.state.keyframes[task.match.match]
         verdict = verify(self.state, task.match, _view_of_task(task), mine)
-        self.desk.say(contract, Result(_answer(task, mine, verdict)))
+        self.desk.say(contract, Result(_answer(self.state, task, mine, verdict)))
         if verdict.accepted:
             assert verdict.T_M_Q is not None and verdict.information is not None
             match = Match(
                 task.match, task.track, mine.track, verdict.T_M_Q, verdict.information, verdict.inliers,
-                unpack_poses(task.T_T_Q.array()), mine.T_T_C, mine.depth,
+                unpack_poses(task.T_T_Q.array()), mine.T_T_C, task.way, self.state.travelled[mine.index], mine.depth,
             )  # fmt: skip
             self.learn(match)
 
@@ -93,7 +93,8 @@ class Verification(Trade):
             mine = self.state.keyframes[match_id.query]
             match = Match(
                 match_id, mine.track, outcome.track, transform, np.array(outcome.information.array()), outcome.inliers,
-                mine.T_T_C, unpack_poses(outcome.T_T_M.array()), outcome.depth,
+                mine.T_T_C, unpack_poses(outcome.T_T_M.array()), self.state.travelled[mine.index], outcome.way,
+                outcome.depth,
             )  # fmt: skip
             self.learn(match)
 
@@ -172,7 +173,7 @@ def _task(state: AgentState, match: MatchId) -> VerifyTask:
         stamp_ns=keyframe.stamp_ns,
         metric=state.profile.metric,
         T_T_Q=pack_poses(keyframe.T_T_C),
-        depth=keyframe.depth,
+        way=state.travelled[keyframe.index],
         points=Tensor.of(keyframe.points_C[rows], "<f4"),
         descriptors=None if words else Tensor.of(keyframe.descriptors[rows], "|u1"),
         words=Tensor.of(keyframe.words[rows], "<u2") if words else None,
@@ -187,7 +188,7 @@ def _view_of_task(task: VerifyTask) -> PlaceView:
     return PlaceView(points, descriptors=task.descriptors.array(), metric=task.metric)
 
 
-def _answer(task: VerifyTask, mine: KeyFrame, verdict: Verdict) -> VerifyAnswer:
+def _answer(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verdict) -> VerifyAnswer:
     good = verdict.accepted
     return VerifyAnswer(
         match=task.match,
@@ -201,5 +202,6 @@ def _answer(task: VerifyTask, mine: KeyFrame, verdict: Verdict) -> VerifyAnswer:
         track=mine.track,
         stamp_ns=mine.stamp_ns,
         T_T_M=pack_poses(mine.T_T_C),
+        way=state.travelled[mine.index],
         depth=mine.depth,
     )
