@@ -90,8 +90,7 @@ def rendered_places(
     """The places of one world, taken from ``cache`` (a folder) where they were rendered before with the same
     settings."""
     config = config_for(kind).model_copy(update={"places": places})
-    digest = hashlib.sha256(f"{_CACHE_VERSION} {kind} {seed} {config.model_dump_json()}".encode()).hexdigest()[:12]
-    path = cache / f"{kind}_{seed}_{places}_{digest}.npz" if cache else None
+    path = cache_path(cache, kind, seed, config) if cache else None
     if path is not None and path.is_file():
         return load_places(path)
     made = visit_places(build_world(kind, seed), config, np.random.default_rng([seed, 77]), tick)
@@ -101,7 +100,14 @@ def rendered_places(
     return made
 
 
+def cache_path(cache: Path, kind: str, seed: int, config: SamplerConfig) -> Path:
+    """Where the places of one world are kept; another setting is another file."""
+    digest = hashlib.sha256(f"{_CACHE_VERSION} {kind} {seed} {config.model_dump_json()}".encode()).hexdigest()[:12]
+    return cache / f"{kind}_{seed}_{config.places}_{digest}.npz"
+
+
 def config_for(kind: str) -> SamplerConfig:
+    """How places of a kind of world ("town", "indoor") are visited."""
     return STREETS if kind == "town" else INDOORS
 
 
