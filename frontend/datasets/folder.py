@@ -54,6 +54,8 @@ class FolderReader(Reader):
             )
         raw, source = calibration
         right = _partners(folder, _RIGHT.get(inside or ""), images) if raw.right is not None else ()
+        if raw.right is not None and not right:
+            problems.warning(f"{source}: a calibrated pair, but {folder} has no right images: read as mono")
         depth = next((files for name in _DEPTH if (files := _partners(folder, name, images))), ())
         if depth and raw.depth_unit_m is None:
             problems.warning(f"{source}: no depth unit (depth_unit_m, DepthMapFactor): millimetres taken")

@@ -163,6 +163,16 @@ def test_a_calibration_for_another_size(tmp_path: Path) -> None:
         open_dataset(tmp_path)
 
 
+def test_a_pair_without_any_right_image_is_mono_and_says_so(tmp_path: Path) -> None:
+    write_rendered(tmp_path, make_scene(), "stereo")
+    (tmp_path / "image_1").rename(tmp_path / "elsewhere")
+    [sequence] = open_dataset(tmp_path).sequences
+    assert sequence.rig.kind is RigKind.MONO
+    assert "a calibrated pair, but" in sequence.problems[0].message
+    with pytest.raises(FrontendError, match="cannot be read as stereo; its files allow mono"):
+        open_dataset(tmp_path, RigKind.STEREO)
+
+
 # ---- particular to one kind
 
 
