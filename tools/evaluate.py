@@ -89,9 +89,9 @@ def _matches(summary: dict[str, Any]) -> list[str]:
     matches, solved = summary["matches"], summary["optimisations"]
     false = matches.get("false_accepted")
     rejected = ", ".join(f"{reason} {count}" for reason, count in sorted((matches.get("rejected") or {}).items()))
+    said = f"{matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
     return [
-        f"matches        {matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
-        + ("" if false is None else f", {false} of them false"),
+        f"matches        {said}" + ("" if false is None else f", {false} of them false"),
         *([f"  rejected     {rejected}"] if rejected else []),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
         f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
