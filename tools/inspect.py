@@ -60,27 +60,30 @@ class SequenceReport:
 
 @dataclass(frozen=True)
 class InspectReport:
-    """What a data set is, sequence by sequence."""
+    """What a data set is, sequence by sequence; ``problems``: agents that could not be opened."""
 
     path: Path
     kind: str
     sequences: tuple[SequenceReport, ...]
+    problems: tuple[Problem, ...] = ()
 
     @property
     def errors(self) -> int:
         """Problems that would spoil a run."""
-        return sum(problem.severity == "error" for sequence in self.sequences for problem in sequence.problems)
+        listed = [problem for sequence in self.sequences for problem in sequence.problems]
+        return sum(problem.severity == "error" for problem in (*self.problems, *listed))
 
     @property
     def warnings(self) -> int:
-        return sum(len(sequence.problems) for sequence in self.sequences) - self.errors
+        return len(self.problems) + sum(len(sequence.problems) for sequence in self.sequences) - self.errors
 
     def lines(self) -> list[str]:
         """The whole report, a line each."""
         frames = sum(sequence.frames for sequence in self.sequences)
         head = f"{self.path}: {self.kind}, {_count(len(self.sequences), 'sequence')}, {_count(frames, 'frame')}"
         verdict = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
-        return [head, *(line for sequence in self.sequences for line in sequence.lines()), verdict]
+        unopened = [f"{problem.severity.upper():8} {problem.message}" for problem in self.problems]
+        return [head, *(line for sequence in self.sequences for line in sequence.lines()), *unopened, verdict]
 
 
 def inspect_dataset(
@@ -94,7 +97,7 @@ def inspect_dataset(
 
     dataset = open_dataset(path, rig, strict=False)
     reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
-    return InspectReport(Path(path), dataset.kind, reports)
+    return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
 
 
 def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:

@@ -169,7 +169,7 @@ def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[li
     from frontend.datasets.base import Severity
     from tools.tracked_store import make_job
 
-    jobs, problems = [], []
+    jobs, problems = [], [problem.message for problem in dataset.problems]
     for sequence in dataset.sequences:
         problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
         if all(problem.severity is not Severity.ERROR for problem in sequence.problems):

@@ -38,9 +38,7 @@ def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) ->
         (p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name)
     )
     if agents:
-        sequences = [replace(_reader(folder).open(folder, rig), name=folder.name) for folder in agents]
-        kinds = sorted({sequence.kind for sequence in sequences})
-        dataset = Dataset(f"agents ({', '.join(kinds)})", path, sequences)
+        dataset = _open_agents(path, agents, rig, strict)
     else:
         reader = _reader(path)
         dataset = Dataset(reader.kind, path, [reader.open(path, rig)])
@@ -49,6 +47,20 @@ def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) ->
             if problem.severity is Severity.ERROR:
                 raise FrontendError(problem.message)
     return dataset
+
+
+def _open_agents(path: Path, folders: list[Path], rig: RigKind | None, strict: bool) -> Dataset:
+    """All agents that can be opened; an error where none can, and with ``strict`` for the first that cannot."""
+    sequences, problems = [], []
+    for folder in folders:
+        try:
+            sequences.append(replace(_reader(folder).open(folder, rig), name=folder.name))
+        except FrontendError as error:
+            if strict or (folder is folders[-1] and not sequences):
+                raise
+            problems.append(Problem(Severity.ERROR, str(error)))
+    kinds = ", ".join(sorted({sequence.kind for sequence in sequences}))
+    return Dataset(f"agents ({kinds})", path, sequences, tuple(problems))
 
 
 def _reader(folder: Path) -> type[Reader]:

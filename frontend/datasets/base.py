@@ -126,11 +126,15 @@ class ImageSequence:
 
 @dataclass(frozen=True)
 class Dataset:
-    """What a folder holds: one sequence, or one for each agent of a multi-agent data set, in order of their names."""
+    """What a folder holds: one sequence, or one for each agent of a multi-agent data set, in order of their names.
+
+    ``problems``: agents that could not be opened at all, so that there is no sequence to list it in.
+    """
 
     kind: str
     root: Path
     sequences: list[ImageSequence]
+    problems: tuple[Problem, ...] = ()
 
 
 class Reader(ABC):

@@ -52,6 +52,12 @@ def test_a_broken_agent_is_named(tmp_path: Path) -> None:
     (tmp_path / "agent_1").mkdir()
     with pytest.raises(FrontendError, match="agent_1: no images of a known layout"):
         open_dataset(tmp_path)
+    lenient = open_dataset(tmp_path, strict=False)
+    assert [sequence.name for sequence in lenient.sequences] == ["agent_0"]
+    assert "agent_1: no images" in lenient.problems[0].message
+    (tmp_path / "agent_0/calib.txt").unlink()
+    with pytest.raises(FrontendError, match=r"no images of a known layout|no calibration file"):
+        open_dataset(tmp_path, strict=False)
 
 
 # ---- folders that are no data set

@@ -51,6 +51,10 @@ def test_every_fault_is_listed(tmp_path: Path) -> None:
         and "000004.png: the image is cut off after 100 bytes" in text
     )
     assert "ground truth  none" in text
+    (tmp_path / "agent_2").mkdir()
+    report = inspect_dataset(tmp_path)
+    assert len(report.sequences) == 2 and report.errors == 2 + (report.sequences[1].decoded == 6)
+    assert "agent_2: no images of a known layout" in "\n".join(report.lines())
 
 
 def test_a_sample_is_decoded_or_all(tmp_path: Path) -> None:
