@@ -51,10 +51,10 @@ class Verdict:
     """Whether the match holds, why, and how the cameras stand.
 
     ``reason`` is "accepted" or says what was too little and by how much; ``T_M_Q`` maps the query camera to the match
-    camera (scale 1 when both are metric); ``matches`` tentative, ``inliers`` of the refined pose; ``rmse``: bearing
-    error of the inliers in the match camera, degrees (NaN without a pose); ``information`` ``(6, 6)`` of the rigid
-    part, translation first, in the match's unit. ``T_M_Q`` and ``information`` may be there without acceptance, for
-    the record.
+    camera (scale 1 when both are metric); ``matches`` tentative, of which ``inliers`` fit the refined pose; ``rmse``:
+    bearing error of the inliers in the match camera, degrees (NaN without a pose); ``information`` ``(6, 6)`` of the
+    rigid part, translation first, in the match's unit; ``guided``: matches made again under the pose, which refined it.
+    ``T_M_Q`` and ``information`` may be there without acceptance, for the record.
     """
 
     accepted: bool
@@ -64,6 +64,7 @@ class Verdict:
     inliers: int
     rmse: float
     information: Array | None
+    guided: int = 0
 
     @property
     def kind(self) -> str:
@@ -81,20 +82,20 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
         return _rejected(f"too few matches: {len(pairs)} < {config.min_matches}", len(pairs))
     with_scale = not (query.metric and match.metric)
     points_Q, points_M = query.points_C[pairs[:, 0]], match.points_C[pairs[:, 1]]
-    best: tuple[int, Alignment] | None = None
+    inliers, found = 0, None
     for start in search(points_M, points_Q, with_scale, config, rng):
-        found = _settle(points_M, points_Q, start, with_scale, config, _QUICK)
-        if found is not None and (best is None or found[0] > best[0]):
-            best = found
-    if best is None:
-        return _rejected(f"too few inliers: no transform explains more than 3 of {len(pairs)} matches", len(pairs))
-    guided = _guided(query, match, distances, best[1].T_M_Q, config)
-    points_Q, points_M = query.points_C[guided[:, 0]], match.points_C[guided[:, 1]]
-    final = _settle(points_M, points_Q, best[1].T_M_Q, with_scale, config)
-    if final is None:
-        return _rejected(f"too few inliers: {best[0]} < {config.min_inliers}", len(pairs), best[0])
-    inside = _inliers(final[1].T_M_Q, points_M, points_Q, config)
-    return _judge(final[1], points_M[inside], points_Q[inside], len(pairs), config)
+        settled = _settle(points_M, points_Q, start, with_scale, config, _QUICK)
+        if settled is not None and settled[0] > inliers:
+            inliers, found = settled
+    if found is None or inliers < config.min_inliers:
+        # Before matching again: under a wrong pose, textures that repeat would supply as many matches as are wanted.
+        return _rejected(f"too few inliers: {inliers} < {config.min_inliers}", len(pairs), inliers)
+    guided = _guided(query, match, distances, found.T_M_Q, config)
+    guided_Q, guided_M = query.points_C[guided[:, 0]], match.points_C[guided[:, 1]]
+    settled = _settle(guided_M, guided_Q, found.T_M_Q, with_scale, config)
+    guided_count, found = settled if settled is not None else (0, found)
+    inside = _inliers(found.T_M_Q, points_M, points_Q, config)
+    return _judge(found, points_M[inside], points_Q[inside], len(pairs), guided_count, config)
 
 
 def _tentative(query: PlaceView, match: PlaceView, config: RelPoseConfig) -> tuple[NDArray[np.intp], Distances]:
@@ -142,8 +143,10 @@ def _guided(
     return mutual_matches(allowed, config.guided_hamming)
 
 
-def _judge(found: Alignment, points_M: Array, points_Q: Array, matches: int, config: RelPoseConfig) -> Verdict:
-    """Everything that must hold of the refined pose and its inliers."""
+def _judge(
+    found: Alignment, points_M: Array, points_Q: Array, matches: int, guided: int, config: RelPoseConfig
+) -> Verdict:
+    """Everything that must hold of the refined pose and of those tentative matches that are its inliers."""
     T, n = found.T_M_Q, len(points_M)
     rmse_deg = _bearing_rmse_deg(T @ points_Q, points_M) if n else float("nan")
     flat = _flatness(points_M) if n >= 3 else 0.0
@@ -164,7 +167,7 @@ def _judge(found: Alignment, points_M: Array, points_Q: Array, matches: int, con
         problem = f"too little support: {n} inliers of {matches} matches < {config.min_support:.0%}"
     elif sigma > config.max_sigma * depth:
         problem = f"too uncertain: position sigma {sigma:.3g} > {config.max_sigma:g} of the median depth {depth:.3g}"
-    return Verdict(problem is None, problem or "accepted", T, matches, n, rmse_deg, found.information)
+    return Verdict(problem is None, problem or "accepted", T, matches, n, rmse_deg, found.information, guided)
 
 
 def _bearing_rmse_deg(predicted: Array, observed: Array) -> float:
