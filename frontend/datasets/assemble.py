@@ -13,7 +13,7 @@ from frontend.calibration import RawRig
 from frontend.cameras import Rig, RigKind
 from frontend.datasets import checks
 from frontend.datasets.base import ImageSequence, Problems
-from frontend.datasets.images import image_size
+from frontend.datasets.images import first_size
 from frontend.rectification import rectify_rig
 from frontend.trajectory import Trajectory
 
@@ -49,7 +49,7 @@ def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
     checks.check_files(right, "right image", problems)
     checks.check_files(depth, "depth image", problems)
     checks.check_stamps(found.stamps_ns, [path.name for path in found.images], found.stamps_source, problems)
-    size = image_size(next((path for path in found.images if path.is_file()), found.images[0]))
+    size = first_size(found.images)
     checks.check_size(found.raw.left.size, size, found.calibration, found.images[0], problems)
     checks.check_camera(found.raw.left.pinhole(size), found.calibration, problems)
     if kind is RigKind.STEREO and found.raw.right is not None and found.raw.baseline_m is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -53,10 +54,17 @@ def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
     return depth
 
 
-def image_size(path: Path) -> tuple[int, int]:
-    """Width and height in pixels."""
-    height, width = _decode(path, cv2.IMREAD_UNCHANGED).shape[:2]
-    return width, height
+def first_size(paths: Sequence[Path]) -> tuple[int, int]:
+    """Width and height in pixels of the first image that can be decoded; the first one's error where none can."""
+    errors = []
+    for path in paths:
+        try:
+            height, width = read_grey(path).shape
+        except FrontendError as error:
+            errors.append(error)
+        else:
+            return width, height
+    raise errors[0]
 
 
 def _decode(path: Path, flags: int) -> NDArray[np.generic]:

@@ -14,7 +14,7 @@ from frontend.calibration import RawCamera, RawRig
 from frontend.cameras import RigKind
 from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
-from frontend.datasets.images import image_size, list_images
+from frontend.datasets.images import first_size, list_images
 from frontend.errors import FrontendError
 from frontend.stamps import NS_PER_S
 from frontend.trajectory import Trajectory
@@ -50,7 +50,7 @@ class SevenScenesReader(Reader):
         found = Found(
             kind=cls.kind,
             folder=folder,
-            raw=RawRig(_camera(folder, image_size(images[0]), problems)),
+            raw=RawRig(_camera(folder, first_size(images), problems)),
             calibration=folder / "camera.txt",
             images=images,
             stamps_ns=times,

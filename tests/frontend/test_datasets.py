@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import threading
 from pathlib import Path
 
 import cv2
@@ -31,6 +32,7 @@ from dataset_makers import (
 from frontend.cameras import RigKind
 from frontend.datasets import Dataset, ImageSequence, Severity, open_dataset
 from frontend.errors import FrontendError
+from frontend.frames import Frame
 
 
 def truncate(path: Path) -> None:
@@ -125,6 +127,24 @@ class Contract:
             for frame in frames:
                 np.testing.assert_array_equal(frame.image, sequence.read(frame.index).image)
 
+    def test_reads_ahead_in_another_thread_and_no_farther(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        sequence, read = self.open(folder), []
+        original = ImageSequence.read
+
+        def noted(self: ImageSequence, i: int) -> Frame:
+            read.append((i, threading.current_thread() is threading.main_thread()))
+            return original(self, i)
+
+        monkeypatch.setattr(ImageSequence, "read", noted)
+        frames = sequence.frames(ahead=2)
+        next(frames)
+        frames.close()  # waits for the frame being decoded, drops the rest
+        assert [i for i, _ in read] == list(range(len(read))) and 1 <= len(read) <= 3
+        assert not any(in_main for _, in_main in read)
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith("decode")]
+
     def test_every_rig_it_allows_and_no_other(self, folder: Path) -> None:
         for rig in RigKind:
             if rig in self.rigs:
@@ -153,6 +173,13 @@ class Contract:
         with pytest.raises(FrontendError, match=message) as error:
             next(frames)
         assert str(error.value).startswith(str(bad))
+
+    def test_a_damaged_first_image_spoils_no_other(self, folder: Path, scene: Scene) -> None:
+        truncate(self.left_image(folder, 0))
+        sequence = self.open(folder)
+        with pytest.raises(FrontendError, match="cut off"):
+            sequence.read(0)
+        np.testing.assert_allclose(sequence.read(1).image.astype(int), scene.images[1], atol=1)
 
     def test_a_missing_partner_is_an_error_before_anything_is_read(self, folder: Path) -> None:
         if self.rigs[0] is RigKind.MONO:
