@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from frontend.errors import FrontendError
 
-_NEWLINE, _HASH = ord("\n"), ord("#")
+_NEWLINE = ord("\n")
 _BYTES = [str(value) for value in range(256)]
 
 

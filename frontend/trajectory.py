@@ -96,9 +96,8 @@ def read_kitti_poses(path: Path) -> tuple[NDArray[np.float64] | None, NDArray[np
     if not len(values):
         raise FrontendError(f"{path}: no poses in this file")
     matrices = values[:, -12:].reshape(-1, 3, 4)
-    return values[:, 0] if values.shape[1] == 13 else None, se3(
-        rigid_rotations(matrices[:, :, :3], path), matrices[:, :, 3]
-    )
+    times = values[:, 0] if values.shape[1] == 13 else None
+    return times, se3(rigid_rotations(matrices[:, :, :3], path), matrices[:, :, 3])
 
 
 def rigid_rotations(rotations: NDArray[np.float64], path: Path) -> NDArray[np.float64]:

@@ -20,6 +20,8 @@ __all__ = ["READERS", "Dataset", "ImageSequence", "Problem", "Severity", "open_d
 
 READERS: tuple[type[Reader], ...] = (KittiReader, EurocReader, TumReader, SevenScenesReader, FolderReader)
 """Tried in this order; the last takes any folder of images."""
+_UNFINISHED = "unfinished.json"
+"""What ``maslam render`` leaves in a folder until it is complete."""
 _AGENT = re.compile(r"agent_\d+")
 
 
@@ -34,6 +36,8 @@ def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) ->
     path = Path(path)
     if not path.is_dir():
         raise FrontendError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
+    if (path / _UNFINISHED).is_file():
+        raise FrontendError(f"{path}: rendering was not finished; the same `maslam render` again goes on with it")
     agents = sorted(
         (p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name)
     )

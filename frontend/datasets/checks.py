@@ -18,9 +18,7 @@ MAX_BASELINE_M = 10.0
 MIN_BASELINE_M = 0.001
 _GAP_FACTOR = 5.0  # times the median interval: a gap worth a word
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
-_CENTRE_SHARE = (
-    0.25  # of the width or height: farther from the centre, the calibration is probably of another image size
-)
+_CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
 
 
 def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Path, problems: Problems) -> None:

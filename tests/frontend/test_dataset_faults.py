@@ -47,6 +47,13 @@ def test_agents_of_any_kind_in_order_of_their_numbers(tmp_path: Path) -> None:
     assert {s.rig.kind for s in open_dataset(tmp_path, RigKind.MONO).sequences} == {RigKind.MONO}
 
 
+def test_an_unfinished_rendering_is_not_taken_for_whole(tmp_path: Path) -> None:
+    write_rendered(tmp_path / "agent_0", make_scene(), "stereo")
+    (tmp_path / "unfinished.json").write_text("{}")
+    with pytest.raises(FrontendError, match="rendering was not finished"):
+        open_dataset(tmp_path)
+
+
 def test_a_broken_agent_is_named(tmp_path: Path) -> None:
     write_kitti(tmp_path / "agent_0", make_scene())
     (tmp_path / "agent_1").mkdir()
