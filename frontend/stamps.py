@@ -24,16 +24,31 @@ def stamp_ns_from_s(seconds: NDArray[np.float64] | float) -> NDArray[np.int64]:
 def decimal_ns(text: str) -> int:
     """Seconds as written to nanoseconds, exactly: a float64 holds only 0.2 microseconds of a present-day Unix time.
 
-    Digits beyond the ninth decimal are cut off. Raises ``ValueError`` for anything that is not a finite number.
+    Digits beyond the ninth decimal are cut off. Raises ``ValueError`` for anything that is not a finite number, or more
+    than 64 bits of nanoseconds (292 years).
     """
     found = _DECIMAL.fullmatch(text)
     if found:
         sign, whole, fraction = found.groups()
         magnitude = int(whole) * NS_PER_S + int(((fraction or "") + "0" * 9)[:9])
-        return -magnitude if sign == "-" else magnitude
+        return _bounded(-magnitude if sign == "-" else magnitude)
     if not _FLOAT.fullmatch(text):
         raise ValueError(f"not a finite number: {text!r}")
-    return int(stamp_ns_from_s(float(text)))
+    seconds = float(text)
+    return _bounded(round(seconds * NS_PER_S) if abs(seconds) < 2**63 else 2**63)
+
+
+def integer_ns(text: str) -> int:
+    """Nanoseconds as written. ``ValueError`` for anything that is not a whole number of at most 64 bits."""
+    if not _DECIMAL.fullmatch(text) or "." in text:
+        raise ValueError(f"not a whole number: {text!r}")
+    return _bounded(int(text))
+
+
+def _bounded(stamp_ns: int) -> int:
+    if abs(stamp_ns) >= 2**63:
+        raise ValueError("a time of more than 292 years")
+    return stamp_ns
 
 
 def seconds_text(stamp_ns: int) -> str:
@@ -48,7 +63,7 @@ def read_stamps(path: Path, nanoseconds: bool = False) -> NDArray[np.int64]:
     Lines starting with ``#`` and empty ones are passed over; anything else that is not a time is an error with its
     line.
     """
-    parse = int if nanoseconds else decimal_ns
+    parse = integer_ns if nanoseconds else decimal_ns
     stamps = []
     for number, line in enumerate(read_bytes(path).decode("ascii", "replace").splitlines(), 1):
         fields = line.replace(",", " ").split()

@@ -17,7 +17,7 @@ from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
 from frontend.datasets.images import list_images
 from frontend.errors import FrontendError
 from frontend.rectification import stereo_rotations
-from frontend.stamps import read_stamps
+from frontend.stamps import integer_ns, read_stamps
 from frontend.trajectory import Trajectory, read_tum
 
 
@@ -76,18 +76,24 @@ def _images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
     table = cam / "data.csv"
     if not table.is_file():
         images = list_images(cam / "data")
-        if not images or not all(path.stem.isdigit() for path in images):
+        try:
+            named = np.array([integer_ns(path.stem) for path in images], dtype=np.int64)
+        except ValueError:
+            named = np.zeros(0, dtype=np.int64)
+        if not len(named):
             raise FrontendError(f"{cam / 'data'}: no images named by their time in nanoseconds, and no {table.name}")
-        return np.array([int(path.stem) for path in images], dtype=np.int64), tuple(images)
+        return named, tuple(images)
     stamps, files = [], []
     for number, line in enumerate(tables.read_bytes(table).decode("ascii", "replace").splitlines(), 1):
         fields = [field.strip() for field in line.split(",")]
         if not line.strip() or line.startswith("#"):
             continue
-        if len(fields) != 2 or not fields[0].isdigit():
-            raise FrontendError(f"{table}:{number}: nanoseconds and a file name expected, found {line[:60]!r}")
-        stamps.append(int(fields[0]))
-        files.append(cam / "data" / fields[1])
+        try:
+            stamps.append(integer_ns(fields[0]))
+            files.append(cam / "data" / fields[1])
+        except (ValueError, IndexError):
+            found = repr(line[:60])
+            raise FrontendError(f"{table}:{number}: nanoseconds and a file name expected, found {found}") from None
     if not files:
         raise FrontendError(f"{table}: no images")
     return np.array(stamps, dtype=np.int64), tuple(files)

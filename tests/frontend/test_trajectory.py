@@ -129,7 +129,7 @@ def test_a_trajectory_that_contradicts_itself_cannot_be_made() -> None:
 
 
 @settings(max_examples=300, deadline=None)
-@given(st.integers(-(10**19), 10**19))
+@given(st.integers(1 - 2**63, 2**63 - 1))
 def test_every_nanosecond_survives_text(stamp_ns: int) -> None:
     assert decimal_ns(seconds_text(stamp_ns)) == stamp_ns
 
@@ -150,9 +150,9 @@ def test_seconds_as_written(text: str, stamp_ns: int) -> None:
     assert decimal_ns(text) == stamp_ns
 
 
-@pytest.mark.parametrize("text", ["nan", "inf", "1,5", "one", "1_0", ""])
+@pytest.mark.parametrize("text", ["nan", "inf", "1,5", "one", "1_0", "", "9" * 11, "1e30", "1e308"])
 def test_no_times(text: str) -> None:
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(ValueError, match=r"finite|years"):
         decimal_ns(text)
 
 
