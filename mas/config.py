@@ -66,12 +66,12 @@ class OptimisationConfig(_Section):
     odometry_sigma_share: float = Field(
         0.003, gt=0, description="1 sigma of an odometry step's position over its length"
     )
-    odometry_sigma_depth: float = Field(0.0005, gt=0, description="plus this share of the median depth of the key-frame")
+    odometry_sigma_depth: float = Field(0.0005, gt=0, description="plus this share of the key-frame's median depth")
     odometry_sigma_deg: float = Field(0.03, gt=0, description="1 sigma of an odometry step's rotation, degrees")
     match_sigma_depth: float = Field(
-        0.01, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
+        0.005, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
     )
-    match_sigma_deg: float = Field(0.2, gt=0, description="floor of a place match's rotation sigma, degrees")
+    match_sigma_deg: float = Field(0.1, gt=0, description="floor of a place match's rotation sigma, degrees")
     # Members' poses share a frame when an optimisation starts (the task places them), so it can go on from there.
     solver: SolverConfig = SolverConfig(start="warm")
 

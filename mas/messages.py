@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from mas.solver_messages import SolverDecision, SolverReport, SolverValues
-from mas.tensors import EMPTY_SIM3S, MessageError, Tensor, check, check_poses, check_sim3, check_sim3s
+from mas.tensors import EMPTY_SIM3S, MessageError, Tensor, check, check_points, check_poses, check_sim3, check_sim3s
 
 VERSION = 1
 
@@ -97,7 +97,7 @@ class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
     words: Tensor | None
 
     def __post_init__(self) -> None:
-        n = len(check("points", self.points, "<f4", (None, 3)))
+        n = check_points("points", self.points, None)
         check_poses("T_T_Q", self.T_T_Q, "<f8", ())
         if n > MAX_POINTS or (self.descriptors is None) == (self.words is None):
             raise ValueError(f"points: {n} of them, with exactly one of descriptors and words")
@@ -212,7 +212,7 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
         check("stamps_ns", self.stamps_ns, "<i8", (k,))
         check_poses("poses", self.poses, "<f8", (k,))
         references = check("references", self.references, "<i4", (None,))
-        check("points", self.points, "<f4", (len(references), 3))
+        check_points("points", self.points, len(references))
         check("descriptors", self.descriptors, "|u1", (len(references), 32))
         if len(references) and (references.min() < 0 or references.max() >= k):
             raise ValueError(f"references: a point refers to a key-frame beyond the {k} there are")

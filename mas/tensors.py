@@ -88,13 +88,21 @@ def unpack_poses(rows: NDArray[Any]) -> NDArray[np.float64]:
     return poses
 
 
+def check_points(name: str, tensor: Tensor, count: int | None) -> int:
+    """``(count, 3)`` float32 positions of a size that geometry can bear; returns how many."""
+    points = check(name, tensor, "<f4", (count, 3))
+    if len(points) and np.abs(points).max() > MAX_TRANSLATION:
+        raise ValueError(f"{name}: a point is farther than {MAX_TRANSLATION:.0e} away")
+    return len(points)
+
+
 def check_poses(name: str, tensor: Tensor, dtype: str, shape: Shape) -> None:
     """Rows as :func:`pack_poses` makes them: unit quaternions, positions of a size that geometry can bear."""
     rows = check(name, tensor, dtype, (*shape, POSE_WIDTH))
+    if rows.size and np.abs(rows).max() > MAX_TRANSLATION:
+        raise ValueError(f"{name}: a position is farther than {MAX_TRANSLATION:.0e} away")
     if rows.size and np.abs(np.linalg.norm(rows[..., 3:].astype(np.float64), axis=-1) - 1.0).max() > 1e-3:
         raise ValueError(f"{name}: a quaternion's length is not 1")
-    if rows.size and np.abs(rows[..., :3]).max() > MAX_TRANSLATION:
-        raise ValueError(f"{name}: a position is farther than {MAX_TRANSLATION:.0e} away")
 
 
 def pack_sim3s(transforms: Sequence[Sim3]) -> Tensor:
@@ -121,14 +129,10 @@ def check_sim3s(name: str, tensor: Tensor, count: int) -> None:
     rows = check(name, tensor, "<f8", (count, SIM3_WIDTH))
     if not count:
         return
+    if np.abs(rows).max() > MAX_TRANSLATION or rows[:, 7].max() > MAX_SCALE or rows[:, 7].min() * MAX_SCALE < 1.0:
+        raise ValueError(f"{name}: a scale or position is out of range")
     if np.abs(np.linalg.norm(rows[:, 3:7], axis=1) - 1.0).max() > 1e-3:
         raise ValueError(f"{name}: a quaternion's length is not 1")
-    if (
-        not (rows[:, 7] * MAX_SCALE > 1.0).all()
-        or rows[:, 7].max() > MAX_SCALE
-        or np.abs(rows[:, :3]).max() > MAX_TRANSLATION
-    ):
-        raise ValueError(f"{name}: a scale or position is out of range")
 
 
 def pack_sim3(transform: Sim3) -> Tensor:

@@ -154,8 +154,8 @@ def _track(
 ) -> VoTrack:
     seen = [visible(world, T_W_C, limit, rng) for T_W_C in truth]
     flat = np.concatenate(seen)
-    first_seen, inverse = np.unique(flat, return_index=True)[1], np.unique(flat, return_inverse=True)[1]
     keyframe = np.repeat(np.arange(len(seen)), [len(rows) for rows in seen])
+    first_seen, inverse = map_points(flat, keyframe)
     points = np.zeros((len(first_seen), 3))
     for k, (T_W_C, T_T_C) in enumerate(zip(truth, odometry, strict=True)):
         mine = np.flatnonzero(keyframe[first_seen] == k)
@@ -171,6 +171,18 @@ def _track(
         descriptors=flipped(world.descriptors[flat], rng),
         words=np.column_stack([words // 10, words]).astype(np.int32),
     )
+
+
+def map_points(seen: NDArray[np.intp], keyframe: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The map point of each observation, and each map point's first observation. Odometry closes no loops: a point
+    that comes back after a while becomes a new map point.
+    """
+    order = np.lexsort((keyframe, seen))
+    fresh = np.ones(len(order), dtype=bool)
+    fresh[1:] = (np.diff(seen[order]) != 0) | (np.diff(keyframe[order]) > 5)
+    point = np.empty(len(order), dtype=np.intp)
+    point[order] = np.cumsum(fresh) - 1
+    return order[fresh], point
 
 
 def visible(world: World, T_W_C: Array, limit: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -213,13 +225,14 @@ def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Man
     )
 
 
-def town(agents: int = 4, keyframes: int = 40, seed: int = 0, **options: Any) -> tuple[Manifest, list[AgentSequence]]:
-    """Agents on one circuit, starting at equal distances and driving over each other's ground."""
+def town(
+    agents: int = 4, keyframes: int = 40, seed: int = 0, spacing_m: float | None = None, **options: Any
+) -> tuple[Manifest, list[AgentSequence]]:
+    """Agents on one circuit (186 m round), starting ``spacing_m`` apart (else all around it), driving over each other's
+    ground.
+    """
     world = make_world(seed)
     way = keyframes * FRAMES_A_KEYFRAME * 0.5
-    perimeter = 4 * (50.0 - 16.0) + 2 * np.pi * 8.0
-    sequences = [
-        make_sequence(world, circuit(a * perimeter / agents, way), seed, a, **options)
-        for a in range(agents)
-    ]
+    apart = (4 * (50.0 - 16.0) + 2 * np.pi * 8.0) / agents if spacing_m is None else spacing_m
+    sequences = [make_sequence(world, circuit(a * apart, way), seed, a, **options) for a in range(agents)]
     return manifest_of(sequences), sequences

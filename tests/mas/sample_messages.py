@@ -1,0 +1,81 @@
+"""One message of each kind, for tests of the wire."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.geometry import Sim3
+from mas.messages import (
+    Award,
+    Bid,
+    Call,
+    Confirmation,
+    ContractId,
+    FrameId,
+    GroupNotice,
+    Links,
+    MatchId,
+    Message,
+    Operation,
+    OptimiseAnswer,
+    PlaceAnswer,
+    PlaceQuery,
+    Refusal,
+    Result,
+    SubMap,
+    VerifyTask,
+)
+from mas.solver_messages import SolverReport, SolverValues
+from mas.tensors import Tensor, pack_poses, pack_sim3s
+
+
+def submap(**changes: object) -> SubMap:
+    fields: dict[str, object] = {
+        "owner": 1,
+        "version": 4,
+        "unit": 1.0,
+        "keyframes": Tensor.of([0, 1], "<i4"),
+        "stamps_ns": Tensor.of([0, 5], "<i8"),
+        "poses": pack_poses(np.stack([np.eye(4)] * 2)),
+        "references": Tensor.of([0, 1, 1], "<i4"),
+        "points": Tensor.of(np.ones((3, 3)), "<f4"),
+        "descriptors": Tensor.of(np.zeros((3, 32)), "|u1"),
+        "matches": (),
+        "transforms": pack_sim3s([]),
+    }
+    return SubMap(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def verify_task(**changes: object) -> VerifyTask:
+    fields: dict[str, object] = {
+        "match": MatchId(0, 3, 1, 2),
+        "track": 0,
+        "stamp_ns": 5,
+        "metric": True,
+        "T_T_Q": pack_poses(np.eye(4)),
+        "way": 12.5,
+        "points": Tensor.of(np.ones((4, 3)), "<f4"),
+        "descriptors": Tensor.of(np.zeros((4, 32)), "|u1"),
+        "words": None,
+    }
+    return VerifyTask(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def examples() -> list[Message]:
+    contract = ContractId(0, 7)
+    vector = Tensor.of(np.eye(1, 16)[0], "<f4")
+    links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), *[pack_sim3s([Sim3.identity()])] * 2)
+    bodies = [
+        Call(Operation.DOPT, 5_000_000_000, (0, 1)),
+        Bid(100, 0, links),
+        Refusal("busy"),
+        Award(PlaceQuery(3, "ab" * 32, vector)),
+        Award(verify_task()),
+        Confirmation(),
+        Result(PlaceAnswer(4, 0.25)),
+        Result(PlaceAnswer(None, 2.0)),
+        Result(OptimiseAnswer(True, 2.0, 1.0, 30)),
+        SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
+        SolverReport(2, 0, 1, float("inf"), 3.0),
+    ]
+    return [*(Message(0, 1, contract, b) for b in bodies), Message(0, 1, None, GroupNotice((0, 1, 2)))]

@@ -1,0 +1,138 @@
+"""The contract net's promises, whatever anyone says in whatever order."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mas.contract import (
+    CONTRACTOR_SAYS,
+    ENDED,
+    MANAGER_SAYS,
+    Contract,
+    LateMessage,
+    Ledger,
+    ProtocolError,
+    State,
+    advance,
+    expire,
+)
+from mas.messages import (
+    Award,
+    Bid,
+    Call,
+    Cancel,
+    Confirmation,
+    ContractId,
+    Failure,
+    MapOrder,
+    Operation,
+    PlaceAnswer,
+    Refusal,
+    Rejection,
+    Result,
+)
+
+MANAGER, CONTRACTOR, STRANGER = 3, 5, 8
+BODIES = [
+    Bid(1, 0),
+    Refusal("no"),
+    Award(MapOrder((1,))),
+    Rejection("no"),
+    Confirmation(),
+    Result(PlaceAnswer(None, 2.0)),
+    Failure("no"),
+    Cancel("no"),
+]
+sayings = st.lists(st.tuples(st.sampled_from([MANAGER, CONTRACTOR, STRANGER]), st.sampled_from(BODIES)), max_size=25)
+
+
+def opened() -> Contract:
+    return Contract(ContractId(MANAGER, 0), CONTRACTOR, Operation.DVPR, deadline_ns=100)
+
+
+@given(sayings)
+def test_no_award_without_a_bid_no_work_without_an_award(said: list) -> None:  # type: ignore[type-arg]
+    contract = opened()
+    heard: list[tuple[int, type]] = []
+    for sender, body in said:
+        try:
+            after = advance(contract, sender, body)
+        except ProtocolError:
+            continue
+        assert not contract.ended, "an ended contract went on"
+        assert sender in (MANAGER, CONTRACTOR)
+        kinds = [kind for _, kind in heard]
+        if isinstance(body, Award):
+            assert sender == MANAGER and Bid in kinds
+        if isinstance(body, Confirmation):
+            assert sender == CONTRACTOR and Award in kinds
+        if isinstance(body, Result):
+            assert sender == CONTRACTOR and Confirmation in kinds
+        assert (sender, type(body)) not in heard, "something was said twice"
+        heard.append((sender, type(body)))
+        contract = after
+
+
+@given(sayings)
+def test_every_contract_ends(said: list) -> None:  # type: ignore[type-arg]
+    contract = opened()
+    for sender, body in said:
+        try:
+            contract = advance(contract, sender, body)
+        except ProtocolError:
+            continue
+    assert expire(contract, now_ns=100) == contract, "the deadline itself is still in time"
+    assert expire(contract, now_ns=101).ended
+
+
+def test_every_state_can_be_reached_and_left_by_the_table() -> None:
+    table = {**CONTRACTOR_SAYS, **MANAGER_SAYS}
+    reached = {State.CALLED, State.EXPIRED, *table.values()}
+    assert reached == set(State)
+    assert {state for state, _ in table} == set(State) - ENDED
+
+
+def test_both_sides_keep_the_same_state() -> None:
+    manager, contractor = Ledger(MANAGER), Ledger(CONTRACTOR)
+    identity, called = manager.call(Operation.MAPMERGE, [CONTRACTOR], deadline_ns=10)
+    assert called == [CONTRACTOR]
+    contractor.called(MANAGER, identity, Call(Operation.MAPMERGE, 10))
+    steps = [(CONTRACTOR, BODIES[0]), (MANAGER, BODIES[2]), (CONTRACTOR, BODIES[4]), (CONTRACTOR, BODIES[5])]
+    for sender, body in steps:
+        states = {ledger.say(ledger.get(identity, CONTRACTOR), sender, body).state for ledger in (manager, contractor)}
+        assert len(states) == 1
+    assert states == {State.DONE}
+    assert not manager.running() and not contractor.running()
+
+
+def test_at_most_one_contract_of_a_kind_a_pair() -> None:
+    ledger = Ledger(MANAGER)
+    ledger.call(Operation.DVPR, [1, 2], 10)
+    assert ledger.call(Operation.DVPR, [1, 2, 4], 10)[1] == [4]
+    assert ledger.call(Operation.DOPT, [1, 2], 10)[1] == [1, 2]
+
+
+def test_a_call_that_comes_twice_is_refused() -> None:
+    ledger = Ledger(CONTRACTOR)
+    call = Call(Operation.DVPR, 10)
+    ledger.called(MANAGER, ContractId(MANAGER, 4), call)
+    for number in (4, 3):
+        with pytest.raises(ProtocolError, match="twice"):
+            ledger.called(MANAGER, ContractId(MANAGER, number), call)
+
+
+def test_nobody_calls_in_another_name() -> None:
+    with pytest.raises(ProtocolError, match="in the name"):
+        Ledger(CONTRACTOR).called(STRANGER, ContractId(MANAGER, 0), Call(Operation.DVPR, 10))
+
+
+def test_a_late_message_is_told_from_a_wrong_one() -> None:
+    ledger = Ledger(MANAGER)
+    identity, _ = ledger.call(Operation.DVPR, [CONTRACTOR], deadline_ns=10)
+    assert [c.state for c in ledger.expired(11)] == [State.EXPIRED]
+    with pytest.raises(LateMessage):
+        ledger.get(identity, CONTRACTOR)
+    with pytest.raises(ProtocolError, match="no running contract"):
+        ledger.get(ContractId(MANAGER, 99), CONTRACTOR)

@@ -1,0 +1,132 @@
+"""The whole default system on a made-up town whose truth is known."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from factory import town
+
+from backend.g2o import read_g2o
+from frontend.trajectory import read_tum
+from mas.config import MasConfig
+from mas.environment import run
+from mas.policy.presets import preset
+from mas.summary import Summary
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+    out = tmp_path_factory.mktemp("system") / "run"
+    manifest, sequences = town(3, 36, spacing_m=14.0, drifting=0.03)
+    return out, run(manifest, sequences, preset("default"), out)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_agents_find_each_other_and_share_one_frame(played: tuple[Path, Summary]) -> None:
+    _, summary = played
+    assert summary.groups == [[0, 1, 2]]
+    assert summary.matches.accepted >= 4
+    assert summary.matches.false_accepted == 0
+    assert summary.matches.candidates == summary.matches.accepted + sum(summary.matches.rejected.values())
+
+
+def test_optimisation_makes_trajectories_better(played: tuple[Path, Summary]) -> None:
+    _, summary = played
+    assert summary.odometry_mean_rmse_m is not None and summary.ate_rmse_m.mean_agents is not None
+    assert summary.ate_rmse_m.mean_agents < summary.odometry_mean_rmse_m
+    connected = [e for e in summary.ate_rmse_m.connected if e is not None]
+    assert len(connected) == 3
+    assert np.mean(connected) < 0.01 * np.mean([p for p in summary.path_length_m if p is not None])
+
+
+def test_no_optimisation_raises_the_cost(played: tuple[Path, Summary]) -> None:
+    out, summary = played
+    events = [json.loads(line) for line in (out / "events.jsonl").read_text().splitlines()]
+    optimised = [e for e in events if e["event"] == "optimised"]
+    assert len(optimised) == summary.optimisations.count > 0
+    assert all(e["cost_after"] <= e["cost_before"] for e in optimised)
+
+
+def test_every_agent_ends_with_everyones_map(played: tuple[Path, Summary]) -> None:
+    out, summary = played
+    assert {(c.holder, c.owner) for c in summary.map_copies} == {(a, b) for a in range(3) for b in range(3) if a != b}
+    assert min(summary.exploration_percent) > 95.0
+    for copy in summary.map_copies:
+        assert copy.ate_rmse_m is not None and copy.ate_rmse_m < 1.0
+        held = read_tum(out / f"agent_{copy.holder:02d}" / "maps" / f"agent_{copy.owner:02d}.tum")
+        assert len(held) == copy.keyframes
+
+
+def test_traffic_adds_up(played: tuple[Path, Summary]) -> None:
+    out, summary = played
+    sent = rows(out / "traffic.csv")
+    for name, figures in summary.traffic.items():
+        mine = [r for r in sent if name in (r["operation"], "total")]
+        assert figures.messages == len(mine)
+        assert figures.wire_bytes == sum(int(r["wire_bytes"]) for r in mine)
+        assert figures.payload_bytes == sum(int(r["payload_bytes"]) for r in mine)
+    assert summary.traffic["negotiation"].payload_bytes == 0
+    assert all(int(r["wire_bytes"]) > int(r["payload_bytes"]) for r in sent if r["kind"] != "VerifyAnswer")
+
+
+def test_every_call_ends(played: tuple[Path, Summary]) -> None:
+    out, _ = played
+    sent = rows(out / "traffic.csv")
+    events = [json.loads(line) for line in (out / "events.jsonl").read_text().splitlines()]
+    ended = [e for e in events if e["event"] == "contract"]
+    assert len(ended) == sum(r["kind"] == "Call" for r in sent)
+
+
+def test_the_run_folder_is_complete(played: tuple[Path, Summary]) -> None:
+    out, summary = played
+    for name in ("summary.json", "config.yaml", "timeline.csv", "events.jsonl", "matches.csv", "traffic.csv"):
+        assert (out / name).is_file()
+    assert json.loads((out / "summary.json").read_text()) == summary.model_dump()
+    assert len(rows(out / "timeline.csv")) == summary.steps
+    assert len(rows(out / "matches.csv")) == summary.matches.candidates
+    for agent in range(3):
+        folder = out / f"agent_{agent:02d}"
+        assert len(read_tum(folder / "trajectory.tum")) == 108
+        keyframes = read_tum(folder / "trajectory_keyframes.tum")
+        assert len(keyframes) == 36
+        graph = read_g2o(folder / "graph.g2o")
+        own = [n for n in graph.nodes if n.robot == agent]
+        np.testing.assert_allclose([graph.poses[n][:3, 3] for n in own], keyframes.centres, atol=1e-6)
+        assert (folder / "map.ply").read_bytes().startswith(b"ply\nformat binary_little_endian")
+    assert not out.with_name("run.part").exists()
+
+
+def test_the_settings_can_be_read_back(played: tuple[Path, Summary]) -> None:
+    import yaml
+
+    out, _ = played
+    assert MasConfig.model_validate(yaml.safe_load((out / "config.yaml").read_text())) == preset("default")
+
+
+def test_same_input_same_bytes(played: tuple[Path, Summary], tmp_path: Path) -> None:
+    out, first = played
+    manifest, sequences = town(3, 36, spacing_m=14.0, drifting=0.03)
+    second = run(manifest, sequences, preset("default"), tmp_path / "again")
+    files = sorted(p.relative_to(out) for p in out.rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(tmp_path / "again") for p in (tmp_path / "again").rglob("*") if p.is_file())
+    different = [f for f in files if (out / f).read_bytes() != (tmp_path / "again" / f).read_bytes()]
+    assert different == [Path("summary.json")]
+    timed = {"wall_s", "realtime_factor"}
+    assert first.model_dump(exclude=timed) == second.model_dump(exclude=timed)
+
+
+def test_our_preset_finds_as_much_for_fewer_bytes(played: tuple[Path, Summary], tmp_path: Path) -> None:
+    _, default = played
+    manifest, sequences = town(3, 36, spacing_m=14.0, drifting=0.03)
+    ours = run(manifest, sequences, preset("maslam"), tmp_path / "ours")
+    assert ours.groups == default.groups
+    assert ours.matches.accepted >= 0.9 * default.matches.accepted
+    assert ours.traffic["total"].wire_bytes < default.traffic["total"].wire_bytes

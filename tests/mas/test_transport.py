@@ -1,0 +1,93 @@
+"""Transports: every message once, in order, counted to the byte."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sample_messages import examples, submap, verify_task
+
+from mas.messages import (
+    Award,
+    Bid,
+    ContractId,
+    MapDelivery,
+    Message,
+    PlaceAnswer,
+    PlaceQuery,
+    Result,
+    encode,
+)
+from mas.solver_messages import SolverValues
+from mas.tensors import MessageError, Tensor
+from mas.transport import InProcessTransport, Sent, Traffic, Transport, account
+
+
+class TransportContract:
+    """What every transport must do; a subclass says how to make one."""
+
+    def make(self, max_message_bytes: int = 2**20, record: object = None) -> Transport:
+        raise NotImplementedError
+
+    def test_each_message_arrives_once_in_order(self) -> None:
+        transport = self.make()
+        for message in examples():
+            transport.send(message, 0)
+        got = [transport.receive() for _ in examples()]
+        assert got == examples()
+        assert transport.receive() is None
+
+    def test_wire_bytes_are_the_encoded_lengths(self) -> None:
+        seen: list[Sent] = []
+        transport = self.make(record=seen.append)
+        for message in examples():
+            transport.send(message, 3)
+        assert [s.wire_bytes for s in seen] == [len(encode(m)) for m in examples()]
+        total = sum(len(encode(m)) for m in examples())
+        assert sum(c.wire_bytes for c in transport.by_operation.values()) == total
+        assert sum(c.wire_bytes for c in transport.by_pair.values()) == total
+        assert sum(c.messages for c in transport.by_operation.values()) == len(examples())
+
+    def test_a_sender_cannot_send_what_nobody_would_take(self) -> None:
+        with pytest.raises(MessageError, match="at most 20 travel"):
+            self.make(20).send(examples()[3], 0)
+
+
+class TestInProcess(TransportContract):
+    def make(self, max_message_bytes: int = 2**20, record: object = None) -> Transport:
+        return InProcessTransport(max_message_bytes, record)  # type: ignore[arg-type]
+
+    def test_what_cannot_be_read_is_dropped_and_counted(self) -> None:
+        transport = InProcessTransport(2**20)
+        transport.carry(1, b"nonsense")
+        transport.carry(2, encode(examples()[0]))
+        transport.send(examples()[1], 0)
+        assert transport.receive() == examples()[1]
+        assert [recipient for recipient, _ in transport.refused] == [1, 2]
+        assert "came to agent 2" in transport.refused[1][1]
+
+
+def test_payload_is_counted_as_the_published_tables_do() -> None:
+    """Expected figures worked out by hand from the table of byte accounting."""
+    contract = ContractId(0, 0)
+    vector = np.zeros(128)
+    vector[0] = 1.0
+    words = verify_task(descriptors=None, words=Tensor.of(np.zeros(4), "<u2"))
+    cases = [
+        (Award(PlaceQuery(0, "x", Tensor.of(vector, "<f4"))), Traffic.DVPR, 4 * 128),
+        (Result(PlaceAnswer(1, 0.1)), Traffic.DVPR, 8 + 4),
+        (Award(verify_task()), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (32 + 12)),
+        (Award(words), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (2 + 12)),
+        (SolverValues(2, 0, 0, Tensor.of(np.zeros((3, 9)), "<f8")), Traffic.DOPT, 3 * 9 * 8),
+        (Bid(0, 0), Traffic.NEGOTIATION, 0),
+    ]
+    for body, operation, payload in cases:
+        found = account(Message(0, 1, contract, body))
+        assert (found[0], found[2]) == (operation, payload)
+
+
+def test_a_map_counts_its_numbers() -> None:
+    from mas.messages import FrameId
+
+    delivery = MapDelivery(FrameId(0, 0), (), submap().transforms, (submap(),))
+    poses, points = 2 * (7 * 8 + 8 + 4), 3 * (12 + 32 + 4)
+    assert account(Message(0, 1, ContractId(1, 0), Result(delivery)))[2] == poses + points
