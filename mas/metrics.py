@@ -173,13 +173,23 @@ class Onlooker:
 
 
 def odometry_keyframes(agent: Agent) -> Trajectory:
-    """The agent's longest track as odometry left it: before any optimisation."""
-    keyframes = agent.state.keyframes
-    tracks = [k.track for k in keyframes]
-    longest = max(sorted(set(tracks)), key=tracks.count, default=0)
-    chosen = [k for k in keyframes if k.track == longest]
+    """The key-frames of the agent's longest track as odometry left them: before any optimisation."""
+    chosen = [k for k in agent.state.keyframes if k.track == longest_track(agent)]
     stamps = np.array([k.time_ns for k in chosen], dtype=np.int64)
     return Trajectory(stamps, np.array([k.T_T_C for k in chosen]).reshape(-1, 4, 4))
+
+
+def odometry_frames(agent: Agent, sequence: AgentSequence) -> Trajectory:
+    """Every frame of the agent's longest track as odometry left it: what its final trajectory is compared with."""
+    raw = sequence.trajectory
+    chosen = sequence.track_of(raw.stamps_ns) == longest_track(agent)
+    return Trajectory(raw.stamps_ns[chosen], raw.poses[chosen])
+
+
+def longest_track(agent: Agent) -> int:
+    """Number of the track with the most key-frames, the first of equals."""
+    tracks = [k.track for k in agent.state.keyframes]
+    return max(sorted(set(tracks)), key=tracks.count, default=0)
 
 
 def groups_of(agents: Sequence[Agent]) -> list[list[int]]:

@@ -13,7 +13,7 @@ from mas.agent import Agent
 from mas.config import MasConfig
 from mas.matches import Fate
 from mas.messages import MatchId
-from mas.metrics import MatchError, Onlooker, groups_of, odometry_keyframes
+from mas.metrics import MatchError, Onlooker, groups_of, odometry_frames
 from mas.sequence import AgentSequence
 from mas.summary import Errors, MapCopy, MatchFigures, OptimisationFigures, Summary, TrafficFigures
 from mas.trajectories import frame_trajectory
@@ -31,7 +31,7 @@ def summarise(
 ) -> Summary:
     """All figures but the wall times, which are 0."""
     own = [onlooker.error_of(a.state.me, frame_trajectory(a.state, s)) for a, s in zip(agents, sequences, strict=True)]
-    odometry = [onlooker.error_of(a.state.me, odometry_keyframes(a)) for a in agents]
+    odometry = [onlooker.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
     maps = [onlooker.map_error(a) for a in agents]
     connected = onlooker.connected_errors(agents)
     columns = (own, [m[0] for m in maps], [connected.get(a.state.me) for a in agents])
