@@ -30,33 +30,29 @@ MAX_MATCH_ROWS = 400
 
 def headline(run: RunData) -> tuple[str, str]:
     """Title and the line below it."""
-    summary = run.summary
-    title = f"{summary['agents']} agents in {Path(run.manifest.source).name}"
-    settings = f"preset {summary['preset']}, seed {summary['seed']}, scale {run.manifest.scale}"
-    return title, f"{run.manifest.kind} · {summary['keyframes']} key-frames · {settings} · maslam {summary['version']}"
+    s = run.summary
+    title = f"{s['agents']} agent{'' if s['agents'] == 1 else 's'} in {Path(run.manifest.source).name}"
+    settings = f"preset {s['preset']}, seed {s['seed']}, scale {run.manifest.scale}"
+    return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}"
 
 
 def tiles(run: RunData) -> list[Tile]:
-    """The key figures."""
+    """The key figures; green and red only where there was something to gain."""
     s = run.summary
     biggest = max((len(group) for group in run.groups), default=0)
-    shared = Tile("agents in one frame", f"{biggest} of {s['agents']}", mood="good" if biggest == s["agents"] else "")
-    matches = s["matches"]
-    false = matches["false_accepted"]
+    shared = "good" if biggest == s["agents"] > 1 else ""
+    accepted, false = s["matches"]["accepted"], s["matches"]["false_accepted"]
     known = "truth unknown" if false is None else f"{false} of them false"
+    judged = "" if false is None or not accepted else "bad" if false else "good"
     explored = s["exploration_percent"]
     total = s["traffic"]["total"]
     return [
         *_error_tiles(run),
-        shared,
-        Tile("accepted matches", str(matches["accepted"]), known, "" if false is None else "bad" if false else "good"),
-        Tile(
-            "known of the whole, mean",
-            f"{np.mean(explored):.0f} %" if explored else "–",
-            f"least {min(explored, default=0):.0f} %",
-        ),
+        Tile("agents in one frame", f"{biggest} of {s['agents']}", mood=shared),
+        Tile("accepted matches", str(accepted), known, judged),
+        Tile("explored, mean", f"{np.mean(explored):.0f} %", f"least {min(explored):.0f} %"),
         Tile("on the air", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
-        Tile("time, without front end", f"{s['wall_s']:.1f} s", f"{s['realtime_factor']:.1f} x real time"),
+        Tile("time of the agents", f"{s['wall_s']:.1f} s", f"{s['realtime_factor']:.1f} x real time"),
     ]
 
 
@@ -107,7 +103,13 @@ def _map(run: RunData) -> list[Section]:
         note += " There is no ground truth: each group of agents is drawn in its own frame."
         charts = [_map_of(run, group, axes) for group in sorted(run.groups, key=lambda group: (-len(group), group))]
     shared = len(run.groups) == 1
-    title = "All agents in one frame" if shared else f"Agents in {len(run.groups)} frames that no match joins"
+    title = (
+        "Trajectory"
+        if len(run.agents) == 1
+        else "All agents in one frame"
+        if shared
+        else f"Agents in {len(run.groups)} frames that no match joins"
+    )
     return [Section(title, note, _agent_legend(run) + "".join(charts))]
 
 
@@ -161,7 +163,8 @@ def _errors(run: RunData) -> Section:
         )
     ]
     note = "Position error after alignment, of what each agent had at that moment. Dotted lines: an optimisation ended."
-    key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + [("mean", INK, "")])
+    mean = [("mean", INK, "")] if len(run.agents) > 1 else []
+    key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
     return Section("Error over time", note, f'{key}<div class="columns">{"".join(charts)}</div>{_error_table(run)}')
 
 
