@@ -114,5 +114,5 @@ class OdometryConfig(_Frozen):
     mapping: MappingConfig = MappingConfig()
     mono: MonoConfig = MonoConfig()
     lost: LostConfig = LostConfig()
-    min_track_keyframes: int = Field(3, ge=1, description="shorter tracks are not written")
+    min_track_keyframes: int = Field(2, ge=1, description="shorter tracks are not written")
     seed: int = Field(0, ge=0, description="of every random draw")

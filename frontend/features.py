@@ -19,6 +19,8 @@ from frontend.config import FeatureConfig
 EDGE_PX = 20
 """ORB's rotated sampling pattern reaches 18.4 pixels from its centre."""
 _HALF_PATCH = 15
+_REACH = (15, 15, 15, 15, 14, 14, 14, 13, 13, 12, 11, 10, 9, 8, 6, 3)
+"""Half width of each row of the round patch that gives the orientation: the same circle as OpenCV's and ORB-SLAM's."""
 _TILE_PX = 120
 
 
@@ -170,7 +172,7 @@ def _orientation(image: NDArray[np.uint8], xy: NDArray[np.float64]) -> NDArray[n
         cx, cy = int(round(xy[i, 0])), int(round(xy[i, 1]))
         m10, m01 = 0, 0
         for dy in range(-_HALF_PATCH, _HALF_PATCH + 1):
-            reach = int(np.sqrt(_HALF_PATCH * _HALF_PATCH - dy * dy + 0.5))
+            reach = _REACH[abs(dy)]
             for dx in range(-reach, reach + 1):
                 value = np.int64(image[cy + dy, cx + dx])
                 m10 += dx * value

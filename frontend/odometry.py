@@ -106,6 +106,8 @@ class Odometry:
     def finish(self) -> OdometryResult:
         """Everything found, with final, bundle-adjusted values."""
         segments = [*self._finished, *([self._segment] if self._segment else [])]
+        for segment in segments:
+            segment.close()
         kept = [s for s in segments if len(s.map.keyframes) >= self.config.min_track_keyframes]
         trajectories = [s.trajectory() for s in kept]
         return OdometryResult(
@@ -167,10 +169,13 @@ class Odometry:
             if result is not None and result.stamp_ns not in posed:
                 run.append(result)
             elif run:
-                reason = next((r.reason for r in run if r.reason), "the track was too short to be written")
+                reason = next((r.reason for r in reversed(run) if r.reason), self._too_short())
                 out.append(LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), reason))
                 run = []
         return out
+
+    def _too_short(self) -> str:
+        return f"the track has fewer key-frames than the {self.config.min_track_keyframes} it takes to be written: the camera hardly moved"
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
         calib = self.ranging.calib

@@ -80,6 +80,14 @@ class Segment:
         self.tracker.motion = previous
         self._reference_points = int(np.isfinite(self.map.xyz[latest.point[rows], 0]).sum())
 
+    def close(self) -> None:
+        """No more frames: what only supported the window goes."""
+        numbers = sorted(self.map.keyframes)
+        for k in range(1, len(numbers)):
+            if not self.map.keyframes[numbers[k]].stays:
+                parent = next(n for n in reversed(numbers[:k]) if n in self.map.keyframes)
+                self.map.cull_keyframe(numbers[k], parent)
+
     def keyframe_indices(self) -> NDArray[np.int64]:
         """Frame index of each key-frame that stayed."""
         return np.array([self.map.keyframes[k].frame_index for k in sorted(self.map.keyframes)], dtype=np.int64)
