@@ -1,5 +1,4 @@
-"""A tree of binary words: every ORB descriptor falls to one node on each level (Galvez-Lopez and Tardos, DBoW2, T-RO
-2012)."""
+"""A tree of binary words: an ORB descriptor falls to one node a level (Galvez-Lopez and Tardos, DBoW2, T-RO 2012)."""
 
 from __future__ import annotations
 
@@ -13,6 +12,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from frontend.errors import FrontendError
+from frontend.tables import write_npz
 
 DEFAULT_PATH = Path(__file__).with_name("vocabulary.npz")
 WORD_LEVELS = (3, 4)
@@ -93,15 +93,15 @@ class Vocabulary:
             from frontend.vocabulary_text import write_text
 
             return write_text(self, path)
-        from frontend.tables import write_npz
-
-        return write_npz(
-            path, {
-                "format": np.array(1), "branching": np.array(self.branching), "depth": np.array(self.depth),
-                "parents": self.parents,
-                "descriptors": self.descriptors, "weights": self.weights.astype(np.float32),
-            },
-        )  # fmt: skip
+        arrays = {
+            "format": np.array(1),
+            "branching": np.array(self.branching),
+            "depth": np.array(self.depth),
+            "parents": self.parents,
+            "descriptors": self.descriptors,
+            "weights": self.weights.astype(np.float32),
+        }
+        return write_npz(path, arrays)
 
     def words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int32]:
         """Node ids ``(N, 2)`` at level 3 and level 4 of ORB descriptors ``(N, 32)``; where the tree ends above a
