@@ -77,7 +77,7 @@ class PlaceQuery(msgspec.Struct, frozen=True, array_like=True, tag=1):
 
     def __post_init__(self) -> None:
         v = check("vector", self.vector, "<f4", (None,))
-        if not len(v) or abs(float(np.linalg.norm(v)) - 1.0) > 1e-2:
+        if not len(v) or np.abs(v).max() > 1.01 or abs(float(np.linalg.norm(v)) - 1.0) > 1e-2:
             raise ValueError("vector: not of length 1")
 
 

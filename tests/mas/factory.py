@@ -109,15 +109,15 @@ def make_sequence(
 ) -> AgentSequence:
     """The sequence of an agent along true poses (one a frame); every third frame is a key-frame.
 
-    ``scale`` other than 1: monocular, metres in one own unit are 1/scale. ``cuts``: frames at which tracking was lost
-    and a new track began.
+    ``drifting`` 0: exact odometry. ``scale`` other than 1: monocular, metres in one own unit are 1/scale. ``cuts``:
+    frames at which tracking was lost and a new track began.
     """
     rng = np.random.default_rng([seed, number])
     bounds = [0, *cuts, len(truth)]
     tracks, frames, stamps = [], [], []
     vectors = []
     for first, last in pairwise(bounds):
-        odometry = drift(truth[first:last], rng, drifting)
+        odometry = drift(truth[first:last], rng, drifting, 0.15 if drifting else 0.0)
         odometry[:, :3, 3] *= scale
         keys = np.arange(0, last - first, FRAMES_A_KEYFRAME)
         seen = truth[first:last][keys]

@@ -1,0 +1,135 @@
+"""Which matches agree, and what a group optimises with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from factory import circuit, drift
+
+from backend.geometry import Sim3, se3_exp, se3_inverse
+from mas.config import ConsistencyConfig
+from mas.matches import Match, agree, consistent
+from mas.messages import Bid, FrameId, Links, MatchId, PieceTerms
+from mas.plan import plan
+from mas.tensors import pack_sim3s, unpack_sim3s
+
+CONFIG = ConsistencyConfig()
+
+
+def matches_between(count: int, seed: int = 0, unit_M: float = 1.0, unit_Q: float = 1.0) -> list[Match]:
+    """True matches, with 1 cm of noise, between two agents that drove the same way with drifting odometry."""
+    rng = np.random.default_rng(seed)
+    truth = circuit(0.0, 60.0, step_m=1.5)
+    tracks = [drift(truth, rng, share=0.01), drift(truth, rng, share=0.01)]
+    ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))])
+    out = []
+    for m in range(2, 2 + 3 * count, 3):
+        q = m + 1
+        T_M_Q = se3_inverse(truth[m]) @ truth[q] @ se3_exp(rng.normal(0.0, [0.01] * 3 + [0.001] * 3))
+        T_T_M, T_T_Q = tracks[0][m].copy(), tracks[1][q].copy()
+        T_T_M[:3, 3] /= unit_M
+        T_T_Q[:3, 3] /= unit_Q
+        sim = Sim3(T_M_Q[:3, :3], T_M_Q[:3, 3] / unit_M, unit_Q / unit_M)
+        args = (np.eye(6), 50, T_T_Q, T_T_M, ways[q] / unit_Q, ways[m] / unit_M, 10.0 / unit_M)
+        out.append(Match(MatchId(1, q, 0, m), 0, 0, sim, *args))
+    return out
+
+
+def spoiled(match: Match, metres: float = 3.0) -> Match:
+    m = match.id
+    off = np.array([0.0, 0.0, metres * match.depth / 10.0])
+    wrong = Sim3(match.T_M_Q.rotation, match.T_M_Q.translation + off, match.T_M_Q.scale)
+    return replace(match, id=MatchId(m.query_agent, m.query + 1, m.match_agent, m.match), T_M_Q=wrong)
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0), (0.2, 5.0)], ids=["metric", "own units"])
+def test_true_matches_agree_in_any_unit(units: tuple[float, float]) -> None:
+    matches = matches_between(8, unit_M=units[0], unit_Q=units[1])
+    assert consistent(matches, CONFIG) == {m.id for m in matches}
+
+
+def test_a_wrong_match_is_left_out_and_spoils_no_other() -> None:
+    matches = matches_between(6)
+    wrong = spoiled(matches[2])
+    assert consistent([*matches, wrong], CONFIG) == {m.id for m in matches}
+
+
+def test_one_match_alone_is_not_believed_until_another_agrees() -> None:
+    first, second, *_ = matches_between(3)
+    assert consistent([first], CONFIG) == set()
+    assert consistent([first, spoiled(second)], CONFIG) == set()
+    assert consistent([first, spoiled(second), second], CONFIG) == {first.id, second.id}
+    assert consistent([first], ConsistencyConfig(min_support=0)) == {first.id}
+
+
+def test_both_owners_come_to_the_same_set() -> None:
+    matches = [*matches_between(5), spoiled(matches_between(5)[3])]
+    assert consistent(matches, CONFIG) == consistent(reversed(matches), CONFIG)
+
+
+def test_a_match_seen_from_the_other_side_says_the_same() -> None:
+    a, b, *_ = matches_between(3)
+    assert agree(a.turned(), b.turned(), CONFIG)
+    np.testing.assert_allclose(a.turned().joins().matrix(), a.joins().inverse().matrix(), atol=1e-9)
+    back = a.turned().turned()
+    np.testing.assert_allclose(back.T_M_Q.matrix(), a.T_M_Q.matrix(), atol=1e-9)
+    assert back.id == a.id
+
+
+# -- plans ------------------------------------------------------------------------------------------------------------
+
+
+def bid(
+    agent: int, rows: list[tuple[MatchId, bool, Sim3, Sim3]], unit: float = 1.0, tracks: tuple[int, ...] = (0,)
+) -> Bid:
+    """Rows: match, whether this agent asked, its key-frame's pose, ``T_M_Q``."""
+    links = Links(
+        tuple(m for m, *_ in rows),
+        tuple(0 for _ in rows),
+        tuple(FrameId(agent, 0) for _ in rows),
+        tuple(asked for _, asked, *_ in rows),
+        pack_sim3s([pose for *_, pose, _ in rows]),
+        pack_sim3s([T_M_Q for _, asked, _, T_M_Q in rows if asked]),
+    )
+    return Bid(0, 0, links, tuple(PieceTerms(t, FrameId(agent, t), unit) for t in tracks))
+
+
+def random_sim3(rng: np.random.Generator, unit: float) -> Sim3:
+    pose = se3_exp(rng.normal(size=6))
+    return Sim3(pose[:3, :3], pose[:3, 3], unit)
+
+
+def test_everyone_is_placed_in_the_lowest_members_frame() -> None:
+    """A chain 2 - 5 - 9, in units 1, 2 and 0.5 of the anchor's; the manager is its last link."""
+    rng = np.random.default_rng(1)
+    units = {2: 1.0, 5: 2.0, 9: 0.5}
+    T_2_frame = {2: Sim3.identity(), 5: random_sim3(rng, 2.0), 9: random_sim3(rng, 0.5)}
+    rows: dict[int, list[tuple[MatchId, bool, Sim3, Sim3]]] = {2: [], 5: [], 9: []}
+    for m, q in ((2, 5), (9, 5)):
+        match = MatchId(q, 4, m, 6)
+        pose_m, pose_q = random_sim3(rng, 1.0), random_sim3(rng, 1.0)
+        T_M_Q = pose_m.inverse() @ T_2_frame[m].inverse() @ T_2_frame[q] @ pose_q
+        rows[m].append((match, False, pose_m, T_M_Q))
+        rows[q].append((match, True, pose_q, T_M_Q))
+    found = plan(9, {a: bid(a, rows[a]) for a in units})
+    assert found.members == (2, 5, 9)
+    for agent, task in found.tasks.items():
+        assert task.frame == FrameId(2, 0)
+        placed = unpack_sim3s(task.placements)[0]
+        np.testing.assert_allclose(placed.matrix(), T_2_frame[agent].matrix(), atol=1e-9)
+    assert len(found.tasks[5].matches) == 2 and len(found.tasks[2].matches) == 1
+
+
+def test_a_match_that_only_one_side_holds_joins_nobody() -> None:
+    match = MatchId(1, 4, 0, 6)
+    one_sided = plan(0, {0: bid(0, [(match, False, Sim3.identity(), Sim3.identity())]), 1: bid(1, [])})
+    assert one_sided.members == (0,) and one_sided.tasks[0].matches == ()
+
+
+def test_tracks_that_nothing_joins_stay_out() -> None:
+    match = MatchId(1, 4, 0, 6)
+    rows = (match, False, Sim3.identity(), Sim3.identity()), (match, True, Sim3.identity(), Sim3.identity())
+    found = plan(1, {0: bid(0, [rows[0]], tracks=(0, 1)), 1: bid(1, [rows[1]])})
+    assert found.tasks[0].tracks == (0,) and found.members == (0, 1)
