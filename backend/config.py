@@ -27,6 +27,11 @@ class RelPoseConfig(BaseModel):
     guided_hamming: int = Field(64, ge=0, le=256, description="descriptor distance once the pose is known, bits of 256")
     loss_scale: float = Field(3.0, gt=0, description="scale of the Cauchy loss in refinement, standard deviations")
     min_support: float = Field(0.1, ge=0, le=1, description="inliers over tentative matches both cameras see, at least")
+    min_thickness: float = Field(
+        0.12,
+        ge=0,
+        description="inliers' extent across their main plane over that within it; walls of one paint look alike",
+    )
     max_scale: float = Field(20.0, gt=1, description="a similarity's scale lies within 1/this and this")
     max_sigma: float = Field(0.1, gt=0, description="position 1 sigma, worst direction, over median depth, at most")
 

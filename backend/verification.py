@@ -16,6 +16,8 @@ from backend.matching import FAR, Distances, hamming_distances, mutual_matches, 
 
 # Gauss-Newton steps that are enough to compare hypotheses.
 _QUICK = 5
+# Less than this width over length and the rotation about the points' line is guesswork.
+_MIN_WIDTH = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +151,7 @@ def _judge(
     """Everything that must hold of the refined pose and of those tentative matches that are its inliers."""
     T, n = found.T_M_Q, len(points_M)
     rmse_deg = _bearing_rmse_deg(T @ points_Q, points_M) if n else float("nan")
-    flat = _flatness(points_M) if n >= 3 else 0.0
+    width, thickness = _shape(points_M)
     sigma = _position_sigma(found.information)
     depth = float(np.median(np.linalg.norm(points_M, axis=1))) if n else 1.0
     # Chance inliers fill the bound's disc evenly, which gives 0.71 of its radius; right ones crowd at its centre.
@@ -157,8 +159,10 @@ def _judge(
     problem = None
     if n < config.min_inliers:
         problem = f"too few inliers: {n} < {config.min_inliers}"
-    elif flat < 0.01:
-        problem = f"degenerate: points on a line, width over length {flat:.4f} < 0.01"
+    elif width < _MIN_WIDTH:
+        problem = f"degenerate: points on a line, width over length {width:.4f} < {_MIN_WIDTH:g}"
+    elif thickness < config.min_thickness:
+        problem = f"ambiguous: points on one flat surface, thickness {thickness:.3f} < {config.min_thickness:g}"
     elif not 1.0 / config.max_scale < T.scale < config.max_scale:
         problem = f"implausible scale: {T.scale:.3g} outside {1 / config.max_scale:.3g} to {config.max_scale:.3g}"
     elif rmse_deg > rmse_limit:
@@ -176,10 +180,12 @@ def _bearing_rmse_deg(predicted: Array, observed: Array) -> float:
     return float(np.degrees(np.sqrt(np.mean(angles**2))))
 
 
-def _flatness(points: Array) -> float:
-    """Second over first singular value of the points' scatter: 0 for a line."""
-    singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return float(singular[1] / max(singular[0], 1e-12))
+def _shape(points: Array) -> tuple[float, float]:
+    """Second over first singular value of the points' scatter (0 for a line), and third over second (0 for a plane)."""
+    if len(points) < 4:
+        return 0.0, 0.0
+    length, width, thickness = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return float(width / max(length, 1e-12)), float(thickness / max(width, 1e-12))
 
 
 def _position_sigma(information: Array) -> float:

@@ -136,6 +136,11 @@ def test_every_refusal_says_why():
     verdict = judge(PlaceView(line, descriptors), PlaceView(line, descriptors))
     assert not verdict.accepted and verdict.kind in ("degenerate", "too few inliers")
 
+    # One papered wall: the same paper hangs in other rooms, so a wall alone is no place.
+    wall = np.column_stack([rng.uniform(-3, 3, 200), rng.uniform(-1, 1, 200), np.full(200, 4.0)])
+    paper = random_descriptors(rng, 200)
+    assert judge(PlaceView(wall, paper), PlaceView(wall + 0.01, paper)).kind == "ambiguous"
+
     huge = PlaceView(query.points_C / 50.0, query.descriptors, metric=False)
     assert judge(huge, match).kind == "implausible scale"
     # The same picture at half the size is no place match when both cameras know what a metre is.
