@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from backend.geometry import Array, Sim3, rotation_angle_deg
+from backend.geometry import Array, Sim3
 from mas.config import ConsistencyConfig
 from mas.messages import MatchId
 
@@ -63,59 +63,71 @@ class Match:
         )  # fmt: skip
 
 
-def agree(a: Match, b: Match, config: ConsistencyConfig) -> bool:
-    """Whether two matches between the same two tracks say the same about how the tracks stand, up to odometry's drift.
+class Agreement:
+    """Matches between two tracks, and which of them say the same about how the tracks stand, up to odometry's drift.
 
-    Positions: b's query camera, placed in M's track once by a and once by b, differs by at most ``depth_share``
-    median depths plus ``drift`` times the ways driven between the matches; rotations likewise. This is the thesis's
-    consistency (3.3) as settled: it compares through ``T_M_Q``, not the two camera centres directly. All relative to
-    depth, so that it holds for any unit.
+    Positions: a match's query camera, placed in M's track once by itself and once by another match, differs by at most
+    ``depth_share`` median depths plus ``drift`` times the ways driven between the two; rotations likewise. This is the
+    thesis's consistency (3.3) as settled: it compares through ``T_M_Q``, not the two camera centres directly. All is
+    relative to depth, so that it holds for any unit.
     """
-    by_a, by_b = a.joins(), b.joins()
-    query = b.T_T_Q[:3, 3]
-    apart = float(np.linalg.norm(by_a @ query - by_b @ query))
-    travelled = abs(a.way_M - b.way_M) + by_b.scale * abs(a.way_Q - b.way_Q)
-    depth = max(a.depth, b.depth)
-    angle = float(rotation_angle_deg(by_a.rotation.T @ by_b.rotation))
-    return (
-        apart <= config.depth_share * depth + config.drift * travelled
-        and angle <= config.angle_deg + config.angle_deg_per_depth * travelled / depth
-    )
 
+    def __init__(self, config: ConsistencyConfig) -> None:
+        self.config = config
+        self.ids: list[MatchId] = []
+        self._joins: list[Sim3] = []
+        self._figures: list[tuple[float, float, float]] = []
+        self._queries: list[Array] = []
+        self._ok = np.zeros((0, 0), dtype=bool)
 
-def consistent(matches: Iterable[Match], config: ConsistencyConfig) -> set[MatchId]:
-    """The largest set of matches that all agree with each other, for each two tracks; none where it is too small.
-
-    Greedy: from each match, in order of how many agree with it, add those that agree with all so far. Both owners of
-    a match hold the same matches and come to the same set. A match left out comes back when later ones support it.
-    """
-    groups: dict[tuple[tuple[int, int], tuple[int, int]], list[tuple[MatchId, Match]]] = {}
-    for match in sorted(matches, key=lambda m: m.id):
+    def add(self, match: Match) -> None:
+        """Compare a match with all so far. It is turned so that the lower track is the match's."""
         upright = match if match.tracks[0] <= match.tracks[1] else match.turned()
-        groups.setdefault(upright.tracks, []).append((match.id, upright))
-    accepted: set[MatchId] = set()
-    for group in groups.values():
-        best = _largest_agreeing([upright for _, upright in group], config)
-        if len(best) > config.min_support:
-            accepted.update(group[k][0] for k in best)
-    return accepted
+        self.ids.append(match.id)
+        self._joins.append(upright.joins())
+        self._queries.append(upright.T_T_Q[:3, 3])
+        self._figures.append((upright.way_M, upright.way_Q, upright.depth))
+        n = len(self.ids)
+        grown = np.ones((n, n), dtype=bool)
+        grown[:-1, :-1] = self._ok
+        grown[-1, :] = grown[:, -1] = self._agree_with_last()
+        self._ok = grown
 
+    def _agree_with_last(self) -> NDArray[np.bool_]:
+        last, query = self._joins[-1], self._queries[-1]
+        R, t, s = (np.array([getattr(j, name) for j in self._joins]) for name in ("rotation", "translation", "scale"))
+        queries, (way_M, way_Q, depth) = np.array(self._queries), np.array(self._figures).T
+        travelled = np.abs(way_M - way_M[-1]) + np.maximum(s, last.scale) * np.abs(way_Q - way_Q[-1])
+        deeper = np.maximum(depth, depth[-1])
+        by_others = s[:, None] * (R @ query) + t - last @ query
+        of_others = s[:, None] * np.einsum("nij,nj->ni", R, queries) + t - last @ queries
+        apart = np.linalg.norm([by_others, of_others], axis=2).max(axis=0)
+        cosine = (np.einsum("nij,ij->n", R, last.rotation) - 1.0) / 2.0
+        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        near = apart <= self.config.depth_share * deeper + self.config.drift * travelled
+        aligned = angle <= self.config.angle_deg + self.config.angle_deg_per_depth * travelled / deeper
+        agree: NDArray[np.bool_] = near & aligned
+        agree[-1] = True
+        return agree
 
-def _largest_agreeing(group: list[Match], config: ConsistencyConfig) -> list[int]:
-    """Rows of the largest set found."""
-    n = len(group)
-    ok = np.eye(n, dtype=bool)
-    for i in range(n):
-        for j in range(i + 1, n):
-            ok[i, j] = ok[j, i] = agree(group[i], group[j], config) and agree(group[j], group[i], config)
-    best: list[int] = []
-    for seed in sorted(range(n), key=lambda k: (-int(ok[k].sum()), k)):
-        if int(ok[seed].sum()) <= len(best):
-            break
-        clique = [seed]
-        for k in sorted(range(n), key=lambda k: (-int(ok[k].sum()), k)):
-            if k != seed and ok[k, clique].all():
-                clique.append(k)
-        if len(clique) > len(best):
-            best = clique
-    return sorted(best)
+    def accepted(self) -> set[MatchId]:
+        """The largest set in which all agree with each other; none where it is too small.
+
+        Greedy: from each match, in order of how many agree with it, add those that agree with all so far. The order in
+        which matches came does not matter, so both owners of a match come to the same set; and a match left out comes
+        back when later ones support it.
+        """
+        counts = self._ok.sum(axis=1)
+        order = sorted(range(len(self.ids)), key=lambda k: (-counts[k], self.ids[k]))
+        best: list[int] = []
+        for seed in order:
+            if counts[seed] <= len(best):
+                break
+            clique, fits = [seed], self._ok[seed].copy()
+            for k in order:
+                if k != seed and fits[k]:
+                    clique.append(k)
+                    fits &= self._ok[k]
+            if len(clique) > len(best):
+                best = clique
+        return {self.ids[k] for k in best} if len(best) > self.config.min_support else set()

@@ -10,7 +10,7 @@ import numpy as np
 from backend.geometry import Array, Sim3, se3_inverse
 from mas.config import MasConfig
 from mas.keyframe import KeyFrame
-from mas.matches import Match, consistent
+from mas.matches import Agreement, Match
 from mas.messages import FrameId, MatchId
 
 
@@ -56,6 +56,7 @@ class AgentState:
     accepted: set[MatchId] = field(default_factory=set)
     group: set[int] = field(default_factory=set)
     version: int = 0
+    _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.group.add(self.profile.me)
@@ -122,11 +123,13 @@ class AgentState:
 
     def add_match(self, match: Match) -> list[MatchId]:
         """Remember a verified match; returns the matches that became accepted by it (it among them, or not)."""
+        if match.id in self.verified:
+            return []
         self.verified[match.id] = match
-        tracks = set(match.tracks)
-        same = [m for m in self.verified.values() if set(m.tracks) == tracks]
-        now = consistent(same, self.config.consistency)
-        before = {m.id for m in same} & self.accepted
+        agreement = self._agreements.setdefault(frozenset(match.tracks), Agreement(self.config.consistency))
+        agreement.add(match)
+        now = agreement.accepted()
+        before = self.accepted.intersection(agreement.ids)
         self.accepted = (self.accepted - before) | now
         self.version += bool(now != before)
         return sorted(now - before)
