@@ -12,6 +12,7 @@ import numpy as np
 
 from frontend.cameras import RigKind
 from frontend.datasets import open_dataset
+from tools.errors import ToolError
 from tools.report_charts import TRUTH, plane_of
 from tools.report_data import RunData, read_run
 from tools.svg import FAINT, INK, colour_of
@@ -47,7 +48,10 @@ def _image(axes: Any, data: RunData, index: int) -> None:
 
     entry = data.manifest.agents[index]
     sequences = {s.name: s for s in open_dataset(Path(data.manifest.source), RigKind.MONO).sequences}
-    picture = cv2.imread(str(sequences[entry.sequence].left[entry.first_frame + entry.frames // 2]), cv2.IMREAD_COLOR)
+    path = sequences[entry.sequence].left[entry.first_frame + entry.frames // 2]
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise ToolError(f"{path}: not an image")
     axes.imshow(picture[:, :, ::-1])
     axes.set_title(data.agents[index].name, color=colour_of(index), fontsize=11, fontweight="bold", loc="left", pad=4)
     axes.set_xticks([])
