@@ -18,7 +18,8 @@ Rendered = Callable[[str, "RenderConfig"], Path]
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Rendered:
-    """``rendered(name, config)``: the folder of that rendering, made by whichever process asks first. Read it, never write to it."""
+    """``rendered(name, config)``: the folder of that rendering, made by whichever process asks first. Read it, never
+    write to it."""
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
 
@@ -35,7 +36,8 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Rendered:
 
 @pytest.fixture(scope="session")
 def town_stereo(rendered: Rendered) -> Path:
-    """Two cars in town, stereo 320x180, 20 frames each at 10 Hz; the second drives where the first did, in another light."""
+    """Two cars in town, stereo 320x180, 20 frames each at 10 Hz; the second drives where the first did, in another
+    light."""
     from tools.render import RenderConfig
 
     return rendered("town_stereo", RenderConfig(seed=5, agents=2, frames=20, width=320, height=180, cheap=True))

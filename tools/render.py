@@ -1,4 +1,5 @@
-"""``maslam render``: synthetic images, depth and ground truth of several agents, in the layout of ``docs/architecture.md``."""
+"""``maslam render``: synthetic images, depth and ground truth of several agents, in the layout of
+``docs/architecture.md``."""
 
 from __future__ import annotations
 
@@ -42,7 +43,9 @@ class RenderConfig(BaseModel):
     rig: RigKind = RigKind.STEREO
     baseline_m: float | None = Field(None, gt=0, description="stereo; default 0.54 m in town, 0.12 m indoors")
     rate_hz: float = Field(10.0, gt=0)
-    poses_file: Path | None = Field(None, description="KITTI poses to drive instead of ways of our own; the world grows around them")
+    poses_file: Path | None = Field(
+        None, description="KITTI poses to drive instead of ways of our own; the world grows around them"
+    )
     poses_step: int = Field(1, ge=1, description="take every so many poses of the file")
     moving_cars: int = Field(0, ge=0, le=200, description="cars that drive through the town")
     light_change: float = Field(1.0, ge=0, le=1, description="how far the light differs between the agents")
@@ -58,11 +61,14 @@ class RenderConfig(BaseModel):
         return self.baseline_m if self.baseline_m is not None else (0.54 if self.world == "town" else 0.12)
 
 
-def render_dataset(config: RenderConfig, out: Path, progress: Progress | None = None, workers: int | None = None) -> None:
+def render_dataset(
+    config: RenderConfig, out: Path, progress: Progress | None = None, workers: int | None = None
+) -> None:
     """Write the pictures of ``config`` under ``out``; ``progress(done, total)`` counts pictures.
 
-    ``world.json`` is written last and marks the folder as complete: a folder that was finished with the same settings is left as it is,
-    one that was interrupted is gone on with. Raises RenderError where ``out`` holds anything else, and where the way cannot be driven.
+    ``world.json`` is written last and marks the folder as complete: a folder that was finished with the same settings
+    is left as it is, one that was interrupted is gone on with. Raises RenderError where ``out`` holds anything else,
+    and where the way cannot be driven.
     """
     settings = {"version": VERSION, **config.model_dump(mode="json")}
     if config.poses_file is not None:
@@ -107,11 +113,15 @@ def _finished(out: Path, settings: dict[str, object]) -> bool:
         found.pop("lights", None)
         if found != settings:
             changed = sorted(k for k in {*found, *settings} if found.get(k) != settings.get(k))
-            raise RenderError(f"{out}: holds a rendering with other settings ({', '.join(changed)}); choose another folder or delete it")
+            raise RenderError(
+                f"{out}: holds other settings ({', '.join(changed)}); delete it or choose another folder"
+            )
         return True
     if begun.exists():
         if json.loads(begun.read_text(encoding="utf-8")) != settings:
-            raise RenderError(f"{out}: holds an unfinished rendering with other settings; choose another folder or delete it")
+            raise RenderError(
+                f"{out}: holds an unfinished rendering with other settings; choose another folder or delete it"
+            )
         return False
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RenderError(f"{out}: exists and is not a rendering; choose an empty or new folder")
@@ -121,7 +131,11 @@ def _finished(out: Path, settings: dict[str, object]) -> bool:
 
 
 def _write_agent(folder: Path, plan: AgentPlan, config: RenderConfig, camera: PinholeCamera) -> None:
-    for name in {RigKind.MONO: ["image_0"], RigKind.STEREO: ["image_0", "image_1"], RigKind.RGBD: ["image_0", "depth_0"]}[config.rig]:
+    for name in {
+        RigKind.MONO: ["image_0"],
+        RigKind.STEREO: ["image_0", "image_1"],
+        RigKind.RGBD: ["image_0", "depth_0"],
+    }[config.rig]:
         (folder / name).mkdir(parents=True, exist_ok=True)
     lines = [f"width: {camera.width}", f"height: {camera.height}"]
     lines += [f"{name}: {getattr(camera, name)!r}" for name in ("fx", "fy", "cx", "cy")]
@@ -140,9 +154,16 @@ def _write_text(path: Path, text: str) -> None:
     os.replace(part, path)
 
 
-def _render_all(jobs: list[_Job], scenario: Scenario, config: RenderConfig, camera: PinholeCamera, progress: Progress | None,
-                workers: int) -> None:  # fmt: skip
-    """All jobs whose files are missing, a few ahead at a time. Threads: ray casting and the compiled kernels leave Python free."""
+def _render_all(
+    jobs: list[_Job],
+    scenario: Scenario,
+    config: RenderConfig,
+    camera: PinholeCamera,
+    progress: Progress | None,
+    workers: int,
+) -> None:
+    """All jobs whose files are missing, a few ahead at a time. Threads: ray casting and the compiled kernels leave
+    Python free."""
     todo = [j for j in jobs if not j.image().exists() or (config.rig is RigKind.RGBD and not j.depth().exists())]
     done = len(jobs) - len(todo)
     if progress is not None:

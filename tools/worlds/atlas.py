@@ -13,9 +13,9 @@ LEVELS = 14
 
 @dataclass(frozen=True)
 class Atlas:
-    """``texels`` flat uint8, RGB interleaved, display-encoded; ``table`` ``(t, LEVELS, 3)``: offset in texels, width, height;
-    ``texel_m`` ``(t, 2)``: metres a texel at level 0; ``clamped`` ``(t,)``: outside repeats the border instead of the texture;
-    ``materials`` ``(m, 3)``: base, detail and macro texture of each material (-1 = none)."""
+    """``texels`` flat uint8, RGB interleaved, display-encoded; ``table`` ``(t, LEVELS, 3)``: offset in texels, width,
+    height; ``texel_m`` ``(t, 2)``: metres a texel at level 0; ``clamped`` ``(t,)``: outside repeats the border instead
+    of the texture; ``materials`` ``(m, 3)``: base, detail and macro texture of each material (-1 = none)."""
 
     texels: NDArray[np.uint8]
     table: NDArray[np.int64]
@@ -34,8 +34,8 @@ class AtlasBuilder:
         self._materials: list[tuple[int, int, int]] = []
 
     def texture(self, image: NDArray[np.uint8], width_m: float, height_m: float, clamped: bool = False) -> int:
-        """Add ``image`` ``(h, w, 3)`` or ``(h, w)``, which covers ``width_m`` x ``height_m``; sides of repeating textures must be
-        powers of two (their mip-maps would not repeat otherwise). Returns its number."""
+        """Add ``image`` ``(h, w, 3)`` or ``(h, w)``, which covers ``width_m`` x ``height_m``; sides of repeating
+        textures must be powers of two (their mip-maps would not repeat otherwise). Returns its number."""
         if image.ndim == 2:
             image = np.repeat(image[:, :, None], 3, axis=2)
         h, w = image.shape[:2]
@@ -47,7 +47,8 @@ class AtlasBuilder:
         return len(self._levels) - 1
 
     def material(self, base: int, detail: int = -1, macro: int = -1) -> int:
-        """A surface whose albedo is ``base`` times ``detail`` times ``macro`` (both grey, 128 = unchanged). Returns its number."""
+        """A surface whose albedo is ``base`` times ``detail`` times ``macro`` (both grey, 128 = unchanged). Returns
+        its number."""
         self._materials.append((base, detail, macro))
         return len(self._materials) - 1
 
@@ -67,8 +68,13 @@ class AtlasBuilder:
             for k, level in enumerate(levels):
                 texels[table[t, k, 0] : table[t, k, 0] + level.shape[0] * level.shape[1]] = level.reshape(-1, 3)
             levels.clear()
-        return Atlas(texels.reshape(-1), table, np.array(self._texel_m, np.float64), np.array(self._clamped),
-                     np.array(self._materials, np.int32).reshape(-1, 3))  # fmt: skip
+        return Atlas(
+            texels.reshape(-1),
+            table,
+            np.array(self._texel_m, np.float64),
+            np.array(self._clamped),
+            np.array(self._materials, np.int32).reshape(-1, 3),
+        )
 
 
 def _mip_chain(image: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:

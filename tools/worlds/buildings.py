@@ -18,7 +18,8 @@ SETBACK_M = ROAD_HALF_M + PAVEMENT_M + 0.3
 
 @dataclass(frozen=True)
 class Plot:
-    """A rectangle of ground: ``corner`` (x, z) front left as seen from the street, ``along`` and ``inward`` unit vectors, metres."""
+    """A rectangle of ground: ``corner`` (x, z) front left as seen from the street, ``along`` and ``inward`` unit
+    vectors, metres."""
 
     corner: NDArray[np.float64]
     along: NDArray[np.float64]
@@ -33,8 +34,11 @@ class Plot:
         return np.array([f - a - i, f + w + a - i, f + w + d + a + i, f + d - a + i])
 
 
-def plots_along(lines: tuple[Line, ...], plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator) -> list[Plot]:
-    """Plots on both sides of all lines, as many as fit; ``taken`` (raster of the plan, 0 = free) is filled as they are placed."""
+def plots_along(
+    lines: tuple[Line, ...], plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator
+) -> list[Plot]:
+    """Plots on both sides of all lines, as many as fit; ``taken`` (raster of the plan, 0 = free) is filled as they are
+    placed."""
     plots = []
     for line in lines:
         for side in (1.0, -1.0):
@@ -51,7 +55,8 @@ def plots_along(lines: tuple[Line, ...], plan: GroundPlan, taken: NDArray[np.uin
 
 
 def _fit(path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator) -> Plot | None:
-    """The widest of three random houses that starts at point ``k`` on the right of ``path`` and stands on free ground."""
+    """The widest of three random houses that starts at point ``k`` on the right of ``path`` and stands on free
+    ground."""
     import cv2
 
     for bays in sorted(rng.integers(2, 7, 3).tolist(), reverse=True):
@@ -101,8 +106,14 @@ def add_house(mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, rng: np.ra
     axes = np.stack([[plot.along[0], 0, plot.along[1]], [0, 1, 0], [-plot.inward[0], 0, -plot.inward[1]]], axis=1)
     middle = corners.mean(axis=0)
     depth = float(rng.uniform(0.25, 0.5))
-    mesh.box(np.array([middle[0], -(top + 0.05), middle[1]]), axes, np.array([plot.width + depth, 0.35, plot.depth + depth]), m.trim,
-             tint * 0.9, open_bottom=False)  # fmt: skip
+    mesh.box(
+        np.array([middle[0], -(top + 0.05), middle[1]]),
+        axes,
+        np.array([plot.width + depth, 0.35, plot.depth + depth]),
+        m.trim,
+        tint * 0.9,
+        open_bottom=False,
+    )
     roof, roof_tint = int(rng.choice(m.roofs)), np.full(3, rng.uniform(0.75, 1.15))
     if rng.random() < 0.7:
         _gable(mesh, plot, top + 0.2, float(rng.uniform(1.8, 3.4)), roof, facade, tint, roof_tint)
@@ -110,13 +121,19 @@ def add_house(mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, rng: np.ra
         mesh.box(np.array([chimney[0], -(top + 2.2), chimney[1]]), axes, np.array([0.8, 4.4, 0.8]), m.trim, tint * 0.7)
     else:
         for _ in range(int(rng.integers(1, 4))):
-            p = middle + plot.along * rng.uniform(-0.35, 0.35) * plot.width + plot.inward * rng.uniform(-0.3, 0.3) * plot.depth
+            p = (
+                middle
+                + plot.along * rng.uniform(-0.35, 0.35) * plot.width
+                + plot.inward * rng.uniform(-0.3, 0.3) * plot.depth
+            )
             size = np.array([rng.uniform(0.8, 2.5), rng.uniform(0.6, 1.8), rng.uniform(0.8, 2.0)])
             mesh.box(np.array([p[0], -(top + 0.2 + size[1] / 2), p[1]]), axes, size, m.trim, rng.uniform(0.6, 1.0))
     _boards(mesh, plot, m, foot, floors, axes, rng)
 
 
-def _gable(mesh: MeshBuilder, plot: Plot, base: float, rise: float, roof: int, wall: int, tint: object, roof_tint: object) -> None:
+def _gable(
+    mesh: MeshBuilder, plot: Plot, base: float, rise: float, roof: int, wall: int, tint: object, roof_tint: object
+) -> None:
     """A ridge along the street with its two slopes and two triangles of wall."""
     c = plot.outline(0.35)
     left, right = (c[0] + c[3]) / 2, (c[1] + c[2]) / 2
@@ -135,10 +152,12 @@ def _gable(mesh: MeshBuilder, plot: Plot, base: float, rise: float, roof: int, w
         mesh.quads(np.array([quad]), np.array([[(0, 0), (2 * half, 0), (half, -rise), (half, -rise)]]), roof, roof_tint)
 
 
-def _boards(mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, floors: int, axes: NDArray, rng: np.random.Generator) -> None:
+def _boards(
+    mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, floors: int, axes: NDArray, rng: np.random.Generator
+) -> None:
     """Boards on the wall and hanging over the pavement, awnings."""
     out = -plot.inward
-    for bay in range(int(round(plot.width / BAY_M))):
+    for bay in range(round(plot.width / BAY_M)):
         centre = plot.corner + plot.along * (bay + 0.5) * BAY_M
         kind = rng.random()
         if kind < 0.16:  # flat board between the floors
@@ -155,7 +174,12 @@ def _boards(mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, floors: int,
         elif kind < 0.40:  # awning
             w, reach, y = 2.9, float(rng.uniform(0.9, 1.5)), foot + 2.75
             a, b = centre - plot.along * w / 2, centre + plot.along * w / 2
-            quad = [(*_xz(a + out * reach, y - 0.55),), (*_xz(b + out * reach, y - 0.55),), (*_xz(b, y),), (*_xz(a, y),)]
+            quad = [
+                (*_xz(a + out * reach, y - 0.55),),
+                (*_xz(b + out * reach, y - 0.55),),
+                (*_xz(b, y),),
+                (*_xz(a, y),),
+            ]
             uv = [(0, 0), (w, 0), (w, -reach), (0, -reach)]
             cloth = int(rng.choice(m.awnings))
             mesh.quads(np.array([quad]), np.array([uv]), cloth)

@@ -1,4 +1,5 @@
-"""Facades and signs, drawn: 4 bays by 4 floors of 3.2 m at 2.5 cm a texel. Every window differs a little, every facade a lot."""
+"""Facades and signs, drawn: 4 bays by 4 floors of 3.2 m at 2.5 cm a texel. Every window differs a little, every facade
+a lot."""
 
 from __future__ import annotations
 
@@ -14,16 +15,27 @@ CELL = SIZE // BAYS
 PX_PER_M = CELL / BAY_M
 
 WALLS: tuple[Colour, ...] = (
-    (196, 178, 146), (172, 108, 84), (208, 200, 188), (150, 142, 134), (214, 186, 128), (150, 84, 68), (178, 188, 186),
-    (222, 212, 196), (186, 150, 124), (128, 118, 112), (200, 160, 140), (164, 172, 150),
-)  # fmt: skip
+    (196, 178, 146),
+    (172, 108, 84),
+    (208, 200, 188),
+    (150, 142, 134),
+    (214, 186, 128),
+    (150, 84, 68),
+    (178, 188, 186),
+    (222, 212, 196),
+    (186, 150, 124),
+    (128, 118, 112),
+    (200, 160, 140),
+    (164, 172, 150),
+)
 
 
 def facade(rng: np.random.Generator) -> Image:
-    """One facade ``(512, 512, 3)``; rows from the top, the street is at the bottom; repeats sideways after four bays."""
+    """One facade ``(512, 512, 3)``; rows from the top, the street is at the bottom; repeats sideways."""
     wall = np.asarray(WALLS[int(rng.integers(len(WALLS)))], np.float32) * rng.uniform(0.85, 1.08)
     canvas = _wall(rng, (float(wall[0]), float(wall[1]), float(wall[2])))
-    trim = tuple(float(v) for v in np.clip(wall * rng.choice([0.6, 0.75, 1.25, 1.35]), 20, 245))
+    r, g, b = (float(v) for v in np.clip(wall * rng.choice([0.6, 0.75, 1.25, 1.35]), 20, 245))
+    trim = (r, g, b)
     for floor in range(1, FLOORS):
         _band(canvas, (FLOORS - floor) * CELL, trim, rng)
     style = _WindowStyle(rng, trim)
@@ -45,11 +57,17 @@ def facade(rng: np.random.Generator) -> Image:
 def _wall(rng: np.random.Generator, base: Colour) -> NDArray[np.float32]:
     kind = rng.random()
     if kind < 0.4:  # brick: 8 cm courses
-        return paving(rng, 32, 16, base, SIZE, 1).astype(np.float32) if rng.random() < 0.5 else paving(rng, 64, 32, base, SIZE, 1).astype(np.float32)
+        return (
+            paving(rng, 32, 16, base, SIZE, 1).astype(np.float32)
+            if rng.random() < 0.5
+            else paving(rng, 64, 32, base, SIZE, 1).astype(np.float32)
+        )
     if kind < 0.6:  # ashlar
         return paving(rng, 16, 8, base, SIZE, 1).astype(np.float32)
     canvas = np.full((SIZE, SIZE, 3), base, np.float32)
-    canvas *= (1 + 0.06 * fractal(rng, (SIZE, SIZE), 8, 5, 0.8) + splats(rng, (SIZE, SIZE), 260, (2.0, 50.0), 0.05))[:, :, None]
+    canvas *= (1 + 0.06 * fractal(rng, (SIZE, SIZE), 8, 5, 0.8) + splats(rng, (SIZE, SIZE), 260, (2.0, 50.0), 0.05))[
+        :, :, None
+    ]
     if kind < 0.75:  # panels with joints
         canvas[:: CELL // 2] *= 0.6
         canvas[:, :: CELL // 2] *= 0.6
@@ -102,9 +120,18 @@ class _WindowStyle:
                 _rect(canvas, x + k, y + h - int(rng.integers(3, 9)), 5, 8, colour)
 
 
-def glass(canvas: NDArray[np.float32], rng: np.random.Generator, x: int, y: int, w: int, h: int, frame: Colour,
-          split: tuple[int, int]) -> None:  # fmt: skip
-    """Panes: dark, or with curtains, a blind, something behind; a gradient as of the sky's reflection; frames between."""
+def glass(
+    canvas: NDArray[np.float32],
+    rng: np.random.Generator,
+    x: int,
+    y: int,
+    w: int,
+    h: int,
+    frame: Colour,
+    split: tuple[int, int],
+) -> None:
+    """Panes: dark, or with curtains, a blind, something behind; a gradient as of the sky's reflection; frames
+    between."""
     dark = rng.uniform(28, 75)
     ramp = np.linspace(1.5, 0.8, h, dtype=np.float32)[:, None, None]
     pane = np.broadcast_to(np.array([dark, dark * 1.05, dark * 1.15], np.float32) * ramp, (h, w, 3)).copy()
@@ -142,7 +169,14 @@ def _ground_floor(canvas: NDArray[np.float32], rng: np.random.Generator, x0: int
         _rect(canvas, x, foot - h, w, h, colour)
         for k in range(2):
             for j in range(3):
-                _rect(canvas, x + 4 + k * (w // 2), foot - h + 5 + j * (h // 3), w // 2 - 7, h // 3 - 6, tuple(v * 0.75 for v in colour))
+                _rect(
+                    canvas,
+                    x + 4 + k * (w // 2),
+                    foot - h + 5 + j * (h // 3),
+                    w // 2 - 7,
+                    h // 3 - 6,
+                    tuple(v * 0.75 for v in colour),
+                )
         _rect(canvas, x + w - 8, foot - h // 2, 4, 4, (210, 200, 150))
         canvas[foot - 5 : foot, x - 6 : x + w + 6] = 140
     elif kind < 0.6:  # shop with a name
@@ -175,7 +209,16 @@ def letters(canvas: NDArray[np.float32], rng: np.random.Generator, x: int, y: in
     thickness = max(1, round(scale * 2))
     box = canvas[y : y + h, x : x + w]
     mask = np.zeros(box.shape[:2], np.uint8)  # OpenCV 5 writes on 8-bit images only
-    cv2.putText(mask, word, (max(int((w - tw * scale) / 2), 0), int((h + th * scale) / 2)), font, scale, 255, thickness, cv2.LINE_AA)
+    cv2.putText(
+        mask,
+        word,
+        (max(int((w - tw * scale) / 2), 0), int((h + th * scale) / 2)),
+        font,
+        scale,
+        255,
+        thickness,
+        cv2.LINE_AA,
+    )
     box += (mask[:, :, None] / np.float32(255)) * (np.asarray(ink, np.float32) - box)
 
 

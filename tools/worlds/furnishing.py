@@ -18,7 +18,8 @@ KERB_M = ROAD_HALF_M + 0.5
 
 @dataclass(frozen=True)
 class Street:
-    """What furnishing needs to know; ``cars`` and ``trees`` (by rising height) are made once and stand in many places."""
+    """What furnishing needs to know; ``cars`` and ``trees`` (by rising height) are made once and stand in many
+    places."""
 
     plan: GroundPlan
     terrain: Terrain
@@ -32,7 +33,9 @@ class Street:
         return float(self.terrain.height(at))
 
 
-def furnish(mesh: MeshBuilder, lines: tuple[Line, ...], street: Street, taken: NDArray[np.uint8], rng: np.random.Generator) -> list[Mesh]:
+def furnish(
+    mesh: MeshBuilder, lines: tuple[Line, ...], street: Street, taken: NDArray[np.uint8], rng: np.random.Generator
+) -> list[Mesh]:
     """Cars at the kerb, lamps, signs, trees and furniture on the pavements, trees on free grass; returns the cars."""
     out: list[Mesh] = []
     for line in lines:
@@ -41,7 +44,10 @@ def furnish(mesh: MeshBuilder, lines: tuple[Line, ...], street: Street, taken: N
         for side in (1.0, -1.0):
             _pavement(mesh, line, tangent, side, street, out, rng)
     plan = street.plan
-    for p in rng.uniform(np.zeros(2), np.array(plan.distance.shape[::-1]) * plan.cell_m, (int(plan.distance.size / 300), 2)) + plan.origin:
+    for p in (
+        rng.uniform(np.zeros(2), np.array(plan.distance.shape[::-1]) * plan.cell_m, (int(plan.distance.size / 300), 2))
+        + plan.origin
+    ):
         row, col = plan.index(p)
         r = int(2.5 / plan.cell_m)
         near = taken[max(row - r, 0) : row + r + 1, max(col - r, 0) : col + r + 1]
@@ -51,8 +57,15 @@ def furnish(mesh: MeshBuilder, lines: tuple[Line, ...], street: Street, taken: N
     return out
 
 
-def _pavement(mesh: MeshBuilder, line: Line, tangent: NDArray, side: float, street: Street, out: list[Mesh],
-              rng: np.random.Generator) -> None:  # fmt: skip
+def _pavement(
+    mesh: MeshBuilder,
+    line: Line,
+    tangent: NDArray,
+    side: float,
+    street: Street,
+    out: list[Mesh],
+    rng: np.random.Generator,
+) -> None:
     """Everything on one side of one street."""
     plan, crossings = street.plan, street.crossings
     next_car, next_thing = rng.uniform(0, 12), rng.uniform(0, 6)
@@ -77,8 +90,9 @@ def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.array([np.sin(angle), np.cos(angle)])
 
 
-def _thing(mesh: MeshBuilder, at: NDArray, towards: NDArray, street: Street, out: list[Mesh],
-           rng: np.random.Generator) -> None:  # fmt: skip
+def _thing(
+    mesh: MeshBuilder, at: NDArray, towards: NDArray, street: Street, out: list[Mesh], rng: np.random.Generator
+) -> None:
     foot, stuff = street.foot(at), street.stuff
     kind = rng.random()
     if kind < 0.30:

@@ -48,9 +48,15 @@ def paint_office(atlas: AtlasBuilder, rng: np.random.Generator) -> Paint:
     pictures = tuple(office_pictures.poster(rng) for _ in range(18))
     return Paint(
         wall=atlas.material(atlas.texture(office_pictures.wall_picture(rng, wall), 3.2, 3.2), grain, stains),
-        carpet=atlas.material(atlas.texture(textures.paving(rng, 8, 8, (96, 102, 116), 512, 1, False), 4.0, 4.0), coarse, stains),
-        tiles=atlas.material(atlas.texture(textures.paving(rng, 8, 8, (164, 158, 148), 512, 2, False), 4.8, 4.8), grain, stains),
-        ceiling=atlas.material(atlas.texture(textures.paving(rng, 8, 8, (214, 214, 210), 512, 2, False), 4.8, 4.8), grain),
+        carpet=atlas.material(
+            atlas.texture(textures.paving(rng, 8, 8, (96, 102, 116), 512, 1, False), 4.0, 4.0), coarse, stains
+        ),
+        tiles=atlas.material(
+            atlas.texture(textures.paving(rng, 8, 8, (164, 158, 148), 512, 2, False), 4.8, 4.8), grain, stains
+        ),
+        ceiling=atlas.material(
+            atlas.texture(textures.paving(rng, 8, 8, (214, 214, 210), 512, 2, False), 4.8, 4.8), grain
+        ),
         door=atlas.material(atlas.texture(office_pictures.door_picture(rng), 1.0, 1.0, True), grain),
         window=atlas.material(atlas.texture(office_pictures.window_picture(rng), 1.0, 1.0, True)),
         wood=atlas.material(atlas.texture(textures.bark(rng), 0.9, 0.9), grain),
@@ -59,7 +65,9 @@ def paint_office(atlas: AtlasBuilder, rng: np.random.Generator) -> Paint:
         cloth=tuple(tinted(tuple(rng.uniform(50, 150, 3)), coarse) for _ in range(3)),
         posters=tuple(atlas.material(atlas.texture(p, 1.0, 1.0, True)) for p in pictures),
         books=tuple(atlas.material(atlas.texture(office_pictures.book_picture(rng), 1.0, 1.0, True)) for _ in range(5)),
-        screens=tuple(atlas.material(atlas.texture(office_pictures.screen_picture(rng), 1.0, 1.0, True)) for _ in range(4)),
+        screens=tuple(
+            atlas.material(atlas.texture(office_pictures.screen_picture(rng), 1.0, 1.0, True)) for _ in range(4)
+        ),
     )
 
 
@@ -91,7 +99,9 @@ def hang(mesh: MeshBuilder, at: NDArray, across: NDArray, p: Paint, rng: np.rand
         picture(mesh, at + across * 0.002, across, 0.04, 1.08, 1.13, p.metal)
 
 
-def picture(mesh: MeshBuilder, at: NDArray, across: NDArray, width: float, bottom: float, top: float, material: int) -> None:
+def picture(
+    mesh: MeshBuilder, at: NDArray, across: NDArray, width: float, bottom: float, top: float, material: int
+) -> None:
     """A whole texture (uv 0..1) on a wall at ``at`` whose front is towards ``across``."""
     left = np.array([-across[1], across[0]])  # as seen by one who looks at the wall
     a, b = at + left * width / 2 + across * 0.008, at - left * width / 2 + across * 0.008
@@ -103,35 +113,71 @@ def picture(mesh: MeshBuilder, at: NDArray, across: NDArray, width: float, botto
 
 
 def lamp(mesh: MeshBuilder, x: float, z: float, p: Paint) -> None:
-    mesh.box(np.array([x, -(HEIGHT_M - 0.03), z]), np.eye(3), np.array([0.6, 0.06, 0.6]), p.white, (1.5, 1.5, 1.45), open_bottom=False)
+    mesh.box(
+        np.array([x, -(HEIGHT_M - 0.03), z]),
+        np.eye(3),
+        np.array([0.6, 0.06, 0.6]),
+        p.white,
+        (1.5, 1.5, 1.45),
+        open_bottom=False,
+    )
 
 
-def desk(mesh: MeshBuilder, at: NDArray, front: NDArray, p: Paint, blocked: list[Rect], rng: np.random.Generator) -> None:
+def desk(
+    mesh: MeshBuilder, at: NDArray, front: NDArray, p: Paint, blocked: list[Rect], rng: np.random.Generator
+) -> None:
     """A table with a screen, a chair, papers; ``front``: where the chair stands."""
     at = at + rng.uniform(-0.1, 0.1, 2)
     mesh.box(np.array([at[0], -0.73, at[1]]), np.eye(3), np.array([1.6, 0.04, 0.75]), p.wood, open_bottom=False)
     for dx in (-0.72, 0.72):
         mesh.box(np.array([at[0] + dx, -0.355, at[1]]), np.eye(3), np.array([0.05, 0.71, 0.6]), p.metal)
     screen = at - front * 0.15 + np.array([rng.uniform(-0.3, 0.3), 0])
-    mesh.box(np.array([screen[0], -1.03, screen[1]]), np.eye(3), np.array([0.56, 0.34, 0.05]), p.metal, 0.4 * np.ones(3), open_bottom=False)
+    mesh.box(
+        np.array([screen[0], -1.03, screen[1]]),
+        np.eye(3),
+        np.array([0.56, 0.34, 0.05]),
+        p.metal,
+        0.4 * np.ones(3),
+        open_bottom=False,
+    )
     picture(mesh, screen + front * 0.022, front, 0.53, 0.88, 1.18, int(rng.choice(p.screens)))
     mesh.box(np.array([screen[0], -0.8, screen[1]]), np.eye(3), np.array([0.2, 0.14, 0.1]), p.metal, 0.4 * np.ones(3))
     for _ in range(int(rng.integers(1, 4))):
         item = at + rng.uniform((-0.7, -0.25), (0.7, 0.25))
         size = rng.uniform((0.08, 0.02, 0.08), (0.3, 0.22, 0.3))
-        mesh.box(np.array([item[0], -0.75 - size[1] / 2, item[1]]), np.eye(3), size, int(rng.choice([p.white, *p.cloth])), rng.uniform(0.5, 1.5, 3))
+        mesh.box(
+            np.array([item[0], -0.75 - size[1] / 2, item[1]]),
+            np.eye(3),
+            size,
+            int(rng.choice([p.white, *p.cloth])),
+            rng.uniform(0.5, 1.5, 3),
+        )
     chair = at + front * 0.62 + rng.uniform(-0.12, 0.12, 2)
     cloth = p.cloth[0]
     mesh.box(np.array([chair[0], -0.45, chair[1]]), np.eye(3), np.array([0.46, 0.08, 0.46]), cloth, open_bottom=False)
-    mesh.box(np.array([chair[0], -0.8, chair[1] + front[1] * 0.2]), np.eye(3), np.array([0.44, 0.5, 0.06]), cloth, open_bottom=False)
+    mesh.box(
+        np.array([chair[0], -0.8, chair[1] + front[1] * 0.2]),
+        np.eye(3),
+        np.array([0.44, 0.5, 0.06]),
+        cloth,
+        open_bottom=False,
+    )
     mesh.box(np.array([chair[0], -0.2, chair[1]]), np.eye(3), np.array([0.08, 0.42, 0.08]), p.metal)
     blocked.append((at[0] - 0.8, min(at[1] - 0.38, chair[1] - 0.25), at[0] + 0.8, max(at[1] + 0.38, chair[1] + 0.25)))
 
 
-def shelf(mesh: MeshBuilder, at: NDArray, front: NDArray, p: Paint, blocked: list[Rect], rng: np.random.Generator) -> None:
+def shelf(
+    mesh: MeshBuilder, at: NDArray, front: NDArray, p: Paint, blocked: list[Rect], rng: np.random.Generator
+) -> None:
     """Boards with rows of books."""
     width, depth = 1.6, 0.36
-    mesh.box(np.array([at[0] - front[0] * 0.1, -0.95, at[1]]), np.eye(3), np.array([0.06, 1.9, width]), p.wood, open_bottom=False)
+    mesh.box(
+        np.array([at[0] - front[0] * 0.1, -0.95, at[1]]),
+        np.eye(3),
+        np.array([0.06, 1.9, width]),
+        p.wood,
+        open_bottom=False,
+    )
     for k in range(5):
         y = 0.1 + 0.42 * k
         mesh.box(np.array([at[0], -y, at[1]]), np.eye(3), np.array([depth, 0.03, width]), p.wood, open_bottom=False)

@@ -1,4 +1,5 @@
-"""An office floor: corridors round blocks of rooms that look alike on purpose. Same doors, same desks; a poster here, a plant there."""
+"""An office floor: corridors round blocks of rooms that look alike on purpose. Same doors, same desks; a poster here,
+a plant there."""
 
 from __future__ import annotations
 
@@ -8,7 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tools.worlds.atlas import AtlasBuilder
-from tools.worlds.furniture import HEIGHT_M, Paint, Rect, cabinet, desk, hang, horizontal, lamp, paint_office, picture, shelf, wall
+from tools.worlds.furniture import (
+    HEIGHT_M,
+    Paint,
+    Rect,
+    cabinet,
+    desk,
+    hang,
+    horizontal,
+    lamp,
+    paint_office,
+    picture,
+    shelf,
+    wall,
+)
 from tools.worlds.mesh import MeshBuilder
 from tools.worlds.world import FreeSpace, World
 
@@ -22,7 +36,8 @@ CELL_M = 0.05
 
 @dataclass(frozen=True)
 class Door:
-    """An opening in the wall between corridor and room: its middle ``at`` (x, z) and the unit vector ``into`` the room."""
+    """An opening in the wall between corridor and room: its middle ``at`` (x, z) and the unit vector ``into`` the
+    room."""
 
     at: NDArray[np.float64]
     into: NDArray[np.float64]
@@ -82,7 +97,9 @@ def _plan(rng: np.random.Generator) -> Floor:
     return Floor(xs, zs, tuple(rooms), tuple(doors))
 
 
-def _corridors(mesh: MeshBuilder, floor: Floor, p: Paint, rng: np.random.Generator) -> list[tuple[float, float, float, float]]:
+def _corridors(
+    mesh: MeshBuilder, floor: Floor, p: Paint, rng: np.random.Generator
+) -> list[tuple[float, float, float, float]]:
     half = CORRIDOR_M / 2
     x0, x1, z0, z1 = floor.xs[0] - half, floor.xs[-1] + half, floor.zs[0] - half, floor.zs[-1] + half
     strips = [(x, z0, x + CORRIDOR_M, z1) for x in (x0, floor.xs[-1] - half)]
@@ -125,8 +142,11 @@ def _wall_strip(mesh: MeshBuilder, a: NDArray, b: NDArray, inward: float, p: Pai
         at += rng.uniform(1.6, 5.0)
 
 
-def _wall_with_door(mesh: MeshBuilder, room: Rect, door: Door, front: NDArray, p: Paint, rng: np.random.Generator, posters: float) -> None:
-    """One face of the wall between a room and its corridor: two pieces, a lintel, the frame, the leaf (open, against the wall inside)."""
+def _wall_with_door(
+    mesh: MeshBuilder, room: Rect, door: Door, front: NDArray, p: Paint, rng: np.random.Generator, posters: float
+) -> None:
+    """One face of the wall between a room and its corridor: two pieces, a lintel, the frame, the leaf (open, against
+    the wall inside)."""
     z = float(door.at[1])
     left, right = float(door.at[0]) - DOOR_M / 2, float(door.at[0]) + DOOR_M / 2
     thick = HALF_WALL_M * front
@@ -142,13 +162,18 @@ def _wall_with_door(mesh: MeshBuilder, room: Rect, door: Door, front: NDArray, p
     if front @ door.into < 0:
         picture(mesh, number, front, 0.22, 1.5, 1.62, int(rng.choice(p.posters)))
     if rng.random() < posters:
-        at = float(rng.uniform(room[0] + 0.6, left - 0.6)) if left - room[0] > 1.6 and rng.random() < 0.5 else right + 1.1
+        at = (
+            float(rng.uniform(room[0] + 0.6, left - 0.6))
+            if left - room[0] > 1.6 and rng.random() < 0.5
+            else right + 1.1
+        )
         if at < room[2] - 0.4:
             hang(mesh, np.array([at, z]) + thick, front, p, rng)
 
 
-def _room(mesh: MeshBuilder, room: Rect, door: Door, p: Paint, blocked: list[Rect], rng: np.random.Generator
-          ) -> list[tuple[float, float, float, float]]:  # fmt: skip
+def _room(
+    mesh: MeshBuilder, room: Rect, door: Door, p: Paint, blocked: list[Rect], rng: np.random.Generator
+) -> list[tuple[float, float, float, float]]:
     """Floor, ceiling, walls, a window opposite the door, and nearly the same furniture in every room."""
     x0, z0, x1, z1 = room[0] + HALF_WALL_M, room[1] + HALF_WALL_M, room[2] - HALF_WALL_M, room[3] - HALF_WALL_M
     horizontal(mesh, room, 0.0, p.carpet, up=True)
@@ -167,15 +192,18 @@ def _room(mesh: MeshBuilder, room: Rect, door: Door, p: Paint, blocked: list[Rec
     for x, inward in ((x0, 1.0), (x1, -1.0)):
         _wall_strip(mesh, np.array([x, z0]), np.array([x, z1]), inward, p, rng)
     back = np.array([(x0 + x1) / 2, far]) - door.into * 0.55
-    for k in (-1.0, 1.0):
-        desk(mesh, back + np.array([k * 1.2, 0.0]), -door.into, p, blocked, rng)
+    for aside in (-1.2, 1.2):
+        desk(mesh, back + np.array([aside, 0.0]), -door.into, p, blocked, rng)
     beside = np.array([x1 - 0.22, (z0 + z1) / 2 + rng.uniform(-0.5, 0.5)])
     shelf(mesh, beside, np.array([-1.0, 0.0]), p, blocked, rng)
     if rng.random() < 0.5:
         cabinet(mesh, np.array([x0 + 0.3, (z0 + z1) / 2 + rng.uniform(-0.8, 0.8)]), p, blocked, rng)
     centre = ((x0 + x1) / 2, (z0 + z1) / 2)
     lamp(mesh, *centre, p)
-    return [(centre[0], -(HEIGHT_M - 0.15), centre[1], 1.1), (centre[0], -1.7, far - door.into[1] * 0.5, float(rng.uniform(0.1, 0.45)))]
+    return [
+        (centre[0], -(HEIGHT_M - 0.15), centre[1], 1.1),
+        (centre[0], -1.7, far - door.into[1] * 0.5, float(rng.uniform(0.1, 0.45))),
+    ]
 
 
 def _free(floor: Floor, blocked: list[Rect]) -> FreeSpace:

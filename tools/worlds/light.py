@@ -1,4 +1,5 @@
-"""The light of one agent: time of day, weather, colour temperature. Places stay recognisable, pixels do not stay the same."""
+"""The light of one agent: time of day, weather, colour temperature. Places stay recognisable, pixels do not stay the
+same."""
 
 from __future__ import annotations
 
@@ -13,8 +14,9 @@ RGB = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Light:
-    """Linear factors; ``sun_azimuth_deg`` from +Z towards +X, ``sun_elevation_deg`` above the horizon; ``cloud_cover`` 0 to 1;
-    ``haze_m``: distance at which 63 % of the contrast is gone; ``exposure``: brightness of the whole image, 1 = normal."""
+    """Linear factors; ``sun_azimuth_deg`` from +Z towards +X, ``sun_elevation_deg`` above the horizon; ``cloud_cover``
+    0 to 1; ``haze_m``: distance at which 63 % of the contrast is gone; ``exposure``: brightness of the whole image, 1
+    = normal."""
 
     sun_azimuth_deg: float = 40.0
     sun_elevation_deg: float = 42.0
@@ -36,7 +38,8 @@ class Light:
         sun = np.array([np.sin(a) * np.cos(e), -np.sin(e), np.cos(a) * np.cos(e)])
         cloud = np.array([*self.cloud_offset_m, self.cloud_cover, self.cloud_brightness])
         colours = (self.sun_rgb, self.sky_rgb, self.ground_rgb, self.horizon_rgb, self.zenith_rgb, self.lamp_rgb)
-        return LightArrays(sun, *(np.array(c, np.float64) for c in colours), cloud, float(self.haze_m))
+        sun_rgb, sky, ground, horizon, zenith, lamp = (np.array(c, np.float64) for c in colours)
+        return LightArrays(sun, sun_rgb, sky, ground, horizon, zenith, lamp, cloud, float(self.haze_m))
 
     def metered(self) -> float:
         """The exposure at which a grey wall comes out the same in every light."""
@@ -48,7 +51,8 @@ class Light:
 
 
 def random_light(rng: np.random.Generator, strength: float = 1.0, indoors: bool = False) -> Light:
-    """A light drawn from ``rng``; ``strength`` 0 gives the normal light, 1 the spread from clear noon to dull evening."""
+    """A light drawn from ``rng``; ``strength`` 0 gives the normal light, 1 the spread from clear noon to dull
+    evening."""
     warm = strength * rng.normal(0.0, 0.10)
     tone = np.clip([1 + warm, 1.0, 1 - warm], 0.7, 1.3)
     cover = float(np.clip(0.45 + strength * rng.uniform(-0.25, 0.35), 0.0, 0.9))
@@ -65,11 +69,17 @@ def random_light(rng: np.random.Generator, strength: float = 1.0, indoors: bool 
         return r, g, b
 
     return Light(
-        sun_azimuth_deg=round(float(azimuth), 3), sun_elevation_deg=round(float(elevation), 3),
-        sun_rgb=rgb(base.sun_rgb, direct), sky_rgb=rgb(base.sky_rgb, ambient * scale), ground_rgb=rgb(base.ground_rgb, ambient * scale),
-        horizon_rgb=rgb(base.horizon_rgb, 0.6 + 0.4 * direct), zenith_rgb=rgb(base.zenith_rgb, 0.6 + 0.4 * direct),
+        sun_azimuth_deg=round(float(azimuth), 3),
+        sun_elevation_deg=round(float(elevation), 3),
+        sun_rgb=rgb(base.sun_rgb, direct),
+        sky_rgb=rgb(base.sky_rgb, ambient * scale),
+        ground_rgb=rgb(base.ground_rgb, ambient * scale),
+        horizon_rgb=rgb(base.horizon_rgb, 0.6 + 0.4 * direct),
+        zenith_rgb=rgb(base.zenith_rgb, 0.6 + 0.4 * direct),
         lamp_rgb=rgb(base.lamp_rgb, 1.0 + strength * rng.uniform(-0.3, 0.3)),
-        cloud_offset_m=(round(float(offset[0]), 2), round(float(offset[1]), 2)), cloud_cover=round(cover, 3),
-        cloud_brightness=round(0.7 + 0.3 * direct, 3), haze_m=float(round(1800 * np.exp(-strength * rng.uniform(0, 0.8)), 1)),
+        cloud_offset_m=(round(float(offset[0]), 2), round(float(offset[1]), 2)),
+        cloud_cover=round(cover, 3),
+        cloud_brightness=round(0.7 + 0.3 * direct, 3),
+        haze_m=float(round(1800 * np.exp(-strength * rng.uniform(0, 0.8)), 1)),
         exposure=round(exposure, 4),
-    )  # fmt: skip
+    )

@@ -27,7 +27,9 @@ def door_picture(rng: np.random.Generator) -> textures.Image:
 def window_picture(rng: np.random.Generator) -> textures.Image:
     canvas = np.empty((128, 160, 3), np.float32)
     canvas[:] = np.linspace(1.0, 0.75, 128)[:, None, None] * np.array([205, 222, 240])
-    canvas[80:] = np.array([120, 140, 96]) * (1 + 0.2 * textures.splats(rng, (128, 128), 300, (2, 12), 1.0)[:48, :1, None])
+    canvas[80:] = np.array([120, 140, 96]) * (
+        1 + 0.2 * textures.splats(rng, (128, 128), 300, (2, 12), 1.0)[:48, :1, None]
+    )
     for k in (0, 78, 154):
         canvas[:, k : k + 6] = 225
     canvas[:6] = canvas[-6:] = 225
@@ -60,10 +62,13 @@ def screen_picture(rng: np.random.Generator) -> textures.Image:
 def wall_picture(rng: np.random.Generator, colour: textures.Colour) -> textures.Image:
     """3.2 m of wall, seamless, foot at the bottom: tiles to elbow height, a rail, roughcast paint with specks above."""
     size = 512
-    specks = textures.splats(rng, (size, size), 2600, (1.2, 6.0), 0.10) + 0.02 * textures.fractal(rng, (size, size), 8, 5)
+    specks = textures.splats(rng, (size, size), 2600, (1.2, 6.0), 0.10) + 0.02 * textures.fractal(
+        rng, (size, size), 8, 5
+    )
     image = textures.coloured(colour, specks, 1.0)
     low = int(size - 1.05 / 3.2 * size)
-    tiles = textures.paving(rng, 32, 16, tuple(0.82 * c for c in colour), size, 1).astype(np.float32)
+    darker = (0.82 * colour[0], 0.82 * colour[1], 0.82 * colour[2])
+    tiles = textures.paving(rng, 32, 16, darker, size, 1).astype(np.float32)
     image[low:] = tiles[low:] * (1 + 0.5 * specks[low:, :, None])
     image[low - 6 : low] = np.asarray(colour) * 0.55
     image[low - 7] = np.asarray(colour) * 1.1

@@ -1,4 +1,5 @@
-"""From a line on the ground to camera poses: smooth, of bounded curvature, driven slowly round corners, with a little wobble."""
+"""From a line on the ground to camera poses: smooth, of bounded curvature, driven slowly round corners, with a little
+wobble."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ Line = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gait:
-    """How something moves: ``cruise_mps``; accelerations in m/s2; ``height_m`` of the camera; wobble: deviations of the angles (degrees) and
-    of the height (metres), at about ``wobble_hz``;
+    """How something moves: ``cruise_mps``; accelerations in m/s2; ``height_m`` of the camera; wobble: deviations of
+    the angles (degrees) and of the height (metres), at about ``wobble_hz``;
     ``smooth_m`` rounds the corners of the line; ``turn_dps``: degrees a second at most."""
 
     cruise_mps: float = 9.0
@@ -61,7 +62,9 @@ def speeds(curvature: NDArray[np.float64], step_m: float, gait: Gait) -> NDArray
     return v
 
 
-def drive(line: Line, frames: int, rate_hz: float, gait: Gait, rng: np.random.Generator, offset_m: float = 0.0) -> NDArray[np.float64]:
+def drive(
+    line: Line, frames: int, rate_hz: float, gait: Gait, rng: np.random.Generator, offset_m: float = 0.0
+) -> NDArray[np.float64]:
     """Poses ``(frames, 4, 4)`` of a camera carried along ``line`` (x, z) over the ground y = 0.
 
     ``offset_m`` shifts the line to the right. Raises ValueError when the line is too short for the frames.
@@ -70,7 +73,9 @@ def drive(line: Line, frames: int, rate_hz: float, gait: Gait, rng: np.random.Ge
     step = _step(gait)
     times = np.arange(frames) / rate_hz
     if seconds[-1] < times[-1]:
-        raise ValueError(f"the way of {len(points) * step:.0f} m ends after {seconds[-1]:.1f} s, {times[-1]:.1f} s are asked for")
+        raise ValueError(
+            f"the way of {len(points) * step:.0f} m ends after {seconds[-1]:.1f} s, {times[-1]:.1f} s are asked for"
+        )
     s = np.interp(times, seconds, np.arange(len(points), dtype=np.float64))
     x, z, yaw = (np.interp(s, np.arange(len(points)), a) for a in (points[:, 0], points[:, 1], heading))
     knots = max(rate_hz / gait.wobble_hz / 2, 0.5)
@@ -83,7 +88,8 @@ def drive(line: Line, frames: int, rate_hz: float, gait: Gait, rng: np.random.Ge
 
 
 def way_at(line: Line, gait: Gait, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Metres along ``line`` that ``gait`` has covered at ``times`` (seconds), gone on at the mean speed beyond its end."""
+    """Metres along ``line`` that ``gait`` has covered at ``times`` (seconds), gone on at the mean speed beyond its
+    end."""
     points, _, seconds = _timed(line, gait, 0.0, None)
     metres = np.arange(len(points)) * _step(gait)
     return np.interp(times, seconds, metres) + np.maximum(times - seconds[-1], 0) * metres[-1] / seconds[-1]
@@ -93,9 +99,11 @@ def _step(gait: Gait) -> float:
     return 0.1 if gait.cruise_mps < 3 else 0.25
 
 
-def _timed(line: Line, gait: Gait, offset_m: float, rng: np.random.Generator | None) -> tuple[Line, NDArray[np.float64], NDArray[np.float64]]:
-    """The smooth line driven, ``offset_m`` to the right and swaying a little where there is an ``rng``; its heading, radians from +Z to
-    +X; the time at each of its points."""
+def _timed(
+    line: Line, gait: Gait, offset_m: float, rng: np.random.Generator | None
+) -> tuple[Line, NDArray[np.float64], NDArray[np.float64]]:
+    """The smooth line driven, ``offset_m`` to the right and swaying a little where there is an ``rng``; its heading,
+    radians from +Z to +X; the time at each of its points."""
     step = _step(gait)
     points = smoothed(resample(line, step), gait.smooth_m / step)
     tangent = np.gradient(points, step, axis=0)
@@ -109,7 +117,8 @@ def _timed(line: Line, gait: Gait, offset_m: float, rng: np.random.Generator | N
 
 
 def _rotations(yaw: NDArray, pitch: NDArray, roll: NDArray) -> NDArray[np.float64]:
-    """Camera to world: turned by ``yaw`` to the right about down, then ``pitch`` about right, then ``roll`` about forward."""
+    """Camera to world: turned by ``yaw`` to the right about down, then ``pitch`` about right, then ``roll`` about
+    forward."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_euler("YXZ", np.stack([yaw, pitch, roll], axis=1)).as_matrix()

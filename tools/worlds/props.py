@@ -1,4 +1,5 @@
-"""Trees, cars, posts and small street furniture. Each function adds one thing, standing on the ground at height ``foot``."""
+"""Trees, cars, posts and small street furniture. Each function adds one thing, standing on the ground at height
+``foot``."""
 
 from __future__ import annotations
 
@@ -30,9 +31,42 @@ class Stuff:
 def sphere(level: int) -> tuple[Floats, NDArray[np.int64]]:
     """Unit icosphere: vertices ``(v, 3)``, faces ``(f, 3)`` counter-clockwise seen from outside."""
     g = (1 + 5**0.5) / 2
-    v = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g), (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
-    f = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
-         (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]  # fmt: skip
+    v = [
+        (-1, g, 0),
+        (1, g, 0),
+        (-1, -g, 0),
+        (1, -g, 0),
+        (0, -1, g),
+        (0, 1, g),
+        (0, -1, -g),
+        (0, 1, -g),
+        (g, 0, -1),
+        (g, 0, 1),
+        (-g, 0, -1),
+        (-g, 0, 1),
+    ]
+    f = [
+        (0, 11, 5),
+        (0, 5, 1),
+        (0, 1, 7),
+        (0, 7, 10),
+        (0, 10, 11),
+        (1, 5, 9),
+        (5, 11, 4),
+        (11, 10, 2),
+        (10, 7, 6),
+        (7, 1, 8),
+        (3, 9, 4),
+        (3, 4, 2),
+        (3, 2, 6),
+        (3, 6, 8),
+        (3, 8, 9),
+        (4, 9, 5),
+        (2, 4, 11),
+        (6, 2, 10),
+        (8, 6, 7),
+        (9, 8, 1),
+    ]
     vertices, faces = np.array(v, np.float64), np.array(f, np.int64)
     vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
     for _ in range(level):
@@ -48,17 +82,24 @@ def sphere(level: int) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def tree_mesh(stuff: Stuff, height: float, rng: np.random.Generator) -> Mesh:
-    """A trunk and a crown of lumps whose surface is bent at random, about the origin on the ground; placed by :func:`placed`."""
+    """A trunk and a crown of lumps whose surface is bent at random, about the origin on the ground; placed by
+    :func:`placed`."""
     mesh = MeshBuilder()
     trunk = 0.36 * height
     cylinder(mesh, np.zeros(2), -0.2, trunk * 1.3, 0.022 * height, stuff.bark)
-    material, tone = int(rng.choice(stuff.leaves)), rng.uniform(0.75, 1.2) * np.array([rng.uniform(0.85, 1.25), 1.0, rng.uniform(0.7, 1.0)])
+    material, tone = (
+        int(rng.choice(stuff.leaves)),
+        rng.uniform(0.75, 1.2) * np.array([rng.uniform(0.85, 1.25), 1.0, rng.uniform(0.7, 1.0)]),
+    )
     for k in range(int(rng.integers(4, 7))):
         unit, faces = sphere(2 if k < 2 else 1)
         radius = height * (0.24 if k == 0 else rng.uniform(0.13, 0.2))
         centre = np.zeros(3) if k == 0 else rng.normal(0, 0.13, 3) * height * np.array([1, 0.8, 1])
         waves = 0.05 * rng.uniform(0.4, 1.4, 6)
-        bumps = sum(a * np.sin(unit @ rng.normal(0, f, 3) + rng.uniform(0, 6.28)) for a, f in zip(waves, (3, 5, 8, 12, 12, 18), strict=True))
+        bumps = sum(
+            a * np.sin(unit @ rng.normal(0, f, 3) + rng.uniform(0, 6.28))
+            for a, f in zip(waves, (3, 5, 8, 12, 12, 18), strict=True)
+        )
         points = unit * radius * (1 + np.asarray(bumps)[:, None]) * np.array([1.0, 0.9, 1.0])
         middle = np.array([0, -(trunk + 0.28 * height), 0]) + centre
         # u on the angle would break at the seam: folded in the middle it has none.
@@ -68,8 +109,16 @@ def tree_mesh(stuff: Stuff, height: float, rng: np.random.Generator) -> Mesh:
     return mesh.build()
 
 
-def cylinder(mesh: MeshBuilder, at: Floats, bottom: float, top: float, radius: float, material: int, tint: object = (1, 1, 1),
-             sides: int = 7) -> None:  # fmt: skip
+def cylinder(
+    mesh: MeshBuilder,
+    at: Floats,
+    bottom: float,
+    top: float,
+    radius: float,
+    material: int,
+    tint: object = (1, 1, 1),
+    sides: int = 7,
+) -> None:
     """An upright post; ``at`` (x, z); heights above y = 0."""
     angle = 2 * np.pi * np.arange(sides + 1) / sides
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius + at
@@ -84,78 +133,80 @@ def cylinder(mesh: MeshBuilder, at: Floats, bottom: float, top: float, radius: f
     mesh.surface(np.concatenate([low, high]), faces, uv, material, tint)
 
 
-def lamp_post(mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff, rng: np.random.Generator) -> None:
+def lamp_post(
+    mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff, rng: np.random.Generator
+) -> None:
     """A street lamp that leans over the road in direction ``towards`` (x, z), perhaps with a sign on it."""
     height = 6.2
     cylinder(mesh, at, foot - 0.2, foot + height, 0.075, stuff.metal, 0.8 * np.ones(3))
     arm = at + towards * 0.8
     axes = _axes(towards)
-    mesh.box(np.array([(at[0] + arm[0]) / 2, -(foot + height), (at[1] + arm[1]) / 2]), axes, np.array([0.08, 0.08, 1.7]), stuff.metal, 0.8 * np.ones(3), False)
-    mesh.box(np.array([arm[0], -(foot + height + 0.02), arm[1]]), axes, np.array([0.3, 0.12, 0.6]), stuff.metal, 1.2 * np.ones(3), False)
+    mesh.box(
+        np.array([(at[0] + arm[0]) / 2, -(foot + height), (at[1] + arm[1]) / 2]),
+        axes,
+        np.array([0.08, 0.08, 1.7]),
+        stuff.metal,
+        0.8 * np.ones(3),
+        False,
+    )
+    mesh.box(
+        np.array([arm[0], -(foot + height + 0.02), arm[1]]),
+        axes,
+        np.array([0.3, 0.12, 0.6]),
+        stuff.metal,
+        1.2 * np.ones(3),
+        False,
+    )
     if rng.random() < 0.5:
-        sign_plate(mesh, at, towards, foot + float(rng.uniform(2.2, 2.8)), float(rng.uniform(0.5, 0.75)), int(rng.choice(stuff.signs)), stuff)
+        sign_plate(
+            mesh,
+            at,
+            towards,
+            foot + float(rng.uniform(2.2, 2.8)),
+            float(rng.uniform(0.5, 0.75)),
+            int(rng.choice(stuff.signs)),
+            stuff,
+        )
 
 
-def sign_post(mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff, rng: np.random.Generator) -> None:
+def sign_post(
+    mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff, rng: np.random.Generator
+) -> None:
     """A traffic sign or a street name on a post, square to the road whose direction is across ``towards``."""
     height = float(rng.uniform(2.2, 2.9))
     cylinder(mesh, at, foot - 0.2, foot + height, 0.035, stuff.metal)
-    sign_plate(mesh, at, towards, foot + height - 0.75, float(rng.uniform(0.6, 0.85)), int(rng.choice(stuff.signs)), stuff)
+    sign_plate(
+        mesh, at, towards, foot + height - 0.75, float(rng.uniform(0.6, 0.85)), int(rng.choice(stuff.signs)), stuff
+    )
 
 
-def sign_plate(mesh: MeshBuilder, at: Floats, towards: Floats, bottom: float, width: float, material: int, stuff: Stuff) -> None:
+def sign_plate(
+    mesh: MeshBuilder, at: Floats, towards: Floats, bottom: float, width: float, material: int, stuff: Stuff
+) -> None:
     """A thin plate that faces both ways along the road."""
     along = np.array([-towards[1], towards[0]])
     for way in (1.0, -1.0):
         centre = at + way * 0.09 * along
         a, b = centre + way * towards * width / 2, centre - way * towards * width / 2
-        quad = [(a[0], -bottom, a[1]), (b[0], -bottom, b[1]), (b[0], -bottom - width * 0.8, b[1]), (a[0], -bottom - width * 0.8, a[1])]
-        if np.cross(np.subtract(quad[1], quad[0]), np.subtract(quad[2], quad[0])) @ np.array([along[0], 0, along[1]]) * way < 0:
+        quad = [
+            (a[0], -bottom, a[1]),
+            (b[0], -bottom, b[1]),
+            (b[0], -bottom - width * 0.8, b[1]),
+            (a[0], -bottom - width * 0.8, a[1]),
+        ]
+        if (
+            np.cross(np.subtract(quad[1], quad[0]), np.subtract(quad[2], quad[0]))
+            @ np.array([along[0], 0, along[1]])
+            * way
+            < 0
+        ):
             quad = [quad[1], quad[0], quad[3], quad[2]]
         mesh.quads(np.array([quad]), np.array([[(0, 1), (1, 1), (1, 0), (0, 0)]]), material)
 
 
-PROFILE = np.array([
-    (-2.15, 0.28), (-2.2, 0.55), (-2.15, 0.88), (-1.75, 0.95), (-1.25, 1.42), (0.35, 1.45), (1.05, 0.98), (1.95, 0.82), (2.18, 0.6), (2.15, 0.28),
-])  # fmt: skip
-"""Side of a car from behind to its nose: metres along it, metres above the ground."""
-PROFILE_PARTS = (1, 1, 2, 3, 2, 3, 2, 1, 1)
-"""What covers each edge of the profile: 1 painted with lights, 2 painted or glass by slope, 3 roof and glass."""
-
-
-def car_mesh(stuff: Stuff, tint: Floats, look: int) -> Mesh:
-    """A parked or driving car about the origin on the ground, nose to +Z."""
-    mesh = MeshBuilder()
-    half_low, half_high = 0.86, 0.66
-    half = np.where(PROFILE[:, 1] > 1.1, half_high, half_low)
-    left = np.stack([-half, -PROFILE[:, 1], PROFILE[:, 0]], axis=1)
-    right = left * (-1, 1, 1)
-    side = stuff.car_sides[look % len(stuff.car_sides)]
-    uv = np.stack([(PROFILE[:, 0] + 2.25) / 4.5, 1.0 - PROFILE[:, 1] / 1.5], axis=1)
-    centre = np.array([0.0, 0.7])
-    fan = [(i, (i + 1) % len(PROFILE)) for i in range(len(PROFILE))]
-    for points, order in ((left, (0, 2, 1)), (right, (0, 1, 2))):
-        hub = np.array([np.sign(points[0, 0]) * half_low, -centre[1], centre[0]])
-        triangles = np.array([[hub, points[i], points[j]] for i, j in fan])[:, list(order)]
-        uvs = np.array([[((0 + 2.25) / 4.5, 1 - 0.7 / 1.5), uv[i], uv[j]] for i, j in fan])[:, list(order)]
-        quads, quad_uv = triangles[:, [0, 1, 2, 2]], uvs[:, [0, 1, 2, 2]]
-        mesh.quads(quads, quad_uv, side, tint)
-    front = stuff.car_fronts[look % len(stuff.car_fronts)]
-    for k in range(len(PROFILE) - 1):
-        a, b, c, d = left[k], left[k + 1], right[k + 1], right[k]
-        length = float(np.linalg.norm(b - a))
-        glass = k in (3, 5)
-        if k in (0, 1, 7, 8):
-            v0, v1 = (1 - a[1] / -1.0, 1 - b[1] / -1.0)
-            mesh.quads(np.array([[a, d, c, b]])[:, ::-1], np.array([[(0, v0), (1, v0), (1, v1), (0, v1)]])[:, ::-1], front, tint)
-        else:
-            uv_k = np.array([[(0, 0), (1.7, 0), (1.7, -length), (0, -length)]])
-            mesh.quads(np.array([[a, d, c, b]])[:, ::-1], uv_k[:, ::-1], stuff.rubber if glass else stuff.paint, (1.6, 1.8, 2.1) if glass else tint)
-    return mesh.build()
-
-
 def placed(thing: Mesh, at: Floats, heading: Floats, foot: float) -> Mesh:
-    """``thing``, made about the origin, moved to ``at`` (x, z), its +Z along ``heading`` (x, z), onto ground of height ``foot``."""
+    """``thing``, made about the origin, moved to ``at`` (x, z), its +Z along ``heading`` (x, z), onto ground of height
+    ``foot``."""
     T = np.eye(4)
     T[:3, :3] = _axes(heading)
     T[:3, 3] = at[0], -foot, at[1]
@@ -166,16 +217,26 @@ def bench(mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: St
     axes = _axes(towards)
     mesh.box(np.array([at[0], -(foot + 0.45), at[1]]), axes, np.array([1.7, 0.06, 0.45]), stuff.wood, open_bottom=False)
     back = at - towards * 0.22
-    mesh.box(np.array([back[0], -(foot + 0.75), back[1]]), axes, np.array([1.7, 0.4, 0.05]), stuff.wood, open_bottom=False)
+    mesh.box(
+        np.array([back[0], -(foot + 0.75), back[1]]), axes, np.array([1.7, 0.4, 0.05]), stuff.wood, open_bottom=False
+    )
     for s in (-0.7, 0.7):
         leg = at + s * np.array([towards[1], -towards[0]])
         mesh.box(np.array([leg[0], -(foot + 0.22), leg[1]]), axes, np.array([0.07, 0.44, 0.4]), stuff.metal)
 
 
-def bin_box(mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff, rng: np.random.Generator) -> None:
+def bin_box(
+    mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff, rng: np.random.Generator
+) -> None:
     """A bin, a cabinet or a letter box."""
     size = np.array([rng.uniform(0.4, 1.1), rng.uniform(0.8, 1.4), rng.uniform(0.35, 0.5)])
-    mesh.box(np.array([at[0], -(foot + size[1] / 2), at[1]]), _axes(towards), size, int(rng.choice([stuff.metal, stuff.wood])), rng.uniform(0.35, 1.3, 3))
+    mesh.box(
+        np.array([at[0], -(foot + size[1] / 2), at[1]]),
+        _axes(towards),
+        size,
+        int(rng.choice([stuff.metal, stuff.wood])),
+        rng.uniform(0.35, 1.3, 3),
+    )
 
 
 def _axes(forward: Floats) -> Floats:

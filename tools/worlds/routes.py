@@ -1,4 +1,5 @@
-"""Which way each agent drives: own start points, and by design stretches that others drive in the same direction at another time."""
+"""Which way each agent drives: own start points, and by design stretches that others drive in the same direction at
+another time."""
 
 from __future__ import annotations
 
@@ -21,16 +22,20 @@ Stretch = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Route:
-    """``nodes`` passed in turn; the route begins ``start_m`` after the first; ``stretches``: pieces of lane driven, in order."""
+    """``nodes`` passed in turn; the route begins ``start_m`` after the first; ``stretches``: pieces of lane driven, in
+    order."""
 
     nodes: tuple[int, ...]
     start_m: float
     stretches: tuple[Stretch, ...]
 
 
-def plan_routes(network: Network, agents: int, length_m: float, rng: np.random.Generator, candidates: int = CANDIDATES) -> list[Route]:
-    """A route of at least ``length_m`` for each agent. Each is the best of many random ones: it shares about half its way with the agents
-    before it, with several of them if it can, comes back on its own tracks if it is long enough, and starts at a place of its own."""
+def plan_routes(
+    network: Network, agents: int, length_m: float, rng: np.random.Generator, candidates: int = CANDIDATES
+) -> list[Route]:
+    """A route of at least ``length_m`` for each agent. Each is the best of many random ones: it shares about half its
+    way with the agents before it, with several of them if it can, comes back on its own tracks if it is long enough,
+    and starts at a place of its own."""
     lengths = {e: _length(network, *e) for a, b in network.edges for e in ((a, b), (b, a))}
     routes: list[Route] = []
     for _ in range(agents):
@@ -54,14 +59,23 @@ def _score(route: Route, driven: list[set[Stretch]], starts: list[Stretch]) -> f
     if not driven:
         return score
     shared = np.array([len(own & other) / len(own) for other in driven])
-    union = len(own & set.union(*driven)) / len(own)
-    score += 2.0 * min(union, 0.6) - 1.5 * max(union - 0.75, 0.0) + 0.25 * int(min((shared * len(own) * BIN_M > 24.0).sum(), 3))
+    union = len(own & set().union(*driven)) / len(own)
+    score += (
+        2.0 * min(union, 0.6)
+        - 1.5 * max(union - 0.75, 0.0)
+        + 0.25 * int(min((shared * len(own) * BIN_M > 24.0).sum(), 3))
+    )
     near = any(a[:2] == pieces[0][:2] and abs(a[2] - pieces[0][2]) * BIN_M < 16.0 for a in starts)
     return score - 1.0 * near
 
 
-def _random_route(network: Network, lengths: dict[tuple[int, int], float], length_m: float, others: list[Route],
-                  rng: np.random.Generator) -> Route:  # fmt: skip
+def _random_route(
+    network: Network,
+    lengths: dict[tuple[int, int], float],
+    length_m: float,
+    others: list[Route],
+    rng: np.random.Generator,
+) -> Route:
     ways = sorted(lengths)
     if others and rng.random() < 0.8:  # begin where somebody drives, or on a way that leads there
         other = others[int(rng.integers(len(others)))]
@@ -85,7 +99,8 @@ def _random_route(network: Network, lengths: dict[tuple[int, int], float], lengt
 
 
 def lane_line(network: Network, route: Route, extra_m: float) -> Line:
-    """The middle of the right lane along ``route``, turns rounded, gone on for ``extra_m`` after its last node, points 0.5 m apart."""
+    """The middle of the right lane along ``route``, turns rounded, gone on for ``extra_m`` after its last node, points
+    0.5 m apart."""
     nodes = list(route.nodes)
     reach = 0.0
     while reach < extra_m:
@@ -119,7 +134,12 @@ def _turn(before: Line, after: Line) -> Line:
     out, into = _unit(before[-1] - before[-2]), _unit(after[1] - after[0])
     handle = 0.39 * np.linalg.norm(q - p)
     t = np.linspace(0, 1, max(int(np.linalg.norm(q - p) * 2.4), 3))[1:-1, None]
-    return (1 - t) ** 3 * p + 3 * t * (1 - t) ** 2 * (p + handle * out) + 3 * t**2 * (1 - t) * (q - handle * into) + t**3 * q
+    return (
+        (1 - t) ** 3 * p
+        + 3 * t * (1 - t) ** 2 * (p + handle * out)
+        + 3 * t**2 * (1 - t) * (q - handle * into)
+        + t**3 * q
+    )
 
 
 def _unit(v: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,12 +27,14 @@ class SampledView:
 ViewSampler = Callable[[NDArray[np.float64], Light, np.random.Generator], SampledView]
 
 
-def view_sampler(kind: str, seed: int, camera: PinholeCamera | None = None, sensor: SensorConfig | None = None
-                 ) -> tuple[World, ViewSampler]:  # fmt: skip
+def view_sampler(
+    kind: str, seed: int, camera: PinholeCamera | None = None, sensor: SensorConfig | None = None
+) -> tuple[World, ViewSampler]:
     """A world (``kind`` "town" or "indoor") and a function that photographs it: ``sample(T_W_C, light, rng)``.
 
-    ``camera``: default 320x240, 84 degrees wide; ``world.free.at(xz)`` tells where a camera may stand (metres to the next obstacle); lights come
-    from :func:`tools.worlds.light.random_light`. Facades and ground are coarser than for driving, which thumbnails do not show.
+    ``camera``: default 320x240, 84 degrees wide; ``world.free.at(xz)`` tells where a camera may stand (metres to the
+    next obstacle); lights come from :func:`tools.worlds.light.random_light`. Facades and ground are coarser than for
+    driving, which thumbnails do not show.
     """
     if kind == "town":
         from tools.worlds.town import build_town

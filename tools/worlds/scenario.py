@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,7 +62,9 @@ def plan_scenario(config: RenderConfig) -> Scenario:
     """The world, the ways, the lights. Raises RenderError where they cannot be had."""
     movers: tuple[Mover, ...] = ()
     if config.moving_cars and (config.world != "town" or config.poses_file is not None):
-        raise RenderError(f"{config.moving_cars} moving cars need the streets of the town: not indoors, not with a pose file")
+        raise RenderError(
+            f"{config.moving_cars} moving cars need the streets of the town: not indoors, not with a pose file"
+        )
     if config.poses_file is not None:
         world, ways = _along(config)
     elif config.world == "indoor":
@@ -70,7 +73,9 @@ def plan_scenario(config: RenderConfig) -> Scenario:
         world, ways, movers = _town(config)
     rng = np.random.default_rng([config.seed, 3])
     lights = [random_light(rng, config.light_change, world.kind == "indoor") for _ in ways]
-    plans = [AgentPlan(poses, light, _drift(len(poses), config, rng)) for poses, light in zip(ways, lights, strict=True)]
+    plans = [
+        AgentPlan(poses, light, _drift(len(poses), config, rng)) for poses, light in zip(ways, lights, strict=True)
+    ]
     return Scenario(world, tuple(plans), movers)
 
 
@@ -88,25 +93,32 @@ def _town(config: RenderConfig) -> tuple[World, list[Poses], tuple[Mover, ...]]:
     for route in plan_routes(network, config.agents, 6.5 * seconds, rng):
         gait = Gait(cruise_mps=float(rng.uniform(8.0, 10.0)), height_m=float(rng.uniform(1.55, 1.75)))
         line = lane_line(network, route, gait.cruise_mps * seconds + 60.0)
-        ways.append(drive(line, config.frames, config.rate_hz, gait, rng, float(np.clip(rng.normal(0, 0.25), -0.5, 0.5))))
+        ways.append(
+            drive(line, config.frames, config.rate_hz, gait, rng, float(np.clip(rng.normal(0, 0.25), -0.5, 0.5)))
+        )
     return world, ways, _traffic(config, network, ways)
 
 
 def _traffic(config: RenderConfig, network: Network, ways: list[Poses]) -> tuple[Mover, ...]:
     """Cars on routes of their own that never come near a camera; fewer than asked for is an error."""
     rng = np.random.default_rng([config.seed, 4])
-    seconds, out = config.frames / config.rate_hz, []
+    seconds = config.frames / config.rate_hz
+    out: list[Mover] = []
     for attempt in range(40 * config.moving_cars):
         if len(out) == config.moving_cars:
             break
         route = plan_routes(network, 1, 6.5 * seconds, rng, candidates=1)[0]
         gait = Gait(cruise_mps=float(rng.uniform(6.0, 9.0)), wobble_deg=(0, 0, 0), heave_m=0.0)
-        poses = drive(lane_line(network, route, gait.cruise_mps * seconds + 60.0), config.frames, config.rate_hz, gait, rng)
+        poses = drive(
+            lane_line(network, route, gait.cruise_mps * seconds + 60.0), config.frames, config.rate_hz, gait, rng
+        )
         others = [*ways, *(m.poses for m in out)]
         if all(np.linalg.norm(poses[:, [0, 2], 3] - way[:, [0, 2], 3], axis=1).min() > 7.0 for way in others):
             out.append(Mover(attempt % 10, poses))
     if len(out) < config.moving_cars:
-        raise RenderError(f"only {len(out)} of {config.moving_cars} moving cars fit among {config.agents} agents for {seconds:.0f} s")
+        raise RenderError(
+            f"only {len(out)} of {config.moving_cars} moving cars fit among {config.agents} agents for {seconds:.0f} s"
+        )
     return tuple(out)
 
 
@@ -118,13 +130,17 @@ def _indoor(config: RenderConfig) -> tuple[World, list[Poses]]:
     rng = np.random.default_rng([config.seed, 2])
     way = tour(floor, world.free, rng)
     seconds = config.frames / config.rate_hz
-    # Each starts where the one before it is after half of the time: so neighbours share the other half, in the same direction.
-    where = way_at(np.concatenate([way, way[1:]]), WALKING, np.arange(config.agents) * 0.5 * seconds)
+    # Each starts where the one before it is after half of the time: so neighbours share the other half of their ways.
     first = float(rng.random())
+    length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    starts = np.arange(config.agents, dtype=np.float64) * (0.5 * seconds)
+    where = way_at(walk(way, first, 0.0, 2 * length), WALKING, starts)
     ways = []
     for metres in where:
         line = walk(way, first, metres, WALKING.cruise_mps * seconds + 3.0)
-        ways.append(drive(line, config.frames, config.rate_hz, WALKING, rng, float(np.clip(rng.normal(0, 0.05), -0.1, 0.1))))
+        ways.append(
+            drive(line, config.frames, config.rate_hz, WALKING, rng, float(np.clip(rng.normal(0, 0.05), -0.1, 0.1)))
+        )
     return world, ways
 
 
@@ -140,7 +156,7 @@ def _along(config: RenderConfig) -> tuple[World, list[Poses]]:
     world = build_along(config.seed, poses, **_quality(config))  # type: ignore[arg-type]
     cuts = np.linspace(0, len(poses), config.agents + 1).astype(int)
     overlap = POSES_OVERLAP if config.agents > 1 else 0
-    return world, [poses[max(a - overlap, 0) : b + overlap] for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return world, [poses[max(a - overlap, 0) : b + overlap] for a, b in pairwise(cuts.tolist())]
 
 
 def _check_path(poses: Poses, config: RenderConfig) -> None:
@@ -150,13 +166,17 @@ def _check_path(poses: Poses, config: RenderConfig) -> None:
     step = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     if step.max() > 12.0:
         k = int(np.argmax(step))
-        raise RenderError(f"{name}: poses {k} and {k + 1} are {step.max():.1f} m apart; a path to drive has at most 12 m between poses")
+        raise RenderError(
+            f"{name}: poses {k} and {k + 1} are {step.max():.1f} m apart; at most 12 m can be driven"
+        )
     span = np.ptp(poses[:, :3, 3], axis=0)
     if max(span[0], span[2]) > 2500.0:
         raise RenderError(f"{name}: the path spans {max(span[0], span[2]):.0f} m; worlds are grown for at most 2500 m")
     lean = np.rad2deg(np.arccos(np.clip(poses[:, 1, 1], -1, 1)))
     if lean.max() > 35.0:
-        raise RenderError(f"{name}: a camera leans {lean.max():.0f} degrees; the path of a car on the ground X-Z is expected (+Y down)")
+        raise RenderError(
+            f"{name}: a camera leans {lean.max():.0f} degrees; a car on the ground X-Z is expected (+Y down)"
+        )
 
 
 def _drift(frames: int, config: RenderConfig, rng: np.random.Generator) -> NDArray[np.float64]:

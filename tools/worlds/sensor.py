@@ -1,4 +1,5 @@
-"""From radiance to the picture a camera stores: lens shading, exposure, photon and read noise, tone curve; and to a depth sensor's map."""
+"""From radiance to the picture a camera stores: lens shading, exposure, photon and read noise, tone curve; and to a
+depth sensor's map."""
 
 from __future__ import annotations
 
@@ -16,14 +17,22 @@ class SensorConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    full_well: float = Field(12000.0, gt=0, description="electrons at full brightness: sets the photon noise; larger is cleaner")
+    full_well: float = Field(
+        12000.0, gt=0, description="electrons at full brightness: sets the photon noise; larger is cleaner"
+    )
     read_noise: float = Field(9.0, ge=0, description="electrons, deviation")
     vignetting: float = Field(0.22, ge=0, le=1, description="loss of light in the corners, part of 1")
     gamma: float = Field(2.2, gt=0, description="exponent of the tone curve")
-    exposure_drift: float = Field(0.04, ge=0, description="slow change of the exposure over a sequence, part of 1, deviation")
-    depth_noise: float = Field(0.0015, ge=0, description="RGB-D: deviation of the depth at 1 m, metres; grows with the square of depth")
+    exposure_drift: float = Field(
+        0.04, ge=0, description="slow change of the exposure over a sequence, part of 1, deviation"
+    )
+    depth_noise: float = Field(
+        0.0015, ge=0, description="RGB-D: deviation of the depth at 1 m, metres; grows with the square of depth"
+    )
     depth_max_m: float = Field(10.0, gt=0, description="RGB-D: farther is unknown")
-    depth_quantum: float = Field(0.0004, ge=0, description="RGB-D: step of the depth at 1 m, metres; grows with the square of depth")
+    depth_quantum: float = Field(
+        0.0004, ge=0, description="RGB-D: step of the depth at 1 m, metres; grows with the square of depth"
+    )
 
     @classmethod
     def ideal(cls) -> SensorConfig:
@@ -31,13 +40,23 @@ class SensorConfig(BaseModel):
         return cls(full_well=1e12, read_noise=0, vignetting=0, exposure_drift=0, depth_noise=0, depth_quantum=0)
 
 
-def develop(radiance: NDArray[np.float32], config: SensorConfig, exposure: float, rng: np.random.Generator | None) -> NDArray[np.uint8]:
+def develop(
+    radiance: NDArray[np.float32], config: SensorConfig, exposure: float, rng: np.random.Generator | None
+) -> NDArray[np.uint8]:
     """The 8-bit RGB picture ``(H, W, 3)`` of a radiance; ``rng`` None leaves the noise out."""
     noise = np.zeros((0, 0, 0), np.float32) if rng is None else rng.standard_normal(radiance.shape, dtype=np.float32)
     curve = 255.0 * _tone(np.arange(4097) / 4096.0, config.gamma)
     out = np.empty(radiance.shape, np.uint8)
-    _develop(radiance, noise, np.float32(exposure), np.float32(1 / config.full_well), np.float32(config.read_noise / config.full_well),
-             np.float32(config.vignetting), curve.astype(np.float32), out)  # fmt: skip
+    _develop(
+        radiance,
+        noise,
+        np.float32(exposure),
+        np.float32(1 / config.full_well),
+        np.float32(config.read_noise / config.full_well),
+        np.float32(config.vignetting),
+        curve.astype(np.float32),
+        out,
+    )
     return out
 
 
@@ -48,9 +67,17 @@ def _tone(x: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
     return np.clip(y / y[-1], 0, 1) ** (1 / gamma)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _develop(radiance: NDArray, noise: NDArray, exposure: float, gain: float, read: float, vignetting: float, curve: NDArray,
-             out: NDArray) -> None:  # type: ignore[no-untyped-def]  # fmt: skip
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _develop(
+    radiance: NDArray,
+    noise: NDArray,
+    exposure: float,
+    gain: float,
+    read: float,
+    vignetting: float,
+    curve: NDArray,
+    out: NDArray,
+) -> None:
     h, w, _ = radiance.shape
     reach = 4.0 / (w * w + h * h)
     for y in range(h):
@@ -66,9 +93,11 @@ def _develop(radiance: NDArray, noise: NDArray, exposure: float, gain: float, re
                 out[y, x, c] = np.uint8(curve[i] + (k - i) * (curve[i + 1] - curve[i]) + 0.5)
 
 
-def depth_map(depth_m: NDArray[np.float64], config: SensorConfig, rng: np.random.Generator | None) -> NDArray[np.uint16]:
-    """16-bit depth ``(H, W)`` in ``DEPTH_UNIT_M``, 0 = unknown: beyond the range, and at jumps where real sensors fail; noise and
-    quantisation as of a structured-light sensor unless they are set to zero."""
+def depth_map(
+    depth_m: NDArray[np.float64], config: SensorConfig, rng: np.random.Generator | None
+) -> NDArray[np.uint16]:
+    """16-bit depth ``(H, W)`` in ``DEPTH_UNIT_M``, 0 = unknown: beyond the range, and at jumps where real sensors
+    fail; noise and quantisation as of a structured-light sensor unless they are set to zero."""
     z = depth_m.copy()
     if rng is not None and config.depth_noise > 0:
         z += config.depth_noise * z * z * rng.standard_normal(z.shape)

@@ -21,8 +21,8 @@ LANE_OFFSET_M = 1.6
 
 @dataclass(frozen=True)
 class Network:
-    """``nodes`` ``(n, 2)`` crossings (x, z), metres; ``edges`` pairs of nodes; ``lines`` a centre line ``(k, 2)`` for each edge, from its
-    first node to its second, points about a metre apart."""
+    """``nodes`` ``(n, 2)`` crossings (x, z), metres; ``edges`` pairs of nodes; ``lines`` a centre line ``(k, 2)`` for
+    each edge, from its first node to its second, points about a metre apart."""
 
     nodes: NDArray[np.float64]
     edges: tuple[tuple[int, int], ...]
@@ -54,7 +54,7 @@ def town_network(rng: np.random.Generator) -> Network:
     for k in rng.permutation(len(edges)).tolist():
         if len(edges) <= 2 * n * (n - 1) - 9:
             break
-        a, b = sorted([e for e in edges])[k % len(edges)]
+        a, b = edges[k % len(edges)]
         rest = [e for e in edges if e != (a, b)]
         degree = np.bincount(np.array(rest).ravel(), minlength=n * n)
         if {a, b} & middle or degree[a] < 3 or degree[b] < 3:
@@ -85,7 +85,8 @@ def first_passes(path: Line, apart_m: float = 9.0) -> tuple[Line, ...]:
 
 @dataclass(frozen=True)
 class GroundPlan:
-    """A raster of the ground: ``origin`` (x, z) of its corner, ``cell_m``; ``distance`` ``(h, w)`` metres to the nearest centre line."""
+    """A raster of the ground: ``origin`` (x, z) of its corner, ``cell_m``; ``distance`` ``(h, w)`` metres to the
+    nearest centre line."""
 
     origin: tuple[float, float]
     cell_m: float
@@ -108,7 +109,9 @@ def ground_plan(lines: tuple[Line, ...], margin_m: float, cell_m: float = 0.5) -
     w, h = (int(s / cell_m) + 1 for s in size)
     mask = np.full((h, w), 255, np.uint8)
     cv2.polylines(mask, [_fixed(line, low, cell_m) for line in lines], False, 0, 1, cv2.LINE_8, 4)
-    return GroundPlan((float(low[0]), float(low[1])), cell_m, cv2.distanceTransform(mask, cv2.DIST_L2, 5) * np.float32(cell_m))
+    return GroundPlan(
+        (float(low[0]), float(low[1])), cell_m, cv2.distanceTransform(mask, cv2.DIST_L2, 5) * np.float32(cell_m)
+    )
 
 
 def free_space(plan: GroundPlan, half_m: float = ROAD_HALF_M) -> FreeSpace:
@@ -116,14 +119,23 @@ def free_space(plan: GroundPlan, half_m: float = ROAD_HALF_M) -> FreeSpace:
     return FreeSpace(np.maximum(half_m - plan.distance, 0), plan.origin, plan.cell_m)
 
 
-def ground_image(plan: GroundPlan, lines: tuple[Line, ...], crossings: NDArray[np.float64], shade: NDArray[np.float32],
-                 rng: np.random.Generator, texel_m: float) -> NDArray[np.uint8]:  # fmt: skip
-    """The ground seen from above, ``(h, w, 3)`` at ``texel_m``, rows along z; ``shade`` on the plan's raster darkens (contact shadows)."""
+def ground_image(
+    plan: GroundPlan,
+    lines: tuple[Line, ...],
+    crossings: NDArray[np.float64],
+    shade: NDArray[np.float32],
+    rng: np.random.Generator,
+    texel_m: float,
+) -> NDArray[np.uint8]:
+    """The ground seen from above, ``(h, w, 3)`` at ``texel_m``, rows along z; ``shade`` on the plan's raster darkens
+    (contact shadows)."""
     import cv2
 
     h, w = (int(s * plan.cell_m / texel_m) // 64 * 64 for s in plan.distance.shape)
     marks = np.zeros((h, w), np.uint8)
-    away = np.array([[np.hypot(*(crossings - p).T).min() if len(crossings) else 99.0 for p in line] for line in lines], dtype=object)
+    away = np.array(
+        [[np.hypot(*(crossings - p).T).min() if len(crossings) else 99.0 for p in line] for line in lines], dtype=object
+    )
     for line, distance in zip(lines, away, strict=True):
         _draw_markings(marks, line, np.asarray(distance, float), np.array(plan.origin), texel_m)
     for p in np.concatenate(lines)[rng.permutation(sum(map(len, lines)))[: sum(map(len, lines)) // 9]]:
@@ -131,15 +143,35 @@ def ground_image(plan: GroundPlan, lines: tuple[Line, ...], crossings: NDArray[n
         if rng.random() < 0.35:  # manholes, repaired strips
             cv2.circle(marks, centre, int(0.33 / texel_m * 8), 70, -1, cv2.LINE_AA, 3)
         else:
-            box = cv2.boxPoints(((centre[0] / 8, centre[1] / 8), tuple(rng.uniform(0.5, 3.0, 2) / texel_m), float(rng.uniform(0, 90))))
+            box = cv2.boxPoints(
+                ((centre[0] / 8, centre[1] / 8), tuple(rng.uniform(0.5, 3.0, 2) / texel_m), float(rng.uniform(0, 90)))
+            )
             cv2.fillPoly(marks, [np.rint(box * 8).astype(np.int32)], float(rng.uniform(30, 64)), cv2.LINE_AA, 3)
-    tiles = np.stack([textures.asphalt(rng), textures.paving(rng, 16, 16, (162, 156, 148)), textures.grass(rng), textures.weathering(rng)])
+    tiles = np.stack(
+        [
+            textures.asphalt(rng),
+            textures.paving(rng, 16, 16, (162, 156, 148)),
+            textures.grass(rng),
+            textures.weathering(rng),
+        ]
+    )
     out = np.empty((h, w, 3), np.uint8)
-    _compose(plan.distance, np.float32(texel_m / plan.cell_m), shade, marks, tiles, np.float32(ROAD_HALF_M), np.float32(PAVEMENT_M), out)
+    _compose(
+        plan.distance,
+        np.float32(texel_m / plan.cell_m),
+        shade,
+        marks,
+        tiles,
+        np.float32(ROAD_HALF_M),
+        np.float32(PAVEMENT_M),
+        out,
+    )
     return out
 
 
-def _draw_markings(marks: NDArray[np.uint8], line: Line, away: NDArray[np.float64], origin: NDArray, texel_m: float) -> None:
+def _draw_markings(
+    marks: NDArray[np.uint8], line: Line, away: NDArray[np.float64], origin: NDArray, texel_m: float
+) -> None:
     """Centre dashes, edge lines, stop lines and zebra crossings; grey 255 is paint."""
     import cv2
 
@@ -148,7 +180,9 @@ def _draw_markings(marks: NDArray[np.uint8], line: Line, away: NDArray[np.float6
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
 
     def stroke(points: NDArray, width_m: float) -> None:
-        cv2.polylines(marks, [_fixed(points, origin, texel_m)], False, 235, max(int(round(width_m / texel_m)), 1), cv2.LINE_AA, 4)
+        cv2.polylines(
+            marks, [_fixed(points, origin, texel_m)], False, 235, max(round(width_m / texel_m), 1), cv2.LINE_AA, 4
+        )
 
     open_road = away > 13.0
     for k in range(0, len(line) - 3, 6):
@@ -164,7 +198,12 @@ def _draw_markings(marks: NDArray[np.uint8], line: Line, away: NDArray[np.float6
             for offset in np.arange(-4.6, 4.7, 1.0):
                 stroke(np.stack([line[k] + offset * normal[k], line[k] + offset * normal[k] - 2.8 * step]), 0.5)
             side = 1.0 if step @ tangent[k] > 0 else -1.0
-            stroke(np.stack([line[k] + 1.2 * step + side * 0.2 * normal[k], line[k] + 1.2 * step + side * 3.2 * normal[k]]), 0.35)
+            stroke(
+                np.stack(
+                    [line[k] + 1.2 * step + side * 0.2 * normal[k], line[k] + 1.2 * step + side * 3.2 * normal[k]]
+                ),
+                0.35,
+            )
 
 
 def _fixed(points: NDArray, origin: object, cell_m: float) -> NDArray[np.int32]:
@@ -173,8 +212,16 @@ def _fixed(points: NDArray, origin: object, cell_m: float) -> NDArray[np.int32]:
 
 
 @njit(cache=True, nogil=True)
-def _compose(distance: NDArray, ratio: float, shade: NDArray, marks: NDArray, tiles: NDArray, half: float, pavement: float,
-             out: NDArray) -> None:  # type: ignore[no-untyped-def]  # fmt: skip
+def _compose(
+    distance: NDArray,
+    ratio: float,
+    shade: NDArray,
+    marks: NDArray,
+    tiles: NDArray,
+    half: float,
+    pavement: float,
+    out: NDArray,
+) -> None:
     h, w = marks.shape
     size = tiles.shape[1] - 1
     for y in range(h):
@@ -186,7 +233,12 @@ def _compose(distance: NDArray, ratio: float, shade: NDArray, marks: NDArray, ti
             x0 = int(fx)
             fx -= x0
             w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-            d = distance[y0, x0] * w00 + distance[y0, x0 + 1] * w01 + distance[y0 + 1, x0] * w10 + distance[y0 + 1, x0 + 1] * w11
+            d = (
+                distance[y0, x0] * w00
+                + distance[y0, x0 + 1] * w01
+                + distance[y0 + 1, x0] * w10
+                + distance[y0 + 1, x0 + 1] * w11
+            )
             a = shade[y0, x0] * w00 + shade[y0, x0 + 1] * w01 + shade[y0 + 1, x0] * w10 + shade[y0 + 1, x0 + 1] * w11
             layer = 0 if d < half else (1 if d < half + pavement else 2)
             macro = tiles[3, (y // 7) & size, (x // 7) & size, 0] / 128.0

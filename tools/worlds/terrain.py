@@ -17,7 +17,8 @@ LOWEST_CAMERA_M = 1.2
 
 @dataclass(frozen=True)
 class Terrain:
-    """``heights`` ``(h, w)`` metres above y = 0 on a grid of ``CELL_M`` whose first point is ``origin`` (x, z); linear between."""
+    """``heights`` ``(h, w)`` metres above y = 0 on a grid of ``CELL_M`` whose first point is ``origin`` (x, z); linear
+    between."""
 
     heights: NDArray[np.float64]
     origin: tuple[float, float]
@@ -42,8 +43,8 @@ FLAT = Terrain(np.zeros((1, 1)), (0.0, 0.0))
 
 
 def terrain_along(centres: NDArray[np.float64], margin_m: float) -> Terrain:
-    """Ground 1.65 m under the camera ``centres`` ``(n, 3)``, smooth between and beyond. Where the path meets itself at two heights, the
-    ground lies between them, but at least ``LOWEST_CAMERA_M`` under either."""
+    """Ground 1.65 m under the camera ``centres`` ``(n, 3)``, smooth between and beyond. Where the path meets itself at
+    two heights, the ground lies between them, but at least ``LOWEST_CAMERA_M`` under either."""
     from scipy.spatial import cKDTree
 
     xz, wanted = centres[:, [0, 2]], -centres[:, 1] - CAMERA_HEIGHT_M
@@ -63,7 +64,9 @@ def terrain_along(centres: NDArray[np.float64], margin_m: float) -> Terrain:
         excess = np.maximum(ground.height(xz) - (wanted + CAMERA_HEIGHT_M - LOWEST_CAMERA_M), 0.0)
         if excess.max() < 1e-3:
             break
-        ground = Terrain(ground.heights - np.where(distance < 2 * CELL_M, excess[index], 0).max(axis=1).reshape(h, w), ground.origin)
+        ground = Terrain(
+            ground.heights - np.where(distance < 2 * CELL_M, excess[index], 0).max(axis=1).reshape(h, w), ground.origin
+        )
     return ground
 
 
@@ -86,7 +89,13 @@ def add_ground(mesh: MeshBuilder, plan: GroundPlan, terrain: Terrain, material: 
         a = (r * cols + c).ravel()
         faces = np.concatenate([np.stack([a, a + 1, a + cols + 1], 1), np.stack([a, a + cols + 1, a + cols], 1)])
         mesh.surface(vertices, faces, vertices[:, [0, 2]] - (x0, z0), material)
-    _hills(mesh, np.array([(x0 + x1) / 2, (z0 + z1) / 2]), 0.75 * max(x1 - x0, z1 - z0) + 120, float(terrain.heights.mean()), forest)
+    _hills(
+        mesh,
+        np.array([(x0 + x1) / 2, (z0 + z1) / 2]),
+        0.75 * max(x1 - x0, z1 - z0) + 120,
+        float(terrain.heights.mean()),
+        forest,
+    )
 
 
 def _hills(mesh: MeshBuilder, centre: NDArray[np.float64], radius: float, foot: float, material: int) -> None:

@@ -1,4 +1,5 @@
-"""Tiles that repeat without a seam: noise, stone, asphalt, grass, leaves, clouds. Arrays of display values, rng in, image out."""
+"""Tiles that repeat without a seam: noise, stone, asphalt, grass, leaves, clouds. Arrays of display values, rng in,
+image out."""
 
 from __future__ import annotations
 
@@ -11,8 +12,8 @@ Colour = tuple[float, float, float]
 
 
 def noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[int, int]) -> Plane:
-    """Smooth periodic noise ``(h, w)``, zero mean, unit deviation, with ``cells`` (rows, columns) random knots in a period,
-    rounded down to powers of two, as the sides must be."""
+    """Smooth periodic noise ``(h, w)``, zero mean, unit deviation, with ``cells`` (rows, columns) random knots in a
+    period, rounded down to powers of two, as the sides must be."""
     import cv2
 
     h, w = size
@@ -42,8 +43,11 @@ def to_image(values: NDArray) -> Image:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def splats(rng: np.random.Generator, size: tuple[int, int], count: int, radius: tuple[float, float], contrast: float) -> Plane:
-    """Dead leaves: ``count`` blots of power-law size, each of one brightness, covering each other; periodic, about zero.
+def splats(
+    rng: np.random.Generator, size: tuple[int, int], count: int, radius: tuple[float, float], contrast: float
+) -> Plane:
+    """Dead leaves: ``count`` blots of power-law size, each of one brightness, covering each other; periodic, about
+    zero.
 
     Occluding shapes of all sizes are what gives natural images their corners at every scale.
     """
@@ -78,7 +82,11 @@ def _copies(low: float, high: float, period: int) -> tuple[int, ...]:
 def grain(rng: np.random.Generator, size: int = 256, strength: float = 0.14) -> Image:
     """Grey (three equal channels) detail about 128: sand and grit, corners at the finest scales."""
     blots = splats(rng, (size, size), size * 5, (1.2, 9.0), 1.0)
-    mix = 0.5 * noise(rng, (size, size), (size // 2, size // 2)) + 0.35 * fractal(rng, (size, size), size // 16, 3) + 0.7 * blots
+    mix = (
+        0.5 * noise(rng, (size, size), (size // 2, size // 2))
+        + 0.35 * fractal(rng, (size, size), size // 16, 3)
+        + 0.7 * blots
+    )
     return _about_128(mix, strength)
 
 
@@ -94,7 +102,9 @@ def asphalt(rng: np.random.Generator, size: int = 512) -> Image:
     return to_image(coloured((104, 104, 108), speckle, 1.0))
 
 
-def paving(rng: np.random.Generator, rows: int, cols: int, base: Colour, size: int = 512, joint: int = 2, stagger: bool = True) -> Image:
+def paving(
+    rng: np.random.Generator, rows: int, cols: int, base: Colour, size: int = 512, joint: int = 2, stagger: bool = True
+) -> Image:
     """Stones in ``rows`` x ``cols`` a tile, each of its own shade, with dark joints."""
     h, w = size // rows, size // cols
     shade = np.repeat(np.repeat(rng.normal(0, 0.10, (rows, cols)).astype(np.float32), h, 0), w, 1)

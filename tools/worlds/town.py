@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from tools.worlds import car_pictures, facades, props, textures
 from tools.worlds.atlas import AtlasBuilder
 from tools.worlds.buildings import Masonry, add_house, plots_along
+from tools.worlds.cars import car_mesh
 from tools.worlds.furnishing import Street, contact_shade, furnish
 from tools.worlds.mesh import Mesh, MeshBuilder
 from tools.worlds.paths import resample, smoothed
@@ -31,17 +32,22 @@ MOST_GROUND_TEXELS = 48e6
 
 
 def build_town(seed: int, facade_count: int = 32, ground_texel_m: float = 0.05) -> tuple[World, Network]:
-    """The town of ``seed`` and its streets, on flat ground. Fewer facades and a coarser ground make a cheaper town of the same shape."""
+    """The town of ``seed`` and its streets, on flat ground. Fewer facades and a coarser ground make a cheaper town of
+    the same shape."""
     rng = np.random.default_rng([seed, 1])
     network = town_network(rng)
-    world = build_streets("town", seed, network.lines, network.lines, network.nodes, FLAT, rng, facade_count, ground_texel_m)
+    world = build_streets(
+        "town", seed, network.lines, network.lines, network.nodes, FLAT, rng, facade_count, ground_texel_m
+    )
     return world, network
 
 
 def build_along(seed: int, poses: NDArray[np.float64], facade_count: int = 32, ground_texel_m: float = 0.05) -> World:
-    """A town grown round a driven path: ``poses`` ``(n, 4, 4)`` T_W_C of a camera about 1.65 m above the road, up and down hill.
+    """A town grown round a driven path: ``poses`` ``(n, 4, 4)`` T_W_C of a camera about 1.65 m above the road, up and
+    down hill.
 
-    The path is the middle of a street; where it comes by again, the street is drawn once; no house stands on any part of it.
+    The path is the middle of a street; where it comes by again, the street is drawn once; no house stands on any part
+    of it.
     """
     rng = np.random.default_rng([seed, 1])
     path = resample(poses[:, :3, 3][:, [0, 2]], 1.0)
@@ -52,12 +58,24 @@ def build_along(seed: int, poses: NDArray[np.float64], facade_count: int = 32, g
     plan = ground_plan((path,), MARGIN_M)
     area = plan.distance.size * plan.cell_m**2
     texel = max(ground_texel_m, round(float(np.sqrt(area / MOST_GROUND_TEXELS)), 3))
-    return build_streets("along", seed, (path,), first_passes(path), np.zeros((0, 2)), terrain, rng, facade_count, texel)
+    return build_streets(
+        "along", seed, (path,), first_passes(path), np.zeros((0, 2)), terrain, rng, facade_count, texel
+    )
 
 
-def build_streets(kind: str, seed: int, lines: tuple[Line, ...], fresh: tuple[Line, ...], crossings: NDArray[np.float64], terrain: Terrain,
-                  rng: np.random.Generator, facade_count: int, ground_texel_m: float) -> World:  # fmt: skip
-    """A world along street ``lines``; ``fresh``: the lines less what lies on another line already: these get markings and houses."""
+def build_streets(
+    kind: str,
+    seed: int,
+    lines: tuple[Line, ...],
+    fresh: tuple[Line, ...],
+    crossings: NDArray[np.float64],
+    terrain: Terrain,
+    rng: np.random.Generator,
+    facade_count: int,
+    ground_texel_m: float,
+) -> World:
+    """A world along street ``lines``; ``fresh``: the lines less what lies on another line already: these get markings
+    and houses."""
     plan = ground_plan(lines, MARGIN_M)
     taken = (plan.distance < ROAD_HALF_M + PAVEMENT_M).astype(np.uint8)
     plots = plots_along(fresh, plan, taken, rng)
@@ -66,7 +84,7 @@ def build_streets(kind: str, seed: int, lines: tuple[Line, ...], fresh: tuple[Li
     mesh = MeshBuilder()
     for plot in plots:
         add_house(mesh, plot, masonry, float(terrain.height(plot.outline()).max()), rng)
-    cars = [props.car_mesh(stuff, np.array(c), k) for k, c in enumerate(_paints(rng))]
+    cars = [car_mesh(stuff, np.array(c), k) for k, c in enumerate(_paints(rng))]
     trees = [props.tree_mesh(stuff, float(h), rng) for h in np.linspace(4.2, 9.0, 10)]
     street = Street(plan, terrain, crossings, stuff, cars, trees)
     placed = furnish(mesh, fresh, street, taken, rng)
@@ -74,19 +92,35 @@ def build_streets(kind: str, seed: int, lines: tuple[Line, ...], fresh: tuple[Li
     h, w = ground.shape[:2]
     texture = atlas.texture(ground, w * ground_texel_m, h * ground_texel_m, clamped=True)
     detail = atlas.texture(textures.grain(rng, 256, 0.12), 2.56, 2.56)
-    add_ground(mesh, plan, terrain, atlas.material(texture, detail), atlas.material(atlas.texture(textures.leaves(rng), 60.0, 60.0)))
+    add_ground(
+        mesh,
+        plan,
+        terrain,
+        atlas.material(texture, detail),
+        atlas.material(atlas.texture(textures.leaves(rng), 60.0, 60.0)),
+    )
     sky = atlas.texture(textures.clouds(rng), 2048.0, 2048.0)
-    return World(kind, seed, Mesh.joined([mesh.build(), *placed]), atlas.build(), free_space(plan), sky, movers=tuple(cars))
+    return World(
+        kind, seed, Mesh.joined([mesh.build(), *placed]), atlas.build(), free_space(plan), sky, movers=tuple(cars)
+    )
 
 
 def _materials(atlas: AtlasBuilder, rng: np.random.Generator, facade_count: int) -> tuple[Masonry, props.Stuff]:
     grain = atlas.texture(textures.grain(rng, 256, 0.10), 1.9, 1.9)
     stains = atlas.texture(textures.weathering(rng, 512, 0.10), 27.0, 27.0)
     side = facades.BAYS * facades.BAY_M
-    walls = tuple(atlas.material(atlas.texture(facades.facade(rng), side, side), grain, stains) for _ in range(facade_count))
+    walls = tuple(
+        atlas.material(atlas.texture(facades.facade(rng), side, side), grain, stains) for _ in range(facade_count)
+    )
     tile_colours = ((150, 84, 62), (96, 92, 92), (128, 72, 58))
-    roofs = tuple(atlas.material(atlas.texture(textures.paving(rng, 16, 16, c, joint=3), 4.0, 4.0), grain, stains) for c in tile_colours)
-    boards = tuple(atlas.material(atlas.texture(facades.sign(rng, *s), 1.0, 1.0, True)) for s in ((128, 64), (64, 64), (160, 96)) * 14)
+    roofs = tuple(
+        atlas.material(atlas.texture(textures.paving(rng, 16, 16, c, joint=3), 4.0, 4.0), grain, stains)
+        for c in tile_colours
+    )
+    boards = tuple(
+        atlas.material(atlas.texture(facades.sign(rng, *s), 1.0, 1.0, True))
+        for s in ((128, 64), (64, 64), (160, 96)) * 14
+    )
     cloth = tuple(atlas.material(atlas.texture(_stripes(rng), 0.8, 0.8), grain) for _ in range(4))
     trim = atlas.material(atlas.texture(textures.paving(rng, 8, 4, (176, 168, 156)), 4.0, 4.0), grain)
     stuff = props.Stuff(
@@ -99,7 +133,7 @@ def _materials(atlas: AtlasBuilder, rng: np.random.Generator, facade_count: int)
         paint=atlas.material(atlas.texture(np.full((1, 1, 3), 200, np.uint8), 1.0, 1.0)),
         rubber=atlas.material(atlas.texture(np.full((1, 1, 3), 44, np.uint8), 1.0, 1.0)),
         signs=boards,
-    )  # fmt: skip
+    )
     return Masonry(walls, roofs, trim, boards, cloth), stuff
 
 

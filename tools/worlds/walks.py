@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,11 +18,12 @@ ROUND_M = 0.6
 
 
 def tour(floor: Floor, free: FreeSpace, rng: np.random.Generator) -> Line:
-    """A closed way ``(k, 2)``: an eight through all corridors, the middle one twice in the same direction, with visits to rooms."""
+    """A closed way ``(k, 2)``: an eight through all corridors, the middle one twice in the same direction, with visits
+    to rooms."""
     (x0, x1), (za, zb, zc) = floor.xs, floor.zs
     corners = [(x0, za), (x1, za), (x1, zb), (x0, zb), (x0, zc), (x1, zc), (x1, zb), (x0, zb), (x0, za)]
     parts: list[Line] = []
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in pairwise(corners):
         leg = [np.array(a)]
         if a[1] == b[1]:
             beside = [d for d in floor.doors if abs(d.at[1] - a[1]) < CORRIDOR_M]
@@ -41,15 +44,23 @@ def _visit(door: Door, corridor_z: float, free: FreeSpace) -> list[NDArray[np.fl
             start = np.array([-side, 0.0])
             circle = [centre + radius * (np.cos(t) * start + np.sin(t) * door.into) for t in turn]
             inside = door.at + door.into * (1.0 + radius)
-            loop = [np.array([door.at[0], corridor_z]), door.at + 0.6 * door.into, inside, *circle, inside, door.at + 0.6 * door.into,
-                    np.array([door.at[0], corridor_z])]  # fmt: skip
+            loop = [
+                np.array([door.at[0], corridor_z]),
+                door.at + 0.6 * door.into,
+                inside,
+                *circle,
+                inside,
+                door.at + 0.6 * door.into,
+                np.array([door.at[0], corridor_z]),
+            ]
             if free.at(smoothed(resample(np.array(loop), 0.1), 3.5)).min() > ROUND_M / 2:
                 return loop
     return []
 
 
 def walk(way: Line, first: float, metres: float, length_m: float) -> Line:
-    """``length_m`` of the closed ``way``: from ``metres`` after the part ``first`` (0 to 1) of it, gone round as often as it takes."""
+    """``length_m`` of the closed ``way``: from ``metres`` after the part ``first`` (0 to 1) of it, gone round as often
+    as it takes."""
     points = resample(way, 0.1)
     start = int(first * len(points) + metres / 0.1)
     return points[(start + np.arange(int(length_m / 0.1) + 1)) % len(points)]

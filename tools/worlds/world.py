@@ -13,9 +13,10 @@ from tools.worlds.mesh import Mesh
 
 @dataclass(frozen=True)
 class World:
-    """``mesh`` and ``atlas`` say how it looks; ``lamps`` ``(l, 4)``: x, y, z, power, sorted by zone with ``zone_lamps`` the first of each
-    (empty under the sky); ``sky_texture``: cloud map, -1 indoors; ``free``: the ground that a camera may use; ``movers``: the
-    meshes of objects that may move, each about its own origin on the ground, +Z forward."""
+    """``mesh`` and ``atlas`` say how it looks; ``lamps`` ``(l, 4)``: x, y, z, power, sorted by zone with
+    ``zone_lamps`` the first of each (empty under the sky); ``sky_texture``: cloud map, -1 indoors; ``free``: the
+    ground that a camera may use; ``movers``: the meshes of objects that may move, each about its own origin on the
+    ground, +Z forward."""
 
     kind: str
     seed: int
@@ -30,8 +31,9 @@ class World:
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """A raster of the ground plane: ``clearance`` ``(h, w)`` metres from each cell to the nearest obstacle or edge of the way,
-    0 where one may not be; cell (row, col) lies at ``z = origin[1] + row * cell_m``, ``x = origin[0] + col * cell_m``."""
+    """A raster of the ground plane: ``clearance`` ``(h, w)`` metres from each cell to the nearest obstacle or edge of
+    the way, 0 where one may not be; cell (row, col) lies at ``z = origin[1] + row * cell_m``, ``x = origin[0] + col *
+    cell_m``."""
 
     clearance: NDArray[np.float32]
     origin: tuple[float, float]
