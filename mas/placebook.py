@@ -72,6 +72,7 @@ class PlaceBook:
     index: PlaceIndex = field(default_factory=PlaceIndex)
     candidates: dict[MatchId, Candidate] = field(default_factory=dict)
     last_matched: dict[int, int] = field(default_factory=dict)
+    verified: dict[int, list[int]] = field(default_factory=dict)
 
     def propose(self, candidate: Candidate) -> bool:
         """Enter a candidate; whether it is worth a verification. If not, the reason stands in the book."""
@@ -85,6 +86,8 @@ class PlaceBook:
         """Change a candidate of mine; matches found by others are not in my book."""
         if match in self.candidates:
             self.candidates[match] = replace(self.candidates[match], **changes)
+            if self.candidates[match].verified:
+                self.verified.setdefault(match.match_agent, []).append(match.query)
 
     def matched(self, match: MatchId) -> None:
         """An accepted match: from now on the gap to the next verification with the other agent counts."""
@@ -105,10 +108,13 @@ class PlaceBook:
         turned = MatchId(match.match_agent, match.match, match.query_agent, match.query)
         if turned in self.state.verified or turned in self.candidates:
             return "known already"
+        config = self.state.config.places
+        recent = [q for q in self.verified.get(match.match_agent, []) if 0 <= match.query - q <= config.gap_keyframes]
+        if len(recent) > self.state.config.consistency.min_support:
+            return "soon after verified matches"
         last = self.last_matched.get(match.match_agent)
         if last is None or match.query < last:
             return ""
-        config = self.state.config.places
         if match.query - last <= config.gap_keyframes:
             return "soon after an accepted match"
         if self.state.travelled[match.query] - self.state.travelled[last] < config.gap_m:

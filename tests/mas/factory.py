@@ -82,7 +82,7 @@ def circuit(start_m: float, length_m: float, step_m: float = 0.5, side_m: float 
     return np.array(poses)
 
 
-def drift(truth: Array, rng: np.random.Generator, share: float = 0.01, yaw_deg: float = 0.15) -> Array:
+def drift(truth: Array, rng: np.random.Generator, share: float = 0.01, yaw_deg: float = 0.06) -> Array:
     """Odometry of a true path: each step wrong by ``share`` of its length, with a lasting bias, and by some
     rotation."""
     bias = rng.normal(0.0, [share / 2] * 3 + [np.radians(yaw_deg) / 4] * 3)
@@ -117,7 +117,7 @@ def make_sequence(
     tracks, frames, stamps = [], [], []
     vectors = []
     for first, last in pairwise(bounds):
-        odometry = drift(truth[first:last], rng, drifting, 0.15 if drifting else 0.0)
+        odometry = drift(truth[first:last], rng, drifting, 0.06 if drifting else 0.0)
         odometry[:, :3, 3] *= scale
         keys = np.arange(0, last - first, FRAMES_A_KEYFRAME)
         seen = truth[first:last][keys]
