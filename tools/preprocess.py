@@ -146,9 +146,8 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
     if not tracked:
         count = len(dataset.sequences)
-        raise ToolError(
-            problems[0] if len(problems) == 1 else f"{source}: none of {count} sequences can be used: {problems[0]}"
-        )
+        said = problems[0] if len(problems) == 1 else f"{source}: none of {count} sequences can be used: {problems[0]}"
+        raise ToolError(said) from next(iter(errors.values()), None)
     for problem in problems:
         progress.say(f"warning: {problem}")
     model = NetVlad.load(settings.model)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
@@ -100,4 +101,5 @@ def _guarded(
     try:
         return Outcome(work(job, advance), None)
     except Exception as error:  # noqa: BLE001 - whatever ended this job, the others go on; the caller decides
+        error.add_note(traceback.format_exc())  # a process of its own takes the traceback with it; --debug shows this
         return Outcome(None, error)
