@@ -70,14 +70,20 @@ class Node:
                 self._check(message)
                 self._values.setdefault(message.round, {})[message.sender] = message.values
             case Report():
+                self._check_tree(message.sender, self._children)
                 self._reports.setdefault(message.round, {})[message.sender] = message
             case Decision():
+                self._check_tree(message.sender, [self._parent])
                 self._decisions[message.round] = message
         return self._advance()
 
     def tick(self) -> list[Message]:
         """The messages of the last two rounds once more."""
         return [m for r in sorted(self._recent) for m in self._recent[r]]
+
+    def _check_tree(self, sender: int, allowed: Sequence[int | None]) -> None:
+        if sender not in allowed:
+            raise BackendError(f"robot {sender} is not next to robot {self.share.robot} in the tree of members")
 
     def _check(self, message: Values) -> None:
         heard = self._problem.heard_rows.get(message.sender)

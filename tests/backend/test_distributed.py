@@ -190,6 +190,8 @@ def test_shares_that_contradict_each_other_are_an_error():
     node = Node(group[0], SolverConfig())
     with pytest.raises(BackendError, match="handed a message for robot 1"):
         node.handle(Report(1, 1, Round(Stage.START), 0.0, 0.0))
+    with pytest.raises(BackendError, match="tree of members"):
+        node.handle(Decision(1, 0, Round(Stage.START), False, 0.0))
 
 
 @given(
