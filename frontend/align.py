@@ -1,7 +1,8 @@
 """Small patches of one image found in another, from a good guess, with the change of scale and turn known: compiled.
 
-Inverse-compositional Lucas-Kanade (Baker and Matthews, IJCV 2004) on a translation; brightness and contrast may differ. Other than
-frame-to-frame flow it always compares with the key-frame's own patch, so errors do not add up, and a point may be lost and found.
+Inverse-compositional Lucas-Kanade (Baker and Matthews, IJCV 2004) on a translation; brightness and contrast may
+differ. Other than frame-to-frame flow it always compares with the key-frame's own patch, so errors do not add up, and
+a point may be lost and found.
 """
 
 from __future__ import annotations
@@ -47,17 +48,20 @@ def _cut(image: NDArray[np.uint8], x: float, y: float, out: Array) -> None:
     for r in range(_SIDE + 2):
         for c in range(_SIDE + 2):
             yy, xx = y0 + r - HALF - 1, x0 + c - HALF - 1
-            out[r, c] = w00 * image[yy, xx] + w01 * image[yy, xx + 1] + w10 * image[yy + 1, xx] + w11 * image[yy + 1, xx + 1]
+            out[r, c] = (
+                w00 * image[yy, xx] + w01 * image[yy, xx + 1] + w10 * image[yy + 1, xx] + w11 * image[yy + 1, xx + 1]
+            )
 
 
 @njit(cache=True, nogil=True)
 def align_patches(
     source: NDArray[np.uint8], target: NDArray[np.uint8], uv: Array, warp: Array, guess: Array, reach_px: float
 ) -> tuple[Array, Array]:
-    """Positions ``(n, 2)`` in ``target`` of patches around ``uv`` ``(n, 2)`` of ``source``, and their correlation ``(n,)``, -1 = failed.
+    """Positions ``(n, 2)`` in ``target`` of patches around ``uv`` ``(n, 2)`` of ``source``, and their correlation
+    ``(n,)``, -1 = failed.
 
-    ``warp`` ``(n, 2, 2)``: how a step in ``source`` shows in ``target``; ``guess`` ``(n, 2)``; a patch that moves farther than
-    ``reach_px`` from its guess has failed.
+    ``warp`` ``(n, 2, 2)``: how a step in ``source`` shows in ``target``; ``guess`` ``(n, 2)``; a patch that moves
+    farther than ``reach_px`` from its guess has failed.
     """
     n = len(uv)
     out, score = guess.copy(), np.full(n, -1.0)
@@ -141,7 +145,13 @@ def align_patches(
 
 
 def align(
-    source: list[NDArray[np.uint8]], target: list[NDArray[np.uint8]], uv: Array, warp: Array, guess: Array, min_score: float, reach_px: float
+    source: list[NDArray[np.uint8]],
+    target: list[NDArray[np.uint8]],
+    uv: Array,
+    warp: Array,
+    guess: Array,
+    min_score: float,
+    reach_px: float,
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Coarse to fine over the levels of :func:`half_sized`; positions ``(n, 2)`` and which were found."""
     at = guess.copy()

@@ -1,4 +1,5 @@
-"""Everything that can be set in the odometry, with its unit beside it. Defaults serve cars, rooms and rendered worlds alike."""
+"""Everything that can be set in the odometry, with its unit beside it. Defaults serve cars, rooms and rendered worlds
+alike."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ class FeatureConfig(_Frozen):
 
     tracks: int = Field(400, ge=50, description="points followed from frame to frame")
     landmarks: int = Field(600, ge=0, description="ORB key-points looked for in a key-frame, beside the followed ones")
-    fast_threshold: int = Field(6, ge=2, le=100, description="grey levels: the lowest threshold; tiles with much texture take higher ones")
+    fast_threshold: int = Field(
+        6, ge=2, le=100, description="grey levels: the lowest threshold; tiles with much texture take higher ones"
+    )
     levels: int = Field(4, ge=1, le=8, description="levels of the scale pyramid")
     scale_factor: float = Field(1.4, gt=1.0, le=2.0, description="ratio of two levels")
     min_distance_px: float = Field(8.0, gt=0.0, description="between two followed points")
@@ -36,13 +39,23 @@ class StereoConfig(_Frozen):
     """Disparity or depth at key-points."""
 
     max_disparity_px: float = Field(192.0, gt=8.0, description="nothing nearer than fx * baseline / this")
-    max_vertical_px: float = Field(3.0, gt=0.0, description="rows of a pair may differ by this after their common offset is removed")
+    max_vertical_px: float = Field(
+        3.0, gt=0.0, description="rows of a pair may differ by this after their common offset is removed"
+    )
     disparity_sigma_px: float = Field(0.3, gt=0.0, description="standard deviation of a disparity")
-    min_disparity_sigmas: float = Field(8.0, gt=0.0, description="a disparity below this many standard deviations gives no map point alone")
-    estimate_calibration: bool = Field(True, description="estimate the rig's residual disparity offset and slopes on line")
+    min_disparity_sigmas: float = Field(
+        8.0, gt=0.0, description="a disparity below this many standard deviations gives no map point alone"
+    )
+    estimate_calibration: bool = Field(
+        True, description="estimate the rig's residual disparity offset and slopes on line"
+    )
     offset_prior_px: float = Field(1.0, gt=0.0, description="prior standard deviation of the disparity offset")
-    slope_prior_px: float = Field(0.5, gt=0.0, description="prior standard deviation of its slopes, a unit of tan(field angle)")
-    depth_sigma_m: float = Field(0.0015, gt=0.0, description="RGB-D: depth noise at 1 m; it grows with the square of depth")
+    slope_prior_px: float = Field(
+        0.5, gt=0.0, description="prior standard deviation of its slopes, a unit of tan(field angle)"
+    )
+    depth_sigma_m: float = Field(
+        0.0015, gt=0.0, description="RGB-D: depth noise at 1 m; it grows with the square of depth"
+    )
     max_depth_m: float = Field(8.0, gt=0.0, description="RGB-D: depths beyond this are not used")
 
 
@@ -50,26 +63,44 @@ class PoseConfig(_Frozen):
     """Pose of a frame from map points."""
 
     pixel_sigma_px: float = Field(0.5, gt=0.0, description="standard deviation of a followed position")
-    outlier_sigmas: float = Field(2.45, gt=0.0, description="residual beyond which a match is an outlier (chi-square 95 %, 2 d.o.f.)")
+    outlier_sigmas: float = Field(
+        2.45, gt=0.0, description="residual beyond which a match is an outlier (chi-square 95 %, 2 d.o.f.)"
+    )
     min_inliers: int = Field(15, ge=6, description="fewer matches that agree: the frame has no pose")
-    trusted_share: float = Field(0.4, ge=0.0, le=1.0, description="fewer of the followed points found: try without prediction")
+    trusted_share: float = Field(
+        0.4, ge=0.0, le=1.0, description="fewer of the followed points found: try without prediction"
+    )
     max_frame_gap_s: float = Field(1.0, gt=0.0, description="a longer gap in time breaks the motion prediction")
 
 
 class KeyframeConfig(_Frozen):
     """When a frame becomes a key-frame, and which key-frames stay."""
 
-    policy: str = Field("motion", pattern="^(motion|thesis)$", description="motion: ours; thesis: section 2.1.3 (20 frames, 50 points, 90 %)")
+    policy: str = Field(
+        "motion",
+        pattern="^(motion|thesis)$",
+        description="motion: ours; thesis: section 2.1.3 (20 frames, 50 points, 90 %)",
+    )
     min_frames: int = Field(20, ge=1, description="thesis: frames since the last key-frame")
     min_points: int = Field(50, ge=10, description="thesis: points that must be tracked")
     max_overlap: float = Field(0.9, gt=0.0, le=1.0, description="thesis: share of the reference's points still seen")
     startup_keyframes: int = Field(6, ge=1, description="motion: so many first frames are all key-frames (metric rigs)")
-    min_flow: float = Field(0.03, gt=0.0, description="motion: median displacement since the last key-frame, share of the image width")
-    still_flow: float = Field(0.003, ge=0.0, description="motion: less displacement than this share of the width is standing still")
-    refill_share: float = Field(0.6, gt=0.0, le=1.0, description="motion: fewer points than this share of the reference's")
+    min_flow: float = Field(
+        0.03, gt=0.0, description="motion: median displacement since the last key-frame, share of the image width"
+    )
+    still_flow: float = Field(
+        0.003, ge=0.0, description="motion: less displacement than this share of the width is standing still"
+    )
+    refill_share: float = Field(
+        0.6, gt=0.0, le=1.0, description="motion: fewer points than this share of the reference's"
+    )
     max_frames: int = Field(10, ge=1, description="motion: at the latest after so many frames, if anything moved")
-    keep_distance: float = Field(0.08, ge=0.0, description="motion: key-frames this share of the median depth apart stay for good ...")
-    keep_angle_deg: float = Field(8.0, ge=0.0, description="... or turned by this; those between support the window, then go")
+    keep_distance: float = Field(
+        0.08, ge=0.0, description="motion: key-frames this share of the median depth apart stay for good ..."
+    )
+    keep_angle_deg: float = Field(
+        8.0, ge=0.0, description="... or turned by this; those between support the window, then go"
+    )
 
 
 class MappingConfig(_Frozen):
@@ -79,6 +110,10 @@ class MappingConfig(_Frozen):
     fixed: int = Field(3, ge=1, description="of these, the oldest that are held fixed")
     covisible: int = Field(4, ge=0, description="older key-frames of the same place that join, held fixed")
     iterations: int = Field(6, ge=1, description="Levenberg-Marquardt steps")
+    min_observations: int = Field(20, ge=10, description="fewer in the window: it is left as it is")
+    outlier_factor: float = Field(
+        1.5, ge=1.0, description="of the pose's outlier bound: an observation is dropped from the map"
+    )
     min_parallax_deg: float = Field(1.0, gt=0.0, description="between rays that make a map point")
     match_radius_px: float = Field(8.0, gt=0.0, description="guided search around a projection, at level 0")
     match_distance: int = Field(50, ge=1, le=256, description="Hamming distance of a match")
@@ -91,7 +126,9 @@ class MonoConfig(_Frozen):
     min_matches: int = Field(80, ge=20, description="points followed from the first view")
     min_flow_px: float = Field(12.0, gt=0.0, description="median displacement, at 640 pixels of width")
     min_parallax_deg: float = Field(0.8, gt=0.0, description="median angle between the rays of triangulated points")
-    homography_share: float = Field(0.45, gt=0.0, lt=1.0, description="score share above which the homography explains the pair")
+    homography_share: float = Field(
+        0.45, gt=0.0, lt=1.0, description="score share above which the homography explains the pair"
+    )
     min_points: int = Field(60, ge=20, description="map points of a good start")
     max_frames: int = Field(20, ge=1, description="frames the first view is kept as reference")
 

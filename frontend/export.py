@@ -22,12 +22,16 @@ class WordLookup(Protocol):
 def export_track(segment: Segment, vocabulary: WordLookup) -> VoTrack:
     """Final key-frames, points and described observations, renumbered without gaps.
 
-    A point is written where two key-frames see it or where a depth was measured for it: a point of one ray has no place. An
-    observation is written where it has an ORB descriptor (not at the very border of the image).
+    A point is written where two key-frames see it or where a depth was measured for it: a point of one ray has no
+    place. An observation is written where it has an ORB descriptor (not at the very border of the image).
     """
     map_ = segment.map
     numbers = sorted(map_.keyframes)
-    kf, point, descriptors = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros((0, 32), dtype=np.uint8)]
+    kf, point, descriptors = (
+        [np.zeros(0, dtype=np.int64)],
+        [np.zeros(0, dtype=np.int64)],
+        [np.zeros((0, 32), dtype=np.uint8)],
+    )
     for k, number in enumerate(numbers):
         keyframe = map_.keyframes[number]
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
@@ -47,4 +51,11 @@ def export_track(segment: Segment, vocabulary: WordLookup) -> VoTrack:
     words = vocabulary.words(rows_of) if len(rows_of) else np.zeros((0, 2), dtype=np.int32)
     keyframes = [map_.keyframes[k] for k in numbers]
     stamps = np.array([k.stamp_ns / 1e9 for k in keyframes])
-    return VoTrack(stamps, np.stack([k.T_W_C for k in keyframes]), map_.xyz[ids].copy(), observations, rows_of, words.astype(np.int32))
+    return VoTrack(
+        stamps,
+        np.stack([k.T_W_C for k in keyframes]),
+        map_.xyz[ids].copy(),
+        observations,
+        rows_of,
+        words.astype(np.int32),
+    )

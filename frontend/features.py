@@ -1,7 +1,7 @@
 """Key-points spread over the image and a scale pyramid, with orientation and ORB descriptors.
 
-Pixel centres are kept between levels: a point at ``x`` on a level of scale ``s`` lies at ``s * (x + 0.5) - 0.5`` on level 0
-(OpenCV's own ORB leaves the half-pixel term out).
+Pixel centres are kept between levels: a point at ``x`` on a level of scale ``s`` lies at ``s * (x + 0.5) - 0.5`` on
+level 0 (OpenCV's own ORB leaves the half-pixel term out).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _TILE_PX = 120
 
 @dataclass(frozen=True)
 class Keypoints:
-    """``uv`` ``(n, 2)`` float64 level-0 pixels; ``level`` ``(n,)`` int8; ``angle_deg`` ``(n,)``, NaN where no descriptor is possible;
-    ``descriptors`` ``(n, 32)`` uint8, zero there."""
+    """``uv`` ``(n, 2)`` float64 level-0 pixels; ``level`` ``(n,)`` int8; ``angle_deg`` ``(n,)``, NaN where no
+    descriptor is possible; ``descriptors`` ``(n, 32)`` uint8, zero there."""
 
     uv: NDArray[np.float64]
     level: NDArray[np.int8]
@@ -48,7 +48,9 @@ class Pyramid:
             size = (round(width / scale_factor**k), round(height / scale_factor**k))
             if min(size) < 4 * EDGE_PX:
                 break
-            self.levels.append(cv2.resize(self.levels[-1], size, interpolation=cv2.INTER_LINEAR).astype(np.uint8, copy=False))
+            self.levels.append(
+                cv2.resize(self.levels[-1], size, interpolation=cv2.INTER_LINEAR).astype(np.uint8, copy=False)
+            )
         self.scales = np.array([[width / im.shape[1], height / im.shape[0]] for im in self.levels])
 
     def to_base(self, xy: NDArray[np.float64], level: int | NDArray[np.int8]) -> NDArray[np.float64]:
@@ -59,7 +61,8 @@ class Pyramid:
 
 
 class Detector:
-    """FAST corners spread over the image: tiles with thresholds of their own, which learn from one image to the next, then cells."""
+    """FAST corners spread over the image: tiles with thresholds of their own, which learn from one image to the next,
+    then cells."""
 
     def __init__(self, config: FeatureConfig) -> None:
         self.config = config
@@ -100,7 +103,7 @@ class Detector:
                 tile = image[y_edges[r] - 3 : y_edges[r + 1] + 3, x_edges[c] - 3 : x_edges[c + 1] + 3]
                 corners = self._detect_tile(tile, (level, r, c), want)
                 if corners:
-                    found_xy.append(cv2.KeyPoint_convert(corners).astype(np.float64) + [x_edges[c] - 3, y_edges[r] - 3])
+                    found_xy.append(cv2.KeyPoint.convert(corners) + np.array([x_edges[c] - 3.0, y_edges[r] - 3.0]))
                     found_strength.append(np.array([k.response for k in corners]))
         xy, strength = np.concatenate(found_xy), np.concatenate(found_strength)
         cell = max(float(np.sqrt(2.0 * (width - 2 * EDGE_PX) * (height - 2 * EDGE_PX) / quota)), 12.0)
@@ -112,10 +115,10 @@ class Detector:
         low = self.config.fast_threshold
         threshold = self._thresholds.get(key, 3 * low)
         tile = np.ascontiguousarray(tile)
-        corners = cv2.FastFeatureDetector_create(threshold).detect(tile)
+        corners = cv2.FastFeatureDetector.create(threshold).detect(tile)
         while len(corners) < want // 2 and threshold > low:
             threshold = max(threshold // 2, low)
-            corners = cv2.FastFeatureDetector_create(threshold).detect(tile)
+            corners = cv2.FastFeatureDetector.create(threshold).detect(tile)
         if len(corners) > 2 * want:
             threshold += max(threshold // 5, 1)
         elif len(corners) < want:
@@ -126,8 +129,14 @@ class Detector:
 
 @njit(cache=True, nogil=True)
 def _spread(
-    xy: NDArray[np.float64], strength: NDArray[np.float64], taken: NDArray[np.float64], width: int, height: int, cell: float,
-    per_cell: int, distance: float,
+    xy: NDArray[np.float64],
+    strength: NDArray[np.float64],
+    taken: NDArray[np.float64],
+    width: int,
+    height: int,
+    cell: float,
+    per_cell: int,
+    distance: float,
 ) -> NDArray[np.int64]:
     """Indices of the strongest points, at most ``per_cell`` a cell (taken ones count), at least ``distance`` apart."""
     columns, rows = int(np.ceil(width / cell)), int(np.ceil(height / cell))
@@ -135,7 +144,7 @@ def _spread(
     blocked = np.zeros((height, width), dtype=np.bool_)
     reach = int(distance)
     for i in range(len(taken)):
-        x, y = int(round(taken[i, 0])), int(round(taken[i, 1]))
+        x, y = round(taken[i, 0]), round(taken[i, 1])
         if 0 <= x < width and 0 <= y < height:
             used[int(y / cell), int(x / cell)] += 1
             for yy in range(max(y - reach, 0), min(y + reach + 1, height)):
@@ -157,8 +166,11 @@ def _spread(
     return kept[:n]
 
 
-def spread_cells(uv: NDArray[np.float64], taken: NDArray[np.float64], width: int, height: int, count: int) -> NDArray[np.int64]:
-    """Indices of ``uv`` ``(n, 2)``, given in order of merit, that fill the cells ``taken`` leaves empty; ``count`` cells in all."""
+def spread_cells(
+    uv: NDArray[np.float64], taken: NDArray[np.float64], width: int, height: int, count: int
+) -> NDArray[np.int64]:
+    """Indices of ``uv`` ``(n, 2)``, given in order of merit, that fill the cells ``taken`` leaves empty; ``count``
+    cells in all."""
     cell = float(np.sqrt(width * height / count))
     merit = np.arange(len(uv), 0, -1).astype(np.float64)
     return _spread(uv, merit, taken, width, height, cell, 1, 6.0)
@@ -169,8 +181,8 @@ def _orientation(image: NDArray[np.uint8], xy: NDArray[np.float64]) -> NDArray[n
     """Intensity-centroid angles in degrees, 0 to 360 (Rublee et al., ORB, ICCV 2011)."""
     out = np.empty(len(xy), dtype=np.float32)
     for i in range(len(xy)):
-        cx, cy = int(round(xy[i, 0])), int(round(xy[i, 1]))
-        m10, m01 = 0, 0
+        cx, cy = round(xy[i, 0]), round(xy[i, 1])
+        m10, m01 = np.int64(0), np.int64(0)
         for dy in range(-_HALF_PATCH, _HALF_PATCH + 1):
             reach = _REACH[abs(dy)]
             for dx in range(-reach, reach + 1):
@@ -200,7 +212,7 @@ def describe(pyramid: Pyramid, uv: NDArray[np.float64], level: NDArray[np.int8])
             cv2.KeyPoint(float(x), float(y), 31.0, float(a), 1.0, 0, int(i))
             for (x, y), a, i in zip(xy[index].tolist(), angle[index].tolist(), index.tolist(), strict=True)
         ]
-        orb = cv2.ORB_create(nfeatures=len(points), nlevels=1, edgeThreshold=EDGE_PX - 1)
+        orb = cv2.ORB.create(nfeatures=len(points), nlevels=1, edgeThreshold=EDGE_PX - 1)
         kept, rows = orb.compute(image, points)
         kept_index = np.array([p.class_id for p in kept], dtype=np.int64)
         descriptors[kept_index] = rows

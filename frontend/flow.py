@@ -12,10 +12,15 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.02)
 
 
 def follow(
-    source: NDArray[np.uint8], target: NDArray[np.uint8], uv: NDArray[np.float64], guess: NDArray[np.float64], config: FlowConfig,
+    source: NDArray[np.uint8],
+    target: NDArray[np.uint8],
+    uv: NDArray[np.float64],
+    guess: NDArray[np.float64],
+    config: FlowConfig,
     levels: int | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Positions ``(n, 2)`` in ``target`` of the points ``uv`` of ``source``, searched from ``guess``, and which were found.
+    """Positions ``(n, 2)`` in ``target`` of the points ``uv`` of ``source``, searched from ``guess``, and which were
+    found.
 
     Found: converged inside the image with a small grey-level difference. OpenCV throws on no points at all; we do not.
     """
@@ -24,10 +29,16 @@ def follow(
     height, width = target.shape
     start = np.ascontiguousarray(guess, dtype=np.float32).reshape(-1, 1, 2)
     found, status, error = cv2.calcOpticalFlowPyrLK(
-        source, target, np.ascontiguousarray(uv, dtype=np.float32).reshape(-1, 1, 2), start.copy(),
-        winSize=(config.window_px, config.window_px), maxLevel=config.levels if levels is None else levels,
-        criteria=_CRITERIA, flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=1e-4,
-    )  # fmt: skip
+        source,
+        target,
+        np.ascontiguousarray(uv, dtype=np.float32).reshape(-1, 1, 2),
+        start.copy(),
+        winSize=(config.window_px, config.window_px),
+        maxLevel=config.levels if levels is None else levels,
+        criteria=_CRITERIA,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=1e-4,
+    )
     xy = found.reshape(-1, 2).astype(np.float64)
     inside = (xy >= 2.0).all(axis=1) & (xy[:, 0] < width - 3.0) & (xy[:, 1] < height - 3.0)
     ok = (status.ravel() > 0) & inside & (error.ravel() < config.max_error)
@@ -35,7 +46,11 @@ def follow(
 
 
 def follow_both_ways(
-    source: NDArray[np.uint8], target: NDArray[np.uint8], uv: NDArray[np.float64], guess: NDArray[np.float64], config: FlowConfig,
+    source: NDArray[np.uint8],
+    target: NDArray[np.uint8],
+    uv: NDArray[np.float64],
+    guess: NDArray[np.float64],
+    config: FlowConfig,
     levels: int | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """As :func:`follow`, and the way back must end within ``round_trip_px`` of the start."""

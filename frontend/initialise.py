@@ -64,7 +64,8 @@ class MetricStarter:
 
 
 class MonoStarter:
-    """Two views far enough apart: corners of the first are followed until their motion gives away the camera's (thesis 2.1.3)."""
+    """Two views far enough apart: corners of the first are followed until their motion gives away the camera's
+    (thesis 2.1.3)."""
 
     def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
         self.ranging, self.config = ranging, config
@@ -74,19 +75,24 @@ class MonoStarter:
         self._uv: Array = np.zeros((0, 2))
 
     def offer(self, frame: Frame) -> Start:
-        """Refuses static, purely rotating and ambiguous pairs of views; the first view is renewed when too little of it is left."""
+        """Refuses static, purely rotating and ambiguous pairs of views; the first view is renewed when too little of
+        it is left."""
         if self._first is None or self._last is None:
             return self._begin(frame, "")
         uv, ok = follow_both_ways(self._last.image, frame.image, self._uv, self._uv, self.config.flow)
         self._first_uv, self._uv, self._last = self._first_uv[ok], uv[ok], frame
         settings = self.config.mono
         if len(self._uv) < settings.min_matches:
-            return self._begin(frame, f"only {len(self._uv)} points followed from the first view, need {settings.min_matches}; ")
+            return self._begin(
+                frame, f"only {len(self._uv)} points followed from the first view, need {settings.min_matches}; "
+            )
         flow = float(np.median(np.linalg.norm(self._uv - self._first_uv, axis=1)))
         need = settings.min_flow_px * frame.image.shape[1] / 640
         if flow < need:
             return Start(None, f"static: the points have moved by {flow:.2f} px (median), need {need:.1f} px")
-        views = solve_two_views(self._first_uv, self._uv, self.ranging.rig.camera.K, self.config.pose.pixel_sigma_px, settings)
+        views = solve_two_views(
+            self._first_uv, self._uv, self.ranging.rig.camera.K, self.config.pose.pixel_sigma_px, settings
+        )
         if views.T_2_1 is not None:
             return self._build(frame, views)
         if frame.index - self._first.index >= settings.max_frames:
@@ -120,5 +126,7 @@ class MonoStarter:
             segment.follow(view)
         known = int(np.isfinite(segment.map.xyz[segment.tracker.point, 0]).sum())
         if known < self.config.mono.min_points:
-            return self._begin(frame, f"only {known} points left after bundle adjustment, need {self.config.mono.min_points}; ")
+            return self._begin(
+                frame, f"only {known} points left after bundle adjustment, need {self.config.mono.min_points}; "
+            )
         return Start(segment)

@@ -15,8 +15,9 @@ Ints = NDArray[np.int64]
 class KeyFrame:
     """A frame that stays. Rows of the arrays are its observations; ``point`` is -1 where an observation was dropped.
 
-    ``T_C_W`` ``(4, 4)``; ``uv`` ``(n, 2)`` pixels; ``disparity`` ``(n,)`` raw, NaN where unknown; ``sigma`` ``(n,)`` pixels of ``uv``;
-    ``level`` ``(n,)``; ``descriptors`` ``(n, 32)`` with ``described`` ``(n,)``; ``followed`` ``(n,)``: by flow, not only matched.
+    ``T_C_W`` ``(4, 4)``; ``uv`` ``(n, 2)`` pixels; ``disparity`` ``(n,)`` raw, NaN where unknown; ``sigma`` ``(n,)``
+    pixels of ``uv``; ``level`` ``(n,)``; ``descriptors`` ``(n, 32)`` with ``described`` ``(n,)``; ``followed``
+    ``(n,)``: by flow, not only matched.
     """
 
     number: int
@@ -49,7 +50,8 @@ _COLUMNS = ("_xyz", "_alive", "_metric", "_views", "_descriptors", "_described",
 
 
 class Map:
-    """Points are numbered for good; arrays grow by doubling. A point whose position is not yet known has NaN in ``xyz``."""
+    """Points are numbered for good; arrays grow by doubling. A point whose position is not yet known has NaN in
+    ``xyz``."""
 
     def __init__(self) -> None:
         self.keyframes: dict[int, KeyFrame] = {}
@@ -125,7 +127,11 @@ class Map:
         self.views[seen] += 1
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
         ids = keyframe.point[rows]
-        self.descriptors[ids], self.described[ids], self.level[ids] = keyframe.descriptors[rows], True, keyframe.level[rows]
+        self.descriptors[ids], self.described[ids], self.level[ids] = (
+            keyframe.descriptors[rows],
+            True,
+            keyframe.level[rows],
+        )
         self.depth[ids] = (self.xyz[ids] @ keyframe.T_C_W[2, :3]) + keyframe.T_C_W[2, 3]
 
     def drop_observation(self, number: int, row: int) -> None:
@@ -143,7 +149,8 @@ class Map:
         self.alive[point] = False
 
     def merge_points(self, kept: int, gone: int) -> None:
-        """``gone`` is the same place as ``kept``: hand its observations over (key-frames that already see ``kept`` keep that one)."""
+        """``gone`` is the same place as ``kept``: hand its observations over (key-frames that already see ``kept``
+        keep that one)."""
         seen = {number for number, _ in self.observers[kept]}
         for number, row in self.observers[gone]:
             if number in seen:

@@ -17,20 +17,28 @@ def _popcount(x: np.uint64) -> np.uint64:
 
 @njit(cache=True, nogil=True)
 def _guided(
-    uv_a: NDArray[np.float64], level_a: NDArray[np.float64], words_a: NDArray[np.uint64], uv_b: NDArray[np.float64],
-    level_b: NDArray[np.int8], words_b: NDArray[np.uint64], radius: NDArray[np.float64], level_slack: float, max_distance: int, ratio: float,
+    uv_a: NDArray[np.float64],
+    level_a: NDArray[np.float64],
+    words_a: NDArray[np.uint64],
+    uv_b: NDArray[np.float64],
+    level_b: NDArray[np.int8],
+    words_b: NDArray[np.uint64],
+    radius: NDArray[np.float64],
+    level_slack: float,
+    max_distance: int,
+    ratio: float,
 ) -> NDArray[np.int64]:
     out = np.full(len(uv_a), -1, dtype=np.int64)
     distance_of = np.full(len(uv_b), 257, dtype=np.int64)
     owner = np.full(len(uv_b), -1, dtype=np.int64)
     for i in range(len(uv_a)):
-        best, second, index = 257, 257, -1
+        best, second, index = np.int64(257), np.int64(257), -1
         r2 = radius[i] * radius[i]
         for j in range(len(uv_b)):
             dx, dy = uv_a[i, 0] - uv_b[j, 0], uv_a[i, 1] - uv_b[j, 1]
             if dx * dx + dy * dy > r2 or abs(level_a[i] - level_b[j]) > level_slack:
                 continue
-            d = 0
+            d = np.int64(0)
             for k in range(4):
                 d += np.int64(_popcount(words_a[i, k] ^ words_b[j, k]))
             if d < best:
@@ -45,13 +53,21 @@ def _guided(
 
 
 def guided_match(
-    uv_a: NDArray[np.float64], level_a: NDArray[np.float64], descriptors_a: NDArray[np.uint8], uv_b: NDArray[np.float64],
-    level_b: NDArray[np.int8], descriptors_b: NDArray[np.uint8], radius: NDArray[np.float64], max_distance: int, ratio: float,
+    uv_a: NDArray[np.float64],
+    level_a: NDArray[np.float64],
+    descriptors_a: NDArray[np.uint8],
+    uv_b: NDArray[np.float64],
+    level_b: NDArray[np.int8],
+    descriptors_b: NDArray[np.uint8],
+    radius: NDArray[np.float64],
+    max_distance: int,
+    ratio: float,
     level_slack: float = 1.5,
 ) -> NDArray[np.int64]:
     """For each predicted point a the key-point b ``(n,)`` that matches best, -1 for none; no b is given twice.
 
-    ``uv`` pixels, ``level`` pyramid level (predicted ones may be fractions), ``descriptors`` ``(n, 32)``; ``radius`` ``(n,)`` pixels.
+    ``uv`` pixels, ``level`` pyramid level (predicted ones may be fractions), ``descriptors`` ``(n, 32)``; ``radius``
+    ``(n,)`` pixels.
     """
     if not len(uv_a) or not len(uv_b):
         return np.full(len(uv_a), -1, dtype=np.int64)

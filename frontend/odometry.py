@@ -34,7 +34,8 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class FrameResult:
-    """``T_W_C`` ``(4, 4)`` in the frame of the current track, None where there is no pose; ``reason`` then says why, with numbers."""
+    """``T_W_C`` ``(4, 4)`` in the frame of the current track, None where there is no pose; ``reason`` then says why,
+    with numbers."""
 
     stamp_ns: int
     T_W_C: NDArray[np.float64] | None
@@ -55,8 +56,9 @@ class LostInterval:
 
 @dataclass(frozen=True)
 class OdometryResult:
-    """``tracks``: one for each uninterrupted track; ``keyframe_indices``: frame index of each of its key-frames; ``trajectories``: every
-    frame with a pose, one a track; ``lost``: between, before and after them; ``stats``: counts and the rig's estimated calibration."""
+    """``tracks``: one for each uninterrupted track; ``keyframe_indices``: frame index of each of its key-frames;
+    ``trajectories``: every frame with a pose, one a track; ``lost``: between, before and after them; ``stats``:
+    counts and the rig's estimated calibration."""
 
     tracks: list[VoTrack]
     keyframe_indices: list[NDArray[np.int64]]
@@ -66,7 +68,8 @@ class OdometryResult:
 
 
 class Odometry:
-    """Feed frames in order of time with :meth:`process`, then :meth:`finish`. The same frames give the same result, bit by bit."""
+    """Feed frames in order of time with :meth:`process`, then :meth:`finish`. The same frames give the same result,
+    bit by bit."""
 
     def __init__(self, rig: Rig, config: OdometryConfig, vocabulary: WordLookup) -> None:
         if rig.kind is RigKind.STEREO and not (rig.baseline_m and rig.baseline_m > 0):
@@ -154,7 +157,8 @@ class Odometry:
         for what, image in (("image", frame.image), ("right image", frame.right), ("depth image", frame.depth_m)):
             if image is not None and image.shape != (camera.height, camera.width):
                 size = f"{image.shape[1]}x{image.shape[0]}"
-                raise FrontendError(f"frame {frame.index} {frame.name}: {what} is {size} pixels, the camera {camera.width}x{camera.height}")
+                expected = f"{camera.width}x{camera.height}"
+                raise FrontendError(f"frame {frame.index} {frame.name}: {what} is {size} pixels, the camera {expected}")
         if self._results and frame.stamp_ns <= self._results[-1].stamp_ns:
             behind_ms = (self._results[-1].stamp_ns - frame.stamp_ns) / 1e6
             return f"time stamp is not after the previous frame's ({behind_ms:.3f} ms before it)"
@@ -175,7 +179,8 @@ class Odometry:
         return out
 
     def _too_short(self) -> str:
-        return f"the track has fewer key-frames than the {self.config.min_track_keyframes} it takes to be written: the camera hardly moved"
+        need = self.config.min_track_keyframes
+        return f"the camera hardly moved: fewer key-frames than the {need} that a track needs to be written"
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
         calib = self.ranging.calib

@@ -1,6 +1,7 @@
 """Robust pose of one frame from map points: compiled kernels, arrays in, arrays out.
 
-``cam`` is ``[fx, fy, cx, cy, bf]`` (``bf = fx * baseline_m``). ``T`` is always ``T_C_W``. A disparity that is not known is NaN.
+``cam`` is ``[fx, fy, cx, cy, bf]`` (``bf = fx * baseline_m``). ``T`` is always ``T_C_W``. A disparity that is not
+known is NaN.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ def exp_update(delta: Array, T: Array) -> Array:
     V = np.eye(3) + b * K + c * K2
     out = np.eye(4)
     turned = R @ np.ascontiguousarray(T[:3, :3])
-    # One Newton step to the nearest rotation: velocities are made with transposes for inverses, and there rounding errors would
+    # One Newton step to the nearest rotation: velocities are made with transposes for inverses, and there rounding
+    # errors would
     # grow sixfold from frame to frame.
     out[:3, :3] = 1.5 * turned - 0.5 * turned @ (turned.T @ turned)
     out[:3, 3] = R @ np.ascontiguousarray(T[:3, 3]) + V @ delta[:3]
@@ -57,12 +59,20 @@ def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) 
 
 @njit(cache=True, nogil=True)
 def refine_pose(
-    T: Array, points: Array, uv: Array, disparity: Array, sigma: Array, sigma_d: Array, cam: Array, outlier_sigmas: float, rounds: int
+    T: Array,
+    points: Array,
+    uv: Array,
+    disparity: Array,
+    sigma: Array,
+    sigma_d: Array,
+    cam: Array,
+    outlier_sigmas: float,
+    rounds: int,
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Gauss-Newton on robust reprojection and disparity errors, outliers removed between rounds (ORB-SLAM's scheme).
 
-    ``sigma``, ``sigma_d`` ``(n,)`` pixels. Returns the pose, the inlier mask ``(n,)``, and the ``(6, 6)`` normal matrix of the
-    inliers (its inverse is the pose's covariance).
+    ``sigma``, ``sigma_d`` ``(n,)`` pixels. Returns the pose, the inlier mask ``(n,)``, and the ``(6, 6)`` normal
+    matrix of the inliers (its inverse is the pose's covariance).
     """
     n = len(points)
     inlier = np.ones(n, dtype=np.bool_)
@@ -89,7 +99,15 @@ def refine_pose(
 
 @njit(cache=True, nogil=True)
 def _normal_equations(
-    T: Array, points: Array, uv: Array, disparity: Array, sigma: Array, sigma_d: Array, cam: Array, use: NDArray[np.bool_], scale: float
+    T: Array,
+    points: Array,
+    uv: Array,
+    disparity: Array,
+    sigma: Array,
+    sigma_d: Array,
+    cam: Array,
+    use: NDArray[np.bool_],
+    scale: float,
 ) -> tuple[Array, Array]:
     H = np.zeros((6, 6))
     b = np.zeros(6)

@@ -15,7 +15,8 @@ from frontend.tracker import Tracked, pnp_ransac
 
 
 def relocalise(frame: Frame, segment: Segment, ranging: Ranging, config: OdometryConfig) -> Tracked:
-    """Match the frame's ORB key-points to the points of each recent key-frame, newest first; a pose needs ``min_inliers`` that agree.
+    """Match the frame's ORB key-points to the points of each recent key-frame, newest first; a pose needs
+    ``min_inliers`` that agree.
 
     On success the tracker follows the matched points from here.
     """
@@ -32,18 +33,30 @@ def relocalise(frame: Frame, segment: Segment, ranging: Ranging, config: Odometr
         ids = ids[np.isfinite(map_.xyz[ids, 0]) & map_.described[ids]]
         anywhere = np.full(len(ids), 1e9)
         match = guided_match(
-            np.zeros((len(ids), 2)), map_.level[ids].astype(np.float64), map_.descriptors[ids], keypoints.uv[usable], keypoints.level[usable],
-            keypoints.descriptors[usable], anywhere, config.mapping.match_distance, config.mapping.match_ratio, level_slack=8.0,
-        )  # fmt: skip
+            np.zeros((len(ids), 2)),
+            map_.level[ids].astype(np.float64),
+            map_.descriptors[ids],
+            keypoints.uv[usable],
+            keypoints.level[usable],
+            keypoints.descriptors[usable],
+            anywhere,
+            config.mapping.match_distance,
+            config.mapping.match_ratio,
+            level_slack=8.0,
+        )
         hit = np.flatnonzero(match >= 0)
         points, seen = map_.xyz[ids[hit]], keypoints.uv[usable[match[hit]]]
         T = pnp_ransac(points, seen, ranging, 4.0)
         if T is None:
             continue
         n = len(hit)
-        T, good, _ = refine_pose(T, points, seen, np.full(n, np.nan), np.full(n, 1.5), np.ones(n), ranging.cam, config.pose.outlier_sigmas, 4)
+        T, good, _ = refine_pose(
+            T, points, seen, np.full(n, np.nan), np.full(n, 1.5), np.ones(n), ranging.cam, config.pose.outlier_sigmas, 4
+        )
         best = max(best, int(good.sum()))
         if good.sum() >= 2 * config.pose.min_inliers:
             segment.tracker.start(frame, T, ids[hit[good]], seen[good])
             return Tracked(T, int(good.sum()))
-    return Tracked(None, best, f"lost: at best {best} points of the recent map agree on a pose, need {2 * config.pose.min_inliers}")
+    return Tracked(
+        None, best, f"lost: at best {best} points of the recent map agree on a pose, need {2 * config.pose.min_inliers}"
+    )

@@ -45,7 +45,9 @@ class Segment:
     def record(self, frame: Frame, T_C_W: Array) -> None:
         """Note a tracked frame, relative to the latest key-frame."""
         assert self.latest is not None
-        self.frames.append(FrameRecord(frame.index, frame.stamp_ns, self.latest.number, T_C_W @ se3_inverse(self.latest.T_C_W)))
+        self.frames.append(
+            FrameRecord(frame.index, frame.stamp_ns, self.latest.number, T_C_W @ se3_inverse(self.latest.T_C_W))
+        )
 
     def since_keyframe(self, frame: Frame, rig: Rig) -> SinceKeyframe:
         """What happened since the latest key-frame, for the key-frame policy."""

@@ -18,14 +18,16 @@ _HALF = 3
 
 
 @njit(cache=True, nogil=True)
-def coarse_disparity(left: NDArray[np.uint8], right: NDArray[np.uint8], xy: NDArray[np.float64], reach: int, rows: int) -> NDArray[np.float64]:
+def coarse_disparity(
+    left: NDArray[np.uint8], right: NDArray[np.uint8], xy: NDArray[np.float64], reach: int, rows: int
+) -> NDArray[np.float64]:
     """Whole-pixel disparity and row offset ``(n, 2)`` of the best zero-mean SAD match along (nearly) the same row."""
     height, width = left.shape
     out = np.zeros((len(xy), 2))
     for i in range(len(xy)):
-        x, y = int(round(xy[i, 0])), int(round(xy[i, 1]))
+        x, y = round(xy[i, 0]), round(xy[i, 1])
         x, y = min(max(x, _HALF), width - 1 - _HALF), min(max(y, _HALF), height - 1 - _HALF)
-        mean_left = 0
+        mean_left = np.int64(0)
         for dy in range(-_HALF, _HALF + 1):
             for dx in range(-_HALF, _HALF + 1):
                 mean_left += np.int64(left[y + dy, x + dx])
@@ -38,7 +40,7 @@ def coarse_disparity(left: NDArray[np.uint8], right: NDArray[np.uint8], xy: NDAr
                 xr = x - d
                 if xr < _HALF or xr >= width - _HALF:
                     continue
-                mean_right = 0
+                mean_right = np.int64(0)
                 for dy in range(-_HALF, _HALF + 1):
                     for dx in range(-_HALF, _HALF + 1):
                         mean_right += np.int64(right[yr + dy, xr + dx])
@@ -56,13 +58,18 @@ def coarse_disparity(left: NDArray[np.uint8], right: NDArray[np.uint8], xy: NDAr
 
 
 def measure_disparity(
-    left: NDArray[np.uint8], right: NDArray[np.uint8], uv: NDArray[np.float64], expected: NDArray[np.float64], flow: FlowConfig,
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    uv: NDArray[np.float64],
+    expected: NDArray[np.float64],
+    flow: FlowConfig,
     config: StereoConfig,
 ) -> NDArray[np.float64]:
     """Sub-pixel disparity ``(n,)`` at ``uv`` ``(n, 2)``, NaN where none is found.
 
-    ``expected`` ``(n,)``: predicted disparity, NaN where none; those are searched along the row on a reduced pair first. A residual
-    row offset of the pair is allowed for: its median over all points is taken out before the row test.
+    ``expected`` ``(n,)``: predicted disparity, NaN where none; those are searched along the row on a reduced pair
+    first. A residual row offset of the pair is allowed for: its median over all points is taken out before the row
+    test.
     """
     if not len(uv):
         return np.zeros(0)
@@ -71,7 +78,9 @@ def measure_disparity(
     guess[known, 0] -= expected[known]
     if not known.all():
         size = (left.shape[1] // _COARSE, left.shape[0] // _COARSE)
-        small = [cv2.resize(im, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False) for im in (left, right)]
+        small = [
+            cv2.resize(im, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False) for im in (left, right)
+        ]
         reach = int(min(config.max_disparity_px, left.shape[1] / 2) / _COARSE)
         coarse = coarse_disparity(small[0], small[1], (uv[~known] + 0.5) / _COARSE - 0.5, reach, 0)
         guess[~known, 0] -= coarse[:, 0] * _COARSE
@@ -87,7 +96,8 @@ def measure_disparity(
 
 @njit(cache=True, nogil=True)
 def depth_at(depth_m: NDArray[np.float32], uv: NDArray[np.float64], max_jump: float) -> NDArray[np.float64]:
-    """Depth ``(n,)`` at sub-pixel points: bilinear where the four neighbours agree within ``max_jump`` (relative), else NaN.
+    """Depth ``(n,)`` at sub-pixel points: bilinear where the four neighbours agree within ``max_jump`` (relative),
+    else NaN.
 
     Corners sit on depth edges, where the depth of the wrong side is worse than none.
     """
@@ -123,7 +133,9 @@ class Ranging:
 
     def __init__(self, rig: Rig, config: StereoConfig, flow: FlowConfig) -> None:
         camera = rig.camera
-        baseline = {RigKind.MONO: 0.0, RigKind.STEREO: rig.baseline_m or 0.0, RigKind.RGBD: _VIRTUAL_BASELINE_M}[rig.kind]
+        baseline = {RigKind.MONO: 0.0, RigKind.STEREO: rig.baseline_m or 0.0, RigKind.RGBD: _VIRTUAL_BASELINE_M}[
+            rig.kind
+        ]
         self.rig, self.config, self.flow = rig, config, flow
         self.cam = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.fx * baseline])
         self.calib = np.zeros(3)
@@ -132,8 +144,11 @@ class Ranging:
         self.min_disparity = self.cam[4] / config.max_depth_m if rgbd else config.min_disparity_sigmas * self.sigma_d
         self.estimates_calib = rig.kind is RigKind.STEREO and config.estimate_calibration
 
-    def measure(self, frame: Frame, uv: NDArray[np.float64], expected_depth: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Raw disparity ``(n,)`` at ``uv``, NaN where unknown; ``expected_depth`` ``(n,)`` metres, NaN where there is none."""
+    def measure(
+        self, frame: Frame, uv: NDArray[np.float64], expected_depth: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Raw disparity ``(n,)`` at ``uv``, NaN where unknown; ``expected_depth`` ``(n,)`` metres, NaN where there is
+        none."""
         if self.rig.kind is RigKind.STEREO and frame.right is not None:
             expected = self.cam[4] / expected_depth + self.basis(uv) @ self.calib
             return measure_disparity(frame.image, frame.right, uv, expected, self.flow, self.config)
@@ -162,8 +177,11 @@ class Ranging:
         fx, fy, cx, cy, _ = self.cam
         return np.stack([(uv[:, 0] - cx) / fx, (uv[:, 1] - cy) / fy, np.ones(len(uv))], axis=1)
 
-    def project(self, T_C_W: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pixels ``(n, 2)`` and depths ``(n,)`` of world points; pixels are NaN behind the camera or where the point is unknown."""
+    def project(
+        self, T_C_W: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixels ``(n, 2)`` and depths ``(n,)`` of world points; pixels are NaN behind the camera or where the point
+        is unknown."""
         fx, fy, cx, cy, _ = self.cam
         p = points @ T_C_W[:3, :3].T + T_C_W[:3, 3]
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)

@@ -1,4 +1,5 @@
-"""A frame in, its pose out: patches of the last key-frame found again where the predicted pose puts them, then the robust pose."""
+"""A frame in, its pose out: patches of the last key-frame found again where the predicted pose puts them, then the
+robust pose."""
 
 from __future__ import annotations
 
@@ -20,12 +21,14 @@ from frontend.stereo import Ranging
 Array = NDArray[np.float64]
 _EPIPOLAR_PX = 2.0
 _LOOK_AGAIN_PX = 3.0
-"""A prediction this wrong (median) has misled the search: what was not found is looked for again from the pose found."""
+"""A prediction this wrong (median) has misled the search: what was not found is looked for again from the pose
+found."""
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """``T_C_W`` is None where tracking failed, and ``reason`` says why with its numbers. ``inliers`` map points agree with the pose."""
+    """``T_C_W`` is None where tracking failed, and ``reason`` says why with its numbers. ``inliers`` map points agree
+    with the pose."""
 
     T_C_W: Array | None
     inliers: int
@@ -33,8 +36,8 @@ class Tracked:
 
 
 class Tracker:
-    """Owns what is followed: map points ``point`` ``(n,)``, where the last key-frame sees them (``anchor_uv`` ``(n, 2)``) and where they were
-    in the last frame (``uv`` ``(n, 2)``, ``found`` ``(n,)``)."""
+    """Owns what is followed: map points ``point`` ``(n,)``, where the last key-frame sees them (``anchor_uv`` ``(n,
+    2)``) and where they were in the last frame (``uv`` ``(n, 2)``, ``found`` ``(n,)``)."""
 
     def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
         self.ranging, self.config = ranging, config
@@ -54,7 +57,11 @@ class Tracker:
 
     def start(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> None:
         """Follow ``point``, seen at ``uv`` in this frame, from here on."""
-        self.anchor = self.image if self.stamp_ns == frame.stamp_ns and self.image else half_sized(frame.image, self.config.flow.align_levels)
+        self.anchor = (
+            self.image
+            if self.stamp_ns == frame.stamp_ns and self.image
+            else half_sized(frame.image, self.config.flow.align_levels)
+        )
         self.image, self.stamp_ns = self.anchor, frame.stamp_ns
         self.T_C_W, self.anchor_T = T_C_W, T_C_W
         self.point, self.anchor_uv, self.uv = point, uv, uv
@@ -96,10 +103,14 @@ class Tracker:
         return self.point[self.found], self.uv[self.found]
 
     def _predict(self, dt: float) -> Array:
-        regular = 0.0 < self.step_s and 0.3 * self.step_s < dt < 3.0 * self.step_s and dt <= self.config.pose.max_frame_gap_s
+        regular = (
+            self.step_s > 0.0 and 0.3 * self.step_s < dt < 3.0 * self.step_s and dt <= self.config.pose.max_frame_gap_s
+        )
         return self.motion @ self.T_C_W if self.motion is not None and regular else self.T_C_W
 
-    def _find(self, image: list[NDArray[np.uint8]], xyz: Array, T_C_W: Array, only: NDArray[np.bool_] | None = None) -> tuple[Array, NDArray[np.bool_]]:
+    def _find(
+        self, image: list[NDArray[np.uint8]], xyz: Array, T_C_W: Array, only: NDArray[np.bool_] | None = None
+    ) -> tuple[Array, NDArray[np.bool_]]:
         """Points of known position looked for around their projection with ``T_C_W``."""
         uv, ok = self.uv.copy(), np.zeros(len(self.uv), dtype=bool)
         guess, warp = self._projected(xyz, T_C_W)
@@ -107,11 +118,14 @@ class Tracker:
         inside = (guess[:, 0] > 4) & (guess[:, 1] > 4) & (guess[:, 0] < width - 5) & (guess[:, 1] < height - 5)
         index = np.flatnonzero(inside if only is None else inside & only)
         flow = self.config.flow
-        uv[index], ok[index] = align(self.anchor, image, self.anchor_uv[index], warp[index], guess[index], flow.min_correlation, flow.reach_px)
+        uv[index], ok[index] = align(
+            self.anchor, image, self.anchor_uv[index], warp[index], guess[index], flow.min_correlation, flow.reach_px
+        )
         return uv, ok
 
     def _projected(self, xyz: Array, T_C_W: Array) -> tuple[Array, Array]:
-        """Where points show, and how a step around them in the key-frame shows there: as on a plane parallel to its image."""
+        """Where points show, and how a step around them in the key-frame shows there: as on a plane parallel to its
+        image."""
         T = T_C_W @ se3_inverse(self.anchor_T)
         p = xyz @ self.anchor_T[:3, :3].T + self.anchor_T[:3, 3]
         guess, _ = self.ranging.project(T, p)
@@ -129,7 +143,14 @@ class Tracker:
         return pnp_ransac(xyz[index[ok]], uv[ok], self.ranging, 8.0 * self.config.pose.pixel_sigma_px)
 
     def _look_again(
-        self, image: list[NDArray[np.uint8]], xyz: Array, predicted: Array, uv: Array, ok: NDArray[np.bool_], result: Tracked, inlier: NDArray[np.bool_]
+        self,
+        image: list[NDArray[np.uint8]],
+        xyz: Array,
+        predicted: Array,
+        uv: Array,
+        ok: NDArray[np.bool_],
+        result: Tracked,
+        inlier: NDArray[np.bool_],
     ) -> tuple[Array, NDArray[np.bool_], Tracked, NDArray[np.bool_]]:
         assert result.T_C_W is not None
         before, _ = self.ranging.project(predicted, xyz[inlier])
@@ -141,14 +162,23 @@ class Tracker:
         result2, inlier2 = self._pose(uv2, ok2, xyz, result.T_C_W)
         return (uv2, ok2, result2, inlier2) if result2.inliers >= result.inliers else (uv, ok, result, inlier)
 
-    def _pose(self, uv: Array, ok: NDArray[np.bool_], xyz: Array, predicted: Array) -> tuple[Tracked, NDArray[np.bool_]]:
+    def _pose(
+        self, uv: Array, ok: NDArray[np.bool_], xyz: Array, predicted: Array
+    ) -> tuple[Tracked, NDArray[np.bool_]]:
         settings = self.config.pose
         index = np.flatnonzero(ok)
         inlier = np.zeros(len(uv), dtype=bool)
         n = len(index)
         if n < settings.min_inliers:
             return Tracked(None, 0, f"only {n} of {len(uv)} points found, need {settings.min_inliers}"), inlier
-        args = (xyz[index], uv[index], np.full(n, np.nan), np.full(n, settings.pixel_sigma_px), np.full(n, 1.0), self.ranging.cam)
+        args = (
+            xyz[index],
+            uv[index],
+            np.full(n, np.nan),
+            np.full(n, settings.pixel_sigma_px),
+            np.full(n, 1.0),
+            self.ranging.cam,
+        )
         T, good, _ = refine_pose(predicted, *args, settings.outlier_sigmas, 4)
         if good.sum() < max(settings.min_inliers, 0.5 * n):
             T_ransac = pnp_ransac(xyz[index], uv[index], self.ranging, 4.0 * settings.pixel_sigma_px)
@@ -157,12 +187,17 @@ class Tracker:
                 if good2.sum() > good.sum():
                     T, good = T2, good2
         if good.sum() < settings.min_inliers or not np.isfinite(T).all():
-            return Tracked(None, int(good.sum()), f"only {good.sum()} of {n} points agree on a pose, need {settings.min_inliers}"), inlier
+            return Tracked(
+                None, int(good.sum()), f"only {good.sum()} of {n} points agree on a pose, need {settings.min_inliers}"
+            ), inlier
         inlier[index] = good
         return Tracked(T, int(good.sum())), inlier
 
-    def _follow_unknown(self, frame: Frame, xyz: Array, uv: Array, ok: NDArray[np.bool_], T_C_W: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Points of unknown position: flow from where the turn of the camera takes them; they must move along their epipolar line."""
+    def _follow_unknown(
+        self, frame: Frame, xyz: Array, uv: Array, ok: NDArray[np.bool_], T_C_W: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Points of unknown position: flow from where the turn of the camera takes them; they must move along their
+        epipolar line."""
         index = np.flatnonzero(np.isnan(xyz[:, 0]) & self.found)
         if not len(index):
             return uv, ok
@@ -170,7 +205,9 @@ class Tracker:
         start = self.uv[index]
         far, _ = self.ranging.project(se3(turn, np.zeros(3)), self.ranging.rays(start))
         uv, ok = uv.copy(), ok.copy()
-        at, good = follow_both_ways(self.image[0], frame.image, start, np.where(np.isfinite(far), far, start), self.config.flow)
+        at, good = follow_both_ways(
+            self.image[0], frame.image, start, np.where(np.isfinite(far), far, start), self.config.flow
+        )
         uv[index], ok[index] = at, good & self._on_epipolar_line(start, at, T_C_W)
         return uv, ok
 
@@ -192,7 +229,14 @@ def pnp_ransac(points: Array, uv: Array, ranging: Ranging, threshold_px: float) 
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     try:
         found, rotation, translation, inliers = cv2.solvePnPRansac(
-            points, uv, K, None, iterationsCount=300, reprojectionError=threshold_px, confidence=0.999, flags=cv2.SOLVEPNP_AP3P
+            points,
+            uv,
+            K,
+            None,
+            iterationsCount=300,
+            reprojectionError=threshold_px,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_AP3P,
         )
     except cv2.error:
         return None

@@ -13,8 +13,9 @@ Array = NDArray[np.float64]
 def triangulate(poses: Array, start: NDArray[np.int64], kf: NDArray[np.int64], rays: Array) -> tuple[Array, Array]:
     """Point nearest to all its rays, and the widest angle between them.
 
-    ``poses`` ``(K, 4, 4)`` ``T_C_W``; rays of point j are rows ``start[j]:start[j + 1]`` of ``kf`` and ``rays`` ``(N, 3)`` (camera frame).
-    Returns points ``(P, 3)``, NaN where the rays are parallel or the point is behind a camera, and parallaxes ``(P,)`` in radians.
+    ``poses`` ``(K, 4, 4)`` ``T_C_W``; rays of point j are rows ``start[j]:start[j + 1]`` of ``kf`` and ``rays`` ``(N,
+    3)`` (camera frame). Returns points ``(P, 3)``, NaN where the rays are parallel or the point is behind a camera,
+    and parallaxes ``(P,)`` in radians.
     """
     count = len(start) - 1
     points, parallax = np.full((count, 3), np.nan), np.zeros(count)

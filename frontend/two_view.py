@@ -1,4 +1,5 @@
-"""Motion and structure from two calibrated views: a homography scored against a fundamental matrix (thesis section 2.1.3; ORB-SLAM)."""
+"""Motion and structure from two calibrated views: a homography scored against a fundamental matrix (thesis section
+2.1.3; ORB-SLAM)."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ _AMBIGUOUS = 0.75
 
 @dataclass(frozen=True)
 class TwoViews:
-    """``T_2_1`` (translation of length 1) with the points ``(n, 3)`` in view 1 and which pairs ``good`` ``(n,)`` they belong to;
-    or None and the reason with its numbers. ``homography_share``: score of the homography over the sum of both."""
+    """``T_2_1`` (translation of length 1) with the points ``(n, 3)`` in view 1 and which pairs ``good`` ``(n,)`` they
+    belong to; or None and the reason with its numbers. ``homography_share``: score of the homography over the sum of
+    both."""
 
     T_2_1: Array | None
     points: Array
@@ -40,7 +42,9 @@ def solve_two_views(uv1: Array, uv2: Array, K: Array, sigma_px: float, config: M
 
     rest = residual_after_rotation(uv1, uv2, K)
     if rest < _ROTATION_PX:
-        return refuse(f"pure rotation: without the camera's turn the points move by {rest:.2f} px only (median), need {_ROTATION_PX} px")
+        return refuse(
+            f"pure rotation: but for the turn the points move by {rest:.2f} px (median), need {_ROTATION_PX} px"
+        )
     H, _ = cv2.findHomography(uv1, uv2, cv2.RANSAC, 2.5 * sigma_px, maxIters=1000, confidence=0.999)
     E, _ = cv2.findEssentialMat(uv1, uv2, K, cv2.RANSAC, 0.999, 2.0 * sigma_px)
     if E is None or E.shape != (3, 3):
@@ -53,21 +57,31 @@ def solve_two_views(uv1: Array, uv2: Array, K: Array, sigma_px: float, config: M
     planar = share > config.homography_share
     if planar:
         _, rotations, translations, _ = cv2.decomposeHomographyMat(H, K)
-        motions = [(r, t.ravel() / max(np.linalg.norm(t), 1e-12)) for r, t in zip(rotations, translations, strict=True) if np.linalg.norm(t) > 1e-6]
+        motions = [
+            (r, t.ravel() / max(np.linalg.norm(t), 1e-12))
+            for r, t in zip(rotations, translations, strict=True)
+            if np.linalg.norm(t) > 1e-6
+        ]
         inlier = inlier_H
     else:
         r1, r2, t = cv2.decomposeEssentialMat(E)
         motions = [(r, s * t.ravel()) for r in (r1, r2) for s in (1.0, -1.0)]
         inlier = inlier_F
-    trials = sorted((_try(r, t, uv1, uv2, K, inlier, sigma_px) for r, t in motions), key=lambda trial: -int(trial[2].sum()))
+    trials = sorted(
+        (_try(r, t, uv1, uv2, K, inlier, sigma_px) for r, t in motions), key=lambda trial: -int(trial[2].sum())
+    )
     if not trials:
         return refuse("the homography has no translation", share)
     T, points, good, parallax = trials[0]
     model = f"{'homography' if planar else 'fundamental matrix'}, score share of the homography {share:.2f}"
     if len(trials) > 1 and trials[1][2].sum() > _AMBIGUOUS * good.sum():
-        return refuse(f"ambiguous: {good.sum()} and {trials[1][2].sum()} points fit two different motions ({model})", share)
+        return refuse(
+            f"ambiguous: {good.sum()} and {trials[1][2].sum()} points fit two different motions ({model})", share
+        )
     if good.sum() < config.min_points:
-        return refuse(f"only {good.sum()} of {len(uv1)} points in front of both views, need {config.min_points} ({model})", share)
+        return refuse(
+            f"only {good.sum()} of {len(uv1)} points in front of both views, need {config.min_points} ({model})", share
+        )
     if parallax < config.min_parallax_deg:
         return refuse(f"parallax {parallax:.2f} deg (median), need {config.min_parallax_deg} ({model})", share)
     return TwoViews(T, points[good], good, "", share)
@@ -114,8 +128,11 @@ def _rays(uv: Array, K: Array) -> Array:
     return np.stack([(uv[:, 0] - K[0, 2]) / K[0, 0], (uv[:, 1] - K[1, 2]) / K[1, 1], np.ones(len(uv))], axis=1)
 
 
-def _try(R: Array, t: Array, uv1: Array, uv2: Array, K: Array, inlier: NDArray[np.bool_], sigma_px: float) -> tuple[Array, Array, NDArray[np.bool_], float]:
-    """Points of one candidate motion: in front of both views, reprojected well; and their median parallax in degrees."""
+def _try(
+    R: Array, t: Array, uv1: Array, uv2: Array, K: Array, inlier: NDArray[np.bool_], sigma_px: float
+) -> tuple[Array, Array, NDArray[np.bool_], float]:
+    """Points of one candidate motion: in front of both views, reprojected well; and their median parallax in
+    degrees."""
     n = len(uv1)
     T = se3(R, t)
     rays = np.empty((2 * n, 3))

@@ -1,43 +1,23 @@
 """Window bundle adjustment: key-frame poses, points and the stereo rig's residual calibration, by a Schur complement.
 
-Compiled kernels, arrays in, arrays out. ``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. The measured disparity is modelled as
-``bf / Z + calib @ [1, y, x]`` with ``x``, ``y`` the normalised image coordinates: an offset (yaw of the right camera), a slope along
-the rows (its roll) and one along the columns (its focal length).
+Compiled kernels, arrays in, arrays out. ``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. The measured
+disparity is modelled as ``bf / Z + calib @ [1, y, x]`` with ``x``, ``y`` the normalised image coordinates: an offset
+(yaw of the right camera), a slope along the rows (its roll) and one along the columns (its focal length).
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from frontend.pose import HUBER_D, HUBER_UV, exp_update
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-N_CALIB = 3
+from frontend.pose import exp_update
+from frontend.schur import N_CALIB, Array, Ints, assemble, back_substitute, reduce_points, robust_weights
 
 
 @njit(cache=True, nogil=True)
-def _weights(e_uv2: float, e_d: float, s: float, s_d: float) -> tuple[float, float, float]:
-    """Huber weights of a reprojection and of a disparity residual, and their robust cost."""
-    w, w_d = 1.0 / (s * s), 1.0 / (s_d * s_d)
-    norm, norm_d = np.sqrt(e_uv2) / s, np.abs(e_d) / s_d
-    if norm > HUBER_UV:
-        cost = HUBER_UV * (2.0 * norm - HUBER_UV)
-        w *= HUBER_UV / norm
-    else:
-        cost = norm * norm
-    if norm_d > HUBER_D:
-        cost += HUBER_D * (2.0 * norm_d - HUBER_D)
-        w_d *= HUBER_D / norm_d
-    else:
-        cost += norm_d * norm_d
-    return w, w_d, cost
-
-
-@njit(cache=True, nogil=True)
-def window_residuals(poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array, disparity: Array, cam: Array, calib: Array) -> Array:
+def window_residuals(
+    poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array, disparity: Array, cam: Array, calib: Array
+) -> Array:
     """``(N, 3)`` pixels, predicted minus measured u, v, disparity (0 where unknown); NaN for points behind a camera."""
     out = np.empty((len(kf), 3))
     for i in range(len(kf)):
@@ -65,55 +45,38 @@ def _cost(r: Array, sigma: Array, sigma_d: Array, calib: Array, mean: Array, inf
         if np.isnan(r[i, 0]):
             total += 1e4
             continue
-        total += _weights(r[i, 0] ** 2 + r[i, 1] ** 2, r[i, 2], sigma[i], sigma_d[i])[2]
+        total += robust_weights(r[i, 0] ** 2 + r[i, 1] ** 2, r[i, 2], sigma[i], sigma_d[i])[2]
     for k in range(N_CALIB):
         total += info[k] * (calib[k] - mean[k]) ** 2
     return total
 
 
 @njit(cache=True, nogil=True)
-def _linearise(
-    T: Array, p: Array, uv: Array, has_d: bool, cam: Array, Jc: Array, Jp: Array
-) -> None:
-    """Jacobians ``(3, 6)`` by the pose (left update) and ``(3, 3)`` by the point, written in place."""
-    X = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
-    Y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
-    Z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-    iz = 1.0 / Z
-    x, y = X * iz, Y * iz
-    a0, a1, a2 = cam[0] * iz, cam[1] * iz, cam[4] * iz * iz
-    Jc[0, 0], Jc[0, 1], Jc[0, 2], Jc[0, 3], Jc[0, 4], Jc[0, 5] = a0, 0.0, -a0 * x, -cam[0] * x * y, cam[0] * (1 + x * x), -cam[0] * y
-    Jc[1, 0], Jc[1, 1], Jc[1, 2], Jc[1, 3], Jc[1, 4], Jc[1, 5] = 0.0, a1, -a1 * y, -cam[1] * (1 + y * y), cam[1] * x * y, cam[1] * x
-    Jc[2, :] = 0.0
-    if has_d:
-        Jc[2, 2], Jc[2, 3], Jc[2, 4] = -a2, -a2 * Y, a2 * X
-    for r in range(3):
-        for k in range(3):
-            Jp[r, k] = Jc[r, 0] * T[0, k] + Jc[r, 1] * T[1, k] + Jc[r, 2] * T[2, k]
-
-
-@njit(cache=True, nogil=True)
-def _invert3(A: Array, out: Array) -> None:
-    a, b, c, d, e, f = A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]
-    m0, m1, m2 = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * m0 + b * m1 + c * m2
-    inv = 1.0 / det
-    out[0, 0], out[0, 1], out[0, 2] = m0 * inv, m1 * inv, m2 * inv
-    out[1, 0], out[1, 1], out[1, 2] = out[0, 1], (a * f - c * c) * inv, (b * c - a * e) * inv
-    out[2, 0], out[2, 1], out[2, 2] = out[0, 2], out[1, 2], (a * d - b * b) * inv
-
-
-@njit(cache=True, nogil=True)
 def adjust_window(
-    poses: Array, slot: Ints, points: Array, start: Ints, kf: Ints, pt: Ints, uv: Array, disparity: Array, sigma: Array, sigma_d: Array,
-    cam: Array, calib: Array, calib_mean: Array, calib_info: Array, estimate_calib: bool, iterations: int,
+    poses: Array,
+    slot: Ints,
+    points: Array,
+    start: Ints,
+    kf: Ints,
+    pt: Ints,
+    uv: Array,
+    disparity: Array,
+    sigma: Array,
+    sigma_d: Array,
+    cam: Array,
+    calib: Array,
+    calib_mean: Array,
+    calib_info: Array,
+    estimate_calib: bool,
+    iterations: int,
 ) -> tuple[Array, Array, Array, float, float]:
     """Levenberg-Marquardt on robust reprojection and disparity errors.
 
-    ``poses`` ``(K, 4, 4)``; ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``points`` ``(P, 3)``; the N observations are sorted by
-    point, those of point j are ``start[j]:start[j + 1]``; ``kf``, ``pt`` ``(N,)`` indices, ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN
-    where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration prior: mean and inverse variance ``(3,)``.
-    Returns poses, points, calibration, cost before and after; the cost never rises.
+    ``poses`` ``(K, 4, 4)``; ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``points`` ``(P, 3)``; the N
+    observations are sorted by point, those of point j are ``start[j]:start[j + 1]``; ``kf``, ``pt`` ``(N,)`` indices,
+    ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration
+    prior: mean and inverse variance ``(3,)``. Returns poses, points, calibration, cost before and after; the cost
+    never rises.
     """
     poses, points, calib = poses.copy(), points.copy(), calib.copy()
     free = slot.max() + 1
@@ -132,11 +95,34 @@ def adjust_window(
     U, b_c = np.zeros((m, m)), np.zeros(m)
     for _ in range(iterations):
         if relinearise:
-            _assemble(poses, slot, points, start, kf, uv, disparity, sigma, sigma_d, cam, r, n_c, free, U, b_c, V, b_p, W, Wc, Jc, Jp, phi)
+            assemble(
+                poses,
+                slot,
+                points,
+                start,
+                kf,
+                uv,
+                disparity,
+                sigma,
+                sigma_d,
+                cam,
+                r,
+                n_c,
+                free,
+                U,
+                b_c,
+                V,
+                b_p,
+                W,
+                Wc,
+                Jc,
+                Jp,
+                phi,
+            )
             for k in range(n_c):
                 U[6 * free + k, 6 * free + k] += calib_info[k]
                 b_c[6 * free + k] += calib_info[k] * (calib[k] - calib_mean[k])
-        S, rhs = _reduce(slot, start, kf, n_c, free, U, b_c, V, b_p, W, Wc, V_inv, damping)
+        S, rhs = reduce_points(slot, start, kf, n_c, free, U, b_c, V, b_p, W, Wc, V_inv, damping)
         delta = np.linalg.solve(S, -rhs)
         new_poses, new_points, new_calib = poses.copy(), points.copy(), calib.copy()
         for k in range(len(poses)):
@@ -144,7 +130,7 @@ def adjust_window(
                 new_poses[k] = exp_update(delta[6 * slot[k] : 6 * slot[k] + 6], poses[k])
         for k in range(n_c):
             new_calib[k] += delta[6 * free + k]
-        _back_substitute(slot, start, kf, n_c, free, delta, b_p, W, Wc, V_inv, new_points)
+        back_substitute(slot, start, kf, n_c, free, delta, b_p, W, Wc, V_inv, new_points)
         new_r = window_residuals(new_poses, new_points, kf, pt, uv, disparity, cam, new_calib)
         new_cost = _cost(new_r, sigma, sigma_d, new_calib, calib_mean, calib_info)
         if new_cost < cost:
@@ -160,122 +146,3 @@ def adjust_window(
             if damping > 1e6:
                 break
     return poses, points, calib, first, cost
-
-
-@njit(cache=True, nogil=True)
-def _assemble(
-    poses: Array, slot: Ints, points: Array, start: Ints, kf: Ints, uv: Array, disparity: Array, sigma: Array, sigma_d: Array, cam: Array,
-    r: Array, n_c: int, free: int, U: Array, b_c: Array, V: Array, b_p: Array, W: Array, Wc: Array, Jc: Array, Jp: Array, phi: Array,
-) -> None:
-    """Blocks of the normal equations: cameras U, points V, coupling W (pose) and Wc (calibration); gradients b."""
-    U[:] = 0.0
-    b_c[:] = 0.0
-    V[:] = 0.0
-    b_p[:] = 0.0
-    W[:] = 0.0
-    Wc[:] = 0.0
-    base = 6 * free
-    for j in range(len(points)):
-        for i in range(start[j], start[j + 1]):
-            if np.isnan(r[i, 0]):
-                continue
-            has_d = not np.isnan(disparity[i])
-            _linearise(poses[kf[i]], points[j], uv[i], has_d, cam, Jc, Jp)
-            w, w_d, _ = _weights(r[i, 0] ** 2 + r[i, 1] ** 2, r[i, 2], sigma[i], sigma_d[i])
-            s = 6 * slot[kf[i]]
-            for q in range(3 if has_d else 2):
-                wq = w_d if q == 2 else w
-                for a in range(3):
-                    b_p[j, a] += wq * Jp[q, a] * r[i, q]
-                    for c in range(3):
-                        V[j, a, c] += wq * Jp[q, a] * Jp[q, c]
-                if s >= 0:
-                    for a in range(6):
-                        b_c[s + a] += wq * Jc[q, a] * r[i, q]
-                        for c in range(6):
-                            U[s + a, s + c] += wq * Jc[q, a] * Jc[q, c]
-                        for c in range(3):
-                            W[i, a, c] += wq * Jc[q, a] * Jp[q, c]
-            if has_d and n_c:
-                phi[0], phi[1], phi[2] = 1.0, (uv[i, 1] - cam[3]) / cam[1], (uv[i, 0] - cam[2]) / cam[0]
-                for a in range(n_c):
-                    b_c[base + a] += w_d * phi[a] * r[i, 2]
-                    for c in range(n_c):
-                        U[base + a, base + c] += w_d * phi[a] * phi[c]
-                    for c in range(3):
-                        Wc[j, a, c] += w_d * phi[a] * Jp[2, c]
-                    if s >= 0:
-                        for c in range(6):
-                            U[base + a, s + c] += w_d * phi[a] * Jc[2, c]
-                            U[s + c, base + a] += w_d * phi[a] * Jc[2, c]
-
-
-@njit(cache=True, nogil=True)
-def _reduce(
-    slot: Ints, start: Ints, kf: Ints, n_c: int, free: int, U: Array, b_c: Array, V: Array, b_p: Array, W: Array, Wc: Array, V_inv: Array,
-    damping: float,
-) -> tuple[Array, Array]:
-    """Schur complement of the points: the reduced camera system and its right-hand side."""
-    S, rhs = U.copy(), b_c.copy()
-    for k in range(len(S)):
-        S[k, k] += damping * U[k, k] + 1e-9
-    base = 6 * free
-    A, Y, Yc = np.zeros((3, 3)), np.zeros((6, 3)), np.zeros((N_CALIB, 3))
-    for j in range(len(V)):
-        for a in range(3):
-            for c in range(3):
-                A[a, c] = V[j, a, c]
-            A[a, a] += damping * A[a, a] + 1e-9
-        _invert3(A, V_inv[j])
-        Vi = V_inv[j]
-        if n_c:
-            for a in range(n_c):
-                for c in range(3):
-                    Yc[a, c] = Wc[j, a, 0] * Vi[0, c] + Wc[j, a, 1] * Vi[1, c] + Wc[j, a, 2] * Vi[2, c]
-                rhs[base + a] -= Yc[a, 0] * b_p[j, 0] + Yc[a, 1] * b_p[j, 1] + Yc[a, 2] * b_p[j, 2]
-            for a in range(n_c):
-                for c in range(n_c):
-                    S[base + a, base + c] -= Yc[a, 0] * Wc[j, c, 0] + Yc[a, 1] * Wc[j, c, 1] + Yc[a, 2] * Wc[j, c, 2]
-        for i in range(start[j], start[j + 1]):
-            s = 6 * slot[kf[i]]
-            if s < 0:
-                continue
-            for a in range(6):
-                for c in range(3):
-                    Y[a, c] = W[i, a, 0] * Vi[0, c] + W[i, a, 1] * Vi[1, c] + W[i, a, 2] * Vi[2, c]
-                rhs[s + a] -= Y[a, 0] * b_p[j, 0] + Y[a, 1] * b_p[j, 1] + Y[a, 2] * b_p[j, 2]
-            for i2 in range(start[j], start[j + 1]):
-                s2 = 6 * slot[kf[i2]]
-                if s2 < s:
-                    continue
-                for a in range(6):
-                    for c in range(6):
-                        S[s + a, s2 + c] -= Y[a, 0] * W[i2, c, 0] + Y[a, 1] * W[i2, c, 1] + Y[a, 2] * W[i2, c, 2]
-            if n_c:
-                for a in range(6):
-                    for c in range(n_c):
-                        S[s + a, base + c] -= Y[a, 0] * Wc[j, c, 0] + Y[a, 1] * Wc[j, c, 1] + Y[a, 2] * Wc[j, c, 2]
-    for a in range(len(S)):
-        for c in range(a):
-            S[a, c] = S[c, a]
-    return S, rhs
-
-
-@njit(cache=True, nogil=True)
-def _back_substitute(
-    slot: Ints, start: Ints, kf: Ints, n_c: int, free: int, delta: Array, b_p: Array, W: Array, Wc: Array, V_inv: Array, points: Array
-) -> None:
-    g = np.zeros(3)
-    for j in range(len(points)):
-        for c in range(3):
-            g[c] = -b_p[j, c]
-            for a in range(n_c):
-                g[c] -= Wc[j, a, c] * delta[6 * free + a]
-        for i in range(start[j], start[j + 1]):
-            s = 6 * slot[kf[i]]
-            if s >= 0:
-                for c in range(3):
-                    for a in range(6):
-                        g[c] -= W[i, a, c] * delta[s + a]
-        for c in range(3):
-            points[j, c] += V_inv[j, c, 0] * g[0] + V_inv[j, c, 1] * g[1] + V_inv[j, c, 2] * g[2]

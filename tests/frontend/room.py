@@ -35,7 +35,10 @@ class Room:
     def render(self, T_W_C: Array, camera: PinholeCamera = CAMERA) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Grey image and depth along +Z in metres."""
         u, v = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
-        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1) @ T_W_C[:3, :3].T
+        rays = (
+            np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+            @ T_W_C[:3, :3].T
+        )
         centre = T_W_C[:3, 3]
         with np.errstate(divide="ignore"):
             reach = (np.sign(rays) * self.half_size_m - centre) / rays
@@ -53,12 +56,17 @@ class Room:
                 image[on_wall] = colour[on_wall]
         return np.rint(image).astype(np.uint8), depth.astype(np.float32)
 
-    def frame(self, index: int, T_W_C: Array, kind: RigKind, rate_hz: float = 10.0, disparity_offset_px: float = 0.0) -> Frame:
-        """What a rig of this kind sees; the right camera of a stereo rig may have a principal point that nobody told."""
+    def frame(
+        self, index: int, T_W_C: Array, kind: RigKind, rate_hz: float = 10.0, disparity_offset_px: float = 0.0
+    ) -> Frame:
+        """What a rig of this kind sees; the right camera of a stereo rig may have a principal point that nobody
+        told."""
         image, depth = self.render(T_W_C)
         right = None
         if kind is RigKind.STEREO:
-            shifted = PinholeCamera(CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx - disparity_offset_px, CAMERA.cy)
+            shifted = PinholeCamera(
+                CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx - disparity_offset_px, CAMERA.cy
+            )
             right = self.render(T_W_C @ se3(np.eye(3), [BASELINE_M, 0, 0]), shifted)[0]
         return Frame(index, round(index * 1e9 / rate_hz), image, right, depth if kind is RigKind.RGBD else None)
 

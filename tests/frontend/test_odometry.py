@@ -1,4 +1,5 @@
-"""The whole odometry on rendered rooms with exact truth: accuracy, losses, refusals, the five files' content, determinism."""
+"""The whole odometry on rendered rooms with exact truth: accuracy, losses, refusals, the five files' content,
+determinism."""
 
 from __future__ import annotations
 
@@ -60,7 +61,9 @@ def track(
     odometry = Odometry(room.rig(kind), config or OdometryConfig(), Words())
     results = []
     for i in range(min(count, len(poses))):
-        frame = change(i, rendered(kind, offset_px, seed, i) if poses is WALK else scene_of(seed).frame(i, poses[i], kind))
+        frame = change(
+            i, rendered(kind, offset_px, seed, i) if poses is WALK else scene_of(seed).frame(i, poses[i], kind)
+        )
         if frame is not None:
             results.append(odometry.process(frame))
     return odometry.finish(), results, odometry
@@ -130,7 +133,9 @@ def test_a_hidden_disparity_offset_is_estimated_and_can_be_left_alone() -> None:
     fixed = OdometryConfig.model_validate({"stereo": {"estimate_calibration": False}})
     without, _, _ = track(RigKind.STEREO, offset_px=1.2, config=fixed)
     assert without.stats["disparity_offset_px"] == 0.0
-    assert not without.tracks or error_m(without.trajectories[0], WALK, False) > 2 * error_m(result.trajectories[0], WALK, False)
+    assert not without.tracks or error_m(without.trajectories[0], WALK, False) > 2 * error_m(
+        result.trajectories[0], WALK, False
+    )
 
 
 @pytest.mark.parametrize("kind", list(RigKind))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+import room
 
 from frontend.align import align, half_sized
 from frontend.cameras import RigKind
@@ -14,7 +15,6 @@ from frontend.flow import follow, follow_both_ways
 from frontend.frames import Frame
 from frontend.matching import guided_match
 from frontend.stereo import Ranging, depth_at, measure_disparity
-import room
 
 NOTHING = np.zeros((0, 2))
 
@@ -22,13 +22,18 @@ NOTHING = np.zeros((0, 2))
 def texture(seed: int = 0, height: int = 240, width: int = 320) -> np.ndarray:
     """Smooth noise: corners everywhere, exact under interpolation."""
     rng = np.random.default_rng(seed)
-    image = sum(cv2.resize(rng.standard_normal((height // c, width // c)), (width, height), interpolation=cv2.INTER_CUBIC) for c in (5, 11, 30))
+    image = sum(
+        cv2.resize(rng.standard_normal((height // c, width // c)), (width, height), interpolation=cv2.INTER_CUBIC)
+        for c in (5, 11, 30)
+    )
     return np.clip(128 + 35 * np.asarray(image), 0, 255).astype(np.uint8)
 
 
 def shifted(image: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """The image in which pixel ``x`` of the source lies at ``matrix @ (x, 1)``."""
-    return cv2.warpAffine(image, matrix, (image.shape[1], image.shape[0]), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    return cv2.warpAffine(
+        image, matrix, (image.shape[1], image.shape[0]), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def test_corners_spread_over_an_image_whose_texture_is_all_on_one_side() -> None:
@@ -97,7 +102,7 @@ def test_patches_are_found_to_a_fraction_of_a_pixel_under_scale_turn_and_light(s
     inside = ((truth > 15) & (truth < [305, 225])).all(axis=1)
     uv, truth = uv[inside], truth[inside]
     warp = np.broadcast_to(matrix[:, :2], (len(uv), 2, 2)).copy()
-    found, ok = align(half_sized(image, 1), half_sized(target, 1), uv, warp, truth + [3.0, -2.0], 0.8, 16.0)
+    found, ok = align(half_sized(image, 1), half_sized(target, 1), uv, warp, truth + np.array([3.0, -2.0]), 0.8, 16.0)
     error = np.linalg.norm(found - truth, axis=1)
     assert ok.mean() > 0.85
     assert np.median(error[ok]) < 0.1
@@ -176,12 +181,26 @@ def test_guided_matching_takes_the_nearest_descriptor_within_reach_once() -> Non
     uv = rng.uniform(0, 300, (30, 2))
     level = np.zeros(30, dtype=np.int8)
     order = rng.permutation(30)
-    match = guided_match(uv + 2.0, level.astype(float), descriptors, uv[order], level, descriptors[order], np.full(30, 5.0), 50, 0.9)
+    match = guided_match(
+        uv + 2.0, level.astype(float), descriptors, uv[order], level, descriptors[order], np.full(30, 5.0), 50, 0.9
+    )
     np.testing.assert_array_equal(order[match], np.arange(30))
-    far = guided_match(uv + 20.0, level.astype(float), descriptors, uv[order], level, descriptors[order], np.full(30, 5.0), 50, 0.9)
+    far = guided_match(
+        uv + 20.0, level.astype(float), descriptors, uv[order], level, descriptors[order], np.full(30, 5.0), 50, 0.9
+    )
     assert (far[far >= 0] != np.argsort(order)[far >= 0]).all()
     twice = guided_match(
-        np.repeat(uv[:1], 2, axis=0), np.zeros(2), np.repeat(descriptors[:1], 2, axis=0), uv, level, descriptors, np.full(2, 5.0), 50, 0.9
+        np.repeat(uv[:1], 2, axis=0),
+        np.zeros(2),
+        np.repeat(descriptors[:1], 2, axis=0),
+        uv,
+        level,
+        descriptors,
+        np.full(2, 5.0),
+        50,
+        0.9,
     )
     assert sorted(twice.tolist()) == [-1, 0]
-    assert guided_match(np.zeros((0, 2)), np.zeros(0), descriptors[:0], uv, level, descriptors, np.zeros(0), 50, 0.9).shape == (0,)
+    assert guided_match(
+        np.zeros((0, 2)), np.zeros(0), descriptors[:0], uv, level, descriptors, np.zeros(0), 50, 0.9
+    ).shape == (0,)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import room
 
 from backend.geometry import rotation_angle_deg, se3, so3_exp
 from frontend.cameras import RigKind
@@ -11,7 +12,6 @@ from frontend.config import FlowConfig, MonoConfig, OdometryConfig, StereoConfig
 from frontend.initialise import MetricStarter, MonoStarter
 from frontend.stereo import Ranging
 from frontend.two_view import residual_after_rotation, score_fundamental, score_homography, solve_two_views
-import room
 
 K = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])
 SIGMA = 0.5
@@ -74,7 +74,12 @@ def test_scores_prefer_the_model_that_made_the_points() -> None:
     n, d = np.array([-0.35, 0.2, 1.0]), 7.0
     H = K @ (T[:3, :3] + np.outer(T[:3, 3], n) / d) @ np.linalg.inv(K)
     t = T[:3, 3]
-    F = np.linalg.inv(K).T @ np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]]) @ T[:3, :3] @ np.linalg.inv(K)
+    F = (
+        np.linalg.inv(K).T
+        @ np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
+        @ T[:3, :3]
+        @ np.linalg.inv(K)
+    )
     score_h, inlier_h = score_homography(H, uv1, uv2, SIGMA)
     score_f, inlier_f = score_fundamental(F, uv1, uv2, SIGMA)
     assert inlier_h.all() and inlier_f.all()

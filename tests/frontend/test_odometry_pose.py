@@ -47,7 +47,9 @@ def test_noisy_measurements_give_the_optimum_that_scipy_finds() -> None:
     # Small against the standard deviation stated: every residual is in the quadratic part of the loss.
     uv, disparity = uv + rng.normal(0, 0.2, uv.shape), disparity + rng.normal(0, 0.1, len(uv))
     disparity[::3] = np.nan
-    found, _, _ = refine_pose(np.eye(4), points, uv, disparity, np.full(len(uv), 1.0), np.full(len(uv), 0.5), CAM, 2.45, 4)
+    found, _, _ = refine_pose(
+        np.eye(4), points, uv, disparity, np.full(len(uv), 1.0), np.full(len(uv), 0.5), CAM, 2.45, 4
+    )
 
     def cost(xi: np.ndarray) -> np.ndarray:
         uv_hat, d_hat = project(se3_exp(xi) @ T, points)
@@ -61,7 +63,7 @@ def test_noisy_measurements_give_the_optimum_that_scipy_finds() -> None:
 def test_a_third_of_wrong_matches_is_found_out() -> None:
     rng = np.random.default_rng(4)
     points, T = scene(rng, 200)
-    uv, disparity = project(T, points)
+    uv, _ = project(T, points)
     uv += rng.normal(0, 0.3, uv.shape)
     wrong = rng.random(len(uv)) < 0.33
     uv[wrong] += rng.uniform(15, 60, (wrong.sum(), 2))

@@ -17,9 +17,13 @@ SIGMA, SIGMA_D = 0.5, 0.3
 class Problem:
     """A camera driving past points; exact observations with noise ``noise_px``, a rig with a hidden calibration."""
 
-    def __init__(self, noise_px: float, calib: list[float], keyframes: int = 5, count: int = 40, stereo: bool = True) -> None:
+    def __init__(
+        self, noise_px: float, calib: list[float], keyframes: int = 5, count: int = 40, stereo: bool = True
+    ) -> None:
         rng = np.random.default_rng(7)
-        self.poses = np.stack([se3(so3_exp(rng.normal(0, 0.02, 3)), [0.1 * k, 0.02 * k, -0.8 * k]) for k in range(keyframes)])
+        self.poses = np.stack(
+            [se3(so3_exp(rng.normal(0, 0.02, 3)), [0.1 * k, 0.02 * k, -0.8 * k]) for k in range(keyframes)]
+        )
         self.points = rng.uniform([-5, -3, 6], [5, 3, 25], (count, 3))
         self.kf = np.tile(np.arange(keyframes), count)
         self.pt = np.repeat(np.arange(count), keyframes)
@@ -27,20 +31,25 @@ class Problem:
         self.calib = np.array(calib)
         blank = np.zeros((len(self.kf), 2))
         no_d = np.full(len(self.kf), np.nan)
-        self.uv = window_residuals(self.poses, self.points, self.kf, self.pt, blank, no_d, CAM, np.zeros(3))[:, :2].copy()
+        self.uv = window_residuals(self.poses, self.points, self.kf, self.pt, blank, no_d, CAM, np.zeros(3))[
+            :, :2
+        ].copy()
         zero = np.zeros(len(self.kf))
         exact = window_residuals(self.poses, self.points, self.kf, self.pt, self.uv, zero, CAM, self.calib)[:, 2]
         self.uv += rng.normal(0, noise_px, self.uv.shape) if noise_px else 0.0
         self.disparity = exact + (rng.normal(0, noise_px, len(exact)) if noise_px else 0.0) if stereo else no_d
         self.slot = np.arange(keyframes) - 1
-        self.start_poses = np.stack([T if k == 0 else se3_exp(rng.normal(0, 0.01, 6)) @ T for k, T in enumerate(self.poses)])
+        self.start_poses = np.stack(
+            [T if k == 0 else se3_exp(rng.normal(0, 0.01, 6)) @ T for k, T in enumerate(self.poses)]
+        )
         self.start_points = self.points + rng.normal(0, 0.1, self.points.shape)
 
     def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> tuple:
         n = len(self.kf)
         return adjust_window(
             self.start_poses, self.slot, self.start_points, self.start, self.kf, self.pt, self.uv, self.disparity,
-            np.full(n, SIGMA), np.full(n, SIGMA_D), CAM, np.zeros(3), np.zeros(3), np.full(3, prior_px**-2.0), estimate_calib, iterations,
+            np.full(n, SIGMA), np.full(n, SIGMA_D), CAM, np.zeros(3), np.zeros(3), np.full(3, prior_px**-2.0),
+            estimate_calib, iterations,
         )  # fmt: skip
 
 

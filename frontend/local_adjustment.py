@@ -1,0 +1,147 @@
+"""Bundle adjustment around the latest key-frame: which key-frames and points take part, and what becomes of the
+result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.geometry import transform_points
+from frontend.config import OdometryConfig
+from frontend.map import Array, Ints, KeyFrame, Map
+from frontend.stereo import Ranging
+from frontend.window import adjust_window, window_residuals
+
+
+@dataclass(frozen=True)
+class Observations:
+    """N observations sorted by point: ``ids`` ``(P,)`` map points, those of point j are ``start[j]:start[j + 1]``;
+    ``kf`` place of the key-frame in the window, ``row`` its row there, ``pt`` j; pixels ``uv`` ``(N, 2)``,
+    ``disparity``, ``sigma`` ``(N,)``."""
+
+    ids: Ints
+    start: Ints
+    kf: Ints
+    row: Ints
+    pt: Ints
+    uv: Array
+    disparity: Array
+    sigma: Array
+
+
+def window_keyframes(map_: Map, config: OdometryConfig) -> tuple[list[int], list[int]]:
+    """The latest key-frames, oldest first; and before them older ones that see the same place."""
+    recent = sorted(map_.keyframes)[-config.mapping.window :]
+    if not recent:
+        return [], []
+    seen = map_.keyframes[recent[-1]].point
+    older = map_.covisible(seen[seen >= 0], set(recent))[: config.mapping.covisible]
+    return recent, sorted(older)
+
+
+def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
+    """Refine the latest key-frames, their points and the rig's calibration; observations that disagree are dropped."""
+    settings = config.mapping
+    recent, older = window_keyframes(map_, config)
+    if len(recent) < 2:
+        return
+    # At the start the first key-frame alone is the anchor; later the oldest of the window, and every older one.
+    anchors = 1 if len(recent) < settings.window else settings.fixed
+    keyframes = [map_.keyframes[number] for number in older + recent]
+    slot = np.concatenate([np.full(len(older) + anchors, -1), np.arange(len(recent) - anchors)]).astype(np.int64)
+    seen = gather(map_, keyframes, slot)
+    if len(seen.kf) < settings.min_observations:
+        return
+    stereo = config.stereo
+    prior = np.array([stereo.offset_prior_px, stereo.slope_prior_px, stereo.slope_prior_px])
+    poses, points, calib, _, _ = adjust_window(
+        np.stack([k.T_C_W for k in keyframes]),
+        slot,
+        map_.xyz[seen.ids],
+        seen.start,
+        seen.kf,
+        seen.pt,
+        seen.uv,
+        seen.disparity,
+        seen.sigma,
+        np.full(len(seen.kf), ranging.sigma_d),
+        ranging.cam,
+        ranging.calib,
+        np.zeros(3),
+        prior**-2.0,
+        ranging.estimates_calib,
+        settings.iterations,
+    )
+    if not (np.isfinite(poses).all() and np.isfinite(points).all()):
+        return
+    for keyframe, pose, place in zip(keyframes, poses, slot.tolist(), strict=True):
+        if place >= 0:
+            keyframe.T_C_W = pose
+    map_.xyz[seen.ids] = points
+    ranging.calib = calib
+    _move_points_seen_once(map_, ranging, keyframes)
+    _drop_outliers(map_, ranging, config, keyframes, poses, points, seen)
+
+
+def gather(map_: Map, keyframes: list[KeyFrame], slot: Ints) -> Observations:
+    """What the key-frames see of points that a free key-frame sees (``slot`` >= 0); points seen once say nothing and
+    stay out."""
+    rows_of, kf_of = [], []
+    for k, keyframe in enumerate(keyframes):
+        rows = np.flatnonzero(keyframe.point >= 0)
+        rows_of.append(rows[np.isfinite(map_.xyz[keyframe.point[rows], 0])])
+        kf_of.append(np.full(len(rows_of[-1]), k))
+    kf, row = np.concatenate(kf_of), np.concatenate(rows_of)
+    first_row = np.concatenate([[0], np.cumsum([len(k.uv) for k in keyframes])])[:-1]
+    flat = first_row[kf] + row
+    point = np.concatenate([k.point for k in keyframes])[flat]
+    count = np.bincount(point, minlength=len(map_))
+    moves = np.zeros(len(map_), dtype=bool)
+    moves[point[slot[kf] >= 0]] = True
+    use = np.flatnonzero((count[point] >= 2) & moves[point])
+    order = use[np.argsort(point[use], kind="stable")]
+    ids, start = np.unique(point[order], return_index=True)
+    start = np.append(start, len(order)).astype(np.int64)
+    flat = flat[order]
+    return Observations(
+        ids,
+        start,
+        kf[order],
+        row[order],
+        np.repeat(np.arange(len(ids)), np.diff(start)),
+        np.concatenate([k.uv for k in keyframes])[flat],
+        np.concatenate([k.disparity for k in keyframes])[flat],
+        np.concatenate([k.sigma for k in keyframes])[flat],
+    )
+
+
+def _move_points_seen_once(map_: Map, ranging: Ranging, keyframes: list[KeyFrame]) -> None:
+    """They hang on their key-frame: they move with it and with the calibration."""
+    for keyframe in keyframes:
+        rows = np.flatnonzero((keyframe.point >= 0) & np.isfinite(keyframe.disparity))
+        rows = rows[map_.views[keyframe.point[rows]] == 1]
+        p_C = ranging.back_project(keyframe.uv[rows], keyframe.disparity[rows])
+        good = np.isfinite(p_C[:, 0])
+        map_.xyz[keyframe.point[rows[good]]] = transform_points(keyframe.T_W_C, p_C[good])
+
+
+def _drop_outliers(
+    map_: Map,
+    ranging: Ranging,
+    config: OdometryConfig,
+    keyframes: list[KeyFrame],
+    poses: Array,
+    points: Array,
+    seen: Observations,
+) -> None:
+    limit = config.mapping.outlier_factor * config.pose.outlier_sigmas
+    r = window_residuals(poses, points, seen.kf, seen.pt, seen.uv, seen.disparity, ranging.cam, ranging.calib)
+    far_off = ~(np.hypot(r[:, 0], r[:, 1]) < limit * seen.sigma)
+    for i in np.flatnonzero(np.abs(r[:, 2]) > limit * ranging.sigma_d).tolist():
+        keyframes[seen.kf[i]].disparity[seen.row[i]] = np.nan
+    for i in np.flatnonzero(far_off).tolist():
+        map_.drop_observation(keyframes[seen.kf[i]].number, int(seen.row[i]))
+    touched = seen.ids[np.unique(seen.pt[far_off])]
+    for point in touched[map_.views[touched] < 2].tolist():
+        map_.drop_point(point)
