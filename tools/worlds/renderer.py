@@ -101,6 +101,9 @@ class _Cast:
         """The nearest triangle seen at each of ``pixels[which]``, -1 = none."""
         rays = np.empty((len(which), 6), np.float32)
         pack_rays(pixels, which, view, rays)
+        if len(self._layers) == 1:  # the invalid id, all bits set, becomes -1
+            answer = self._layers[0].scene.cast_rays(self._tensor(rays), nthreads=1)
+            return answer["primitive_ids"].numpy().view(np.int32)
         best, nearest = np.full(len(which), -1, np.int32), np.full(len(which), np.inf, np.float32)
         for layer, first in zip(self._layers, self._first, strict=False):
             answer = layer.scene.cast_rays(self._tensor(rays), nthreads=1)

@@ -93,7 +93,7 @@ def grey_at(
 ) -> float:
     """Like :func:`rgb_at` for the first channel of a repeating texture, with fewer samples: for layers that only
     modulate."""
-    au, av, count, lod = _footprint(dux, dvx, duy, dvy, 3)
+    au, av, count, lod = _footprint(dux, dvx, duy, dvy, 2)
     k0 = min(int(lod), LEVELS - 2)
     if table[t, k0, 1] <= 8:
         return float(texels[3 * table[t, LEVELS - 1, 0]])
