@@ -116,6 +116,8 @@ class MappingConfig(_Frozen):
     )
     min_parallax_deg: float = Field(1.0, gt=0.0, description="between rays that make a map point")
     match_radius_px: float = Field(8.0, gt=0.0, description="guided search around a projection, at level 0")
+    fuse_radius_px: float = Field(3.0, gt=0.0, description="two points this near in a key-frame may be one ...")
+    fuse_depth_share: float = Field(0.1, gt=0.0, description="... if their depths differ by less than this share")
     match_distance: int = Field(50, ge=1, le=256, description="Hamming distance of a match")
     match_ratio: float = Field(0.8, gt=0.0, le=1.0, description="best to second best distance")
 

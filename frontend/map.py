@@ -148,6 +148,10 @@ class Map:
         self.views[point] = 0
         self.alive[point] = False
 
+    def seen_together(self, a: int, b: int) -> bool:
+        """Whether one key-frame sees both points: then they are two."""
+        return not {number for number, _ in self.observers[a]}.isdisjoint(number for number, _ in self.observers[b])
+
     def merge_points(self, kept: int, gone: int) -> None:
         """``gone`` is the same place as ``kept``: hand its observations over (key-frames that already see ``kept``
         keep that one)."""

@@ -34,6 +34,7 @@ class Mapper:
         self.map.insert(keyframe)
         self._position_new(keyframe)
         self._triangulate_waiting(keyframe)
+        self._fuse(keyframe)
         adjust_locally(self.map, self.ranging, self.config)
         self._cull_keyframes()
         return keyframe
@@ -177,9 +178,46 @@ class Mapper:
         self.map.xyz[ids[good]] = points[good]
         _, self.map.depth[ids[good]] = self.ranging.project(keyframe.T_C_W, points[good])
 
+    def _fuse(self, keyframe: KeyFrame) -> None:
+        """Local points that look the same as, and fall on, a point this key-frame sees are that point: the older one stays."""
+        rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
+        rows = rows[np.isfinite(self.map.xyz[keyframe.point[rows], 0])]
+        local = np.setdiff1d(self.local_points(), keyframe.point)
+        local = local[self.map.described[local]]
+        uv, depth = self.ranging.project(keyframe.T_C_W, self.map.xyz[local])
+        near = np.flatnonzero(depth > 0)
+        local, uv, depth = local[near], uv[near], depth[near]
+        settings = self.config.mapping
+        match = guided_match(
+            uv,
+            self._expected_level(keyframe.T_C_W, local),
+            self.map.descriptors[local],
+            keyframe.uv[rows],
+            keyframe.level[rows],
+            keyframe.descriptors[rows],
+            np.full(len(local), settings.fuse_radius_px),
+            settings.match_distance,
+            settings.match_ratio,
+        )
+        hit = np.flatnonzero(match >= 0)
+        twins = keyframe.point[rows[match[hit]]]
+        _, depth_twin = self.ranging.project(keyframe.T_C_W, self.map.xyz[twins])
+        same = np.abs(depth_twin - depth[hit]) < settings.fuse_depth_share * depth[hit]
+        for a, b in zip(local[hit[same]].tolist(), twins[same].tolist(), strict=True):
+            if not self.map.seen_together(a, b):
+                self.map.merge_points(min(a, b), max(a, b))
+
+    def _forget_waiting(self, keyframe: KeyFrame) -> None:
+        """Points that never got a position and that nobody follows any more go."""
+        ids = np.unique(keyframe.point[keyframe.point >= 0])
+        for point in ids[np.isnan(self.map.xyz[ids, 0])].tolist():
+            self.map.drop_point(point)
+
     def _cull_keyframes(self) -> None:
         """Key-frames that only supported the window go when they leave it; the one before carries their frames."""
         numbers = sorted(self.map.keyframes)
+        if len(numbers) > self.config.mapping.window:
+            self._forget_waiting(self.map.keyframes[numbers[-self.config.mapping.window - 1]])
         for k in range(1, len(numbers) - self.config.mapping.window):
             if not self.map.keyframes[numbers[k]].stays:
                 parent = next(n for n in reversed(numbers[:k]) if n in self.map.keyframes)
