@@ -10,6 +10,7 @@ from tools.progress import counter, progress_on
 
 AGENTS, FRAMES = 4, 120
 WIDTH, HEIGHT = 512, 288
+TOWN = "town"  # in OUT: the rendered images
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +35,8 @@ def main(arguments: argparse.Namespace) -> None:
     began = time.monotonic()
     town = RenderConfig(world="town", seed=arguments.seed, agents=AGENTS, frames=FRAMES, width=WIDTH, height=HEIGHT)
     with progress_on(quiet=arguments.quiet) as progress:
-        render_dataset(town, arguments.out / "images", counter(progress, "rendering"))
+        render_dataset(town, arguments.out / TOWN, counter(progress, "rendering"))
         settings = PreprocessSettings(OdometryConfig())
-        page = slam(arguments.out / "images", arguments.out, settings, preset(DEFAULT_PRESET), progress)
+        page = slam(arguments.out / TOWN, arguments.out, settings, preset(DEFAULT_PRESET), progress)
     print(table(read_summary(arguments.out)))
     print(f"\nThe demo took {time.monotonic() - began:.0f} s. Its report: {page.resolve()}")

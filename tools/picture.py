@@ -18,7 +18,7 @@ from tools.report_data import RunData, read_run
 from tools.svg import FAINT, INK, colour_of
 
 SHOWN = 4
-INCHES, DPI = (13.2, 4.7), 100
+INCHES, DPI = (13.2, 4.7), 90
 
 
 def draw(run: Path, out: Path) -> None:
