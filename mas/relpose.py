@@ -30,7 +30,7 @@ from mas.messages import (
     VerifyTask,
 )
 from mas.placebook import Candidate, PlaceBook
-from mas.state import AgentState
+from mas.state import AgentState, thinned
 from mas.tensors import Tensor, pack_poses, pack_sim3, unpack_poses, unpack_sim3
 
 _REASON_LENGTH = 200
@@ -159,8 +159,7 @@ def str_match(match: MatchId) -> str:
 
 def _rows_sent(state: AgentState, keyframe: KeyFrame) -> NDArray[np.int64]:
     """At most ``max_points`` rows, spread evenly over the key-frame's points."""
-    n, limit = len(keyframe.points_C), state.config.places.max_points
-    return np.arange(n) if n <= limit else np.linspace(0, n - 1, limit).astype(np.int64)
+    return thinned(np.arange(len(keyframe.points_C)), state.config.places.max_points)
 
 
 def _task(state: AgentState, match: MatchId) -> VerifyTask:

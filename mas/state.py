@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.geometry import Array, Sim3, se3_inverse
 from mas.config import MasConfig
@@ -147,6 +148,11 @@ class AgentState:
         before = len(self.group)
         self.group.update(members)
         return len(self.group) > before
+
+
+def thinned(rows: NDArray[np.int64], limit: int) -> NDArray[np.int64]:
+    """At most ``limit`` of the rows, spread evenly."""
+    return rows if len(rows) <= limit else rows[np.linspace(0, len(rows) - 1, limit).astype(np.int64)]
 
 
 def stretched(transform: Array, factor: float) -> Array:

@@ -34,7 +34,7 @@ from mas.messages import (
     Task,
 )
 from mas.posegraph import Adoption
-from mas.state import AgentState
+from mas.state import AgentState, thinned
 from mas.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 
 
@@ -208,7 +208,9 @@ def _resold(held: HeldMap) -> SubMap:
 def _own_map(state: AgentState) -> SubMap:
     indices = state.placed()
     keyframes = [state.keyframes[i] for i in indices]
-    fresh = [np.flatnonzero(k.first_seen & (k.points_C[:, 2] > 0)) for k in keyframes]
+    fresh = [
+        thinned(np.flatnonzero(k.first_seen & (k.points_C[:, 2] > 0)), state.config.merge.max_points) for k in keyframes
+    ]
     counts = [len(rows) for rows in fresh]
     stack = [k.points_C[rows] for k, rows in zip(keyframes, fresh, strict=True)]
     descriptors = [k.descriptors[rows] for k, rows in zip(keyframes, fresh, strict=True)]

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from mas.config import MasConfig
+from mas.config import MasConfig, MergeConfig
 from mas.errors import MasError
 from mas.policy.base import Policy
 from mas.policy.query_all import QueryAll
 
 PRESETS: dict[str, MasConfig] = {
     "default": MasConfig(preset="default"),
-    "maslam": MasConfig(preset="maslam", ask_again=False),
+    "maslam": MasConfig(
+        preset="maslam",
+        ask_again=False,
+        merge=MergeConfig(period_keyframes=40, max_points=100),
+    ),
 }
-"""``default``: the thesis's default system (4.2). ``maslam``: ours, the default of the command."""
+"""``default``: the thesis's default system (4.2). ``maslam``: ours, the default of the command: does not ask where
+the answer could not be used, buys maps less often while driving and with the points that a key-frame needs to be
+recognised.
+"""
 
 
 def preset(name: str) -> MasConfig:
