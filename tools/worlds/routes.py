@@ -55,14 +55,14 @@ def _score(route: Route, driven: list[set[Stretch]], starts: list[Stretch]) -> f
     pieces = list(route.stretches)
     own = set(pieces)
     revisited = 1.0 - len(own) / len(pieces)
-    score = 1.2 * min(revisited, 0.3)
+    score = 2.0 * min(revisited, 0.25)
     if not driven:
         return score
     shared = np.array([len(own & other) / len(own) for other in driven])
     union = len(own & set().union(*driven)) / len(own)
     score += (
         2.0 * min(union, 0.6)
-        - 1.5 * max(union - 0.75, 0.0)
+        - 4.0 * max(union - 0.75, 0.0)
         + 0.25 * int(min((shared * len(own) * BIN_M > 24.0).sum(), 3))
     )
     near = any(a[:2] == pieces[0][:2] and abs(a[2] - pieces[0][2]) * BIN_M < 16.0 for a in starts)
@@ -87,6 +87,7 @@ def _random_route(
         a, b = ways[int(rng.integers(len(ways)))]
     start = float(rng.uniform(CORNER_M + 1, max(0.6 * lengths[a, b], CORNER_M + 2)))
     nodes, stretches, at = [a, b], [], start
+    habit = int(rng.integers(-1, 2))
     while True:
         while at < lengths[nodes[-2], nodes[-1]]:
             stretches.append((nodes[-2], nodes[-1], int(at / BIN_M)))
@@ -95,7 +96,18 @@ def _random_route(
                 return Route(tuple(nodes), start, tuple(stretches))
         at -= lengths[nodes[-2], nodes[-1]]
         onward = [n for n in network.neighbours(nodes[-1]) if n != nodes[-2]]
-        nodes.append(onward[int(rng.integers(len(onward)))])
+        nodes.append(_next(network, nodes, onward, habit, rng))
+
+
+def _next(network: Network, nodes: list[int], onward: list[int], habit: int, rng: np.random.Generator) -> int:
+    """Where to go at a crossing: anywhere (``habit`` 0), or always the sharpest left (-1) or right (1), which goes
+    round a block."""
+    if habit == 0:
+        return onward[int(rng.integers(len(onward)))]
+    here = network.nodes[nodes[-1]]
+    came, ways = here - network.nodes[nodes[-2]], network.nodes[onward] - here
+    turns = np.arctan2(came[1] * ways[:, 0] - came[0] * ways[:, 1], ways @ came)  # positive to the right
+    return onward[int(np.argmax(habit * turns))]
 
 
 def lane_line(network: Network, route: Route, extra_m: float) -> Line:
@@ -132,7 +144,7 @@ def _turn(before: Line, after: Line) -> Line:
     """A cubic Bezier curve that leaves ``before`` and enters ``after`` along their directions."""
     p, q = before[-1], after[0]
     out, into = _unit(before[-1] - before[-2]), _unit(after[1] - after[0])
-    handle = 0.39 * np.linalg.norm(q - p)
+    handle = 0.46 * np.linalg.norm(q - p)
     t = np.linspace(0, 1, max(int(np.linalg.norm(q - p) * 2.4), 3))[1:-1, None]
     return (
         (1 - t) ** 3 * p

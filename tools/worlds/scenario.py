@@ -94,7 +94,7 @@ def _town(config: RenderConfig) -> tuple[World, list[Poses], tuple[Mover, ...]]:
         gait = Gait(cruise_mps=float(rng.uniform(8.0, 10.0)), height_m=float(rng.uniform(1.55, 1.75)))
         line = lane_line(network, route, gait.cruise_mps * seconds + 60.0)
         ways.append(
-            drive(line, config.frames, config.rate_hz, gait, rng, float(np.clip(rng.normal(0, 0.25), -0.5, 0.5)))
+            drive(line, config.frames, config.rate_hz, gait, rng, float(np.clip(rng.normal(0, 0.25), -0.5, 0.25)))
         )
     return world, ways, _traffic(config, network, ways)
 
