@@ -26,7 +26,7 @@ class FeatureConfig(_Frozen):
 class FlowConfig(_Frozen):
     """Finding points again: patch alignment where the pose predicts them, pyramidal Lucas-Kanade where nothing does."""
 
-    min_correlation: float = Field(0.75, gt=0.0, lt=1.0, description="of a patch with its key-frame's")
+    min_correlation: float = Field(0.8, gt=0.0, lt=1.0, description="of a patch with its key-frame's")
     reach_px: float = Field(16.0, gt=0.0, description="patches are searched this far from their prediction")
     align_levels: int = Field(1, ge=0, le=3, description="halvings of the image for patches")
     window_px: int = Field(13, ge=7, le=41, description="Lucas-Kanade: side of the window, odd")
@@ -51,7 +51,7 @@ class StereoConfig(_Frozen):
     )
     offset_prior_px: float = Field(1.0, gt=0.0, description="prior standard deviation of the disparity offset")
     slope_prior_px: float = Field(
-        0.5, gt=0.0, description="prior standard deviation of its slopes, a unit of tan(field angle)"
+        0.3, gt=0.0, description="prior standard deviation of its slopes, a unit of tan(field angle)"
     )
     depth_sigma_m: float = Field(
         0.0015, gt=0.0, description="RGB-D: depth noise at 1 m; it grows with the square of depth"
@@ -106,7 +106,7 @@ class KeyframeConfig(_Frozen):
 class MappingConfig(_Frozen):
     """Window bundle adjustment and care for the map."""
 
-    window: int = Field(10, ge=3, description="key-frames in the bundle adjustment")
+    window: int = Field(12, ge=3, description="key-frames in the bundle adjustment")
     fixed: int = Field(3, ge=1, description="of these, the oldest that are held fixed")
     covisible: int = Field(4, ge=0, description="older key-frames of the same place that join, held fixed")
     iterations: int = Field(6, ge=1, description="Levenberg-Marquardt steps")

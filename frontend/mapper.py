@@ -179,7 +179,8 @@ class Mapper:
         _, self.map.depth[ids[good]] = self.ranging.project(keyframe.T_C_W, points[good])
 
     def _fuse(self, keyframe: KeyFrame) -> None:
-        """Local points that look the same as, and fall on, a point this key-frame sees are that point: the older one stays."""
+        """Local points that look the same as, and fall on, a point this key-frame sees are that point: the older one
+        stays."""
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
         rows = rows[np.isfinite(self.map.xyz[keyframe.point[rows], 0])]
         local = np.setdiff1d(self.local_points(), keyframe.point)
