@@ -81,7 +81,7 @@ class Agent:
         self._new.append(keyframe)
 
     def finish(self) -> None:
-        """The agent's own sequence is over: from now on it only settles what it knows."""
+        """The environment's word that all sequences are over: from now on the agent only settles what it knows."""
         self.desk.closing = True
 
     def handle(self, message: Message) -> list[Message]:
@@ -118,7 +118,7 @@ class Agent:
 
     @property
     def quiet(self) -> bool:
-        """Whether the agent, its sequence over, has nothing left to do unless others bring it something."""
+        """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
         busy = self.optimisation.busy or bool(self.desk.ledger.running()) or bool(self._new)
         return self.desk.closing and not busy and not self._news() and not self._searching
 
@@ -155,6 +155,8 @@ class Agent:
             return
         sellers = self.policy.buy(self.state, outlook)
         if self.desk.closing:
+            if self.maps.rounds >= self.state.config.merge.closing_rounds:
+                sellers = []
             self._searching = bool(sellers) and (self.maps.something_new or self.maps.rounds == 0)
             self.maps.rounds += 1
         self.maps.something_new = False

@@ -83,7 +83,7 @@ class MergeConfig(_Section):
     period_keyframes: int = Field(10, ge=1, description="own key-frames between purchases from one agent")
     max_points: int = Field(2000, ge=0, description="map points sold with each key-frame, at most")
     closing_rounds: int = Field(
-        8, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
+        32, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
     )
 
 

@@ -37,8 +37,8 @@ class Event:
 
 @dataclass
 class Desk:
-    """Shared by the operations of one agent. ``now_ns``: logical time of the last tick or message; ``closing``: its own
-    sequence has ended."""
+    """Shared by the operations of one agent. ``now_ns``: logical time of the last tick or message; ``closing``: all
+    sequences have ended."""
 
     state: AgentState
     policy: Policy

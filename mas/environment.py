@@ -58,6 +58,10 @@ class Environment:
         self.now_ns = number * self._step_ns
         for agent, keyframes in zip(self.agents, self.keyframes, strict=True):
             self._feed(agent, keyframes)
+        if self._next == [len(k) for k in self.keyframes]:
+            for agent in self.agents:
+                agent.finish()
+        for agent in self.agents:
             self._send(agent.tick(self.now_ns))
         self._deliver()
 
@@ -66,8 +70,6 @@ class Environment:
         while self._next[me] < len(keyframes) and keyframes[self._next[me]].time_ns <= self.now_ns:
             agent.observe(keyframes[self._next[me]])
             self._next[me] += 1
-        if self._next[me] == len(keyframes):
-            agent.finish()
 
     def _send(self, messages: Sequence[Message]) -> None:
         for message in messages:

@@ -19,7 +19,7 @@ class Outlook:
     ``news``: accepted matches that no optimisation has used yet; ``since_optimised``, ``since_bought``: own
     key-frames since the last optimisation, and since the last purchase from each agent (absent: never);
     ``since_matched``: likewise since the last accepted match; ``stale``: agents whose maps should be newer since the
-    last purchase (a match or an optimisation came between); ``closing``: the agent's own sequence has ended.
+    last purchase (a match or an optimisation came between); ``closing``: all sequences have ended.
     """
 
     news: int
