@@ -53,7 +53,7 @@ class Agent:
     def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
         self.state = AgentState(profile, config)
         self.policy = policy
-        self.desk = Desk(self.state, policy, Ledger(profile.me))
+        self.desk = Desk(self.state, Ledger(profile.me))
         self.book = PlaceBook(self.state)
         verification = Verification(self.desk, self.book)
         self.places = PlaceRecognition(self.desk, self.book, verification)

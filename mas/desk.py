@@ -21,7 +21,6 @@ from mas.messages import (
     Refusal,
     Task,
 )
-from mas.policy.base import Policy
 from mas.state import AgentState
 
 
@@ -41,7 +40,6 @@ class Desk:
     sequences have ended."""
 
     state: AgentState
-    policy: Policy
     ledger: Ledger
     now_ns: int = 0
     closing: bool = False

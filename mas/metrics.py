@@ -99,7 +99,9 @@ class Onlooker:
 
     def exploration_percent(self, agent: Agent) -> float:
         """Frames of the agent's own map and its copies over all frames of all agents, each frame counted once,
-        however many agents saw it. A copy counts the frames between its first and its last key-frame."""
+        however many agents saw it. A copy counts the frames between its first and its last key-frame.
+        Frames that odometry could not track are in no map and are not counted.
+        """
         if not self._all_frames:
             return 0.0
         times = {o: self._times(h) for o, h in sorted(agent.maps.held.items())}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from factory import circuit, make_sequence, make_world, manifest_of, town
+from factory import DIM, circuit, make_sequence, make_world, manifest_of, town
 from sample_messages import examples, verify_task
 
 from backend.trajectory_error import path_length
@@ -34,6 +34,25 @@ def test_an_agent_that_meets_nobody_keeps_its_own_map(tmp_path: Path) -> None:
     assert summary.ate_rmse_m.agents[2] == pytest.approx(summary.odometry_rmse_m[2], rel=0.05)
     assert summary.ate_rmse_m.connected[2] is not None
     assert len(read_tum(tmp_path / "run" / "agent_02" / "trajectory.tum")) == len(far)
+
+
+def test_agents_of_unequal_length_and_one_that_saw_nothing(tmp_path: Path) -> None:
+    world = make_world(6)
+    paths = [circuit(0.0, 24.0), circuit(5.0, 12.0), circuit(90.0, 9.0)]
+    sequences = [make_sequence(world, path, 6, a) for a, path in enumerate(paths)]
+    empty = {
+        "stamps_ns": np.zeros(0, np.int64),
+        "vectors": np.zeros((0, DIM), np.float32),
+        "textured": np.zeros(0, bool),
+    }
+    places = replace(sequences[2].places, **empty)
+    nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 4, 4)))
+    sequences[2] = replace(sequences[2], tracks=(), places=places, trajectory=nothing)
+    summary = run(manifest_of(sequences), sequences, DEFAULT, tmp_path / "run")
+    assert summary.groups == [[0, 1], [2]]
+    assert summary.keyframes_placed == [16, 8, 0]
+    assert summary.ate_rmse_m.agents[2] is None and summary.exploration_percent[2] == 0.0
+    assert (tmp_path / "run" / "agent_02" / "trajectory.tum").read_text() == ""
 
 
 def test_one_agent_closes_its_own_loop(tmp_path: Path) -> None:
