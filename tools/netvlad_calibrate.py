@@ -29,7 +29,7 @@ class CalibrationSettings:
     places: int = 120
     absent: float = 0.3
     precision: float = 0.99
-    candidate_share: float = 0.9
+    candidate_share: float = 0.97
     candidate_precision: float = 0.5
     kinds: tuple[str, ...] = KINDS
 
