@@ -11,22 +11,9 @@ from dataclasses import dataclass
 from mas.config import MasConfig
 from mas.contract import Contract, LateMessage, Ledger, ProtocolError
 from mas.desk import Desk, Event, Trade, WorkError
+from mas.identities import ContractId, MatchId, Operation
 from mas.keyframe import KeyFrame
-from mas.messages import (
-    Award,
-    Begin,
-    Bid,
-    Call,
-    Confirmation,
-    ContractBody,
-    ContractId,
-    Failure,
-    GroupNotice,
-    MatchId,
-    Message,
-    Operation,
-    Result,
-)
+from mas.messages import Award, Begin, Bid, Call, Confirmation, ContractBody, Failure, GroupNotice, Message, Result
 from mas.optimisation import Optimisation
 from mas.placebook import PlaceBook
 from mas.places import PlaceRecognition

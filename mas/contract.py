@@ -21,20 +21,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from mas.errors import MasError
-from mas.messages import (
-    Award,
-    Bid,
-    Call,
-    Cancel,
-    Confirmation,
-    ContractBody,
-    ContractId,
-    Failure,
-    Operation,
-    Refusal,
-    Rejection,
-    Result,
-)
+from mas.identities import ContractId, Operation
+from mas.messages import Award, Bid, Call, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
 
 
 class ProtocolError(MasError):

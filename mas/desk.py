@@ -8,20 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mas.contract import Contract, Ledger
-from mas.messages import (
-    Bid,
-    Body,
-    Call,
-    Cancel,
-    ContractBody,
-    ContractId,
-    Message,
-    Operation,
-    Outcome,
-    Refusal,
-    Task,
-)
+from mas.identities import ContractId, Operation
+from mas.messages import Bid, Body, Call, Cancel, ContractBody, Message, Refusal
 from mas.state import AgentState
+from mas.tasks import Outcome, Task
 
 
 @dataclass(frozen=True)

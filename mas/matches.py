@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from backend.geometry import Array, Sim3
 from mas.config import ConsistencyConfig
-from mas.messages import MatchId
+from mas.identities import MatchId
 
 
 class Fate(StrEnum):

@@ -11,25 +11,12 @@ from backend.distributed.share import Outcome as SolverOutcome
 from backend.errors import BackendError
 from mas.contract import Contract, ProtocolError, State
 from mas.desk import Desk, Trade, WorkError
-from mas.messages import (
-    Award,
-    Begin,
-    Bid,
-    Call,
-    Confirmation,
-    ContractId,
-    Operation,
-    OptimiseAnswer,
-    OptimiseTask,
-    Outcome,
-    Refusal,
-    Rejection,
-    Result,
-    Task,
-)
+from mas.identities import ContractId, Operation
+from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.plan import plan
 from mas.posegraph import Adoption, adopt, share_of, terms
 from mas.solver_messages import SolverBody, from_wire, to_wire
+from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 
 
 @dataclass

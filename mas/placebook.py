@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import Sim3
+from mas.identities import MatchId
 from mas.keyframe import KeyFrame
 from mas.matches import Fate
-from mas.messages import MatchId
 from mas.state import AgentState
 
 

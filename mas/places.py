@@ -9,26 +9,13 @@ import numpy as np
 
 from mas.contract import Contract
 from mas.desk import Desk, Trade, WorkError
+from mas.identities import ContractId, MatchId, Operation
 from mas.keyframe import KeyFrame
 from mas.matches import Match
-from mas.messages import (
-    Award,
-    Bid,
-    Call,
-    Confirmation,
-    ContractId,
-    MatchId,
-    Operation,
-    Outcome,
-    PlaceAnswer,
-    PlaceQuery,
-    Refusal,
-    Rejection,
-    Result,
-    Task,
-)
+from mas.messages import Award, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
 from mas.relpose import Verification, kind_of, verify, view_of
+from mas.tasks import Outcome, PlaceAnswer, PlaceQuery, Task
 from mas.tensors import Tensor
 
 _FARTHEST = 2.0

@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from backend.geometry import Sim3
-from mas.messages import Bid, FrameId, MatchId, OptimiseTask
+from mas.identities import FrameId, MatchId
+from mas.messages import Bid
+from mas.tasks import OptimiseTask
 from mas.tensors import pack_sim3s, unpack_sim3s
 
 Track = tuple[int, int]

@@ -10,9 +10,11 @@ from backend.distributed.share import Outcome, Share
 from backend.geometry import Array, Sim3, se3_inverse
 from backend.graph import Edge, EdgeKind, NodeId, PoseGraph
 from mas.config import OptimisationConfig
+from mas.identities import FrameId, MatchId
 from mas.matches import Match
-from mas.messages import Bid, FrameId, Links, MatchId, OptimiseTask, PieceTerms
+from mas.messages import Bid, Links, PieceTerms
 from mas.state import AgentState, Piece, stretched
+from mas.tasks import OptimiseTask
 from mas.tensors import pack_sim3s, unpack_sim3s
 
 

@@ -24,8 +24,8 @@ from mas.config import MasConfig
 from mas.desk import Event
 from mas.errors import MasError
 from mas.export import write_map, write_ply
+from mas.identities import MatchId
 from mas.matches import Fate
-from mas.messages import MatchId
 from mas.metrics import MatchError, Onlooker
 from mas.posegraph import own_graph
 from mas.sequence import GROUNDTRUTH, MANIFEST, AgentSequence, Manifest

@@ -10,27 +10,13 @@ from numpy.typing import NDArray
 from backend.verification import PlaceView, Verdict, relative_pose
 from mas.contract import Contract
 from mas.desk import Desk, Trade, WorkError
+from mas.identities import ContractId, MatchId, Operation
 from mas.keyframe import KeyFrame
 from mas.matches import Match
-from mas.messages import (
-    Award,
-    Bid,
-    Call,
-    Confirmation,
-    ContractId,
-    GroupNotice,
-    MatchId,
-    Operation,
-    Outcome,
-    Refusal,
-    Rejection,
-    Result,
-    Task,
-    VerifyAnswer,
-    VerifyTask,
-)
+from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
 from mas.state import AgentState, thinned
+from mas.tasks import Outcome, Task, VerifyAnswer, VerifyTask
 from mas.tensors import Tensor, pack_poses, pack_sim3, unpack_poses, unpack_sim3
 
 _REASON_LENGTH = 200

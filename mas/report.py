@@ -11,8 +11,8 @@ import numpy as np
 from backend.trajectory_error import TrajectoryError
 from mas.agent import Agent
 from mas.config import MasConfig
+from mas.identities import MatchId
 from mas.matches import Fate
-from mas.messages import MatchId
 from mas.metrics import MatchError, Onlooker, groups_of, odometry_frames
 from mas.sequence import AgentSequence
 from mas.summary import Errors, MapCopy, MatchFigures, OptimisationFigures, Summary, TrafficFigures

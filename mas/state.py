@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from backend.geometry import Array, Sim3, se3_inverse
 from mas.config import MasConfig
+from mas.identities import FrameId, MatchId
 from mas.keyframe import KeyFrame
 from mas.matches import Agreement, Match
-from mas.messages import FrameId, MatchId
 
 
 @dataclass(frozen=True)

@@ -16,25 +16,11 @@ from numpy.typing import NDArray
 from backend.geometry import Array, Sim3
 from mas.contract import Contract
 from mas.desk import Desk, Trade, WorkError
-from mas.messages import (
-    Award,
-    Bid,
-    Call,
-    Confirmation,
-    MapDelivery,
-    MapOrder,
-    MatchId,
-    Offer,
-    Operation,
-    Outcome,
-    Refusal,
-    Rejection,
-    Result,
-    SubMap,
-    Task,
-)
+from mas.identities import MatchId, Operation
+from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
 from mas.posegraph import Adoption
 from mas.state import AgentState, thinned
+from mas.tasks import MapDelivery, MapOrder, Outcome, SubMap, Task
 from mas.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 
 

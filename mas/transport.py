@@ -9,23 +9,18 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mas import solver_messages
-from mas.messages import (
-    Award,
-    Begin,
+from mas.messages import Award, Begin, Message, Result, decode, encode
+from mas.solver_messages import SolverBody
+from mas.tasks import (
     MapDelivery,
     MapOrder,
-    Message,
     OptimiseAnswer,
     OptimiseTask,
     PlaceAnswer,
     PlaceQuery,
-    Result,
     VerifyAnswer,
     VerifyTask,
-    decode,
-    encode,
 )
-from mas.solver_messages import SolverBody
 from mas.tensors import MessageError
 
 

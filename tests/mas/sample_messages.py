@@ -5,27 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from backend.geometry import Sim3
-from mas.messages import (
-    Award,
-    Bid,
-    Call,
-    Confirmation,
-    ContractId,
-    FrameId,
-    GroupNotice,
-    Links,
-    MatchId,
-    Message,
-    Operation,
-    OptimiseAnswer,
-    PlaceAnswer,
-    PlaceQuery,
-    Refusal,
-    Result,
-    SubMap,
-    VerifyTask,
-)
+from mas.identities import ContractId, FrameId, MatchId, Operation
+from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
 from mas.solver_messages import SolverReport, SolverValues
+from mas.tasks import OptimiseAnswer, PlaceAnswer, PlaceQuery, SubMap, VerifyTask
 from mas.tensors import Tensor, pack_poses, pack_sim3s
 
 

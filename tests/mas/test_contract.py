@@ -18,21 +18,9 @@ from mas.contract import (
     advance,
     expire,
 )
-from mas.messages import (
-    Award,
-    Bid,
-    Call,
-    Cancel,
-    Confirmation,
-    ContractId,
-    Failure,
-    MapOrder,
-    Operation,
-    PlaceAnswer,
-    Refusal,
-    Rejection,
-    Result,
-)
+from mas.identities import ContractId, Operation
+from mas.messages import Award, Bid, Call, Cancel, Confirmation, Failure, Refusal, Rejection, Result
+from mas.tasks import MapOrder, PlaceAnswer
 
 MANAGER, CONTRACTOR, STRANGER = 3, 5, 8
 BODIES = [

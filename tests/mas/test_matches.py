@@ -11,8 +11,9 @@ from factory import circuit, drift
 
 from backend.geometry import Sim3, se3_exp, se3_inverse
 from mas.config import ConsistencyConfig
+from mas.identities import FrameId, MatchId
 from mas.matches import Agreement, Match
-from mas.messages import Bid, FrameId, Links, MatchId, PieceTerms
+from mas.messages import Bid, Links, PieceTerms
 from mas.plan import plan
 from mas.tensors import pack_sim3s, unpack_sim3s
 

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from sample_messages import examples, submap, verify_task
 
 from backend.geometry import Sim3, se3_exp
-from mas.messages import ContractId, FrameId, Links, MatchId, Message, PlaceAnswer, PlaceQuery, Result, decode, encode
+from mas.identities import ContractId, FrameId, MatchId
+from mas.messages import Links, Message, Result, decode, encode
 from mas.solver_messages import SolverReport
+from mas.tasks import PlaceAnswer, PlaceQuery
 from mas.tensors import MessageError, Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 
 LIMIT = 2**20

@@ -14,7 +14,8 @@ from backend.trajectory_error import path_length
 from frontend.trajectory import Trajectory, read_tum
 from mas.environment import make_agents, run
 from mas.errors import MasError
-from mas.messages import Award, Begin, Call, ContractId, Failure, MatchId, Message, Operation, Result, encode
+from mas.identities import ContractId, MatchId, Operation
+from mas.messages import Award, Begin, Call, Failure, Message, Result, encode
 from mas.policy.presets import preset
 from mas.sequence import AgentSequence
 from mas.transport import InProcessTransport

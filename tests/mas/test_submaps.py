@@ -10,9 +10,9 @@ from factory import circuit, make_sequence, make_world, manifest_of
 from backend.geometry import Sim3, se3_exp
 from mas.agent import Agent
 from mas.environment import make_agents
+from mas.identities import MatchId, Operation
 from mas.keyframe import keyframes_of
 from mas.matches import Match
-from mas.messages import MatchId, Operation
 from mas.policy.presets import preset
 from mas.posegraph import Adoption
 from mas.transport import InProcessTransport, Traffic

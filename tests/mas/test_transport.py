@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 from sample_messages import examples, submap, verify_task
 
-from mas.messages import (
-    Award,
-    Bid,
-    ContractId,
-    MapDelivery,
-    Message,
-    PlaceAnswer,
-    PlaceQuery,
-    Result,
-    encode,
-)
+from mas.identities import ContractId
+from mas.messages import Award, Bid, Message, Result, encode
 from mas.solver_messages import SolverValues
+from mas.tasks import MapDelivery, PlaceAnswer, PlaceQuery
 from mas.tensors import MessageError, Tensor
 from mas.transport import InProcessTransport, Sent, Traffic, Transport, account
 
@@ -86,7 +78,7 @@ def test_payload_is_counted_as_the_published_tables_do() -> None:
 
 
 def test_a_map_counts_its_numbers() -> None:
-    from mas.messages import FrameId
+    from mas.identities import FrameId
 
     delivery = MapDelivery(FrameId(0, 0), (), submap().transforms, (submap(),))
     poses, points = 2 * (7 * 8 + 8 + 4), 3 * (12 + 32 + 4)

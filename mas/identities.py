@@ -1,0 +1,53 @@
+"""Names and bounded numbers that messages are made of."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Annotated
+
+import msgspec
+
+# Bounds of single fields: generous for any real run, small enough that a hostile message cannot fill the memory.
+MAX_AGENTS = 4096
+MAX_POINTS = 1_000_000
+Agent = Annotated[int, msgspec.Meta(ge=0, lt=MAX_AGENTS)]
+Index = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
+Stamp = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
+Reason = Annotated[str, msgspec.Meta(max_length=200)]
+Members = Annotated[tuple[Agent, ...], msgspec.Meta(max_length=MAX_AGENTS)]
+
+
+class Operation(IntEnum):
+    """What a contract is about; the thesis's three operations, place recognition in its two halves."""
+
+    DVPR = 0
+    RELPOSE = 1
+    DOPT = 2
+    MAPMERGE = 3
+
+
+class ContractId(msgspec.Struct, frozen=True, array_like=True, order=True):
+    """The manager's number for one call for proposals."""
+
+    manager: Agent
+    number: Index
+
+
+class MatchId(msgspec.Struct, frozen=True, array_like=True, order=True):
+    """A place match: key-frame ``query`` of ``query_agent`` was recognised in ``match`` of ``match_agent``."""
+
+    query_agent: Agent
+    query: Index
+    match_agent: Agent
+    match: Index
+
+    @property
+    def agents(self) -> tuple[int, int]:
+        return self.query_agent, self.match_agent
+
+
+class FrameId(msgspec.Struct, frozen=True, array_like=True, order=True):
+    """A coordinate frame O: the camera of the first key-frame of one agent's track; its unit is that track's own."""
+
+    agent: Agent
+    track: Index
