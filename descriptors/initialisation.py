@@ -47,11 +47,11 @@ def initialise(network: NetVladNetwork, images: NDArray[np.uint8], rng: np.rando
 
 @torch.no_grad()
 def fit_projection(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Set the projection to the principal axes of the VLAD vectors of ``images``, partly whitened, strongest axis first.
+    """Set the projection to the principal axes of the VLAD vectors of ``images``, partly whitened, strongest first.
 
-    Returns the share of the variance along each kept axis, ``(dim,)``. Partial whitening lies between plain PCA, where a
-    few axes drown the rest, and full whitening, which lifts the noise of the last axes to the strength of the first;
-    docs/netvlad.md has the figures.
+    Returns the share of the variance along each kept axis, ``(dim,)``. Partial whitening lies between plain PCA, where
+    a few axes drown the rest, and full whitening, which lifts the noise of the last axes to the strength of the
+    first; docs/netvlad.md has the figures.
     """
     network.eval()
     vlads = torch.cat([network.aggregate(batch) for batch in batches(images)]).double()
@@ -85,7 +85,7 @@ def settle_batch_norms(network: NetVladNetwork, images: NDArray[np.uint8]) -> No
 
 
 def batches(images: NDArray[np.uint8]) -> list[Tensor]:
-    """Lazy-free list of ``(<= 32, 1, H, W)`` tensors that view ``images`` ``(n, H, W)``."""
+    """``images`` ``(n, H, W)`` as a list of tensors ``(<= 32, 1, H, W)`` on the same memory."""
     return [torch.from_numpy(images[i : i + _BATCH])[:, None] for i in range(0, len(images), _BATCH)]
 
 

@@ -197,9 +197,8 @@ class Trainer:
         rate = self.config.learning_rate * _schedule(self.step, self.config)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training
-        # images by heart
-        # and places of another world are told apart far worse than by the vector it was given (docs/netvlad.md).
+        # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training images by
+        # heart, and tells places of another world apart far worse than the vector it is given (docs/netvlad.md).
         vlad = self.network.aggregate(torch.cat([first, second]))
         scale = self.log_scale.exp().clamp(max=_MAX_SCALE)
         loss, accuracy = info_nce(vlad[: len(first)], vlad[len(first) :], scale)
