@@ -71,6 +71,8 @@ def build(
     """
     model = type(base)
     values = base.model_dump()
+    if file is not None and not isinstance(file, Mapping):
+        raise ToolError(f"{origin}: {prefix or 'settings'}: expected keys and values, found {file!r}")
     if file:
         _overlay(values, file)
         _validate(model, values, str(origin) if origin else "the configuration")

@@ -8,6 +8,7 @@ complete.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,11 +88,10 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_options(parser, OdometryConfig(), SECTION)
 
 
-def settings_from(arguments: argparse.Namespace) -> PreprocessSettings:
-    """The settings of one command line and its ``--config`` file."""
+def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> PreprocessSettings:
+    """The settings of one command line and the ``content`` of its ``--config`` file."""
     from frontend.config import OdometryConfig
 
-    content = read_yaml(arguments.config) if arguments.config else {}
     if arguments.overlap < 0:
         raise UsageError(f"--overlap {arguments.overlap}: a number of key-frames is meant")
     return PreprocessSettings(
@@ -107,7 +107,11 @@ def settings_from(arguments: argparse.Namespace) -> PreprocessSettings:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    settings = settings_from(arguments)
+    content = read_yaml(arguments.config) if arguments.config else {}
+    unknown = sorted(set(content) - {SECTION})
+    if unknown:
+        raise ToolError(f"{arguments.config}: unknown setting '{unknown[0]}'; preprocessing knows '{SECTION}'")
+    settings = settings_from(arguments, content)
     with progress_on(quiet=arguments.quiet) as progress:
         manifest = preprocess(arguments.source, arguments.out, settings, progress)
     print(summary_line(manifest, arguments.out))

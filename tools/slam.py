@@ -45,7 +45,7 @@ def main(arguments: argparse.Namespace) -> None:
     from tools.evaluate import read_summary, table
 
     content = read_yaml(arguments.config) if arguments.config else {}
-    settings = settings_from(arguments)
+    settings = settings_from(arguments, content)
     config = config_from(arguments, {key: value for key, value in content.items() if key != SECTION})
     with progress_on(quiet=arguments.quiet) as progress:
         page = slam(arguments.source, arguments.out, settings, config, progress)

@@ -238,3 +238,20 @@ def square_or_fail(number: int, advance: Any) -> int:
     if number < 0:
         raise FrontendError("negative")
     return number * number
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("relpose: {min_inliers: 3}", "unknown setting 'relpose'"),
+        ("odometry: {sead: 3}", "unknown setting 'sead'; did you mean 'seed'?"),
+        ("odometry: 3", "odometry: expected keys and values, found 3"),
+    ],
+)
+def test_a_file_of_settings_is_checked(
+    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "c.yaml").write_text(text)
+    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs", "--config", tmp_path / "c.yaml") == 1
+    line = capsys.readouterr().err.strip()
+    assert line.startswith(f"maslam: {tmp_path / 'c.yaml'}: ") and said in line
