@@ -21,9 +21,9 @@ from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 
 @dataclass
 class Tender:
-    """The manager's side until the award: who still has to answer, and what was bid."""
+    """The manager's side until the award: who still has to answer, and what was bid; alone: no contract."""
 
-    identity: ContractId
+    identity: ContractId | None
     pending: set[int]
     bids: dict[int, Bid]
 
@@ -64,7 +64,7 @@ class Optimisation(Trade):
         others = [a for a in members if a != self.state.me]
         mine = self._my_terms()
         if not others:
-            self._award(Tender(ContractId(self.state.me, 0), set(), {self.state.me: mine}))
+            self._award(Tender(None, set(), {self.state.me: mine}))
             return
         identity, called = self.desk.call(Operation.DOPT, others, tuple(sorted(members)))
         if called:
@@ -90,7 +90,8 @@ class Optimisation(Trade):
         """Everyone has answered: plan, award to those who are connected, reject the others."""
         me = self.state.me
         found = plan(me, tender.bids)
-        for contract in self.desk.ledger.managed(tender.identity):
+        contracts = self.desk.ledger.managed(tender.identity) if tender.identity is not None else []
+        for contract in contracts:
             if contract.contractor in found.tasks:
                 self.desk.say(contract, Award(found.tasks[contract.contractor]))
             elif contract.state is State.BID:
@@ -128,7 +129,8 @@ class Optimisation(Trade):
             if contract.manager > self.state.me:
                 return Refusal("calling for an optimisation itself")
             given_up, self.tender = self.tender, None
-            self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
+            if given_up.identity is not None:
+                self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
         return self._my_terms()
 
     def work(self, contract: Contract, task: Task) -> None:
