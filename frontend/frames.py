@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 @dataclass(frozen=True)
 class Frame:
     """``image`` ``(H, W)`` uint8 grey; ``right`` likewise (stereo); ``depth_m`` ``(H, W)`` float32 metres along +Z,
-    0 = unknown (RGB-D). ``index`` counts the frames of the sequence from 0; ``name`` is the image file, for messages to people."""
+    0 = unknown (RGB-D). ``index`` counts the frames of the sequence from 0; ``name`` is the image file, for messages to
+    people."""
 
     index: int
     stamp_ns: int
