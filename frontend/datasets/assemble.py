@@ -10,12 +10,24 @@ from numpy.typing import NDArray
 
 from backend.geometry import se3
 from frontend.calibration import RawRig
-from frontend.cameras import Rig, RigKind
+from frontend.cameras import PinholeCamera, Rig, RigKind
 from frontend.datasets import checks
 from frontend.datasets.base import ImageSequence, Problems
 from frontend.datasets.images import first_size
 from frontend.rectification import rectify_rig
+from frontend.registration import DepthRegistration
 from frontend.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class DepthSensor:
+    """The camera that measured the depth, where depth is stored as measured, not as the image's camera would see it.
+
+    ``T_C_D`` ``(4, 4)``: from its frame to that of the calibrated (left) camera, metres.
+    """
+
+    camera: PinholeCamera
+    T_C_D: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,7 +36,7 @@ class Found:
 
     ``calibration``: where ``raw`` comes from; ``stamps_source``: where ``stamps_ns`` come from (for messages).
     ``truth``: ``T_W_C`` of the calibrated left camera, before rectification. ``depth_unit_m``: metres a step of the
-    depth images.
+    depth images. ``depth_sensor``: None where depth is stored registered to the image.
     """
 
     kind: str
@@ -37,6 +49,7 @@ class Found:
     right: tuple[Path, ...] = ()
     depth: tuple[Path, ...] = ()
     depth_unit_m: float = 0.001
+    depth_sensor: DepthSensor | None = None
     truth: Trajectory | None = None
 
 
@@ -56,6 +69,11 @@ def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
         checks.check_camera(found.raw.right.pinhole(size), found.calibration, problems)
         checks.check_baseline(found.raw.baseline_m, found.calibration, problems)
     ideal = rectify_rig(found.raw, kind, size)
+    registration = None
+    if depth and found.depth_sensor is not None:
+        T_ideal_left = se3(ideal.R_rectified_left, np.zeros(3))
+        sensor = found.depth_sensor
+        registration = DepthRegistration(sensor.camera, ideal.camera, T_ideal_left @ sensor.T_C_D)
     truth = found.truth
     if truth is not None and ideal.rectifier is not None:
         truth = Trajectory(truth.stamps_ns, truth.poses @ se3(ideal.R_rectified_left.T, np.zeros(3)))
@@ -70,6 +88,7 @@ def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
         depth=depth,
         depth_unit_m=found.depth_unit_m,
         rectifier=ideal.rectifier,
+        registration=registration,
         groundtruth=truth,
         problems=tuple(dict.fromkeys(problems.found)),
     )

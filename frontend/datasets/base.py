@@ -19,6 +19,7 @@ from frontend.datasets.images import read_depth, read_grey
 from frontend.errors import FrontendError
 from frontend.frames import Frame
 from frontend.rectification import Rectifier
+from frontend.registration import DepthRegistration
 from frontend.trajectory import Trajectory
 
 Pixel = TypeVar("Pixel", bound=np.generic)
@@ -57,10 +58,11 @@ class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
 
     ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file a frame; ``right`` (stereo) and ``depth``
-    (RGB-D, 16 bit, ``depth_unit_m`` metres a step, registered to the image) likewise, else empty. ``rectifier`` maps
-    the images as stored to those of ``rig``; None where they are rectified already. ``stored_size`` ``(width,
-    height)`` of the image files, pixels. ``groundtruth``: ``T_W_C`` of the rectified left camera, for as many
-    moments as are known, not only those of frames.
+    (RGB-D, 16 bit, ``depth_unit_m`` metres a step) likewise, else empty. ``rectifier`` maps the images as stored to
+    those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the camera of
+    ``rig``; None where it is stored registered to the image (and goes through the ``rectifier`` with it).
+    ``stored_size`` ``(width, height)`` of the image files, pixels. ``groundtruth``: ``T_W_C`` of the rectified left
+    camera, for as many moments as are known, not only those of frames.
     """
 
     kind: str
@@ -73,6 +75,7 @@ class ImageSequence:
     depth: tuple[Path, ...] = ()
     depth_unit_m: float = 0.001
     rectifier: Rectifier | None = None
+    registration: DepthRegistration | None = None
     groundtruth: Trajectory | None = None
     problems: tuple[Problem, ...] = ()
 
@@ -93,7 +96,10 @@ class ImageSequence:
         right = self._sized(read_grey(self.right[i]), self.right[i]) if self.right else None
         depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i]) if self.depth else None
         if self.rectifier is not None:
-            image, right, depth = self.rectifier.rectify(image, right, depth)
+            image, right, rectified = self.rectifier.rectify(image, right, None if self.registration else depth)
+            depth = depth if self.registration else rectified
+        if depth is not None and self.registration is not None:
+            depth = self.registration.register(depth)
         return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]))
 
     def frames(self, start: int = 0, stop: int | None = None, ahead: int = 4) -> Iterator[Frame]:

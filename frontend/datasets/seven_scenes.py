@@ -1,4 +1,4 @@
-"""7-Scenes (Shotton et al., CVPR 2013): hand-held RGB-D, three files a frame in one folder."""
+"""7-Scenes (Shotton et al., CVPR 2013): a hand-held Kinect, three files a frame in one folder."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import project_to_so3, se3
+from backend.geometry import project_to_so3, se3, se3_inverse
 from frontend import tables
 from frontend.calibration import RawCamera, RawRig
-from frontend.cameras import RigKind
-from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
+from frontend.cameras import PinholeCamera, RigKind
+from frontend.datasets.assemble import DepthSensor, Found, assemble, available_rigs, frame_truth
 from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
 from frontend.datasets.images import first_size, list_images
 from frontend.errors import FrontendError
@@ -21,16 +21,20 @@ from frontend.trajectory import Trajectory
 
 _COLOUR = re.compile(r"frame-(\d+)\.color\.(?:png|jpg|jpeg)")
 _RATE_HZ = 30  # of the Kinect; the data set has no time stamps
-_KINECT_FOCAL_PX = (
-    525.0  # its colour camera at 640x480, which the depth is registered to; the published 585 is the depth camera's
-)
+# Depth is stored as the Kinect's depth camera measured it, and the poses, by KinectFusion, are that camera's. The data
+# set's page publishes its intrinsics (585, centre 320, 240) and says that depth and colour are not registered to each
+# other; the colour camera's are those of OpenNI's driver (525).
+_COLOUR_FOCAL_PX = 525.0  # at 640 pixels of width
+_DEPTH_FOCAL_PX = 585.0  # at 640 pixels of width
+_T_C_D = se3(np.eye(3), [0.025, 0.0, 0.0])  # the colour camera stands 2.5 cm to the left of the depth camera
 
 
 class SevenScenesReader(Reader):
-    """``frame-<n>.color.png|jpg``, ``frame-<n>.depth.png`` (mm, 0 and 65535 unknown), ``frame-<n>.pose.txt``
-    (``T_W_C``, 4x4).
+    """``frame-<n>.color.png|jpg``, ``frame-<n>.depth.png`` (mm, 0 and 65535 unknown, as the depth camera sees
+    it), ``frame-<n>.pose.txt`` (4x4, depth camera to world).
 
     ``camera.txt``, if there: ``fx fy cx cy`` pixels of the colour images. Time stamps are the frame numbers at 30 Hz.
+    What comes out, depth and ground truth, is the colour camera's.
     """
 
     kind = "7scenes"
@@ -47,15 +51,17 @@ class SevenScenesReader(Reader):
         times = np.array(
             [int(_stem(path).removeprefix("frame-")) * NS_PER_S // _RATE_HZ for path in images], dtype=np.int64
         )
+        size = first_size(images)
         found = Found(
             kind=cls.kind,
             folder=folder,
-            raw=RawRig(_camera(folder, first_size(images), problems)),
+            raw=RawRig(_camera(folder, size, problems)),
             calibration=folder / "camera.txt",
             images=images,
             stamps_ns=times,
             stamps_source=folder,
             depth=depth,
+            depth_sensor=DepthSensor(_depth_camera(size), _T_C_D),
             truth=_groundtruth(images, times, problems),
         )
         has_depth = any(path.is_file() for path in depth)
@@ -74,14 +80,20 @@ def _camera(folder: Path, size: tuple[int, int], problems: Problems) -> RawCamer
             raise FrontendError(f"{source}: one line of four numbers (fx fy cx cy) expected, found {len(values)}")
         fx, fy, cx, cy = values[0].tolist()
         return RawCamera(fx, fy, cx, cy)
-    focal = _KINECT_FOCAL_PX * size[0] / 640
+    focal = _COLOUR_FOCAL_PX * size[0] / 640
     problems.warning(f"{source}: not there; the Kinect's usual fx = fy = {focal:.0f} px and the image centre are taken")
     return RawCamera(focal, focal, size[0] / 2, size[1] / 2)
 
 
+def _depth_camera(size: tuple[int, int]) -> PinholeCamera:
+    width, height = size
+    focal = _DEPTH_FOCAL_PX * width / 640
+    return PinholeCamera(width, height, focal, focal, width / 2, height / 2)
+
+
 def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: Problems) -> Trajectory | None:
-    """Poses of the frames that have one. The published rotations are not exactly orthonormal: the nearest rotation
-    is taken."""
+    """Colour camera's poses of the frames that have one. The published rotations are not exactly
+    orthonormal: the nearest rotation is taken."""
     stamps, poses, missing = [], [], []
     for stamp, image in zip(times.tolist(), images, strict=True):
         path = image.with_name(f"{_stem(image)}.pose.txt")
@@ -98,4 +110,5 @@ def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: P
     if not poses:
         return None
     matrices = np.array(poses)
-    return frame_truth(np.array(stamps, dtype=np.int64), se3(project_to_so3(matrices[:, :3, :3]), matrices[:, :3, 3]))
+    T_W_D = se3(project_to_so3(matrices[:, :3, :3]), matrices[:, :3, 3])
+    return frame_truth(np.array(stamps, dtype=np.int64), T_W_D @ se3_inverse(_T_C_D))

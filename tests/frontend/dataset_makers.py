@@ -159,12 +159,19 @@ def quaternion_wxyz(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([w, x, y, z])
 
 
+DEPTH_FOCAL_PX = 585.0 * WIDTH / 640
+COLOUR_LEFT_OF_DEPTH_M = 0.025
+
+
 def write_seven_scenes(folder: Path, scene: Scene) -> None:
+    """``scene.depth_mm`` as the depth camera's; ``scene.poses`` are the colour camera's, files hold the other's."""
     write_images(folder, [f"frame-{i:06d}.color.png" for i in range(COUNT)], scene.images)
     stored = np.where(scene.depth_mm == 0, 65535, scene.depth_mm).astype(np.uint16)
     stored[:, 0, 0] = 0
     write_images(folder, [f"frame-{i:06d}.depth.png" for i in range(COUNT)], stored)
-    for i, pose in enumerate(scene.poses):
+    for i, T_W_C in enumerate(scene.poses):
+        pose = T_W_C.copy()
+        pose[:3, 3] += COLOUR_LEFT_OF_DEPTH_M * T_W_C[:3, 0]  # the depth camera, to the right of the colour camera
         (folder / f"frame-{i:06d}.pose.txt").write_text(
             "\n".join("\t ".join(f"{v:.16e}" for v in row) + "\t " for row in pose) + "\n"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 from dataset_makers import (
     BASELINE_M,
+    COLOUR_LEFT_OF_DEPTH_M,
     COUNT,
     CX,
     CY,
+    DEPTH_FOCAL_PX,
     FX,
     FY,
     HEIGHT,
@@ -72,6 +75,9 @@ class Contract:
     def expected_stamps(self, scene: Scene) -> np.ndarray:
         return scene.stamps_ns
 
+    def expected_depth_m(self, scene: Scene, i: int) -> np.ndarray:
+        return scene.depth_mm[i] / 1000.0
+
     def open(self, folder: Path, rig: RigKind | None = None) -> ImageSequence:
         dataset = open_dataset(folder, rig)
         assert isinstance(dataset, Dataset) and dataset.kind == self.kind
@@ -109,7 +115,7 @@ class Contract:
                 np.testing.assert_allclose(frame.right.astype(int), scene.rights[i], atol=1)
             if frame.depth_m is not None:
                 assert frame.depth_m.dtype == np.float32
-                np.testing.assert_allclose(frame.depth_m, scene.depth_mm[i] / 1000.0, atol=1e-6)
+                np.testing.assert_allclose(frame.depth_m, self.expected_depth_m(scene, i), atol=1e-6)
         with pytest.raises(IndexError):
             sequence.read(COUNT)
 
@@ -227,6 +233,27 @@ class TestSevenScenes(Contract):
 
     def expected_stamps(self, scene: Scene) -> np.ndarray:
         return np.arange(COUNT) * 10**9 // 30
+
+    @pytest.fixture
+    def scene(self) -> Scene:
+        """A wall that faces the camera, nearer each time, with a corner that the depth camera does not know."""
+        depth_mm = np.broadcast_to((2000 - 150 * np.arange(COUNT))[:, None, None], (COUNT, HEIGHT, WIDTH)).copy()
+        depth_mm[:, :24, :24] = 0
+        return replace(make_scene(), depth_mm=depth_mm.astype(np.uint16))
+
+    def expected_depth_m(self, scene: Scene, i: int) -> np.ndarray:
+        """Backwards: the pixel in which the depth camera sees each point of the wall that the colour camera sees."""
+        z = scene.depth_mm[i].max() / 1000.0
+        column = DEPTH_FOCAL_PX * ((np.arange(WIDTH) - CX) / FX - COLOUR_LEFT_OF_DEPTH_M / z) + WIDTH / 2
+        row = DEPTH_FOCAL_PX * (np.arange(HEIGHT) - CY) / FY + HEIGHT / 2
+        rows, columns = np.rint(row).astype(int)[:, None], np.rint(column).astype(int)[None]
+        inside = (rows >= 0) & (rows < HEIGHT) & (columns >= 0) & (columns < WIDTH)
+        return np.where(inside, scene.depth_mm[i][rows % HEIGHT, columns % WIDTH] / 1000.0, 0.0)
+
+    def test_ground_truth_is_the_colour_cameras_as_any_rig(self, folder: Path, scene: Scene) -> None:
+        truth = self.open(folder, RigKind.MONO).groundtruth
+        assert truth is not None
+        np.testing.assert_allclose(truth.poses, scene.poses, atol=1e-8)
 
 
 class TestTum(Contract):
