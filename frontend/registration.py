@@ -64,54 +64,43 @@ def _tilt(H: Array, depth_camera: PinholeCamera) -> Array:
     return 0.5 * np.array([np.abs((H[0, 1] - u * H[2, 1]) / w).max(), np.abs((H[1, 0] - v * H[2, 0]) / w).max()])
 
 
-@njit(cache=True, nogil=True)
-def _project(z: float, column: float, row: float, H: Array, h: Array) -> tuple[float, float, float]:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(z: float, column: int, row: int, H: Array, h: Array, axis: int) -> float:
+    """Image column (``axis`` 0) or row (1) of a pixel; infinite or on the wrong side where ``z`` is behind the image."""
     w = z * (H[2, 0] * column + H[2, 1] * row + H[2, 2]) + h[2]
-    if w <= 0.0:
-        return 0.0, 0.0, 0.0
-    u = (z * (H[0, 0] * column + H[0, 1] * row + H[0, 2]) + h[0]) / w
-    v = (z * (H[1, 0] * column + H[1, 1] * row + H[1, 2]) + h[1]) / w
-    return u, v, w
+    return (z * (H[axis, 0] * column + H[axis, 1] * row + H[axis, 2]) + h[axis]) / w
 
 
-@njit(cache=True, nogil=True)
-def _halfway(depth: Depth, row: int, column: int, down: int, right: int, H: Array, h: Array, same: float) -> float:
-    """Where the outline of a pixel ends towards the neighbour ``(down, right)``: image column if ``right``, else row.
-
-    A neighbour that is missing or on another surface is replaced by one at this pixel's own depth.
-    """
-    z = depth[row, column]
-    other = z
-    beside, below = column + right, row + down
-    if 0 <= beside < depth.shape[1] and 0 <= below < depth.shape[0]:
-        near = depth[below, beside]
-        if near > 0.0 and abs(near - z) <= same * min(near, z):
-            other = near
-    u, v, _ = _project(z, column, row, H, h)
-    other_u, other_v, w = _project(other, beside, below, H, h)
-    if w <= 0.0:
-        return u if right != 0 else v
-    return 0.5 * (u + other_u) if right != 0 else 0.5 * (v + other_v)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _depth_beside(depth: Depth, z: float, column: int, row: int, same: float) -> float:
+    """Depth of a neighbour on the same surface as ``z``; ``z`` itself where the neighbour is missing or on another."""
+    if 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]:
+        beside = depth[row, column]
+        if abs(beside - z) <= same * min(beside, z):
+            return beside
+    return z
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _draw(depth: Depth, H: Array, h: Array, tilt: Array, same: float, out: Depth) -> None:
     """Draw every known pixel of ``depth`` into ``out`` (0 where nothing is drawn yet), nearest first to stay."""
     height, width = out.shape
-    for row in range(depth.shape[0]):
-        for column in range(depth.shape[1]):
-            z = depth[row, column]
-            if z <= 0.0:
+    for r in range(depth.shape[0]):
+        for c in range(depth.shape[1]):
+            z = depth[r, c]
+            w = z * (H[2, 0] * c + H[2, 1] * r + H[2, 2]) + h[2]
+            if z <= 0.0 or w <= 0.0:
                 continue
-            _, _, w = _project(z, column, row, H, h)
-            if w <= 0.0:
-                continue
-            left = _halfway(depth, row, column, 0, -1, H, h, same) - tilt[0]
-            right = _halfway(depth, row, column, 0, 1, H, h, same) + tilt[0]
-            top = _halfway(depth, row, column, -1, 0, H, h, same) - tilt[1]
-            bottom = _halfway(depth, row, column, 1, 0, H, h, same) + tilt[1]
+            u, v = _place(z, c, r, H, h, 0), _place(z, c, r, H, h, 1)
+            left = 0.5 * (u + _place(_depth_beside(depth, z, c - 1, r, same), c - 1, r, H, h, 0)) - tilt[0]
+            right = 0.5 * (u + _place(_depth_beside(depth, z, c + 1, r, same), c + 1, r, H, h, 0)) + tilt[0]
+            top = 0.5 * (v + _place(_depth_beside(depth, z, c, r - 1, same), c, r - 1, H, h, 1)) - tilt[1]
+            bottom = 0.5 * (v + _place(_depth_beside(depth, z, c, r + 1, same), c, r + 1, H, h, 1)) + tilt[1]
             # Pixel centres in [left, right): outlines that share a side never both take or both miss one.
-            for v in range(max(0, int(np.ceil(top))), min(height, int(np.ceil(bottom)))):
-                for u in range(max(0, int(np.ceil(left))), min(width, int(np.ceil(right)))):
-                    if out[v, u] == 0.0 or w < out[v, u]:
-                        out[v, u] = w
+            # Clipped before it is made an integer: a point just before the image's camera may land anywhere.
+            first_u, end_u = int(np.ceil(max(left, 0.0))), int(np.ceil(min(right, float(width))))
+            first_v, end_v = int(np.ceil(max(top, 0.0))), int(np.ceil(min(bottom, float(height))))
+            for y in range(first_v, end_v):
+                for x in range(first_u, end_u):
+                    if out[y, x] == 0.0 or w < out[y, x]:
+                        out[y, x] = w
