@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,15 +16,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from frontend.cameras import PinholeCamera, RigKind
 from frontend.trajectory import write_kitti_poses
+from tools.workers import core_count, each_finished
 from tools.worlds.errors import RenderError
 from tools.worlds.light import Light
 from tools.worlds.renderer import Renderer, View
 from tools.worlds.scenario import AgentPlan, Scenario, plan_scenario
 from tools.worlds.sensor import DEPTH_UNIT_M, SensorConfig, depth_map, develop
 
-VERSION = 1
+VERSION = 2
 """Of the layout and the pictures: another version's pictures are not mixed with these."""
 Progress = Callable[[int, int], None]
+_WORTH_A_PROCESS = 30  # pictures: a further process takes some seconds to start
 
 
 class RenderConfig(BaseModel):
@@ -85,7 +86,7 @@ def render_dataset(
         for f in range(len(plan.poses))
         for right in ([False, True] if config.rig is RigKind.STEREO else [False])
     ]
-    _render_all(jobs, scenario, config, camera, progress, workers or os.cpu_count() or 1)
+    _render_all(jobs, scenario, config, camera, progress, workers)
     described = {**settings, "lights": [plan.light.to_dict() for plan in scenario.agents]}
     _write_text(out / "world.json", json.dumps(described, indent=2) + "\n")
     (out / "unfinished.json").unlink()
@@ -160,33 +161,34 @@ def _render_all(
     config: RenderConfig,
     camera: PinholeCamera,
     progress: Progress | None,
-    workers: int,
+    workers: int | None,
 ) -> None:
-    """All jobs whose files are missing, a few ahead at a time. Threads: ray casting and the compiled kernels leave
-    Python free."""
+    """All jobs whose files are missing. Processes, not threads: ray casting holds Python's lock."""
     todo = [j for j in jobs if not j.image().exists() or (config.rig is RigKind.RGBD and not j.depth().exists())]
     done = len(jobs) - len(todo)
     if progress is not None:
         progress(done, len(jobs))
     if not todo:
         return
-    renderer = Renderer(scenario.world)
-    with ThreadPoolExecutor(workers) as pool:
-        pending: set[Future[None]] = set()
-        queue = iter(todo)
-        while True:
-            for job in queue:
-                pending.add(pool.submit(_render_one, job, renderer, scenario, config, camera))
-                if len(pending) >= 2 * workers:
-                    break
-            if not pending:
-                return
-            finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
-                future.result()
-                done += 1
-                if progress is not None:
-                    progress(done, len(jobs))
+    if workers is None:
+        workers = max(1, min(core_count(), len(todo) // _WORTH_A_PROCESS))
+    for _ in each_finished(_Draughtsman(scenario, config, camera), todo, workers):
+        done += 1
+        if progress is not None:
+            progress(done, len(jobs))
+
+
+class _Draughtsman:
+    """Draws jobs; travels to a worker as settings and world, and prepares its renderer there once."""
+
+    def __init__(self, scenario: Scenario, config: RenderConfig, camera: PinholeCamera) -> None:
+        self.scenario, self.config, self.camera = scenario, config, camera
+        self.renderer: Renderer | None = None
+
+    def __call__(self, job: _Job) -> None:
+        if self.renderer is None:
+            self.renderer = Renderer(self.scenario.world)
+        _render_one(job, self.renderer, self.scenario, self.config, self.camera)
 
 
 def _render_one(job: _Job, renderer: Renderer, scenario: Scenario, config: RenderConfig, camera: PinholeCamera) -> None:
@@ -212,8 +214,9 @@ def exposure_of(light: Light, drift: float) -> float:
 def _write_png(path: Path, image: NDArray) -> None:
     import cv2
 
-    # Noise repeats nothing: entropy coding alone is both faster and smaller than a search for repetitions.
-    how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
+    # Noise repeats nothing: entropy coding of differences along the row is as small as a search, at half its cost.
+    how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+    how += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
     part = path.with_name(path.stem + ".part.png")
     if not cv2.imwrite(str(part), image, how):
         raise RenderError(f"{path}: cannot be written")

@@ -1,4 +1,4 @@
-"""Independent jobs over the cores of one machine, each in a process of its own, with one progress for all."""
+"""Independent jobs over the cores of one machine, in processes of their own: few long ones, or many small ones."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import multiprocessing
 import os
 import signal
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from queue import Empty
 from typing import Any, Generic, TypeVar
 
@@ -19,6 +21,7 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 POLL_S = 0.2
 _levels: Any = None  # in a worker: the queue on which it tells how far it is
+_work: Any = None  # in a worker: what it does with each small job
 
 
 @dataclass(frozen=True)
@@ -50,18 +53,47 @@ def run_jobs(
         return {name: _guarded(work, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()}
     context = multiprocessing.get_context("spawn")
     levels = context.Queue()
-    pool = ProcessPoolExecutor(min(workers, len(jobs)), context, _prepare_worker, (levels,))
-    try:
+    with _pool(min(workers, len(jobs)), context, _prepare_worker, levels) as pool:
         futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
         _watch(futures, levels, tasks, progress)
         done = {name: future.result() for future, name in futures.items()}
+    return {name: done[name] for name in jobs}
+
+
+def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int) -> Iterator[None]:
+    """``work(job)`` for each of many small jobs; yields each time one is done, in whatever order. The first error ends
+    all.
+
+    ``work`` goes to each worker once and may keep there what it prepares. With one worker everything happens in this
+    process.
+    """
+    if workers <= 1:
+        for job in jobs:
+            work(job)
+            yield
+        return
+    queue = iter(jobs)
+    with _pool(workers, multiprocessing.get_context("spawn"), _keep, work) as pool:
+        pending = {pool.submit(_kept, job) for job in islice(queue, 4 * workers)}
+        while pending:
+            finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+            pending |= {pool.submit(_kept, job) for job in islice(queue, len(finished))}
+            for future in finished:
+                yield future.result()
+
+
+@contextmanager
+def _pool(workers: int, context: Any, prepare: Callable[[Any], None], argument: Any) -> Iterator[ProcessPoolExecutor]:
+    """A pool of processes that is gone at the end, at once where the end is an error."""
+    pool = ProcessPoolExecutor(workers, context, prepare, (argument,))
+    try:
+        yield pool
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():
             child.terminate()
         raise
     pool.shutdown()
-    return {name: done[name] for name in jobs}
 
 
 def _watch(futures: dict[Future[Outcome[Result]], str], levels: Any, tasks: dict[str, int], progress: Progress) -> None:
@@ -82,16 +114,30 @@ def _watch(futures: dict[Future[Outcome[Result]], str], levels: Any, tasks: dict
 def _prepare_worker(levels: Any) -> None:
     global _levels
     _levels = levels
+    _settle_in()
+
+
+def _keep(work: Any) -> None:
+    global _work
+    _work = work
+    _settle_in()
+
+
+def _kept(job: Any) -> None:
+    _work(job)
+
+
+def _settle_in() -> None:
     signal.signal(
         signal.SIGINT, signal.SIG_DFL
     )  # an interrupted worker ends without a traceback; its parent says what happened
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-
-def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> Outcome[Result]:
     import cv2
 
     cv2.setNumThreads(1)
+
+
+def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> Outcome[Result]:
     return _guarded(work, job, lambda level: _levels.put((name, level)))
 
 

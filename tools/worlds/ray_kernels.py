@@ -98,9 +98,9 @@ def odd_pixels(value: NDArray, other: NDArray, h: int, w: int) -> NDArray:
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def edge_pixels(group: NDArray, depth: NDArray, lit: NDArray, h: int, w: int) -> NDArray:
-    """Pixels across which the surface, its shadow or its depth breaks: indices ``(m,)`` of those that need more
-    samples."""
+def edge_pixels(group: NDArray, depth: NDArray, lit: NDArray, radiance: NDArray, h: int, w: int) -> NDArray:
+    """Pixels across which the surface, its shadow or its depth breaks, and with it the colour: indices ``(m,)`` of
+    those that need more samples."""
     mark = np.zeros(h * w, np.bool_)
     for y in range(h):
         for x in range(w):
@@ -116,7 +116,12 @@ def edge_pixels(group: NDArray, depth: NDArray, lit: NDArray, h: int, w: int) ->
                     if inside and depth[k] > 0:
                         bend = abs(1 / depth[k] - 2 / depth[i] + 1 / depth[j])
                         broken = bend * depth[i] > 0.02
+                contrast = 0.0
                 if broken:
+                    for c in range(3):
+                        total = radiance[i, c] + radiance[j, c]
+                        contrast = max(contrast, abs(radiance[i, c] - radiance[j, c]) / max(total, 1e-9))
+                if contrast > 0.02:
                     mark[i] = True
                     mark[j] = True
     return np.nonzero(mark)[0]

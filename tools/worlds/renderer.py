@@ -66,7 +66,7 @@ class Renderer:
         lit &= facing
         radiance = cast.shaded(pixels, triangle, depth, lit, view, lights, 1.0)
 
-        edges = edge_pixels(group, depth, lit, h, w)
+        edges = edge_pixels(group, depth, lit, radiance, h, w)
         if len(edges):
             fine = (pixels[edges][:, None] + np.array(SAMPLES)).reshape(-1, 2)
             around = cast.samples(fine, view, lights).reshape(len(edges), len(SAMPLES), 3).sum(axis=1)

@@ -3,6 +3,8 @@ depth sensor's map."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -44,12 +46,14 @@ def develop(
     radiance: NDArray[np.float32], config: SensorConfig, exposure: float, rng: np.random.Generator | None
 ) -> NDArray[np.uint8]:
     """The 8-bit RGB picture ``(H, W, 3)`` of a radiance; ``rng`` None leaves the noise out."""
-    noise = np.zeros((0, 0, 0), np.float32) if rng is None else rng.standard_normal(radiance.shape, dtype=np.float32)
+    shape = (0, 0, 0) if rng is None else radiance.shape
+    noise = np.zeros(shape, np.uint16) if rng is None else rng.integers(0, 65536, shape, dtype=np.uint16)
     curve = 255.0 * _tone(np.arange(4097) / 4096.0, config.gamma)
     out = np.empty(radiance.shape, np.uint8)
     _develop(
         radiance,
         noise,
+        _normal_quantiles(),
         np.float32(exposure),
         np.float32(1 / config.full_well),
         np.float32(config.read_noise / config.full_well),
@@ -58,6 +62,15 @@ def develop(
         out,
     )
     return out
+
+
+@lru_cache(maxsize=1)
+def _normal_quantiles() -> NDArray[np.float32]:
+    """The normal distribution's 65536 quantiles: drawing one by 16 random bits is a fifth of the work of drawing a
+    normal number."""
+    from scipy.special import ndtri
+
+    return ndtri((np.arange(65536) + 0.5) / 65536).astype(np.float32)
 
 
 def _tone(x: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
@@ -71,6 +84,7 @@ def _tone(x: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
 def _develop(
     radiance: NDArray,
     noise: NDArray,
+    quantiles: NDArray,
     exposure: float,
     gain: float,
     read: float,
@@ -87,7 +101,7 @@ def _develop(
             for c in range(3):
                 v = radiance[y, x, c] * fall * 0.625
                 if noise.size:
-                    v += np.sqrt(max(v, 0.0) * gain + read * read) * noise[y, x, c]
+                    v += np.sqrt(max(v, 0.0) * gain + read * read) * quantiles[noise[y, x, c]]
                 k = min(max(v, 0.0), 0.99999) * 4096.0
                 i = int(k)
                 out[y, x, c] = np.uint8(curve[i] + (k - i) * (curve[i + 1] - curve[i]) + 0.5)
