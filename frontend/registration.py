@@ -66,7 +66,7 @@ def _tilt(H: Array, depth_camera: PinholeCamera) -> Array:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _place(z: float, column: int, row: int, H: Array, h: Array, axis: int) -> float:
-    """Image column (``axis`` 0) or row (1) of a pixel; infinite or on the wrong side where ``z`` is behind the image."""
+    """Image column (``axis`` 0) or row (1) of a pixel at depth ``z`` that lies before the image's camera."""
     w = z * (H[2, 0] * column + H[2, 1] * row + H[2, 2]) + h[2]
     return (z * (H[axis, 0] * column + H[axis, 1] * row + H[axis, 2]) + h[axis]) / w
 

@@ -160,7 +160,7 @@ def quaternion_wxyz(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 DEPTH_FOCAL_PX = 585.0 * WIDTH / 640
-COLOUR_LEFT_OF_DEPTH_M = 0.025
+COLOUR_RIGHT_OF_DEPTH_M = 0.025
 
 
 def write_seven_scenes(folder: Path, scene: Scene) -> None:
@@ -171,7 +171,7 @@ def write_seven_scenes(folder: Path, scene: Scene) -> None:
     write_images(folder, [f"frame-{i:06d}.depth.png" for i in range(COUNT)], stored)
     for i, T_W_C in enumerate(scene.poses):
         pose = T_W_C.copy()
-        pose[:3, 3] += COLOUR_LEFT_OF_DEPTH_M * T_W_C[:3, 0]  # the depth camera, to the right of the colour camera
+        pose[:3, 3] -= COLOUR_RIGHT_OF_DEPTH_M * T_W_C[:3, 0]  # the depth camera, to the left of the colour camera
         (folder / f"frame-{i:06d}.pose.txt").write_text(
             "\n".join("\t ".join(f"{v:.16e}" for v in row) + "\t " for row in pose) + "\n"
         )

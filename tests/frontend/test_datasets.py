@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from dataset_makers import (
     BASELINE_M,
-    COLOUR_LEFT_OF_DEPTH_M,
+    COLOUR_RIGHT_OF_DEPTH_M,
     COUNT,
     CX,
     CY,
@@ -244,7 +244,7 @@ class TestSevenScenes(Contract):
     def expected_depth_m(self, scene: Scene, i: int) -> np.ndarray:
         """Backwards: the pixel in which the depth camera sees each point of the wall that the colour camera sees."""
         z = scene.depth_mm[i].max() / 1000.0
-        column = DEPTH_FOCAL_PX * ((np.arange(WIDTH) - CX) / FX - COLOUR_LEFT_OF_DEPTH_M / z) + WIDTH / 2
+        column = DEPTH_FOCAL_PX * ((np.arange(WIDTH) - CX) / FX + COLOUR_RIGHT_OF_DEPTH_M / z) + WIDTH / 2
         row = DEPTH_FOCAL_PX * (np.arange(HEIGHT) - CY) / FY + HEIGHT / 2
         rows, columns = np.rint(row).astype(int)[:, None], np.rint(column).astype(int)[None]
         inside = (rows >= 0) & (rows < HEIGHT) & (columns >= 0) & (columns < WIDTH)

@@ -12,6 +12,7 @@ import pytest
 from backend.geometry import rotation_angle_deg, se3_inverse, transform_points
 from frontend.cameras import RigKind
 from frontend.datasets import ImageSequence, open_dataset
+from frontend.datasets.images import read_depth
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
 pytestmark = pytest.mark.realdata
@@ -94,6 +95,28 @@ def test_seven_scenes_depth_and_poses_predict_where_points_go() -> None:
     seen = transform_points(T_b_a, rays * depth[:, None]) @ K.T
     error = np.linalg.norm(seen[:, :2] / seen[:, 2:] - right, axis=1)[depth > 0]
     assert len(error) > 50 and np.median(error) < 5.0
+
+
+def test_seven_scenes_depth_has_its_edges_where_the_image_has() -> None:
+    """Mean gradient of the image along edges of the depth, as a multiple of its mean: 1 by chance. Measured: 1.0 with
+    depth as stored, 1.6 registered with the colour camera on the wrong side, 1.7 with none beside, 2.5 as it is."""
+    found = sequence("redkitchen_first300")
+    ratios = {True: [], False: []}
+    for i in range(0, len(found), 60):
+        frame = found.read(i)
+        assert frame.depth_m is not None
+        smooth = cv2.GaussianBlur(frame.image, (0, 0), 1.0)
+        gradient = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+        for registered, depth in ((True, frame.depth_m), (False, read_depth(found.depth[i], found.depth_unit_m))):
+            ratios[registered].append(gradient[near_edges(depth)].mean() / gradient[depth > 0].mean())
+    assert np.mean(ratios[True]) > 2.0 and np.mean(ratios[False]) < 1.3
+
+
+def near_edges(depth_m: np.ndarray) -> np.ndarray:
+    """Pixels of the nearest surface within two pixels, where another lies a tenth farther."""
+    around = np.ones((5, 5), np.uint8)
+    nearest = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(1e9)), around)
+    return (depth_m > 0) & (nearest > 0.97 * depth_m) & (cv2.dilate(depth_m, around) > 1.1 * depth_m)
 
 
 def test_kitti_ground_truth_moves_forward() -> None:
