@@ -66,7 +66,7 @@ def test_a_car_with_one_camera_is_followed() -> None:
 def test_each_half_of_a_room_is_followed_with_rgbd(first: int, last: int) -> None:
     result, estimate, truth = tracked("redkitchen_first300", first, last)
     assert len(result.tracks) == 1 and len(estimate) == last - first and not result.lost
-    assert ate_m(estimate, truth, False) < 0.10
+    assert ate_m(estimate, truth, False) < 0.04  # 0.018 and 0.026; with depth taken as registered 0.023 and 0.041
 
 
 def test_a_drone_that_stands_still_makes_no_map() -> None:
