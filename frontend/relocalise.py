@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from frontend.colmap import absolute_pose
 from frontend.config import OdometryConfig
 from frontend.features import Detector, Pyramid, describe
 from frontend.frames import Frame
@@ -11,7 +12,7 @@ from frontend.matching import guided_match
 from frontend.pose import refine_pose
 from frontend.segment import Segment
 from frontend.stereo import Ranging
-from frontend.tracker import Tracked, pnp_ransac
+from frontend.tracker import Tracked
 
 
 def relocalise(frame: Frame, segment: Segment, ranging: Ranging, config: OdometryConfig) -> Tracked:
@@ -46,7 +47,7 @@ def relocalise(frame: Frame, segment: Segment, ranging: Ranging, config: Odometr
         )
         hit = np.flatnonzero(match >= 0)
         points, seen = map_.xyz[ids[hit]], keypoints.uv[usable[match[hit]]]
-        T = pnp_ransac(points, seen, ranging, 4.0)
+        T = absolute_pose(points, seen, ranging.cam, 4.0)
         if T is None:
             continue
         n = len(hit)

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import se3, se3_inverse
 from frontend.align import align, half_sized
+from frontend.colmap import absolute_pose
 from frontend.config import OdometryConfig
 from frontend.flow import follow, follow_both_ways
 from frontend.frames import Frame
@@ -140,7 +140,7 @@ class Tracker:
         """A pose without any prediction: wide flow from the previous frame, then RANSAC."""
         index = np.flatnonzero(self.found & np.isfinite(xyz[:, 0]))
         uv, ok = follow(self.image[0], frame.image, self.uv[index], self.uv[index], self.config.flow)
-        return pnp_ransac(xyz[index[ok]], uv[ok], self.ranging, 8.0 * self.config.pose.pixel_sigma_px)
+        return absolute_pose(xyz[index[ok]], uv[ok], self.ranging.cam, 8.0 * self.config.pose.pixel_sigma_px)
 
     def _look_again(
         self,
@@ -181,7 +181,7 @@ class Tracker:
         )
         T, good, _ = refine_pose(predicted, *args, settings.outlier_sigmas, 4)
         if good.sum() < max(settings.min_inliers, 0.5 * n):
-            T_ransac = pnp_ransac(xyz[index], uv[index], self.ranging, 4.0 * settings.pixel_sigma_px)
+            T_ransac = absolute_pose(xyz[index], uv[index], self.ranging.cam, 4.0 * settings.pixel_sigma_px)
             if T_ransac is not None:
                 T2, good2, _ = refine_pose(T_ransac, *args, settings.outlier_sigmas, 4)
                 if good2.sum() > good.sum():
@@ -219,27 +219,3 @@ class Tracker:
         line = np.cross(T[:3, 3], a @ T[:3, :3].T)
         scale = np.hypot(line[:, 0], line[:, 1]) / self.ranging.cam[0]
         return np.abs((line * b).sum(axis=1)) < _EPIPOLAR_PX * scale + 1e-12
-
-
-def pnp_ransac(points: Array, uv: Array, ranging: Ranging, threshold_px: float) -> Array | None:
-    """``T_C_W`` by P3P in RANSAC (OpenCV's own fixed seed: the same draw every time), or None."""
-    if len(points) < 6:
-        return None
-    fx, fy, cx, cy, _ = ranging.cam
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    try:
-        found, rotation, translation, inliers = cv2.solvePnPRansac(
-            points,
-            uv,
-            K,
-            None,
-            iterationsCount=300,
-            reprojectionError=threshold_px,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_AP3P,
-        )
-    except cv2.error:
-        return None
-    if not found or inliers is None or len(inliers) < 6:
-        return None
-    return se3(cv2.Rodrigues(rotation)[0], translation.ravel())
