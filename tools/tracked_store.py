@@ -47,13 +47,25 @@ def make_job(
     code.
     """
     digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {code_digest()}".encode())
-    digest.update(sequence.stamps_ns.tobytes())
+    digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
     models = [path for path in (vocabulary, Path(model)) if path is not None and path.is_file()]
     for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
         status = path.stat() if path.exists() else None
         digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
     store = folder / f"{sequence.name}.npz"
     return TrackingJob(sequence, odometry, model, vocabulary, store, digest.hexdigest())
+
+
+def _decoding(sequence: ImageSequence) -> bytes:
+    """What turns stored files into frames, beside the rig: depth unit, depth sensor, rectification."""
+    parts = [repr(sequence.depth_unit_m).encode()]
+    if sequence.registration is not None:
+        sensor = sequence.registration
+        parts += [repr(sensor.depth_camera).encode(), repr(sensor.camera).encode(), sensor.T_C_D.tobytes()]
+    if sequence.rectifier is not None:
+        maps = (*sequence.rectifier.left, *(sequence.rectifier.right or ()), sequence.rectifier.depth_index)
+        parts += [m.tobytes() for m in maps if m is not None]
+    return b"".join(parts)
 
 
 def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
