@@ -15,6 +15,7 @@ from frontend.flow import follow_both_ways
 from frontend.frames import Frame
 from frontend.segment import Segment
 from frontend.stereo import Ranging
+from frontend.stopwatch import Stopwatch
 from frontend.two_view import TwoViews, solve_two_views
 
 Array = NDArray[np.float64]
@@ -36,16 +37,16 @@ class Starter(Protocol):
         ...
 
 
-def make_starter(ranging: Ranging, config: OdometryConfig) -> Starter:
+def make_starter(ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> Starter:
     """The way to start that the rig allows."""
-    return MetricStarter(ranging, config) if ranging.rig.metric else MonoStarter(ranging, config)
+    return MetricStarter(ranging, config, watch) if ranging.rig.metric else MonoStarter(ranging, config, watch)
 
 
 class MetricStarter:
     """One view with depth: its points are placed at once."""
 
-    def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
-        self.ranging, self.config = ranging, config
+    def __init__(self, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
+        self.ranging, self.config, self.watch = ranging, config, watch
 
     def offer(self, frame: Frame) -> Start:
         """Refuses a frame without its second image, and one with too few points with depth."""
@@ -53,7 +54,7 @@ class MetricStarter:
             return Start(None, "the right image is missing")
         if self.ranging.rig.kind is RigKind.RGBD and frame.depth_m is None:
             return Start(None, "the depth image is missing")
-        segment = Segment(self.ranging, self.config)
+        segment = Segment(self.ranging, self.config, self.watch)
         segment.latest = segment.mapper.insert(frame, np.eye(4), np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
         segment.follow(frame)
         placed = int(np.isfinite(segment.map.xyz[segment.tracker.point, 0]).sum())
@@ -67,8 +68,8 @@ class MonoStarter:
     """Two views far enough apart: corners of the first are followed until their motion gives away the camera's
     (thesis 2.1.3)."""
 
-    def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
-        self.ranging, self.config = ranging, config
+    def __init__(self, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
+        self.ranging, self.config, self.watch = ranging, config, watch
         self._first: Frame | None = None
         self._last: Frame | None = None
         self._first_uv: Array = np.zeros((0, 2))
@@ -118,7 +119,7 @@ class MonoStarter:
         unit = float(np.median(views.points[:, 2]))
         T = views.T_2_1.copy()
         T[:3, 3] /= unit
-        segment = Segment(self.ranging, self.config)
+        segment = Segment(self.ranging, self.config, self.watch)
         ids = segment.map.add_points(len(views.points))
         segment.map.xyz[ids] = views.points / unit
         for view, pose, uv in ((self._first, np.eye(4), self._first_uv), (frame, T, self._uv)):

@@ -12,6 +12,7 @@ from frontend.local_adjustment import adjust_locally, window_keyframes
 from frontend.map import Array, Ints, KeyFrame, Map
 from frontend.matching import guided_match
 from frontend.stereo import Ranging
+from frontend.stopwatch import Stage, Stopwatch
 from frontend.triangulate import triangulate
 from frontend.window import window_residuals
 
@@ -22,21 +23,29 @@ _TRIANGULATION_SIGMAS = 4.0
 class Mapper:
     """Grows and refines one :class:`Map`."""
 
-    def __init__(self, map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
+    def __init__(
+        self, map_: Map, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None
+    ) -> None:
         self.map, self.ranging, self.config = map_, ranging, config
+        self._stage = (watch or Stopwatch()).stage
         self._detector = Detector(config.features)
         self._log_scale = np.log(config.features.scale_factor)
 
     def insert(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> KeyFrame:
         """Make ``frame`` a key-frame that sees map points ``point`` at ``uv`` (followed by flow), and improve the map
         with it."""
-        keyframe = self._make(frame, T_C_W, point, uv)
-        self.map.insert(keyframe)
-        self._position_new(keyframe)
-        self._triangulate_waiting(keyframe)
-        self._fuse(keyframe)
-        adjust_locally(self.map, self.ranging, self.config)
-        self._cull_keyframes()
+        with self._stage(Stage.DETECT):
+            keyframe = self._make(frame, T_C_W, point, uv)
+        with self._stage(Stage.TRIANGULATE):
+            self.map.insert(keyframe)
+            self._position_new(keyframe)
+            self._triangulate_waiting(keyframe)
+        with self._stage(Stage.MATCH):
+            self._fuse(keyframe)
+        with self._stage(Stage.ADJUST):
+            adjust_locally(self.map, self.ranging, self.config)
+        with self._stage(Stage.CULL):
+            self._cull_keyframes()
         return keyframe
 
     def _make(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> KeyFrame:
@@ -55,14 +64,16 @@ class Mapper:
         level = np.concatenate([level, new_level])
         keypoints = describe(pyramid, all_uv, level) if stays else undescribed(all_uv, level)
         described = np.isfinite(keypoints.angle_deg)
-        points = np.concatenate([point, self._seen_again(T_C_W, point, keypoints, n)])
+        with self._stage(Stage.MATCH):
+            points = np.concatenate([point, self._seen_again(T_C_W, point, keypoints, n)])
         matched = (np.arange(len(points)) >= n) & (points >= 0)
         followed = np.arange(len(points)) < n
         followed[n + fill[points[n + fill] < 0]] = True
         fresh = points < 0
         points[fresh] = self.map.add_points(int(fresh.sum()))
         _, depth = self.ranging.project(T_C_W, self.map.xyz[points])
-        disparity = self.ranging.measure(frame, all_uv, np.where(depth > 0, depth, np.nan))
+        with self._stage(Stage.STEREO):
+            disparity = self.ranging.measure(frame, all_uv, np.where(depth > 0, depth, np.nan))
         sigma = np.where(matched, features.scale_factor ** level.astype(np.float64), self.config.pose.pixel_sigma_px)
         return KeyFrame(
             number=len(self.map.keyframes) + len(self.map.culled),

@@ -20,6 +20,7 @@ from frontend.keyframes import wants_keyframe
 from frontend.relocalise import relocalise
 from frontend.segment import Segment
 from frontend.stereo import Ranging
+from frontend.stopwatch import Stage, Stopwatch
 from frontend.trajectory import Trajectory
 from frontend.vofiles import VoTrack
 
@@ -69,14 +70,15 @@ class OdometryResult:
 
 class Odometry:
     """Feed frames in order of time with :meth:`process`, then :meth:`finish`. The same frames give the same result,
-    bit by bit."""
+    bit by bit. ``stopwatch`` knows where the time went."""
 
     def __init__(self, rig: Rig, config: OdometryConfig, vocabulary: WordLookup) -> None:
         if rig.kind is RigKind.STEREO and not (rig.baseline_m and rig.baseline_m > 0):
             raise FrontendError(f"a stereo rig needs a baseline above 0 m, got {rig.baseline_m}")
         self.rig, self.config, self.vocabulary = rig, config, vocabulary
         self.ranging = Ranging(rig, config.stereo, config.flow)
-        self._starter = make_starter(self.ranging, config)
+        self.stopwatch = Stopwatch()
+        self._starter = make_starter(self.ranging, config, self.stopwatch)
         self._segment: Segment | None = None
         self._finished: list[Segment] = []
         self._results: list[FrameResult] = []
@@ -92,10 +94,12 @@ class Odometry:
             # The first map: from one view with depth, from two without.
             return self._note(self._start(frame))
         # Follow the points into this frame; the pose that explains them best.
-        tracked = segment.tracker.track(frame, segment.map)
+        with self.stopwatch.stage(Stage.TRACK):
+            tracked = segment.tracker.track(frame, segment.map)
         if tracked.T_C_W is None and self._lost_frames:
             # Lost a while ago: look for the recent map in this frame.
-            tracked = relocalise(frame, segment, self.ranging, self.config)
+            with self.stopwatch.stage(Stage.RELOCALISE):
+                tracked = relocalise(frame, segment, self.ranging, self.config)
         if tracked.T_C_W is None:
             return self._note(self._lost(frame, tracked.reason))
         self._lost_frames = 0
@@ -113,8 +117,10 @@ class Odometry:
             segment.close()
         kept = [s for s in segments if len(s.map.keyframes) >= self.config.min_track_keyframes]
         trajectories = [s.trajectory() for s in kept]
+        with self.stopwatch.stage(Stage.EXPORT):
+            tracks = [export_track(s, self.vocabulary) for s in kept]
         return OdometryResult(
-            tracks=[export_track(s, self.vocabulary) for s in kept],
+            tracks=tracks,
             keyframe_indices=[s.keyframe_indices() for s in kept],
             trajectories=trajectories,
             lost=self._lost_intervals(trajectories),
@@ -122,7 +128,8 @@ class Odometry:
         )
 
     def _start(self, frame: Frame) -> FrameResult:
-        start = self._starter.offer(frame)
+        with self.stopwatch.stage(Stage.START):
+            start = self._starter.offer(frame)
         if start.segment is None:
             return FrameResult(frame.stamp_ns, None, State.STARTING, False, start.reason)
         self._segment = start.segment
@@ -138,7 +145,7 @@ class Odometry:
         if self._lost_frames > self.config.lost.relocalise_frames:
             self._finished.append(self._segment)
             self._segment, self._lost_frames = None, 0
-            self._starter = make_starter(self.ranging, self.config)
+            self._starter = make_starter(self.ranging, self.config, self.stopwatch)
             return self._start(frame)
         return FrameResult(frame.stamp_ns, None, State.LOST, False, reason)
 

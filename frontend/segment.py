@@ -15,6 +15,7 @@ from frontend.keyframes import SinceKeyframe
 from frontend.map import KeyFrame, Map
 from frontend.mapper import Mapper
 from frontend.stereo import Ranging
+from frontend.stopwatch import Stopwatch
 from frontend.tracker import Tracker
 from frontend.trajectory import Trajectory
 
@@ -34,9 +35,9 @@ class FrameRecord:
 class Segment:
     """A map being driven through."""
 
-    def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
+    def __init__(self, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
         self.map = Map()
-        self.mapper = Mapper(self.map, ranging, config)
+        self.mapper = Mapper(self.map, ranging, config, watch)
         self.tracker = Tracker(ranging, config)
         self.frames: list[FrameRecord] = []
         self.latest: KeyFrame | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -20,6 +21,7 @@ from frontend.errors import FrontendError
 from frontend.frames import Frame
 from frontend.rectification import Rectifier
 from frontend.registration import DepthRegistration
+from frontend.stopwatch import Stage, Stopwatch
 from frontend.trajectory import Trajectory
 
 Pixel = TypeVar("Pixel", bound=np.generic)
@@ -102,24 +104,34 @@ class ImageSequence:
             depth = self.registration.register(depth)
         return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]))
 
-    def frames(self, start: int = 0, stop: int | None = None, ahead: int = 4) -> Iterator[Frame]:
+    def frames(
+        self, start: int = 0, stop: int | None = None, ahead: int = 4, watch: Stopwatch | None = None
+    ) -> Iterator[Frame]:
         """Frames ``start`` to ``stop`` in order, each decoded once; a thread decodes up to ``ahead`` frames before they
         are asked for.
 
-        What :meth:`read` raises is raised when the damaged frame's turn comes, not before.
+        What :meth:`read` raises is raised when the damaged frame's turn comes, not before. ``watch`` is told what
+        decoding costs in its thread.
         """
         indices = iter(range(len(self))[start:stop])
         pending: deque[Future[Frame]] = deque()
         reader = ThreadPoolExecutor(1, thread_name_prefix="decode")
         try:
             for i in indices:
-                pending.append(reader.submit(self.read, i))
+                pending.append(reader.submit(self._timed_read, i, watch))
                 if len(pending) > ahead:
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()
         finally:
             reader.shutdown(wait=True, cancel_futures=True)
+
+    def _timed_read(self, i: int, watch: Stopwatch | None) -> Frame:
+        cpu, wall = time.thread_time(), time.perf_counter()
+        frame = self.read(i)
+        if watch is not None:
+            watch.add(Stage.DECODE, time.thread_time() - cpu, time.perf_counter() - wall)
+        return frame
 
     def _sized(self, image: NDArray[Pixel], path: Path) -> NDArray[Pixel]:
         width, height = self.stored_size

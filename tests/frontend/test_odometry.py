@@ -17,6 +17,7 @@ from frontend.config import KeyframeConfig, OdometryConfig
 from frontend.errors import FrontendError
 from frontend.frames import Frame
 from frontend.odometry import FrameResult, Odometry, OdometryResult, State
+from frontend.stopwatch import Stage
 from frontend.trajectory import Trajectory
 
 Change = Callable[[int, Frame], Frame | None]
@@ -256,3 +257,14 @@ def test_two_runs_give_the_same_bytes(kind: RigKind) -> None:
             assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
     assert runs[0].trajectories[0].poses.tobytes() == runs[1].trajectories[0].poses.tobytes()
     assert runs[0].stats == runs[1].stats
+
+
+def test_the_stopwatch_knows_every_stage() -> None:
+    _, frames, odometry = track(RigKind.STEREO, count=20)
+    times = odometry.stopwatch.times
+    made = sum(frame.is_keyframe for frame in frames)
+    assert times[Stage.TRACK].count == 19 and times[Stage.START].count == 1 and times[Stage.EXPORT].count == 1
+    for stage in (Stage.DETECT, Stage.STEREO, Stage.TRIANGULATE, Stage.ADJUST, Stage.CULL):
+        assert times[stage].count == made
+    assert all(time.wall_s > 0.0 for time in times.values())
+    assert Stage.DECODE not in times
