@@ -1,11 +1,15 @@
-"""Small patches of one image found in another, from a good guess, with the change of scale and turn known: compiled.
+"""Small patches kept from one image and found in others, from a good guess, with the change of scale and turn known:
+compiled.
 
 Inverse-compositional Lucas-Kanade (Baker and Matthews, IJCV 2004) on a translation; brightness and contrast may
-differ. Other than frame-to-frame flow it always compares with the key-frame's own patch, so errors do not add up, and
-a point may be lost and found.
+differ. Other than frame-to-frame flow it always compares with the patch as it was first seen, so errors do not add
+up, and a point may be lost and found. The kept patch is turned and scaled once into the view of the image it is looked
+for in; then all its samples share their weights, which leaves the compiler rows it can work on many pixels at a time.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,132 +18,226 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 HALF = 5
-"""Patches are 11 x 11 pixels."""
-_SIDE = 2 * HALF + 1
+"""What is compared: 11 x 11 pixels of the image searched."""
+KEPT = 9
+"""What is kept: 19 x 19 pixels, enough for a turn of 45 degrees or a view from 1.5 times as far away."""
+_SIDE, _KEPT_SIDE = 2 * HALF + 1, 2 * KEPT + 1
+_LANE = 16
+"""Rows are padded to this many samples of no weight: whole vectors of the processor."""
 _STEPS = 12
 _CONVERGED_PX = 0.02
+_COARSE_CONVERGED_PX = 0.1
+_COARSE_SCORE = 0.3
+_REFINE_PX = 4.0
+"""The coarse search leaves no more than this to the fine one."""
 _REORDER = {"reassoc", "contract", "arcp", "nsz"}
 """What the compiler may do to sums for speed; NaN must stay NaN."""
-_FLAT = 12.0
+_FLAT = 1.2
 """Smallest eigenvalue of the mean gradient matrix, grey levels squared a pixel squared, of a patch that has a place."""
+
+
+@dataclass(frozen=True)
+class Patches:
+    """What ``n`` points look like: ``uv`` ``(n, 2)`` pixels of the image they were cut from, and on each of its levels
+    ``pixels`` ``(n, levels, 19, 19)`` around the nearest pixel. Rows may be taken, and joined from several images."""
+
+    uv: Array
+    pixels: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Patches:
+        return Patches(self.uv[rows], self.pixels[rows])
+
+    @staticmethod
+    def join(parts: list[Patches]) -> Patches:
+        return Patches(np.concatenate([p.uv for p in parts]), np.concatenate([p.pixels for p in parts]))
 
 
 def half_sized(image: NDArray[np.uint8], levels: int) -> list[NDArray[np.uint8]]:
     """The image and its halvings; pixel ``x`` of level k lies at ``2^k x`` of level 0."""
-    out = [image]
+    out = [np.ascontiguousarray(image)]
     for _ in range(levels):
         out.append(cv2.pyrDown(out[-1]).astype(np.uint8, copy=False))
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
-def _sample(image: NDArray[np.uint8], x: float, y: float) -> float:
-    # Unsigned indices need no test for counting from the end.
-    x0, y0 = np.uint32(x), np.uint32(y)
-    x1, y1 = x0 + np.uint32(1), y0 + np.uint32(1)
-    a, b = x - x0, y - y0
-    top = (1.0 - a) * image[y0, x0] + a * image[y0, x1]
-    bottom = (1.0 - a) * image[y1, x0] + a * image[y1, x1]
-    return (1.0 - b) * top + b * bottom
+def cut_patches(image: list[NDArray[np.uint8]], uv: Array) -> Patches:
+    """Patches of the levels of :func:`half_sized` around ``uv`` ``(n, 2)``; beyond the border its pixels repeat."""
+    pixels = np.empty((len(uv), len(image), _KEPT_SIDE, _KEPT_SIDE), dtype=np.uint8)
+    for level, at_level in enumerate(image):
+        _cut(at_level, uv, level, pixels)
+    return Patches(uv, pixels)
 
 
 @njit(cache=True, nogil=True)
-def _cut(image: NDArray[np.uint8], x: float, y: float, out: Array) -> None:
-    """The patch around a point with a border of one pixel; all its samples share their weights."""
-    x0, y0 = int(x), int(y)
-    a, b = x - x0, y - y0
-    w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+def _cut(image: NDArray[np.uint8], uv: Array, level: int, out: NDArray[np.uint8]) -> None:
+    height, width = image.shape
+    factor = 0.5**level
+    for i in range(len(uv)):
+        x0, y0 = int(np.floor(uv[i, 0] * factor + 0.5)) - KEPT, int(np.floor(uv[i, 1] * factor + 0.5)) - KEPT
+        for r in range(_KEPT_SIDE):
+            y = min(max(y0 + r, 0), height - 1)
+            if x0 >= 0 and x0 + _KEPT_SIDE <= width:
+                for c in range(_KEPT_SIDE):
+                    out[i, level, r, c] = image[y, x0 + c]
+            else:
+                for c in range(_KEPT_SIDE):
+                    out[i, level, r, c] = image[y, min(max(x0 + c, 0), width - 1)]
+
+
+@njit(cache=True, nogil=True)
+def _turned(kept: NDArray[np.uint8], fx: float, fy: float, A: Array, det: float, out: NDArray[np.float32]) -> None:
+    """The kept patch ``(19 * 19)`` as the image searched shows it, with a border of one pixel, ``(13, 16)``; ``fx``,
+    ``fy``: where the point lies off the patch's middle pixel. In fixed point: half as long as in floating point."""
+    one = 65536.0
+    b00, b01 = np.int32(A[1, 1] / det * one), np.int32(-A[0, 1] / det * one)
+    b10, b11 = np.int32(-A[1, 0] / det * one), np.int32(A[0, 0] / det * one)
+    # Weights are cut to 8 bits: half a step more rounds them.
+    x_mid, y_mid = np.int32((KEPT + fx) * one) + np.int32(128), np.int32((KEPT + fy) * one) + np.int32(128)
+    eight, sixteen, mask = np.int32(8), np.int32(16), np.int32(255)
+    low, high, grey = np.int32(0), np.int32(2 * KEPT * 65536 - 1), np.float32(1.0 / one)
+    right, below = np.uint32(1), np.uint32(_KEPT_SIDE)
     for r in range(_SIDE + 2):
+        dy = np.int32(r - HALF - 1)
+        x_row, y_row = x_mid + b01 * dy - b00 * np.int32(HALF + 1), y_mid + b11 * dy - b10 * np.int32(HALF + 1)
         for c in range(_SIDE + 2):
-            yy, xx = y0 + r - HALF - 1, x0 + c - HALF - 1
-            out[r, c] = (
-                w00 * image[yy, xx] + w01 * image[yy, xx + 1] + w10 * image[yy + 1, xx] + w11 * image[yy + 1, xx + 1]
-            )
+            x, y = min(max(x_row, low), high), min(max(y_row, low), high)
+            x_row, y_row = x_row + b00, y_row + b10
+            a, b = (x >> eight) & mask, (y >> eight) & mask
+            # Unsigned indices need no test for counting from the end.
+            k = np.uint32(y >> sixteen) * below + np.uint32(x >> sixteen)
+            p00, p01 = np.int32(kept[k]), np.int32(kept[k + right])
+            p10, p11 = np.int32(kept[k + below]), np.int32(kept[k + below + right])
+            top, bottom = (p00 << eight) + a * (p01 - p00), (p10 << eight) + a * (p11 - p10)
+            out[r, c] = np.float32((top << eight) + b * (bottom - top)) * grey
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
-def align_patches(
-    source: NDArray[np.uint8], target: NDArray[np.uint8], uv: Array, warp: Array, guess: Array, reach_px: float
-) -> tuple[Array, Array]:
-    """Positions ``(n, 2)`` in ``target`` of patches around ``uv`` ``(n, 2)`` of ``source``, and their correlation
-    ``(n,)``, -1 = failed.
+def _template(
+    P: NDArray[np.float32], T: NDArray[np.float32], gx: NDArray[np.float32], gy: NDArray[np.float32]
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Zero-mean patch and gradients ``(11 * 16)`` of a turned patch, zero in the padding; its mean, its sum of
+    squares, the gradients' products with each other and with the patch."""
+    count = np.float32(_SIDE * _SIDE)
+    half = np.float32(0.5)
+    mean = mx = my = np.float32(0.0)
+    for r in range(_SIDE):
+        for c in range(_SIDE):
+            k = r * _LANE + c
+            T[k] = P[r + 1, c + 1]
+            gx[k], gy[k] = half * (P[r + 1, c + 2] - P[r + 1, c]), half * (P[r + 2, c + 1] - P[r, c + 1])
+            mean, mx, my = mean + T[k], mx + gx[k], my + gy[k]
+    mean, mx, my = mean / count, mx / count, my / count
+    hxx = hxy = hyy = squares = own_x = own_y = np.float32(0.0)
+    for r in range(_SIDE):
+        for c in range(_SIDE):
+            k = r * _LANE + c
+            t, x, y = T[k] - mean, gx[k] - mx, gy[k] - my
+            T[k], gx[k], gy[k] = t, x, y
+            hxx, hxy, hyy = hxx + x * x, hxy + x * y, hyy + y * y
+            squares, own_x, own_y = squares + t * t, own_x + x * t, own_y + y * t
+    return mean, squares, hxx, hxy, hyy, own_x, own_y
 
-    ``warp`` ``(n, 2, 2)``: how a step in ``source`` shows in ``target``; ``guess`` ``(n, 2)``; a patch that moves
-    farther than ``reach_px`` from its guess has failed.
-    """
-    n = len(uv)
+
+@njit(cache=True, nogil=True, fastmath=_REORDER)
+def _compare(
+    flat: NDArray[np.uint8],
+    width: int,
+    u: float,
+    v: float,
+    mean: float,
+    T: NDArray[np.float32],
+    gx: NDArray[np.float32],
+    gy: NDArray[np.float32],
+    inside: NDArray[np.float32],
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Sums over the image's patch at ``(u, v)``, ``mean`` taken off: of its values, of their squares, and of their
+    products with the template and its gradients."""
+    x0, y0 = int(u), int(v)
+    a, b = np.float32(u - x0), np.float32(v - y0)
+    one, offset = np.float32(1.0), np.float32(mean)
+    w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+    total = squares = cross = bx = by = np.float32(0.0)
+    for r in range(_SIDE):
+        # Padding may read on into the next row: there is one, and it has no weight.
+        at = np.uint64((y0 + r - HALF) * width + x0 - HALF)
+        below = at + np.uint64(width)
+        k = np.uint64(r * _LANE)
+        for j in range(_LANE):
+            c = np.uint64(j)
+            value = (
+                w00 * np.float32(flat[at + c])
+                + w01 * np.float32(flat[at + c + np.uint64(1)])
+                + w10 * np.float32(flat[below + c])
+                + w11 * np.float32(flat[below + c + np.uint64(1)])
+                - offset
+            )
+            weighted = value * inside[k + c]
+            total += weighted
+            squares += weighted * value
+            cross += value * T[k + c]
+            bx += value * gx[k + c]
+            by += value * gy[k + c]
+    return total, squares, cross, bx, by
+
+
+@njit(cache=True, nogil=True)
+def _align_level(
+    pixels: NDArray[np.uint8],
+    uv: Array,
+    level: int,
+    target: NDArray[np.uint8],
+    warp: Array,
+    guess: Array,
+    reach_px: float,
+    converged_px: float,
+) -> tuple[Array, Array]:
+    """Positions ``(n, 2)`` on one level and correlations ``(n,)``, -1 = failed; ``guess`` and ``reach_px`` in pixels of
+    the level."""
+    n, factor = len(uv), 0.5**level
     out, score = guess.copy(), np.full(n, -1.0)
-    height_s, width_s = source.shape
-    height_t, width_t = target.shape
-    T, gx, gy = np.zeros(_SIDE * _SIDE), np.zeros(_SIDE * _SIDE), np.zeros(_SIDE * _SIDE)
-    I, P = np.zeros(_SIDE * _SIDE), np.zeros((_SIDE + 2, _SIDE + 2))
+    height, width = target.shape
+    flat = target.reshape(height * width)
     count = _SIDE * _SIDE
+    P = np.zeros((_SIDE + 2, _LANE), dtype=np.float32)
+    T, inside = np.zeros(_SIDE * _LANE, dtype=np.float32), np.zeros(_SIDE * _LANE, dtype=np.float32)
+    gx, gy = np.zeros(_SIDE * _LANE, dtype=np.float32), np.zeros(_SIDE * _LANE, dtype=np.float32)
+    for r in range(_SIDE):
+        inside[r * _LANE : r * _LANE + _SIDE] = 1.0
+    kept = pixels.reshape(n, pixels.shape[1], _KEPT_SIDE * _KEPT_SIDE)
     for i in range(n):
-        x, y = uv[i, 0], uv[i, 1]
-        if not (x >= HALF + 2 and y >= HALF + 2 and x < width_s - HALF - 3 and y < height_s - HALF - 3):
-            continue
         A = warp[i]
         det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
         if not (0.1 < det < 10.0):
             continue
-        b00, b01, b10, b11 = A[1, 1] / det, -A[0, 1] / det, -A[1, 0] / det, A[0, 0] / det
-        mean, mx, my = 0.0, 0.0, 0.0
-        _cut(source, x, y, P)
-        k = 0
-        for r in range(1, _SIDE + 1):
-            for c in range(1, _SIDE + 1):
-                T[k] = P[r, c]
-                sx, sy = 0.5 * (P[r, c + 1] - P[r, c - 1]), 0.5 * (P[r + 1, c] - P[r - 1, c])
-                # The template's gradient as a step in the target image sees it.
-                gx[k], gy[k] = sx * b00 + sy * b10, sx * b01 + sy * b11
-                mean, mx, my = mean + T[k], mx + gx[k], my + gy[k]
-                k += 1
-        mean, mx, my = mean / count, mx / count, my / count
-        hxx, hxy, hyy, var_T = 0.0, 0.0, 0.0, 0.0
-        for k in range(count):
-            T[k] -= mean
-            gx[k] -= mx
-            gy[k] -= my
-            hxx, hxy, hyy = hxx + gx[k] * gx[k], hxy + gx[k] * gy[k], hyy + gy[k] * gy[k]
-            var_T += T[k] * T[k]
+        x, y = uv[i, 0] * factor, uv[i, 1] * factor
+        _turned(kept[i, level], x - np.floor(x + 0.5), y - np.floor(y + 0.5), A, det, P)
+        mean, var_T, hxx, hxy, hyy, own_x, own_y = _template(P, T, gx, gy)
         det_h = hxx * hyy - hxy * hxy
         smallest = 0.5 * (hxx + hyy - np.sqrt((hxx - hyy) ** 2 + 4.0 * hxy * hxy))
-        if smallest < _FLAT * count * 0.1 or det_h <= 0.0:
+        if smallest < _FLAT * count or det_h <= 0.0:
             continue
-        span_x = HALF * (abs(A[0, 0]) + abs(A[0, 1])) + 1.0
-        span_y = HALF * (abs(A[1, 0]) + abs(A[1, 1])) + 1.0
         u, v = guess[i, 0], guess[i, 1]
         for step in range(_STEPS):
-            if not (u >= span_x and v >= span_y and u < width_t - span_x - 1.0 and v < height_t - span_y - 1.0):
+            if not (u >= HALF and v >= HALF and u < width - HALF - 1 and v < height - HALF - 2):
                 score[i] = -1.0
                 break
-            mean_I, var_I, cross = 0.0, 0.0, 0.0
-            k = 0
-            for dy in range(-HALF, HALF + 1):
-                for dx in range(-HALF, HALF + 1):
-                    I[k] = _sample(target, u + A[0, 0] * dx + A[0, 1] * dy, v + A[1, 0] * dx + A[1, 1] * dy)
-                    mean_I += I[k]
-                    k += 1
-            mean_I /= count
-            for k in range(count):
-                I[k] -= mean_I
-                var_I += I[k] * I[k]
-                cross += I[k] * T[k]
-            if var_I < 1e-6:
+            total, squares, cross, bx, by = _compare(flat, width, u, v, mean, T, gx, gy, inside)
+            var_I = squares - total * total / count
+            if var_I < 1e-2:
                 score[i] = -1.0
                 break
-            gain = np.sqrt(var_T / var_I)
             score[i] = cross / np.sqrt(var_I * var_T)
-            bx, by = 0.0, 0.0
-            for k in range(count):
-                r = gain * I[k] - T[k]
-                bx, by = bx + gx[k] * r, by + gy[k] * r
+            gain = np.sqrt(var_T / var_I)
+            bx, by = gain * bx - own_x, gain * by - own_y
             du, dv = -(hyy * bx - hxy * by) / det_h, -(hxx * by - hxy * bx) / det_h
             u, v = u + du, v + dv
             if (u - guess[i, 0]) ** 2 + (v - guess[i, 1]) ** 2 > reach_px * reach_px:
                 score[i] = -1.0
                 break
-            if du * du + dv * dv < _CONVERGED_PX * _CONVERGED_PX:
+            if du * du + dv * dv < converged_px * converged_px:
                 break
             if step == _STEPS - 1 and du * du + dv * dv > 0.1:
                 score[i] = -1.0
@@ -149,19 +247,21 @@ def align_patches(
 
 
 def align(
-    source: list[NDArray[np.uint8]],
-    target: list[NDArray[np.uint8]],
-    uv: Array,
-    warp: Array,
-    guess: Array,
-    min_score: float,
-    reach_px: float,
+    patches: Patches, target: list[NDArray[np.uint8]], warp: Array, guess: Array, min_score: float, reach_px: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Coarse to fine over the levels of :func:`half_sized`; positions ``(n, 2)`` and which were found."""
-    at = guess.copy()
-    for level in range(len(source) - 1, 0, -1):
+    """Where ``patches`` show in ``target`` (levels of :func:`half_sized`, as many as were cut), coarse to fine:
+    positions ``(n, 2)`` and which were found.
+
+    ``warp`` ``(n, 2, 2)``: how a step in the image they were cut from shows in ``target``; ``guess`` ``(n, 2)``. Found:
+    no farther than ``reach_px`` from the guess, with a correlation of at least ``min_score``.
+    """
+    at, last = guess, len(target) - 1
+    for level in range(last, 0, -1):
         factor = 0.5**level
-        found, score = align_patches(source[level], target[level], uv * factor, warp, at * factor, reach_px * factor)
-        at = np.where((score > 0.3)[:, None], found / factor, at)
-    found, score = align_patches(source[0], target[0], uv, warp, at, reach_px if len(source) == 1 else 4.0)
+        found, score = _align_level(
+            patches.pixels, patches.uv, level, target[level], warp, at * factor, reach_px * factor, _COARSE_CONVERGED_PX
+        )
+        at = np.where((score > _COARSE_SCORE)[:, None], found / factor, at)
+    reach = _REFINE_PX if last else reach_px
+    found, score = _align_level(patches.pixels, patches.uv, 0, target[0], warp, at, reach, _CONVERGED_PX)
     return found, score >= min_score

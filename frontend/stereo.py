@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frontend.align import align, half_sized
+from frontend.align import align, cut_patches, half_sized
 from frontend.cameras import Rig, RigKind
 from frontend.config import FlowConfig, StereoConfig
 from frontend.frames import Frame
@@ -85,7 +85,8 @@ def measure_disparity(
         coarse = coarse_disparity(small[0], small[1], (uv[~known] + 0.5) / _COARSE - 0.5, reach, 0)
         guess[~known, 0] -= coarse[:, 0] * _COARSE
     same = np.broadcast_to(np.eye(2), (len(uv), 2, 2))
-    xy, ok = align(half_sized(left, 1), half_sized(right, 1), uv, same, guess, flow.min_correlation, 6.0)
+    patches = cut_patches(half_sized(left, 1), uv)
+    xy, ok = align(patches, half_sized(right, 1), same, guess, flow.min_correlation, 6.0)
     rows = xy[:, 1] - uv[:, 1]
     if ok.any():
         ok &= np.abs(rows - np.median(rows[ok])) < config.max_vertical_px / 2

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import se3, se3_inverse
-from frontend.align import align, half_sized
+from frontend.align import align, cut_patches, half_sized
 from frontend.colmap import absolute_pose
 from frontend.config import OdometryConfig
 from frontend.flow import follow, follow_both_ways
@@ -37,11 +37,12 @@ class Tracked:
 
 class Tracker:
     """Owns what is followed: map points ``point`` ``(n,)``, where the last key-frame sees them (``anchor_uv`` ``(n,
-    2)``) and where they were in the last frame (``uv`` ``(n, 2)``, ``found`` ``(n,)``)."""
+    2)``), what they look like there (``patches``), and where they were in the last frame (``uv`` ``(n, 2)``, ``found``
+    ``(n,)``)."""
 
     def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
         self.ranging, self.config = ranging, config
-        self.anchor: list[NDArray[np.uint8]] = []
+        self.patches = cut_patches([], np.zeros((0, 2)))
         self.image: list[NDArray[np.uint8]] = []
         self.stamp_ns = 0
         self.point: Ints = np.zeros(0, dtype=np.int64)
@@ -57,14 +58,12 @@ class Tracker:
 
     def start(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> None:
         """Follow ``point``, seen at ``uv`` in this frame, from here on."""
-        self.anchor = (
-            self.image
-            if self.stamp_ns == frame.stamp_ns and self.image
-            else half_sized(frame.image, self.config.flow.align_levels)
-        )
-        self.image, self.stamp_ns = self.anchor, frame.stamp_ns
+        if self.stamp_ns != frame.stamp_ns or not self.image:
+            self.image = half_sized(frame.image, self.config.flow.align_levels)
+        self.stamp_ns = frame.stamp_ns
         self.T_C_W, self.anchor_T = T_C_W, T_C_W
         self.point, self.anchor_uv, self.uv = point, uv, uv
+        self.patches = cut_patches(self.image, uv)
         self.found = np.ones(len(point), dtype=bool)
         self.motion = None
 
@@ -119,7 +118,7 @@ class Tracker:
         index = np.flatnonzero(inside if only is None else inside & only)
         flow = self.config.flow
         uv[index], ok[index] = align(
-            self.anchor, image, self.anchor_uv[index], warp[index], guess[index], flow.min_correlation, flow.reach_px
+            self.patches.take(index), image, warp[index], guess[index], flow.min_correlation, flow.reach_px
         )
         return uv, ok
 

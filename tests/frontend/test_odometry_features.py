@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import room
 
-from frontend.align import align, half_sized
+from frontend.align import align, cut_patches, half_sized
 from frontend.cameras import RigKind
 from frontend.config import FeatureConfig, FlowConfig, StereoConfig
 from frontend.features import EDGE_PX, Detector, Pyramid, describe, spread_cells
@@ -102,7 +102,8 @@ def test_patches_are_found_to_a_fraction_of_a_pixel_under_scale_turn_and_light(s
     inside = ((truth > 15) & (truth < [305, 225])).all(axis=1)
     uv, truth = uv[inside], truth[inside]
     warp = np.broadcast_to(matrix[:, :2], (len(uv), 2, 2)).copy()
-    found, ok = align(half_sized(image, 1), half_sized(target, 1), uv, warp, truth + np.array([3.0, -2.0]), 0.8, 16.0)
+    patches = cut_patches(half_sized(image, 1), uv)
+    found, ok = align(patches, half_sized(target, 1), warp, truth + np.array([3.0, -2.0]), 0.8, 16.0)
     error = np.linalg.norm(found - truth, axis=1)
     assert ok.mean() > 0.85
     assert np.median(error[ok]) < 0.1
@@ -113,7 +114,7 @@ def test_a_flat_patch_and_one_at_the_border_are_not_found() -> None:
     image[:, :100] = 77
     uv = np.array([[50.0, 120.0], [318.0, 120.0], [200.0, 120.0]])
     warp = np.broadcast_to(np.eye(2), (3, 2, 2)).copy()
-    _, ok = align(half_sized(image, 1), half_sized(image, 1), uv, warp, uv, 0.8, 16.0)
+    _, ok = align(cut_patches(half_sized(image, 1), uv), half_sized(image, 1), warp, uv, 0.8, 16.0)
     assert ok.tolist() == [False, False, True]
 
 
