@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.errors import BackendError
 from backend.geometry import Array, Sim3, rotation_angle_deg, se3_inverse, umeyama
@@ -41,6 +42,16 @@ class RelativeError:
     length_m: float
     translation_percent: float
     rotation_deg_per_m: float
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class StepError:
+    """Relative pose error from one frame to the next: RMSE of position and of angle, over ``count`` steps (0: both are
+    NaN)."""
+
+    translation_m: float
+    rotation_deg: float
     count: int
 
 
@@ -88,12 +99,27 @@ def relative_error(estimate: Array, truth: Array, length_m: float) -> RelativeEr
     starts = np.flatnonzero(ends < len(along))
     if not len(starts):
         return RelativeError(length_m, float("nan"), float("nan"), 0)
-    ends = ends[starts]
-    true_step = se3_inverse(truth[starts]) @ truth[ends]
-    error = se3_inverse(true_step) @ (se3_inverse(estimate[starts]) @ estimate[ends])
+    error = _step_errors(estimate, truth, starts, ends[starts])
     drift = np.linalg.norm(error[:, :3, 3], axis=1).mean() / length_m
     turn = rotation_angle_deg(error[:, :3, :3]).mean() / length_m
     return RelativeError(length_m, 100.0 * float(drift), float(turn), len(starts))
+
+
+def step_error(estimate: Array, truth: Array, frames: NDArray[np.int64]) -> StepError:
+    """RPE a frame of poses ``(N, 4, 4)`` ``T_W_C`` that belong to the frames numbered ``frames`` ``(N,)``, ascending;
+    steps over a gap do not count."""
+    starts = np.flatnonzero(np.diff(frames) == 1)
+    if not len(starts):
+        return StepError(float("nan"), float("nan"), 0)
+    error = _step_errors(estimate, truth, starts, starts + 1)
+    shift, turn = np.linalg.norm(error[:, :3, 3], axis=1), rotation_angle_deg(error[:, :3, :3])
+    return StepError(float(np.sqrt(np.mean(shift**2))), float(np.sqrt(np.mean(turn**2))), len(starts))
+
+
+def _step_errors(estimate: Array, truth: Array, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> Array:
+    """``(n, 4, 4)``: how the estimated steps differ from the true ones, in the frame of the true end."""
+    true_step = se3_inverse(truth[starts]) @ truth[ends]
+    return se3_inverse(true_step) @ (se3_inverse(estimate[starts]) @ estimate[ends])
 
 
 def path_length(positions: Array) -> float:

@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from tools.columns import aligned
 from tools.errors import ToolError
 
 SUMMARY = "summary.json"
@@ -73,7 +74,7 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     biggest = max(len(group) for group in summary["groups"])
     shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
     truth = [] if any(v is not None for v in rmse["agents"]) else ["no ground truth: errors cannot be known"]
-    return [*_aligned(rows), *shared, *truth]
+    return [*aligned(rows), *shared, *truth]
 
 
 def _traffic(summary: dict[str, Any]) -> list[str]:
@@ -82,7 +83,7 @@ def _traffic(summary: dict[str, Any]) -> list[str]:
     for key, name in OPERATIONS.items():
         one = traffic.get(key, {})
         rows.append([name, *(f"{one.get(column, 0):,}" for column in ("messages", "payload_bytes", "wire_bytes"))])
-    return _aligned(rows)
+    return aligned(rows)
 
 
 def _matches(summary: dict[str, Any]) -> list[str]:
@@ -110,13 +111,3 @@ def _metres(value: float | None) -> str:
 
 def _percent(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f} %"
-
-
-def _aligned(rows: list[list[str]]) -> list[str]:
-    """The first column set left, the others right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = []
-    for first, *others in rows:
-        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
-    return lines

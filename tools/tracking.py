@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from frontend.config import OdometryConfig
     from frontend.datasets import ImageSequence
     from frontend.frames import Frame
-    from frontend.odometry import OdometryResult
+    from frontend.odometry import FrameResult, Odometry, OdometryResult
+    from frontend.stopwatch import Stopwatch
     from frontend.vocabulary import Vocabulary
 
 UNREADABLE_SHARE = (
@@ -74,8 +75,7 @@ def track(
     places = _Places(sequence, model)
     unreadable: list[str] = []
     refusals: Counter[str] = Counter()
-    for frame in _readable(sequence, unreadable):
-        result = odometry.process(frame)
+    for frame, result in follow(sequence, odometry, unreadable):
         if result.is_keyframe:
             places.describe(frame.index, frame.image)
         if result.T_W_C is None:
@@ -90,12 +90,21 @@ def track(
     return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
 
 
-def _readable(sequence: ImageSequence, unreadable: list[str]) -> Iterator[Frame]:
+def follow(
+    sequence: ImageSequence, odometry: Odometry, unreadable: list[str]
+) -> Iterator[tuple[Frame, FrameResult]]:
+    """Every readable frame of ``sequence`` with what ``odometry`` makes of it; what is wrong with the others goes to
+    ``unreadable``."""
+    for frame in _readable(sequence, unreadable, odometry.stopwatch):
+        yield frame, odometry.process(frame)
+
+
+def _readable(sequence: ImageSequence, unreadable: list[str], watch: Stopwatch) -> Iterator[Frame]:
     """The frames in order without those that cannot be read; what is wrong with these goes to ``unreadable``."""
     following = 0
     while following < len(sequence):
         try:
-            for frame in sequence.frames(following):
+            for frame in sequence.frames(following, watch=watch):
                 following = frame.index + 1
                 yield frame
         except FrontendError as error:

@@ -42,18 +42,20 @@ def run_jobs(
     jobs: Mapping[str, tuple[Job, int]],
     workers: int,
     progress: Progress,
+    fresh: bool = False,
 ) -> dict[str, Outcome[Result]]:
     """``work(job, advance)`` for each named job (with its number of steps), the outcomes in the order of ``jobs``.
 
-    A failing job does not stop the others. With one worker or one job everything happens in this process. ``work`` must
-    be a function of a module, its jobs and results picklable; results must not depend on which worker made them.
+    A failing job does not stop the others. With one worker or one job everything happens in this process, but with
+    ``fresh`` each job gets a new process of its own: what it measures is its own. ``work`` must be a function of a
+    module, its jobs and results picklable; results must not depend on which worker made them.
     """
     tasks = {name: progress.start(name, steps) for name, (_, steps) in jobs.items()}
-    if min(workers, len(jobs)) <= 1:
+    if min(workers, len(jobs)) <= 1 and not fresh:
         return {name: _guarded(work, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()}
     context = multiprocessing.get_context("spawn")
     levels = context.Queue()
-    with _pool(min(workers, len(jobs)), context, _prepare_worker, levels) as pool:
+    with _pool(min(workers, len(jobs)), context, _prepare_worker, levels, 1 if fresh else None) as pool:
         futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
         _watch(futures, levels, tasks, progress)
         done = {name: future.result() for future, name in futures.items()}
@@ -83,9 +85,11 @@ def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int
 
 
 @contextmanager
-def _pool(workers: int, context: Any, prepare: Callable[[Any], None], argument: Any) -> Iterator[ProcessPoolExecutor]:
+def _pool(
+    workers: int, context: Any, prepare: Callable[[Any], None], argument: Any, jobs_each: int | None = None
+) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that is gone at the end, at once where the end is an error."""
-    pool = ProcessPoolExecutor(workers, context, prepare, (argument,))
+    pool = ProcessPoolExecutor(workers, context, prepare, (argument,), max_tasks_per_child=jobs_each)
     try:
         yield pool
     except BaseException:

@@ -17,6 +17,7 @@ import pytest
 from backend.geometry import se3_exp
 from frontend.errors import FrontendError
 from frontend.frames import Frame
+from frontend.stopwatch import Stopwatch
 from frontend.trajectory import Trajectory, read_tum, write_kitti_poses
 from frontend.vofiles import VoTrack, read_tracks
 from mas.sequence import load_sequences
@@ -34,6 +35,7 @@ class KnownOdometry:
 
     def __init__(self, *_: Any) -> None:
         self._seen: list[int] = []
+        self.stopwatch = Stopwatch()
 
     def process(self, frame: Frame) -> Any:
         calls.append(frame.index)
