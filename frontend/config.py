@@ -138,8 +138,19 @@ class MonoConfig(_Frozen):
 class LostConfig(_Frozen):
     """What happens when tracking fails."""
 
-    relocalise_frames: int = Field(10, ge=0, description="frames of searching the recent map before a new track starts")
-    recent_keyframes: int = Field(15, ge=1, description="key-frames searched")
+    relocalise_frames: int = Field(
+        10, ge=0, description="frames with texture searched for the map before a new track may start"
+    )
+    similar_keyframes: int = Field(20, ge=1, description="key-frames most alike by their words that are grouped")
+    candidates: int = Field(4, ge=1, description="groups tried, a pose each")
+    group_keyframes: int = Field(10, ge=0, description="neighbours of a key-frame whose points must bear a pose out")
+    min_matches: int = Field(30, ge=10, description="points of the map that must agree with a pose ...")
+    min_spread: float = Field(
+        0.4,
+        ge=0.0,
+        lt=1.0,
+        description="... and the share of the textured image they must fill: a thing that stands twice fills less",
+    )
 
 
 class OdometryConfig(_Frozen):

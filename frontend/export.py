@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
-from numpy.typing import NDArray
 
 from frontend.segment import Segment
 from frontend.vofiles import VoTrack
-
-
-class WordLookup(Protocol):
-    """What the odometry needs of a vocabulary."""
-
-    def words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """DBoW2 node ids ``(n, 2)`` at levels 3 and 4 of descriptors ``(n, 32)``."""
-        ...
+from frontend.words import WordLookup
 
 
 def export_track(segment: Segment, vocabulary: WordLookup) -> VoTrack:

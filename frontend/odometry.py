@@ -13,16 +13,18 @@ from backend.geometry import se3_inverse
 from frontend.cameras import Rig, RigKind
 from frontend.config import OdometryConfig
 from frontend.errors import FrontendError
-from frontend.export import WordLookup, export_track
+from frontend.export import export_track
 from frontend.frames import Frame
 from frontend.initialise import make_starter
 from frontend.keyframes import wants_keyframe
-from frontend.relocalise import relocalise
+from frontend.relocalise import Relocaliser
 from frontend.segment import Segment
 from frontend.stereo import Ranging
 from frontend.stopwatch import Stage, Stopwatch
+from frontend.tracker import Tracked
 from frontend.trajectory import Trajectory
 from frontend.vofiles import VoTrack
+from frontend.words import WordLookup
 
 log = logging.getLogger(__name__)
 
@@ -80,9 +82,12 @@ class Odometry:
         self.stopwatch = Stopwatch()
         self._starter = make_starter(self.ranging, config, self.stopwatch)
         self._segment: Segment | None = None
+        self._relocaliser: Relocaliser | None = None
         self._finished: list[Segment] = []
+        self._forgotten: list[Segment] = []
         self._results: list[FrameResult] = []
         self._lost_frames = 0
+        self._relocalised = 0
 
     def process(self, frame: Frame) -> FrameResult:
         """The pose of one frame. Never raises for what an image shows; a frame without a pose says why."""
@@ -96,16 +101,17 @@ class Odometry:
         # Follow the points into this frame; the pose that explains them best.
         with self.stopwatch.stage(Stage.TRACK):
             tracked = segment.tracker.track(frame, segment.map)
-        if tracked.T_C_W is None and self._lost_frames:
-            # Lost a while ago: look for the recent map in this frame.
-            with self.stopwatch.stage(Stage.RELOCALISE):
-                tracked = relocalise(frame, segment, self.ranging, self.config)
+        found_again = tracked.T_C_W is None
+        if found_again:
+            # Lost: look for the map in this frame by its words.
+            segment, tracked = self._search(frame, segment, tracked.reason)
         if tracked.T_C_W is None:
             return self._note(self._lost(frame, tracked.reason))
         self._lost_frames = 0
         segment.record(frame, tracked.T_C_W)
         # A view that brings something new stays, and the map around it is refined.
-        is_keyframe = wants_keyframe(segment.since_keyframe(frame, self.rig), self.config.keyframes, self.rig.metric)
+        since = segment.since_keyframe(frame, self.rig)
+        is_keyframe = found_again or wants_keyframe(since, self.config.keyframes, self.rig.metric)
         if is_keyframe:
             segment.insert_keyframe(frame)
         return self._note(FrameResult(frame.stamp_ns, se3_inverse(segment.tracker.T_C_W), State.TRACKING, is_keyframe))
@@ -128,25 +134,46 @@ class Odometry:
         )
 
     def _start(self, frame: Frame) -> FrameResult:
+        """Offer the frame to a new map; where that begins, the one before, if any, is finished."""
         with self.stopwatch.stage(Stage.START):
             start = self._starter.offer(frame)
         if start.segment is None:
             return FrameResult(frame.stamp_ns, None, State.STARTING, False, start.reason)
-        self._segment = start.segment
+        if self._segment is not None:
+            self._finished.append(self._segment)
+        self._segment, self._lost_frames = start.segment, 0
         log.info("track %d starts at frame %d", len(self._finished), frame.index)
         return FrameResult(frame.stamp_ns, se3_inverse(start.segment.tracker.T_C_W), State.TRACKING, True)
 
-    def _lost(self, frame: Frame, reason: str) -> FrameResult:
-        """Keep the map for some frames, then close this track and start another."""
-        assert self._segment is not None
-        self._lost_frames += 1
-        if self._lost_frames == 1:
+    def _search(self, frame: Frame, segment: Segment, reason: str) -> tuple[Segment, Tracked]:
+        """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""
+        if not self._lost_frames:
             log.warning("tracking lost at frame %d: %s", frame.index, reason)
-        if self._lost_frames > self.config.lost.relocalise_frames:
-            self._finished.append(self._segment)
-            self._segment, self._lost_frames = None, 0
             self._starter = make_starter(self.ranging, self.config, self.stopwatch)
-            return self._start(frame)
+            if self._finished and not segment.lasting(self.config.min_track_keyframes):
+                self._forgotten.append(segment)
+                self._segment = segment = self._finished.pop()
+            if self._relocaliser is None or self._relocaliser.segment is not segment:
+                self._relocaliser = Relocaliser(segment, self.ranging, self.config, self.vocabulary)
+            self._relocaliser.searches = 0
+        assert self._relocaliser is not None
+        with self.stopwatch.stage(Stage.RELOCALISE):
+            found = self._relocaliser.search(frame)
+        if found.T_C_W is not None:
+            self._relocalised += 1
+            log.info("found again at frame %d by %d points of the map", frame.index, found.inliers)
+        return segment, found
+
+    def _lost(self, frame: Frame, reason: str) -> FrameResult:
+        """Search the map in some frames; from then on a new track may start where the images allow one. As long as
+        they do not, the search goes on: after a black-out of any length the camera may be where it was."""
+        assert self._relocaliser is not None
+        self._lost_frames += 1
+        if self._relocaliser.searches > self.config.lost.relocalise_frames:
+            started = self._start(frame)
+            if started.T_W_C is not None:
+                return started
+            reason = f"{reason}; no new track yet: {started.reason}"
         return FrameResult(frame.stamp_ns, None, State.LOST, False, reason)
 
     def _note(self, result: FrameResult) -> FrameResult:
@@ -195,7 +222,8 @@ class Odometry:
             "frames": float(len(self._results)),
             "tracked": float(sum(len(s.frames) for s in kept)),
             "tracks": float(len(kept)),
-            "short_tracks": float(len(segments) - len(kept)),
+            "relocalised": float(self._relocalised),
+            "short_tracks": float(len(segments) + len(self._forgotten) - len(kept)),
             "keyframes": float(sum(len(s.map.keyframes) for s in kept)),
             "keyframes_culled": float(sum(len(s.map.culled) for s in kept)),
             "points": float(sum(int(s.map.alive.sum()) for s in kept)),

@@ -83,6 +83,10 @@ class Segment:
         self.tracker.motion = previous
         self._reference_points = int(np.isfinite(self.map.xyz[latest.point[rows], 0]).sum())
 
+    def lasting(self, count: int) -> bool:
+        """Whether at least ``count`` of its key-frames will stay."""
+        return sum(keyframe.stays for keyframe in self.map.keyframes.values()) >= count
+
     def close(self) -> None:
         """No more frames: what only supported the window goes."""
         numbers = sorted(self.map.keyframes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -146,28 +147,31 @@ class WordIndex:
     """Key-frames by the words they contain: candidates for relocalisation without comparing with every key-frame."""
 
     def __init__(self) -> None:
-        self._bags: list[BagOfWords] = []
-        self._holders: dict[int, list[int]] = {}
+        self._count = 0
+        self._holders: dict[int, tuple[list[int], list[float]]] = {}
 
     def __len__(self) -> int:
-        return len(self._bags)
+        return self._count
 
     def add(self, bag: BagOfWords) -> int:
         """Number of the key-frame that this bag becomes, counting from 0."""
-        number = len(self._bags)
-        self._bags.append(bag)
-        for word in bag.words.tolist():
-            self._holders.setdefault(word, []).append(number)
-        return number
+        for word, value in zip(bag.words.tolist(), bag.values.tolist(), strict=True):
+            numbers, values = self._holders.setdefault(word, ([], []))
+            numbers.append(self._count)
+            values.append(value)
+        self._count += 1
+        return self._count - 1
 
     def most_similar(self, bag: BagOfWords, count: int) -> list[tuple[int, float]]:
         """At most ``count`` key-frames that share words, with their L1 scores, best first; equal scores by number."""
-        scores = np.zeros(len(self._bags))
-        for word, value in zip(bag.words.tolist(), bag.values.tolist(), strict=True):
-            for number in self._holders.get(word, ()):
-                held = self._bags[number]
-                other = held.values[np.searchsorted(held.words, word)]
-                scores[number] += 0.5 * (value + other - abs(value - other))
+        pairs = zip(bag.words.tolist(), bag.values.tolist(), strict=True)
+        known = [(self._holders[word], value) for word, value in pairs if word in self._holders]
+        numbers = np.fromiter(chain.from_iterable(held[0] for held, _ in known), dtype=np.int64)
+        theirs = np.fromiter(chain.from_iterable(held[1] for held, _ in known), dtype=np.float64)
+        lengths = np.array([len(held[0]) for held, _ in known], dtype=np.int64)
+        mine = np.repeat(np.array([value for _, value in known]), lengths)
+        shared = 0.5 * (mine + theirs - np.abs(mine - theirs))
+        scores = np.bincount(numbers, shared, minlength=self._count)
         best = np.argsort(-scores, kind="stable")[:count]
         return [(int(i), float(scores[i])) for i in best if scores[i] > 0]
 
