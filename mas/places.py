@@ -110,12 +110,14 @@ class PlaceRecognition(Trade):
             self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
 
     def _newest_candidate(self, keyframe: KeyFrame) -> int:
-        """How many of the first key-frames are old enough to be loop candidates."""
+        """How many of the first key-frames are loop candidates: those old enough, and all of earlier tracks, which
+        no odometry links to this one."""
         config = self.state.config.places
         times = [k.time_ns for k in self.state.keyframes]
         by_age = int(np.searchsorted(times, keyframe.time_ns - round(config.own_age_s * 1e9), side="right"))
         by_count = 0 if config.own_age_keyframes is None else keyframe.index - config.own_age_keyframes + 1
-        return min(max(by_age, by_count, 0), keyframe.index)
+        earlier_tracks = self.state.piece_of(keyframe.index).first
+        return min(max(by_age, by_count, earlier_tracks), keyframe.index)
 
     def _verify_own(self, candidate: Candidate, query: KeyFrame, match: KeyFrame) -> None:
         verdict = verify(self.state, candidate.id, view_of(self.state, query), match)
