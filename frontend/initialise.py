@@ -51,9 +51,9 @@ class MetricStarter:
     def offer(self, frame: Frame) -> Start:
         """Refuses a frame without its second image, and one with too few points with depth."""
         if self.ranging.rig.kind is RigKind.STEREO and frame.right is None:
-            return Start(None, "the right image is missing")
+            return Start(None, frame.problem or "the right image is missing")
         if self.ranging.rig.kind is RigKind.RGBD and frame.depth_m is None:
-            return Start(None, "the depth image is missing")
+            return Start(None, frame.problem or "the depth image is missing")
         segment = Segment(self.ranging, self.config, self.watch)
         segment.latest = segment.mapper.insert(frame, np.eye(4), np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
         segment.follow(frame)

@@ -38,13 +38,14 @@ class State(StrEnum):
 @dataclass(frozen=True)
 class FrameResult:
     """``T_W_C`` ``(4, 4)`` in the frame of the current track, None where there is no pose; ``reason`` then says why,
-    with numbers."""
+    with numbers. ``problem``: what was wrong with a second image that was needed; the key-frame was made without it."""
 
     stamp_ns: int
     T_W_C: NDArray[np.float64] | None
     state: State
     is_keyframe: bool
     reason: str = ""
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -113,8 +114,10 @@ class Odometry:
         since = segment.since_keyframe(frame, self.rig)
         is_keyframe = found_again or wants_keyframe(since, self.config.keyframes, self.rig.metric)
         if is_keyframe:
+            frame.prepare()
             segment.insert_keyframe(frame)
-        return self._note(FrameResult(frame.stamp_ns, se3_inverse(segment.tracker.T_C_W), State.TRACKING, is_keyframe))
+        T_W_C = se3_inverse(segment.tracker.T_C_W)
+        return self._note(FrameResult(frame.stamp_ns, T_W_C, State.TRACKING, is_keyframe, problem=frame.problem))
 
     def finish(self) -> OdometryResult:
         """Everything found, with final, bundle-adjusted values."""
@@ -135,10 +138,11 @@ class Odometry:
 
     def _start(self, frame: Frame) -> FrameResult:
         """Offer the frame to a new map; where that begins, the one before, if any, is finished."""
+        frame.prepare()
         with self.stopwatch.stage(Stage.START):
             start = self._starter.offer(frame)
         if start.segment is None:
-            return FrameResult(frame.stamp_ns, None, State.STARTING, False, start.reason)
+            return FrameResult(frame.stamp_ns, None, State.STARTING, False, start.reason, frame.problem)
         if self._segment is not None:
             self._finished.append(self._segment)
         self._segment, self._lost_frames = start.segment, 0
@@ -186,13 +190,9 @@ class Odometry:
         return State.LOST if self._lost_frames else State.TRACKING
 
     def _unfit(self, frame: Frame) -> str:
-        """Why a frame cannot be used at all, or nothing. A wrong image size is a broken configuration: an error."""
+        """Why a frame cannot be used at all, or nothing."""
         camera = self.rig.camera
-        for what, image in (("image", frame.image), ("right image", frame.right), ("depth image", frame.depth_m)):
-            if image is not None and image.shape != (camera.height, camera.width):
-                size = f"{image.shape[1]}x{image.shape[0]}"
-                expected = f"{camera.width}x{camera.height}"
-                raise FrontendError(f"frame {frame.index} {frame.name}: {what} is {size} pixels, the camera {expected}")
+        frame.check_size(frame.image, "image", (camera.width, camera.height))
         if self._results and frame.stamp_ns <= self._results[-1].stamp_ns:
             behind_ms = (self._results[-1].stamp_ns - frame.stamp_ns) / 1e6
             return f"time stamp is not after the previous frame's ({behind_ms:.3f} ms before it)"

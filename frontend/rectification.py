@@ -33,15 +33,17 @@ class Rectifier:
     right: Maps | None = None
     depth_index: NDArray[np.int64] | None = None
 
-    def rectify(
-        self, image: NDArray[np.uint8], right: NDArray[np.uint8] | None, depth_m: NDArray[np.float32] | None
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None, NDArray[np.float32] | None]:
-        """Rectified image, right image and depth; what is None stays None."""
-        if depth_m is not None and self.depth_index is not None:
-            depth_m = np.where(self.depth_index >= 0, depth_m.ravel()[self.depth_index], np.float32(0.0))
-        if right is not None and self.right is not None:
-            right = _remap(right, self.right)
-        return _remap(image, self.left), right, depth_m
+    def rectify_left(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        return _remap(image, self.left)
+
+    def rectify_right(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        return image if self.right is None else _remap(image, self.right)
+
+    def rectify_depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Depth registered to the image as stored, of the rectified image."""
+        if self.depth_index is None:
+            return depth_m
+        return np.where(self.depth_index >= 0, depth_m.ravel()[self.depth_index], np.float32(0.0))
 
 
 @dataclass(frozen=True)

@@ -150,10 +150,13 @@ class Ranging:
     ) -> NDArray[np.float64]:
         """Raw disparity ``(n,)`` at ``uv``, NaN where unknown; ``expected_depth`` ``(n,)`` metres, NaN where there is
         none."""
+        size = (self.rig.camera.width, self.rig.camera.height)
         if self.rig.kind is RigKind.STEREO and frame.right is not None:
+            frame.check_size(frame.right, "right image", size)
             expected = self.cam[4] / expected_depth + self.basis(uv) @ self.calib
             return measure_disparity(frame.image, frame.right, uv, expected, self.flow, self.config)
         if self.rig.kind is RigKind.RGBD and frame.depth_m is not None:
+            frame.check_size(frame.depth_m, "depth image", size)
             depth = depth_at(frame.depth_m, uv, _DEPTH_JUMP)
             return np.where(depth <= self.config.max_depth_m, self.cam[4] / depth, np.nan)
         return np.full(len(uv), np.nan)

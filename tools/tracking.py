@@ -43,8 +43,8 @@ class Tracked:
 
     ``tracks``: one for each uninterrupted track, their key-frames numbered in ``keyframes`` by frame (ascending).
     ``trajectories``: every tracked frame of each track, ``T_W_C`` in the track's frame. ``vectors`` ``(K, dim)`` and
-    ``textured`` ``(K,)``: one a key-frame, all tracks in order. ``unreadable``: what was wrong with each frame that
-    could not be read.
+    ``textured`` ``(K,)``: one a key-frame, all tracks in order. ``unreadable``: what was wrong with each image that
+    was needed and could not be read.
     """
 
     tracks: tuple[VoTrack, ...]
@@ -66,8 +66,8 @@ def track(
 ) -> Tracked:
     """Run every frame through odometry, and each key-frame's image through the place descriptor.
 
-    A frame that cannot be read is left out and reported; ``FrontendError`` where too many are, or where nothing could
-    be tracked.
+    A frame that cannot be read is left out and reported, and so is a second image (right, depth) of a key-frame,
+    which is then made without it; ``FrontendError`` where too many are, or where nothing could be tracked.
     """
     from frontend.odometry import Odometry
 
@@ -96,7 +96,10 @@ def follow(
     """Every readable frame of ``sequence`` with what ``odometry`` makes of it; what is wrong with the others goes to
     ``unreadable``."""
     for frame in _readable(sequence, unreadable, odometry.stopwatch):
-        yield frame, odometry.process(frame)
+        result = odometry.process(frame)
+        if result.problem:
+            _report(result.problem, unreadable, frame.index + 1, len(sequence))
+        yield frame, result
 
 
 def _readable(sequence: ImageSequence, unreadable: list[str], watch: Stopwatch) -> Iterator[Frame]:
@@ -108,12 +111,15 @@ def _readable(sequence: ImageSequence, unreadable: list[str], watch: Stopwatch) 
                 following = frame.index + 1
                 yield frame
         except FrontendError as error:
-            unreadable.append(str(error))
             following += 1
-            if len(unreadable) > max(1.0, UNREADABLE_SHARE * len(sequence)):
-                raise FrontendError(
-                    f"{len(unreadable)} of the first {following} frames cannot be read: {error}"
-                ) from error
+            _report(str(error), unreadable, following, len(sequence))
+
+
+def _report(problem: str, unreadable: list[str], frames: int, all_frames: int) -> None:
+    """Note a frame of the first ``frames`` that cannot be read; an error where they are too many."""
+    unreadable.append(problem)
+    if len(unreadable) > max(1.0, UNREADABLE_SHARE * all_frames):
+        raise FrontendError(f"{len(unreadable)} of the first {frames} frames cannot be read: {problem}")
 
 
 class _Places:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, TypeVar
 
@@ -18,13 +19,14 @@ from numpy.typing import NDArray
 from frontend.cameras import Rig, RigKind
 from frontend.datasets.images import read_depth, read_grey
 from frontend.errors import FrontendError
-from frontend.frames import Frame
+from frontend.frames import Frame, PutOff
 from frontend.rectification import Rectifier
 from frontend.registration import DepthRegistration
 from frontend.stopwatch import Stage, Stopwatch
 from frontend.trajectory import Trajectory
 
 Pixel = TypeVar("Pixel", bound=np.generic)
+Value = TypeVar("Value")
 
 
 class Severity(StrEnum):
@@ -90,19 +92,13 @@ class ImageSequence:
         return len(self.left)
 
     def read(self, i: int) -> Frame:
-        """Frame ``i``, decoded and rectified. :class:`FrontendError` where a file is missing, damaged or of another
-        size."""
+        """Frame ``i``, all of it decoded and rectified now. :class:`FrontendError` where a file is missing, damaged or
+        of another size."""
         if not 0 <= i < len(self):
             raise IndexError(f"frame {i} of {len(self)}")
-        image = self._sized(read_grey(self.left[i]), self.left[i])
-        right = self._sized(read_grey(self.right[i]), self.right[i]) if self.right else None
-        depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i]) if self.depth else None
-        if self.rectifier is not None:
-            image, right, rectified = self.rectifier.rectify(image, right, None if self.registration else depth)
-            depth = depth if self.registration else rectified
-        if depth is not None and self.registration is not None:
-            depth = self.registration.register(depth)
-        return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]))
+        right = self._right(i) if self.right else None
+        depth = self._depth(i) if self.depth else None
+        return Frame(i, int(self.stamps_ns[i]), self._left(i), right, depth, str(self.left[i]))
 
     def frames(
         self, start: int = 0, stop: int | None = None, ahead: int = 4, watch: Stopwatch | None = None
@@ -110,15 +106,16 @@ class ImageSequence:
         """Frames ``start`` to ``stop`` in order, each decoded once; a thread decodes up to ``ahead`` frames before they
         are asked for.
 
-        What :meth:`read` raises is raised when the damaged frame's turn comes, not before. ``watch`` is told what
-        decoding costs in its thread.
+        What :meth:`read` raises for the image is raised when the damaged frame's turn comes, not before. The second
+        image (right, depth) is put off until it is asked for, see :class:`Frame`. ``watch`` is told what decoding
+        costs.
         """
         indices = iter(range(len(self))[start:stop])
         pending: deque[Future[Frame]] = deque()
         reader = ThreadPoolExecutor(1, thread_name_prefix="decode")
         try:
             for i in indices:
-                pending.append(reader.submit(self._timed_read, i, watch))
+                pending.append(reader.submit(self._put_off, i, reader, watch))
                 if len(pending) > ahead:
                     yield pending.popleft().result()
             while pending:
@@ -126,12 +123,26 @@ class ImageSequence:
         finally:
             reader.shutdown(wait=True, cancel_futures=True)
 
-    def _timed_read(self, i: int, watch: Stopwatch | None) -> Frame:
-        cpu, wall = time.thread_time(), time.perf_counter()
-        frame = self.read(i)
-        if watch is not None:
-            watch.add(Stage.DECODE, time.thread_time() - cpu, time.perf_counter() - wall)
-        return frame
+    def _put_off(self, i: int, reader: ThreadPoolExecutor, watch: Stopwatch | None) -> Frame:
+        """Frame ``i`` with its second image still to be decoded."""
+        image = _timed(partial(self._left, i), watch)()
+        right = PutOff(_timed(partial(self._right, i), watch), reader.submit) if self.right else None
+        depth = PutOff(_timed(partial(self._depth, i), watch), reader.submit) if self.depth else None
+        return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]))
+
+    def _left(self, i: int) -> NDArray[np.uint8]:
+        image = self._sized(read_grey(self.left[i]), self.left[i])
+        return image if self.rectifier is None else self.rectifier.rectify_left(image)
+
+    def _right(self, i: int) -> NDArray[np.uint8]:
+        image = self._sized(read_grey(self.right[i]), self.right[i])
+        return image if self.rectifier is None else self.rectifier.rectify_right(image)
+
+    def _depth(self, i: int) -> NDArray[np.float32]:
+        depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i])
+        if self.registration is not None:
+            return self.registration.register(depth)
+        return depth if self.rectifier is None else self.rectifier.rectify_depth(depth)
 
     def _sized(self, image: NDArray[Pixel], path: Path) -> NDArray[Pixel]:
         width, height = self.stored_size
@@ -140,6 +151,19 @@ class ImageSequence:
                 f"{path}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}"
             )
         return image
+
+
+def _timed(make: Callable[[], Value], watch: Stopwatch | None) -> Callable[[], Value]:
+    """``make``, and ``watch`` is told what it cost."""
+
+    def timed() -> Value:
+        cpu, wall = time.thread_time(), time.perf_counter()
+        value = make()
+        if watch is not None:
+            watch.add(Stage.DECODE, time.thread_time() - cpu, time.perf_counter() - wall)
+        return value
+
+    return timed
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,9 +34,9 @@ from dataset_makers import (
 )
 
 from frontend.cameras import RigKind
-from frontend.datasets import Dataset, ImageSequence, Severity, open_dataset
+from frontend.datasets import Dataset, ImageSequence, Severity, base, open_dataset
 from frontend.errors import FrontendError
-from frontend.frames import Frame
+from frontend.stopwatch import Stage, Stopwatch
 
 
 def truncate(path: Path) -> None:
@@ -136,20 +137,67 @@ class Contract:
     def test_reads_ahead_in_another_thread_and_no_farther(
         self, folder: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        sequence, read = self.open(folder), []
-        original = ImageSequence.read
-
-        def noted(self: ImageSequence, i: int) -> Frame:
-            read.append((i, threading.current_thread() is threading.main_thread()))
-            return original(self, i)
-
-        monkeypatch.setattr(ImageSequence, "read", noted)
+        sequence, read = self.open(folder), self.note_reading(monkeypatch)
         frames = sequence.frames(ahead=2)
         next(frames)
         frames.close()  # waits for the frame being decoded, drops the rest
-        assert [i for i, _ in read] == list(range(len(read))) and 1 <= len(read) <= 3
+        assert [path for path, _ in read] == list(sequence.left[: len(read)]) and 1 <= len(read) <= 3
         assert not any(in_main for _, in_main in read)
         assert not [thread for thread in threading.enumerate() if thread.name.startswith("decode")]
+
+    def test_second_images_are_read_when_asked_for_once(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        sequence, read = self.open(folder), self.note_reading(monkeypatch)
+        second = sequence.right or sequence.depth
+        watch = Stopwatch()
+        frames = list(sequence.frames(0, 4, watch=watch))
+        assert [path for path, _ in read] == list(sequence.left[:4])
+        for _ in range(2):
+            for frame in (frames[1], frames[3]):
+                frame.prepare()
+                expected = sequence.read(frame.index)
+                for mine, theirs in ((frame.right, expected.right), (frame.depth_m, expected.depth_m)):
+                    assert (mine is None) == (theirs is None)
+                    if mine is not None:
+                        np.testing.assert_array_equal(mine, theirs)
+                assert frame.problem == ""
+        assert watch.times[Stage.DECODE].count == 4 + (2 if second else 0)
+        # The reader's thread is free to work on what is asked for while the frames still come.
+        del read[:]
+        for frame in sequence.frames(0, 2):
+            frame.prepare()
+            assert (frame.right is None and frame.depth_m is None) == (not second)
+        assert not any(in_main for _, in_main in read)
+
+    def test_a_damaged_second_image_is_none_and_says_why(self, folder: Path) -> None:
+        sequence = self.open(folder)
+        second = sequence.right or sequence.depth
+        if not second:
+            pytest.skip("mono has no second images")
+        truncate(second[2])
+        with pytest.raises(FrontendError, match="cut off"):
+            sequence.read(2)
+        frames = list(sequence.frames(1, 4))
+        assert len(frames) == 3
+        for frame in frames:
+            assert frame.problem == ""
+            damaged = frame.index == 2
+            assert (frame.right is None and frame.depth_m is None) == damaged
+            assert frame.problem.startswith(f"{second[2]}: ") == damaged
+
+    def note_reading(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path, bool]]:
+        """Each image file read from now on, and whether the main thread did it."""
+        read: list[tuple[Path, bool]] = []
+
+        def noted(original: Callable) -> Callable:
+            def reading(path: Path, *more: float) -> np.ndarray:
+                read.append((path, threading.current_thread() is threading.main_thread()))
+                return original(path, *more)
+
+            return reading
+
+        monkeypatch.setattr(base, "read_grey", noted(base.read_grey))
+        monkeypatch.setattr(base, "read_depth", noted(base.read_depth))
+        return read
 
     def test_every_rig_it_allows_and_no_other(self, folder: Path) -> None:
         for rig in RigKind:

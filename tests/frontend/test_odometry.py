@@ -15,7 +15,7 @@ from backend.geometry import se3, se3_inverse, so3_exp, umeyama
 from frontend.cameras import Rig, RigKind
 from frontend.config import KeyframeConfig, OdometryConfig
 from frontend.errors import FrontendError
-from frontend.frames import Frame
+from frontend.frames import Frame, PutOff
 from frontend.odometry import FrameResult, Odometry, OdometryResult, State
 from frontend.stopwatch import Stage
 from frontend.trajectory import Trajectory
@@ -163,6 +163,31 @@ def test_missing_frames_and_a_missing_right_image_are_bridged() -> None:
     result, frames, _ = track(RigKind.STEREO, change=gaps)
     assert len(result.tracks) == 1 and all(f.T_W_C is not None for f in frames)
     assert error_m(result.trajectories[0], WALK, False) < 0.02
+
+
+def test_a_second_image_that_cannot_be_read_costs_no_frame_and_is_said() -> None:
+    asked: list[int] = []
+
+    def put_off(index: int, frame: Frame) -> Frame:
+        def read() -> np.ndarray:
+            asked.append(index)
+            if index in (0, 3) or 15 <= index < 35:
+                raise FrontendError(f"{index:06d}.png: the image is cut off")
+            assert frame.right is not None
+            return frame.right
+
+        return replace(frame, right=PutOff(read))
+
+    result, frames, _ = track(RigKind.STEREO, change=put_off)
+    # The first map needs its second image; later key-frames do without.
+    assert "000000.png" in frames[0].reason and frames[0].state is State.STARTING
+    assert all(f.T_W_C is not None for f in frames[1:])
+    assert len(result.tracks) == 1 and len(result.trajectories[0]) == 59
+    assert error_m(result.trajectories[0], WALK, False) < 0.02
+    assert asked == [i for i, f in enumerate(frames) if f.is_keyframe or i == 0]
+    said = [i for i, f in enumerate(frames) if f.problem]
+    assert said == [i for i in asked if i in (0, 3) or 15 <= i < 35] and len(said) >= 3
+    assert all(f"{i:06d}.png" in frames[i].problem for i in said)
 
 
 def test_a_camera_that_stands_still_has_a_pose_but_no_track_to_write() -> None:

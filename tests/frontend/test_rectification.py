@@ -72,7 +72,7 @@ def ideal_rays(camera: PinholeCamera) -> NDArray[np.float64]:
 def test_one_camera(camera: RawCamera) -> None:
     done = rectify_rig(RawRig(camera), RigKind.MONO, SIZE)
     assert done.rectifier is not None and done.baseline_m is None
-    image, _, _ = done.rectifier.rectify(photograph(camera, np.eye(4)), None, None)
+    image = done.rectifier.rectify_left(photograph(camera, np.eye(4)))
     expected = paint(on_wall(np.zeros(3), ideal_rays(done.camera)))
     assert np.abs(image - expected).max() < 2.5
     assert done.camera.fx == done.camera.fy and (done.camera.width, done.camera.height) == SIZE
@@ -82,7 +82,8 @@ def test_a_stereo_pair_is_where_it_says() -> None:
     done = rectify_rig(RawRig(LEFT, RIGHT, T_LEFT_RIGHT, rectified=False), RigKind.STEREO, SIZE)
     assert done.rectifier is not None and done.baseline_m is not None
     assert done.baseline_m == pytest.approx(np.linalg.norm(T_LEFT_RIGHT[:3, 3]))
-    image, right, _ = done.rectifier.rectify(photograph(LEFT, np.eye(4)), photograph(RIGHT, T_LEFT_RIGHT), None)
+    image = done.rectifier.rectify_left(photograph(LEFT, np.eye(4)))
+    right = done.rectifier.rectify_right(photograph(RIGHT, T_LEFT_RIGHT))
     assert right is not None
     turned = ideal_rays(done.camera) @ done.R_rectified_left  # rectified rays in the calibrated left camera's frame
     right_centre = done.R_rectified_left.T @ [done.baseline_m, 0, 0]
@@ -121,7 +122,7 @@ def test_depth_takes_the_nearest_stored_pixel() -> None:
     done = rectify_rig(RawRig(LEFT), RigKind.RGBD, SIZE)
     assert done.rectifier is not None
     stored = np.where(np.arange(SIZE[0]) < 90, 1.0, 5.0)[None].repeat(SIZE[1], axis=0).astype(np.float32)
-    _, _, depth = done.rectifier.rectify(np.zeros(SIZE[::-1], np.uint8), None, stored)
+    depth = done.rectifier.rectify_depth(stored)
     assert depth is not None and set(np.unique(depth)) == {1.0, 5.0}
     x, y = ideal_rays(done.camera)[..., 0], ideal_rays(done.camera)[..., 1]
     u = LEFT.fx * distort(LEFT, x, y)[0] + LEFT.cx

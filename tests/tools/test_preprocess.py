@@ -25,7 +25,9 @@ from tools import cli
 
 FRAMES, EVERY = 12, 2
 TRUTH = se3_exp(np.column_stack([np.zeros((FRAMES, 2)), np.arange(FRAMES), np.zeros((FRAMES, 3))]))
+BROKEN_RIGHT = "image_1/{:06d}.png: cut off"
 calls: list[int] = []
+broken_right: set[int] = set()
 
 
 class KnownOdometry:
@@ -44,7 +46,10 @@ class KnownOdometry:
             self._seen.append(frame.index)
         pose = TRUTH[frame.index] if tracked else None
         return SimpleNamespace(
-            is_keyframe=tracked and frame.index % EVERY == 0, T_W_C=pose, reason="" if tracked else "too dark"
+            is_keyframe=tracked and frame.index % EVERY == 0,
+            T_W_C=pose,
+            reason="" if tracked else "too dark",
+            problem=BROKEN_RIGHT.format(frame.index) if frame.index in broken_right else "",
         )
 
     def finish(self) -> Any:
@@ -179,6 +184,20 @@ def test_a_truncated_image_is_left_out_and_said(tmp_path: Path, capsys: pytest.C
     manifest, (agent,) = load_sequences(tmp_path / "seqs")
     assert len(agent.trajectory) == FRAMES - 1 and manifest.agents[0].frames == FRAMES
     assert any("000005.png" in problem for problem in manifest.settings["problems"])
+
+
+def test_a_key_frame_without_its_second_image_stays_and_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = write_agent(tmp_path / "drive")
+    monkeypatch.setattr(sys.modules[__name__], "broken_right", {4})
+    assert preprocess(source, tmp_path / "one") == 0
+    _, (agent,) = load_sequences(tmp_path / "one")
+    assert len(agent.trajectory) == FRAMES
+    assert BROKEN_RIGHT.format(4) in capsys.readouterr().err
+    monkeypatch.setattr(sys.modules[__name__], "broken_right", {2, 4, 6})
+    assert preprocess(source, tmp_path / "many") == 1
+    assert f"2 of the first 5 frames cannot be read: {BROKEN_RIGHT.format(4)}" in capsys.readouterr().err
 
 
 def test_many_unreadable_images_are_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
