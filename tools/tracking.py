@@ -136,7 +136,10 @@ class _Places:
         return self._made[index]
 
     def of(self, index: int) -> tuple[NDArray[np.float32], bool]:
-        return self._made.get(index) or self.describe(index, self._sequence.read(index).image)
+        if index not in self._made:
+            # As in tracking, a damaged second image does not matter.
+            self.describe(index, next(self._sequence.frames(index, index + 1)).image)
+        return self._made[index]
 
 
 def _collect(
