@@ -178,7 +178,7 @@ class Odometry:
             if started.T_W_C is not None:
                 return started
             reason = f"{reason}; no new track yet: {started.reason}"
-        return FrameResult(frame.stamp_ns, None, State.LOST, False, reason)
+        return FrameResult(frame.stamp_ns, None, State.LOST, False, reason, frame.problem)
 
     def _note(self, result: FrameResult) -> FrameResult:
         self._results.append(result)
