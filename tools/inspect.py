@@ -19,7 +19,7 @@ _SHOWN_PROBLEMS = 20
 @dataclass(frozen=True)
 class SequenceReport:
     """What one sequence is. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried."""
+    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say."""
 
     name: str
     kind: str
@@ -34,6 +34,8 @@ class SequenceReport:
     path_length_m: float | None
     decoded: int
     problems: tuple[Problem, ...]
+    rows: str = ""
+    depth: str = ""
 
     def lines(self) -> list[str]:
         """The report of this sequence, a line each."""
@@ -52,6 +54,8 @@ class SequenceReport:
             f"cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
             f"  ground truth  {truth}",
             f"  decoded       {self.decoded} of {self.frames} frames",
+            *([f"  rows          {self.rows}"] if self.rows else []),
+            *([f"  depth         {self.depth}"] if self.depth else []),
         ]
         shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
         hidden = len(self.problems) - len(shown)
@@ -87,17 +91,34 @@ class InspectReport:
 
 
 def inspect_dataset(
-    path: Path, decode_all: bool = False, rig: RigKind | None = None, progress: Progress | None = None
+    path: Path,
+    decode_all: bool = False,
+    rig: RigKind | None = None,
+    progress: Progress | None = None,
+    png: Path | None = None,
 ) -> InspectReport:
     """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
 
-    Raises ``FrontendError`` where there is no sequence to speak of.
+    ``png``: where a picture of each sequence's middle frame goes. Raises ``FrontendError`` where there is no sequence
+    to speak of.
     """
     from frontend.datasets import open_dataset
 
     dataset = open_dataset(path, rig, strict=False)
     reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
+    if png is not None:
+        _write_picture(dataset.sequences, png)
     return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
+
+
+def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
+    import cv2
+
+    from frontend.tables import write_atomically
+    from tools.inspect_picture import draw_sequences
+
+    _, encoded = cv2.imencode(".png", draw_sequences(sequences))
+    write_atomically([(path, encoded.tobytes())])
 
 
 def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:
@@ -110,6 +131,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
     duration_s = float(sequence.stamps_ns[-1] - sequence.stamps_ns[0]) / NS_PER_S
     intervals = np.diff(sequence.stamps_ns)
     median_s = float(np.median(intervals)) / NS_PER_S if len(intervals) else 0.0
+    damaged, sensors = _decode(sequence, chosen, progress)
     truth = sequence.groundtruth
     steps = np.linalg.norm(np.diff(truth.centres, axis=0), axis=1) if truth is not None else None
     return SequenceReport(
@@ -125,28 +147,50 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         groundtruth_poses=0 if truth is None else len(truth),
         path_length_m=None if steps is None else float(steps.sum()),
         decoded=len(chosen),
-        problems=(*sequence.problems, *_decoding_problems(sequence, chosen, progress)),
+        problems=(*sequence.problems, *damaged, *sensors.problems),
+        rows=sensors.rows,
+        depth=sensors.depth,
     )
 
 
-def _decoding_problems(sequence: ImageSequence, chosen: range | list[int], progress: Progress | None) -> list[Problem]:
-    """Every frame of ``chosen`` that cannot be read; missing files are known already and not said again."""
+@dataclass(frozen=True)
+class _Sensors:
+    """What images say about their calibration: a line for stereo, a line for depth, and what is wrong."""
+
+    rows: str = ""
+    depth: str = ""
+    problems: tuple[Problem, ...] = ()
+
+
+def _decode(
+    sequence: ImageSequence, chosen: range | list[int], progress: Progress | None
+) -> tuple[list[Problem], _Sensors]:
+    """Every frame of ``chosen`` that cannot be read (missing files are known already and not said again), and what the
+    others show."""
     from frontend.datasets import Problem, Severity
     from frontend.errors import FrontendError
+    from tools.inspect_sensors import check_depth, check_rows, depth_lines, row_lines
 
     known = any("missing" in problem.message for problem in sequence.problems)
-    problems = []
+    looked_at = set(list(chosen)[:: max(1, len(chosen) // _SAMPLES)])
+    problems, rows, depths = [], [], []
     task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
     for done, i in enumerate(chosen, 1):
         files = [files[i] for files in (sequence.left, sequence.right, sequence.depth) if files]
         if not known or all(file.is_file() for file in files):
             try:
-                sequence.read(i)
+                frame = sequence.read(i)
+                if i in looked_at:
+                    rows.append(check_rows(frame))
+                    depths.append(check_depth(frame))
             except FrontendError as error:
                 problems.append(Problem(Severity.ERROR, str(error)))
         if progress is not None:
             progress.advance(task, done)
-    return problems
+    pairs, measured = [c for c in rows if c is not None], [c for c in depths if c is not None]
+    row_line, row_problems = row_lines(pairs) if pairs else ("", [])
+    depth_line, depth_problems = depth_lines(measured) if measured else ("", [])
+    return problems, _Sensors(row_line, depth_line, (*row_problems, *depth_problems))
 
 
 def _count(number: int, noun: str) -> str:
@@ -159,6 +203,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig", choices=("mono", "stereo", "rgbd"), help="read it as this (default: the most that the files allow)"
     )
+    parser.add_argument(
+        "--png",
+        type=Path,
+        metavar="FILE",
+        help="draw the middle frame, undistorted, with its features; a pair with common rows, or the depth beside it",
+    )
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
 
 
@@ -169,6 +219,8 @@ def main(arguments: argparse.Namespace) -> int:
 
     rig = RigKind(arguments.rig) if arguments.rig else None
     with progress_on(quiet=not arguments.all) as progress:
-        report = inspect_dataset(arguments.source, arguments.all, rig, progress)
+        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png)
     print("\n".join(report.lines()))
+    if arguments.png is not None:
+        print(f"picture: {arguments.png}")
     return 1 if report.errors else 0
