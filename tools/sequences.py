@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from backend.g2o import write_g2o
 from backend.geometry import se3_inverse
+from backend.graph import Edge, NodeId, PoseGraph
 from descriptors.container import PlaceVectors
 from descriptors.inference import NetVlad
 from frontend.datasets.base import Dataset, ImageSequence
+from frontend.essential import essential_graph
 from frontend.trajectory import NS_PER_S, Trajectory, write_tum
-from frontend.vofiles import write_track
+from frontend.vofiles import VoTrack, write_track
 from mas.sequence import (
     GROUNDTRUTH,
     MANIFEST,
@@ -130,14 +133,26 @@ def _write_agent(out: Path, plan: _AgentPlan, model: NetVlad) -> AgentEntry:
 
 
 def _write_track(folder: Path, number: int, plan: _AgentPlan, k: int) -> Trajectory:
-    """The five files of track ``k`` as the agent's track ``number``; returns all its frames, in the same origin and
-    clock.
+    """The five files and the essential graph of track ``k`` as the agent's track ``number``; returns all its frames,
+    in the same origin and clock.
     """
     kept = plan.share.keyframes[k]
     track = plan.tracked.tracks[k]
-    write_track(folder, number, cut_track(track, kept, _keyframe_stamps_ns(plan, k) / NS_PER_S))
+    cut = cut_track(track, kept, _keyframe_stamps_ns(plan, k) / NS_PER_S)
+    write_track(folder, number, cut)
+    write_g2o(folder / f"essential_{number}.g2o", _essential(cut), plain_ids=True)
     frames = _during(plan, plan.tracked.trajectories[k])
     return Trajectory(frames.stamps_ns, se3_inverse(track.poses[kept.start]) @ frames.poses)
+
+
+def _essential(track: VoTrack) -> PoseGraph:
+    """The track's essential graph for other programs; node i is key-frame i, unit information as in ORB-SLAM."""
+    graph = essential_graph(track)
+    nodes = [NodeId(0, k) for k in range(len(track))]
+    edges = zip(graph.ends.tolist(), graph.T_i_j, strict=True)
+    return PoseGraph(
+        dict(zip(nodes, track.poses, strict=True)), tuple(Edge(nodes[i], nodes[j], T_i_j) for (i, j), T_i_j in edges)
+    )
 
 
 def _keyframe_stamps_ns(plan: _AgentPlan, k: int) -> NDArray[np.int64]:
