@@ -32,7 +32,7 @@ class Observations:
 
 def window_keyframes(map_: Map, config: OdometryConfig) -> tuple[list[int], list[int]]:
     """The latest key-frames, oldest first; and before them older ones that see the same place."""
-    recent = sorted(map_.keyframes)[-config.mapping.window :]
+    recent = map_.latest(config.mapping.window)
     if not recent:
         return [], []
     seen = map_.keyframes[recent[-1]].point
@@ -96,10 +96,11 @@ def gather(map_: Map, keyframes: list[KeyFrame], slot: Ints) -> Observations:
     first_row = np.concatenate([[0], np.cumsum([len(k.uv) for k in keyframes])])[:-1]
     flat = first_row[kf] + row
     point = np.concatenate([k.point for k in keyframes])[flat]
-    count = np.bincount(point, minlength=len(map_))
-    moves = np.zeros(len(map_), dtype=bool)
-    moves[point[slot[kf] >= 0]] = True
-    use = np.flatnonzero((count[point] >= 2) & moves[point])
+    # The window's points are numbered close together: tables over their range do not grow with the map.
+    near = point - (point.min() if len(point) else 0)
+    count = np.bincount(near)
+    moves = np.bincount(near, weights=slot[kf] >= 0) > 0
+    use = np.flatnonzero((count[near] >= 2) & moves[near])
     order = use[np.argsort(point[use], kind="stable")]
     ids, start = np.unique(point[order], return_index=True)
     start = np.append(start, len(order)).astype(np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +35,6 @@ class KeyFrame:
     followed: NDArray[np.bool_]
     stays: bool = True
     """False: supports the window only and goes when it leaves it; it has no descriptors."""
-    parent: int = -1
-    T_C_P: Array | None = None
-    """Set when the key-frame was culled: its pose then hangs on the key-frame ``parent``."""
 
     @property
     def T_W_C(self) -> Array:
@@ -44,6 +42,14 @@ class KeyFrame:
         out = np.eye(4)
         out[:3, :3], out[:3, 3] = R.T, -R.T @ self.T_C_W[:3, 3]
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class CulledKeyFrame:
+    """What is left of a key-frame that went: its pose ``T_C_P`` hangs on the key-frame ``parent``."""
+
+    parent: int
+    T_C_P: Array
 
 
 _COLUMNS = ("_xyz", "_alive", "_metric", "_views", "_descriptors", "_described", "_level", "_depth")
@@ -54,8 +60,8 @@ class Map:
     ``xyz``."""
 
     def __init__(self) -> None:
-        self.keyframes: dict[int, KeyFrame] = {}
-        self.culled: dict[int, KeyFrame] = {}
+        self.keyframes: dict[int, KeyFrame] = {}  # in order of their numbers
+        self.culled: dict[int, CulledKeyFrame] = {}
         self.observers: list[list[tuple[int, int]]] = []
         self._xyz = np.full((1024, 3), np.nan)
         self._alive = np.zeros(1024, dtype=bool)
@@ -118,6 +124,10 @@ class Map:
         self.observers.extend([] for _ in range(count))
         return np.arange(first, last)
 
+    def latest(self, count: int) -> list[int]:
+        """Numbers of the latest key-frames, at most ``count``, oldest first."""
+        return list(islice(reversed(self.keyframes), count))[::-1]
+
     def insert(self, keyframe: KeyFrame) -> None:
         """Add a key-frame and enter its observations with their points."""
         self.keyframes[keyframe.number] = keyframe
@@ -173,21 +183,13 @@ class Map:
         for row in np.flatnonzero(keyframe.point >= 0).tolist():
             self.observers[keyframe.point[row]].remove((number, row))
         self.views[keyframe.point[keyframe.point >= 0]] -= 1
-        keyframe.parent = parent
-        keyframe.T_C_P = keyframe.T_C_W @ self.keyframes[parent].T_W_C
-        empty = np.zeros(0)
-        keyframe.uv, keyframe.disparity, keyframe.sigma = np.zeros((0, 2)), empty, empty
-        keyframe.point, keyframe.level = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int8)
-        keyframe.descriptors, keyframe.described = np.zeros((0, 32), dtype=np.uint8), np.zeros(0, dtype=bool)
-        keyframe.followed = np.zeros(0, dtype=bool)
-        self.culled[number] = keyframe
+        self.culled[number] = CulledKeyFrame(parent, keyframe.T_C_W @ self.keyframes[parent].T_W_C)
 
     def pose(self, number: int) -> Array:
         """``T_C_W`` of a key-frame, also of a culled one."""
         if number in self.keyframes:
             return self.keyframes[number].T_C_W
         gone = self.culled[number]
-        assert gone.T_C_P is not None
         return gone.T_C_P @ self.pose(gone.parent)
 
     def covisible(self, point_ids: Ints, exclude: set[int]) -> list[int]:

@@ -93,11 +93,11 @@ class Mapper:
 
     def _stays(self, T_C_W: Array, point: Ints) -> bool:
         """Whether the view differs enough from the last key-frame that stays."""
-        kept = [k for k in sorted(self.map.keyframes) if self.map.keyframes[k].stays]
+        kept = next((k for k in reversed(self.map.keyframes.values()) if k.stays), None)
         settings = self.config.keyframes
-        if not kept or settings.policy == "thesis":
+        if kept is None or settings.policy == "thesis":
             return True
-        step = T_C_W @ se3_inverse(self.map.keyframes[kept[-1]].T_C_W)
+        step = T_C_W @ se3_inverse(kept.T_C_W)
         _, depth = self.ranging.project(T_C_W, self.map.xyz[point])
         median_depth = float(np.nanmedian(depth)) if np.isfinite(depth).any() else 1.0
         far = float(np.linalg.norm(step[:3, 3])) >= settings.keep_distance * median_depth
@@ -227,10 +227,9 @@ class Mapper:
 
     def _cull_keyframes(self) -> None:
         """Key-frames that only supported the window go when they leave it; the one before carries their frames."""
-        numbers = sorted(self.map.keyframes)
-        if len(numbers) > self.config.mapping.window:
-            self._forget_waiting(self.map.keyframes[numbers[-self.config.mapping.window - 1]])
-        for k in range(1, len(numbers) - self.config.mapping.window):
-            if not self.map.keyframes[numbers[k]].stays:
-                parent = next(n for n in reversed(numbers[:k]) if n in self.map.keyframes)
-                self.map.cull_keyframe(numbers[k], parent)
+        window = self.config.mapping.window
+        outside = self.map.latest(window + 2)[:-window]  # what left the window just now, and the one before it
+        if outside:
+            self._forget_waiting(self.map.keyframes[outside[-1]])
+        if len(outside) == 2 and not self.map.keyframes[outside[1]].stays:
+            self.map.cull_keyframe(outside[1], outside[0])

@@ -14,9 +14,11 @@ from frontend.cameras import Rig, RigKind
 from frontend.config import OdometryConfig
 from frontend.errors import FrontendError
 from frontend.export import export_track
+from frontend.framelog import LostInterval, MomentLog
 from frontend.frames import Frame
 from frontend.initialise import make_starter
 from frontend.keyframes import wants_keyframe
+from frontend.map import Map
 from frontend.relocalise import Relocaliser
 from frontend.segment import Segment
 from frontend.stereo import Ranging
@@ -49,16 +51,6 @@ class FrameResult:
 
 
 @dataclass(frozen=True)
-class LostInterval:
-    """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames."""
-
-    first_ns: int
-    last_ns: int
-    frames: int
-    reason: str
-
-
-@dataclass(frozen=True)
 class OdometryResult:
     """``tracks``: one for each uninterrupted track; ``keyframe_indices``: frame index of each of its key-frames;
     ``trajectories``: every frame with a pose, one a track; ``lost``: between, before and after them; ``stats``:
@@ -86,7 +78,7 @@ class Odometry:
         self._relocaliser: Relocaliser | None = None
         self._finished: list[Segment] = []
         self._forgotten: list[Segment] = []
-        self._results: list[FrameResult] = []
+        self._moments = MomentLog()
         self._lost_frames = 0
         self._relocalised = 0
 
@@ -119,6 +111,11 @@ class Odometry:
         T_W_C = se3_inverse(segment.tracker.T_C_W)
         return self._note(FrameResult(frame.stamp_ns, T_W_C, State.TRACKING, is_keyframe, problem=frame.problem))
 
+    @property
+    def maps(self) -> list[Map]:
+        """Those of finished tracks and of the one under way: to look at, not to change."""
+        return [s.map for s in [*self._finished, *([self._segment] if self._segment else [])]]
+
     def finish(self) -> OdometryResult:
         """Everything found, with final, bundle-adjusted values."""
         segments = [*self._finished, *([self._segment] if self._segment else [])]
@@ -132,7 +129,7 @@ class Odometry:
             tracks=tracks,
             keyframe_indices=[s.keyframe_indices() for s in kept],
             trajectories=trajectories,
-            lost=self._lost_intervals(trajectories),
+            lost=self._moments.lost([t.stamps_ns for t in trajectories], self._too_short),
             stats=self._stats(segments, kept),
         )
 
@@ -181,7 +178,7 @@ class Odometry:
         return FrameResult(frame.stamp_ns, None, State.LOST, False, reason, frame.problem)
 
     def _note(self, result: FrameResult) -> FrameResult:
-        self._results.append(result)
+        self._moments.note(result.stamp_ns, result.reason)
         return result
 
     def _state(self) -> State:
@@ -193,24 +190,11 @@ class Odometry:
         """Why a frame cannot be used at all, or nothing."""
         camera = self.rig.camera
         frame.check_size(frame.image, "image", (camera.width, camera.height))
-        if self._results and frame.stamp_ns <= self._results[-1].stamp_ns:
-            behind_ms = (self._results[-1].stamp_ns - frame.stamp_ns) / 1e6
+        latest_ns = self._moments.latest_ns
+        if latest_ns is not None and frame.stamp_ns <= latest_ns:
+            behind_ms = (latest_ns - frame.stamp_ns) / 1e6
             return f"time stamp is not after the previous frame's ({behind_ms:.3f} ms before it)"
         return ""
-
-    def _lost_intervals(self, trajectories: list[Trajectory]) -> list[LostInterval]:
-        """Runs of frames that are in no written track."""
-        posed = {int(t) for trajectory in trajectories for t in trajectory.stamps_ns}
-        out: list[LostInterval] = []
-        run: list[FrameResult] = []
-        for result in [*self._results, None]:
-            if result is not None and result.stamp_ns not in posed:
-                run.append(result)
-            elif run:
-                reason = next((r.reason for r in reversed(run) if r.reason), self._too_short())
-                out.append(LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), reason))
-                run = []
-        return out
 
     def _too_short(self) -> str:
         need = self.config.min_track_keyframes
@@ -219,7 +203,7 @@ class Odometry:
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
         calib = self.ranging.calib
         return {
-            "frames": float(len(self._results)),
+            "frames": float(len(self._moments)),
             "tracked": float(sum(len(s.frames) for s in kept)),
             "tracks": float(len(kept)),
             "relocalised": float(self._relocalised),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import se3_inverse
 from frontend.cameras import Rig
 from frontend.config import OdometryConfig
+from frontend.framelog import PoseLog
 from frontend.frames import Frame
 from frontend.keyframes import SinceKeyframe
 from frontend.map import KeyFrame, Map
@@ -22,16 +21,6 @@ from frontend.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class FrameRecord:
-    """A frame's pose hangs on a key-frame, so that it moves with it: ``T_C_K``."""
-
-    index: int
-    stamp_ns: int
-    keyframe: int
-    T_C_K: Array
-
-
 class Segment:
     """A map being driven through."""
 
@@ -39,16 +28,14 @@ class Segment:
         self.map = Map()
         self.mapper = Mapper(self.map, ranging, config, watch)
         self.tracker = Tracker(ranging, config)
-        self.frames: list[FrameRecord] = []
+        self.frames = PoseLog()
         self.latest: KeyFrame | None = None
         self._reference_points = 0
 
     def record(self, frame: Frame, T_C_W: Array) -> None:
         """Note a tracked frame, relative to the latest key-frame."""
         assert self.latest is not None
-        self.frames.append(
-            FrameRecord(frame.index, frame.stamp_ns, self.latest.number, T_C_W @ se3_inverse(self.latest.T_C_W))
-        )
+        self.frames.note(frame.index, frame.stamp_ns, self.latest.number, T_C_W @ se3_inverse(self.latest.T_C_W))
 
     def since_keyframe(self, frame: Frame, rig: Rig) -> SinceKeyframe:
         """What happened since the latest key-frame, for the key-frame policy."""
@@ -70,15 +57,13 @@ class Segment:
         """Follow the points of the latest key-frame from ``frame``, its own image, on."""
         latest = self.latest
         assert latest is not None
-        if self.frames and self.frames[-1].index == frame.index:
-            self.frames.pop()
-        self.frames.append(FrameRecord(frame.index, frame.stamp_ns, latest.number, np.eye(4)))
+        self.frames.note(frame.index, frame.stamp_ns, latest.number, np.eye(4))
         rows = np.flatnonzero(latest.followed & (latest.point >= 0))
         previous = None
         if self.tracker.motion is not None and len(self.frames) > 1:
-            record = self.frames[-2]
             # The map has just moved: the velocity must come from poses of the same map.
-            previous = latest.T_C_W @ se3_inverse(record.T_C_K @ self.map.pose(record.keyframe))
+            T_C_W = self.frames.T_C_K(-2) @ self.map.pose(self.frames.keyframe(-2))
+            previous = latest.T_C_W @ se3_inverse(T_C_W)
         self.tracker.start(frame, latest.T_C_W, latest.point[rows], latest.uv[rows])
         self.tracker.motion = previous
         self._reference_points = int(np.isfinite(self.map.xyz[latest.point[rows], 0]).sum())
@@ -101,5 +86,6 @@ class Segment:
 
     def trajectory(self) -> Trajectory:
         """``T_W_C`` of every frame, through its key-frame's final pose."""
-        poses = np.stack([se3_inverse(r.T_C_K @ self.map.pose(r.keyframe)) for r in self.frames])
-        return Trajectory(np.array([r.stamp_ns for r in self.frames], dtype=np.int64), poses)
+        frames = self.frames
+        T_C_W = [frames.T_C_K(i) @ self.map.pose(frames.keyframe(i)) for i in range(len(frames))]
+        return Trajectory(frames.stamps_ns(), se3_inverse(np.stack(T_C_W)))

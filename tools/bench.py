@@ -19,6 +19,12 @@ RMSE of position after one alignment, SE(3), or Sim(3) for one camera; RPE over 
 frame to the first one at least L farther along the true way, mean error over L, after the one global scale for one
 camera; RPE a frame is the RMSE from frame to frame."""
 
+_MEMORY = """\
+A closed way through a town is rendered once and driven lap after lap, each frame decoded again and a new moment, in a
+process of its own. No loop is closed: every lap makes key-frames and points of its own, so memory grows with them.
+Memory a frame is the slope of resident memory over the last three quarters of the run, with the maps and without
+them; what the maps hold is counted array by array."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the actions."""
@@ -60,23 +66,76 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     vo.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
     vo.add_argument("--quiet", action="store_true", help="no progress")
     add_model_options(vo, OdometryConfig(), SECTION)
+    memory = actions.add_parser(
+        "memory",
+        help="memory and time of the odometry over a long run",
+        description=_MEMORY,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+        usage="maslam bench memory [options]",
+    )
+    memory.add_argument("--frames", type=int, default=10_000, metavar="N", help="to drive (default: %(default)s)")
+    memory.add_argument("--lap", type=int, default=500, metavar="N", help="frames of a lap (default: %(default)s)")
+    memory.add_argument("--size", default="160x120", metavar="WxH", help="pixels (default: %(default)s)")
+    memory.add_argument("--rig", choices=["mono", "stereo", "rgbd"], default="stereo", help="(default: %(default)s)")
+    memory.add_argument("--seed", type=int, default=0, help="of the town (default: %(default)s)")
+    memory.add_argument("--images", type=Path, metavar="DIR", help="keep the rendered lap here, or take it from here")
+    memory.add_argument("--json", action="store_true", help="one JSON object instead of a table")
+    memory.add_argument("--plot", type=Path, metavar="FILE", help="draw memory and time over frames")
+    memory.add_argument("--quiet", action="store_true", help="no progress")
+    add_model_options(memory, OdometryConfig(), SECTION)
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Do the action asked for."""
-    return {"vo": _vo}[arguments.action](arguments)
+    return {"vo": _vo, "memory": _memory}[arguments.action](arguments)
+
+
+def _memory(arguments: argparse.Namespace) -> int:
+    from frontend.config import OdometryConfig
+    from tools.bench_memory import MemorySettings, bench_memory
+    from tools.options import build
+    from tools.progress import progress_on
+    from tools.render_command import size
+
+    _check_picture(arguments.plot)
+    width, height = size(arguments.size)
+    settings = MemorySettings(
+        odometry=build(OdometryConfig(), arguments, prefix=SECTION),
+        frames=arguments.frames,
+        lap=arguments.lap,
+        width=width,
+        height=height,
+        rig=arguments.rig,
+        seed=arguments.seed,
+        images=arguments.images,
+    )
+    with progress_on(quiet=arguments.quiet) as progress:
+        report = bench_memory(settings, progress)
+    if arguments.plot is not None:
+        from tools.bench_memory_picture import draw_memory
+
+        draw_memory(report, arguments.plot)
+    print(report.json() if arguments.json else report.text())
+    return 0
+
+
+def _check_picture(path: Path | None) -> None:
+    from tools.bench_vo import PICTURES
+
+    if path is not None and path.suffix not in PICTURES:
+        raise UsageError(f"--plot {path}: the name must end in {', '.join(PICTURES)}")
 
 
 def _vo(arguments: argparse.Namespace) -> int:
     from frontend.config import OdometryConfig
-    from tools.bench_vo import PICTURES, VoSettings, bench_vo
+    from tools.bench_vo import VoSettings, bench_vo
     from tools.options import build, read_yaml
     from tools.progress import progress_on
 
     if arguments.runs is not None and arguments.runs < 1:
         raise UsageError(f"--runs {arguments.runs}: at least 1")
-    if arguments.plot is not None and arguments.plot.suffix not in PICTURES:
-        raise UsageError(f"--plot {arguments.plot}: the name must end in {', '.join(PICTURES)}")
+    _check_picture(arguments.plot)
     content = read_yaml(arguments.config) if arguments.config else {}
     for name in sorted(set(content) - {SECTION})[:1]:
         raise ToolError(f"{arguments.config}: unknown setting '{name}'; this benchmark knows '{SECTION}'")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,23 +35,32 @@ STAGE_COLOURS = {
 
 def draw_bench(results: Sequence[BenchResult], path: Path) -> None:
     """A row for each sequence, then all their costs; the kind of file by the name's ending."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     heights = [*(_ROW_INCHES for _ in results), 1.2 + _BAR_INCHES * len(results)]
-    with plt.rc_context({"svg.hashsalt": "maslam", "font.size": 9}):
-        figure = plt.figure(figsize=(_WIDTH_INCHES, sum(heights)), facecolor="white", layout="constrained")
+    with saved_figure(path, (_WIDTH_INCHES, sum(heights))) as figure:
         grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=[1, 1.35])
         for row, result in enumerate(results):
             _paths(figure.add_subplot(grid[row, 0]), result)
             _errors(figure.add_subplot(grid[row, 1]), result)
         _costs(figure.add_subplot(grid[len(results), :]), results)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        nothing = {"Software": None} if path.suffix == ".png" else {"Date": None} if path.suffix == ".svg" else None
-        figure.savefig(path, dpi=_DPI, metadata=nothing)
-        plt.close(figure)
+
+
+@contextmanager
+def saved_figure(path: Path, inches: tuple[float, float]) -> Iterator[Any]:
+    """A matplotlib figure to draw in, written to ``path`` at the end: the same bytes for the same drawing."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context({"svg.hashsalt": "maslam", "font.size": 9}):
+        figure = plt.figure(figsize=inches, facecolor="white", layout="constrained")
+        try:
+            yield figure
+            path.parent.mkdir(parents=True, exist_ok=True)
+            undated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+            figure.savefig(path, dpi=_DPI, metadata=undated.get(path.suffix))
+        finally:
+            plt.close(figure)
 
 
 def _systems(result: BenchResult) -> list[tuple[str, Accuracy | None]]:
@@ -79,7 +89,7 @@ def _paths(axes: Any, result: BenchResult) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     unit = "m" if known or result.metric else "units of the map"
     title = f"{result.name}: {result.tracked} of {result.frames} frames"
-    _dress(axes, title, f"{_AXES[a]}, {unit}", f"{_AXES[b]}, {unit}")
+    dress(axes, title, f"{_AXES[a]}, {unit}", f"{_AXES[b]}, {unit}")
     if axes.has_data():
         axes.legend(frameon=False, fontsize=8, labelcolor=INK)
 
@@ -102,7 +112,7 @@ def _errors(axes: Any, result: BenchResult) -> None:
     if not words:
         axes.annotate("no ground truth", xy=(0.5, 0.5), xycoords="axes fraction", ha="center", color=FAINT)
     how = "" if result.accuracy is None else f" after {'Sim(3)' if result.accuracy.with_scale else 'SE(3)'} alignment"
-    _dress(axes, f"error of position{how}", "way driven, m", "m")
+    dress(axes, f"error of position{how}", "way driven, m", "m")
     low, high = axes.get_ylim()
     axes.set_ylim(0.0, high + 0.13 * len(words) * (high - min(low, 0.0)))
 
@@ -128,7 +138,7 @@ def _costs(axes: Any, results: Sequence[BenchResult]) -> None:
     axes.invert_yaxis()
     most = max(result.measured.times.cpu_s / result.frames / result.measured.times.yard_s for result in results)
     axes.set_xlim(0, 1.42 * most)
-    _dress(axes, "processor time a frame by stage (ms in the bars)", "multiples of one ORB call on the same images", "")
+    dress(axes, "processor time a frame by stage (ms in the bars)", "multiples of one ORB call on the same images", "")
     axes.grid(axis="y", visible=False)
     axes.figure.legend(
         *axes.get_legend_handles_labels(),
@@ -142,7 +152,8 @@ def _dashes(index: int) -> tuple[float, ...] | tuple[None, None]:
     return tuple(float(word) for word in pattern.split()) if pattern else (None, None)
 
 
-def _dress(axes: Any, title: str, x: str, y: str) -> None:
+def dress(axes: Any, title: str, x: str, y: str) -> None:
+    """Title and labels, in the house's colours."""
     axes.set_title(title, fontsize=10, color=INK, loc="left")
     axes.set_xlabel(x, color=FAINT)
     axes.set_ylabel(y, color=FAINT)

@@ -32,7 +32,7 @@ def main(arguments: argparse.Namespace) -> None:
 
     changes: dict[str, object] = {}
     if arguments.size is not None:
-        changes["width"], changes["height"] = _size(arguments.size)
+        changes["width"], changes["height"] = size(arguments.size)
     if arguments.poses is not None:
         setattr(arguments, f"{DEST}poses_file", str(arguments.poses))
     config = build(RenderConfig(), arguments, changes)
@@ -42,7 +42,8 @@ def main(arguments: argparse.Namespace) -> None:
     print(f"{arguments.out}: {config.world}, {config.agents} agents, {pictures}, seed {config.seed}")
 
 
-def _size(text: str) -> tuple[int, int]:
+def size(text: str) -> tuple[int, int]:
+    """Width and height in pixels of ``640x360``; ``UsageError`` for anything else."""
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise UsageError(f"--size {text}: width and height in pixels are meant, like 640x360")

@@ -17,6 +17,7 @@ from frontend.errors import FrontendError
 from frontend.trajectory import Trajectory, write_kitti_poses, write_tum
 from tools.bench_accuracy import accuracy, half_frame_ns
 from tools.bench_compare import assign, read_other
+from tools.bench_memory import MemoryReport, Sample, circuit
 from tools.cli import main
 from tools.errors import ToolError, UsageError
 
@@ -209,3 +210,52 @@ def test_wrong_use_is_said(town: Path, tmp_path: Path, capsys: pytest.CaptureFix
         assert main(["bench", "vo", "--quiet", *words]) == code
         printed = capsys.readouterr()
         assert said in printed.err and printed.out == "", printed.err
+
+
+def test_the_slope_is_that_of_what_grows_with_frames() -> None:
+    frames = np.linspace(250, 10_000, 40).astype(int)
+    samples = tuple(
+        Sample(
+            frame=int(n),
+            # 120 bytes a frame, maps that grow by jumps, and a library loaded once, on the way.
+            resident_mb=300.0 + 120e-6 * n + 20 * (n // 3000) + 15.0 * (n > 4000),
+            map_mb=20.0 * (n // 3000),
+            keyframes=1, culled=0, points=9, numbers=9, observations=9, cpu_ms=5.0 + 1e-4 * n, lost=0,
+        )
+        for n in frames
+    )  # fmt: skip
+    report = MemoryReport(samples, 1)
+    assert report.bytes_a_frame == pytest.approx(120.0) and report.resident_bytes_a_frame > 500
+    assert report.ms_growth == pytest.approx((5.0 + 0.8875) / (5.0 + 0.3875), rel=0.01)
+    assert "120 bytes" in report.text() and json.loads(report.json())["tracks"] == 1
+
+
+def test_a_circuit_closes() -> None:
+    poses = circuit(200)
+    steps = np.linalg.norm(np.diff(np.concatenate([poses, poses[:1]])[:, :3, 3], axis=0), axis=1)
+    assert steps.min() > 0.99 * steps.max()
+    ahead = np.roll(poses[:, :3, 3], -1, axis=0) - poses[:, :3, 3]
+    assert ((ahead / steps[:, None] * poses[:, :3, 2]).sum(axis=1) > 0.999).all()
+
+
+@pytest.mark.slow
+def test_a_long_drive_keeps_no_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "memory", "--frames", "80", "--lap", "400", "--quiet"]
+    plot = tmp_path / "memory.png"
+    assert main([*words, "--images", str(tmp_path / "lap"), "--json", "--plot", str(plot)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    last = found["samples"][-1]
+    assert last["frame"] == 80 and len(found["samples"]) == 40 and last["lost"] == 0
+    assert last["keyframes"] > 10 and last["points"] > 300 and 0.0 < last["map_mb"] < 30.0
+    assert cv2.imread(str(plot)) is not None and (tmp_path / "lap/images/world.json").is_file()
+
+
+def test_wrong_drives_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+    for code, said, words in (
+        (2, "--size 12", ["--size", "12"]),
+        (1, "3 frames: at least", ["--frames", "3"]),
+        (2, "--lap 4", ["--lap", "4"]),
+        (2, "must end in", ["--plot", "x.doc"]),
+    ):
+        assert main(["bench", "memory", "--quiet", *words]) == code
+        assert said in capsys.readouterr().err

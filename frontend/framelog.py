@@ -1,0 +1,94 @@
+"""What is kept of every frame: packed, because frames are the one thing that never stops coming."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_POSE = 12  # numbers: the upper three rows of a rigid transform
+
+
+@dataclass(frozen=True)
+class LostInterval:
+    """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames."""
+
+    first_ns: int
+    last_ns: int
+    frames: int
+    reason: str
+
+
+class PoseLog:
+    """The tracked frames of one track, in order. A frame's pose hangs on a key-frame, so that it moves with it:
+    ``T_C_K``. 120 bytes a frame."""
+
+    def __init__(self) -> None:
+        self._index, self._stamp_ns, self._keyframe = array("q"), array("q"), array("q")
+        self._T_C_K = array("d")
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def note(self, index: int, stamp_ns: int, keyframe: int, T_C_K: Array) -> None:
+        """Frame ``index`` hangs on key-frame number ``keyframe``; noted again, the later word counts."""
+        if self._index and self._index[-1] == index:
+            for column in (self._index, self._stamp_ns, self._keyframe):
+                column.pop()
+            del self._T_C_K[-_POSE:]
+        self._index.append(index)
+        self._stamp_ns.append(stamp_ns)
+        self._keyframe.append(keyframe)
+        self._T_C_K.frombytes(np.ascontiguousarray(T_C_K[:3], dtype=np.float64).tobytes())
+
+    def keyframe(self, row: int) -> int:
+        """Number of the key-frame that frame ``row`` of the log hangs on; negative rows count from the end."""
+        return self._keyframe[row]
+
+    def T_C_K(self, row: int) -> Array:
+        """Pose ``(4, 4)`` of that key-frame in the frame's camera."""
+        start = row % len(self) * _POSE
+        return np.vstack([np.reshape(self._T_C_K[start : start + _POSE], (3, 4)), [0.0, 0.0, 0.0, 1.0]])
+
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """``(N,)``, a copy."""
+        return np.array(self._stamp_ns, dtype=np.int64)
+
+
+class MomentLog:
+    """The time of every frame offered, and for stretches without a pose the latest reason. 8 bytes a frame."""
+
+    def __init__(self) -> None:
+        self._stamp_ns = array("q")
+        self._reasons: dict[int, str] = {}
+
+    def __len__(self) -> int:
+        return len(self._stamp_ns)
+
+    @property
+    def latest_ns(self) -> int | None:
+        """Of the last frame, None before the first."""
+        return self._stamp_ns[-1] if self._stamp_ns else None
+
+    def note(self, stamp_ns: int, reason: str) -> None:
+        """One more frame; ``reason`` why it has no pose, or nothing."""
+        number = len(self)
+        self._stamp_ns.append(stamp_ns)
+        if reason:
+            self._reasons.pop(number - 1, None)  # of one stretch the last is told
+            self._reasons[number] = reason
+
+    def lost(self, posed_ns: Sequence[NDArray[np.int64]], unsaid: Callable[[], str]) -> list[LostInterval]:
+        """Runs of frames whose times are in none of ``posed_ns``; ``unsaid`` gives the reason where none was noted."""
+        stamps = np.array(self._stamp_ns, dtype=np.int64)
+        missing = ~np.isin(stamps, np.concatenate([np.zeros(0, dtype=np.int64), *posed_ns]))
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+        out = []
+        for first, end in edges.reshape(-1, 2).tolist():
+            reason = next((self._reasons[i] for i in range(end - 1, first - 1, -1) if i in self._reasons), "")
+            out.append(LostInterval(int(stamps[first]), int(stamps[end - 1]), end - first, reason or unsaid()))
+        return out

@@ -1,0 +1,79 @@
+"""What is kept of every frame: small, and exactly what went in."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+
+from backend.geometry import se3_exp
+from frontend.footprint import EMPTY, footprint
+from frontend.framelog import LostInterval, MomentLog, PoseLog
+from frontend.map import KeyFrame, Map
+
+
+def test_poses_come_back_bit_by_bit() -> None:
+    poses = se3_exp(np.random.default_rng(0).normal(size=(5, 6)))
+    log = PoseLog()
+    for k, pose in enumerate(poses):
+        log.note(10 + k, 100 * k, k // 2, pose)
+    assert len(log) == 5 and log.keyframe(-2) == 1 and log.keyframe(0) == 0
+    for k in (0, 3, 4, -1, -2):
+        assert np.array_equal(log.T_C_K(k), poses[k])
+    log.note(14, 400, 7, np.eye(4))  # the same frame, now on a key-frame of its own
+    assert len(log) == 5 and log.keyframe(4) == 7 and np.array_equal(log.T_C_K(4), np.eye(4))
+    assert np.array_equal(log.T_C_K(3), poses[3])
+    np.testing.assert_array_equal(log.stamps_ns(), [0, 100, 200, 300, 400])
+
+
+def test_lost_intervals_tell_the_last_reason() -> None:
+    log = MomentLog()
+    assert log.latest_ns is None and log.lost([], str) == []
+    for stamp, reason in enumerate(["dark", "", "", "blur", "darker", "darkest", "", "", ""]):
+        log.note(stamp, reason)
+    posed = [np.array([1, 2]), np.array([7])]
+    assert len(log) == 9 and log.latest_ns == 8
+    assert log.lost(posed, lambda: "too short") == [
+        LostInterval(0, 0, 1, "dark"),
+        LostInterval(3, 6, 4, "darkest"),
+        LostInterval(8, 8, 1, "too short"),
+    ]
+    assert log.lost([np.arange(9)], str) == []
+
+
+def test_a_frame_costs_little_and_being_lost_for_long_nothing_more() -> None:
+    pose, log, moments = np.eye(4), PoseLog(), MomentLog()
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for k in range(20_000):
+        log.note(k, k * 10**8, 1000, pose)
+        moments.note(k * 10**8, f"only {k} points found, which is a long way of saying it, frame after frame")
+    spent = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert spent / 20_000 < 160
+
+
+def test_the_footprint_counts_what_a_map_holds() -> None:
+    map_ = Map()
+    empty = footprint(map_)
+    assert (empty.keyframes, empty.points, empty.observations) == (0, 0, 0)
+    n = 500
+    for number in range(3):
+        ids = map_.add_points(n)
+        zeros = np.zeros(n)
+        map_.insert(
+            KeyFrame(
+                number=number, frame_index=number, stamp_ns=number, T_C_W=np.eye(4), uv=np.zeros((n, 2)),
+                disparity=zeros, point=ids, sigma=zeros, level=np.zeros(n, dtype=np.int8),
+                descriptors=np.zeros((n, 32), dtype=np.uint8), described=np.ones(n, dtype=bool),
+                followed=np.ones(n, dtype=bool),
+            )
+        )  # fmt: skip
+    assert map_.latest(2) == [1, 2] and map_.latest(9) == [0, 1, 2]
+    full = footprint(map_)
+    assert (full.keyframes, full.points, full.observations) == (3, 1500, 1500)
+    row = 16 + 8 + 8 + 8 + 1 + 32 + 1 + 1  # bytes of one observation's row in the key-frame's arrays
+    assert full.bytes - empty.bytes > 1500 * row
+    map_.cull_keyframe(1, 0)
+    assert footprint(map_).culled == 1 and footprint(map_).bytes < full.bytes - 500 * row
+    assert (full + EMPTY) == full
