@@ -239,3 +239,43 @@ def test_the_shipped_vocabulary_fits_its_purpose() -> None:
     levels = vocabulary.levels
     assert set(levels[words[:, 0]]) == {3} and (levels[words[:, 1]] == 4).mean() > 0.99
     assert (vocabulary.parents[words[:, 1]] == words[:, 0])[levels[words[:, 1]] == 4].all()
+
+
+def orbvoc_like(rng: np.random.Generator, full: int) -> tuple[list[str], list[int]]:
+    """Lines of a file laid out as ORBvoc.txt, k = 10 and L = 6: children together, then the subtree of each; complete
+    down to level ``full``, below that one child in ten has children. And the level of each node from 1 on."""
+    lines, levels = ["10 6  0 0"], []
+
+    def grow(parent: int, level: int) -> None:
+        first = len(lines)
+        deeper = [level < 6 and (level < full or child == 3) for child in range(10)]
+        for child in range(10):
+            octets = " ".join(map(str, rng.integers(0, 256, 32)))
+            lines.append(f"{parent} {int(not deeper[child])} {octets}  {0 if deeper[child] else rng.uniform(1, 9):.6g}")
+            levels.append(level)
+        for child in range(10):
+            if deeper[child]:
+                grow(first + child, level + 1)
+
+    grow(0, 1)
+    return lines, levels
+
+
+def test_a_file_laid_out_as_orbvoc_gives_levels_3_and_4_of_six(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    lines, levels = orbvoc_like(rng, full=4)
+    (tmp_path / "ORBvoc.txt").write_text("\n".join(lines) + "\n")
+    vocabulary = Vocabulary.load(tmp_path / "ORBvoc.txt")
+    assert (vocabulary.branching, vocabulary.depth, len(vocabulary)) == (10, 6, len(lines))
+    np.testing.assert_array_equal(vocabulary.levels, [0, *levels])
+    asked = rng.integers(0, 256, (60, 32)).astype(np.uint8)
+    words, leaves = vocabulary.words(asked), vocabulary.leaves(asked)
+    assert set(vocabulary.levels[words[:, 0]]) == {3} and set(vocabulary.levels[words[:, 1]]) == {4}
+    for descriptor, (three, four), leaf in zip(asked, words, leaves, strict=True):
+        assert (three, four) == (brute_descent(vocabulary, descriptor, 3), brute_descent(vocabulary, descriptor, 4))
+        assert leaf == brute_descent(vocabulary, descriptor, 6)
+    assert max(levels) == 6 and (vocabulary.levels[leaves] > 4).any()
+    vocabulary.save(tmp_path / "again.txt")
+    again = Vocabulary.load(tmp_path / "again.txt")
+    np.testing.assert_array_equal(again.parents, vocabulary.parents)
+    np.testing.assert_array_equal(again.weights, vocabulary.weights)
