@@ -115,6 +115,9 @@ class MappingConfig(_Frozen):
         1.5, ge=1.0, description="of the pose's outlier bound: an observation is dropped from the map"
     )
     min_parallax_deg: float = Field(1.0, gt=0.0, description="between rays that make a map point")
+    min_found_ratio: float = Field(
+        0.25, ge=0.0, lt=1.0, description="points found in fewer of the key-frames that should see them are not written"
+    )
     match_radius_px: float = Field(8.0, gt=0.0, description="guided search around a projection, at level 0")
     fuse_radius_px: float = Field(3.0, gt=0.0, description="two points this near in a key-frame may be one ...")
     fuse_depth_share: float = Field(0.1, gt=0.0, description="... if their depths differ by less than this share")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from frontend.culling import found_ratio
+from frontend.map import Ints
 from frontend.segment import Segment
 from frontend.vofiles import VoTrack
 from frontend.words import WordLookup
@@ -13,7 +16,8 @@ def export_track(segment: Segment, vocabulary: WordLookup) -> VoTrack:
     """Final key-frames, points and described observations, renumbered without gaps.
 
     A point is written where two key-frames see it or where a depth was measured for it: a point of one ray has no
-    place. An observation is written where it has an ORB descriptor (not at the very border of the image).
+    place. Points found in too few of the key-frames that should have seen them are left out. An observation is written
+    where it has an ORB descriptor (not at the very border of the image).
     """
     map_ = segment.map
     numbers = sorted(map_.keyframes)
@@ -34,6 +38,8 @@ def export_track(segment: Segment, vocabulary: WordLookup) -> VoTrack:
     count = np.bincount(point_of, minlength=len(map_))
     use = (count[point_of] >= 2) | map_.metric[point_of]
     kf_of, point_of, rows_of = kf_of[use], point_of[use], rows_of[use]
+    use = _often_found(segment, kf_of, point_of)[point_of]
+    kf_of, point_of, rows_of = kf_of[use], point_of[use], rows_of[use]
     ids, renumbered = np.unique(point_of, return_inverse=True)
     order = np.lexsort((renumbered, kf_of))
     observations = np.stack([kf_of, renumbered], axis=1)[order].astype(np.int32)
@@ -49,3 +55,11 @@ def export_track(segment: Segment, vocabulary: WordLookup) -> VoTrack:
         rows_of,
         words.astype(np.int32),
     )
+
+
+def _often_found(segment: Segment, kf_of: Ints, point_of: Ints) -> NDArray[np.bool_]:
+    """For each point of the map; ``kf_of`` counts the key-frames that stay."""
+    map_, mapper = segment.map, segment.mapper
+    poses = np.stack([map_.keyframes[k].T_W_C for k in sorted(map_.keyframes)])
+    seen = np.stack([kf_of, point_of], axis=1)
+    return found_ratio(poses, map_.xyz, seen, mapper.ranging.rig.camera) >= mapper.config.mapping.min_found_ratio
