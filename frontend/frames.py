@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, overload
 
@@ -94,6 +95,12 @@ class Frame:
             raise FrontendError(
                 f"frame {self.index} {self.name}: {what} is {found} pixels, the camera {size[0]}x{size[1]}"
             )
+
+    def at(self, index: int, stamp_ns: int) -> Frame:
+        """The same images as another moment; what was put off stays put off."""
+        other = copy(self)
+        other.__dict__.update(index=index, stamp_ns=stamp_ns)
+        return other
 
     def prepare(self) -> None:
         """Have what was put off decoded in the background: it is needed soon."""

@@ -171,7 +171,7 @@ def yard_s(sequence: ImageSequence) -> float:
     spent: list[float] = []
     for index in np.unique(np.linspace(0, len(sequence) - 1, YARD_IMAGES).round().astype(int)).tolist():
         try:
-            image = sequence.read(index).image
+            image = next(sequence.frames(index, index + 1)).image  # the left one alone
         except FrontendError:
             continue
         if not spent:

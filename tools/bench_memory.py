@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -192,7 +192,7 @@ def _drive(job: _Drive, advance: Callable[[int], None]) -> MemoryReport:
     cpu, since = time.process_time(), 0
     while done < frames:
         for frame in sequence.frames(stop=min(len(sequence), frames - done)):
-            result = odometry.process(replace(frame, index=done, stamp_ns=done * step_ns))
+            result = odometry.process(frame.at(done, done * step_ns))
             done, lost = done + 1, lost + (result.T_W_C is None)
             if done in at:
                 samples.append(_sample(odometry, done, 1e3 * (time.process_time() - cpu) / (done - since), lost))

@@ -67,3 +67,16 @@ def test_it_is_made_elsewhere_once_prepared_and_here_when_that_has_ended() -> No
 def test_a_wrong_size_is_an_error_that_says_both() -> None:
     with pytest.raises(FrontendError, match=r"frame 5 a.png: right image is 6x4 pixels, the camera 8x4"):
         Frame(5, 0, IMAGE, RIGHT, name="a.png").check_size(RIGHT, "right image", (8, 4))
+
+
+def test_the_same_images_at_another_moment() -> None:
+    calls: list[int] = []
+
+    def make() -> np.ndarray:
+        calls.append(1)
+        return RIGHT
+
+    frame = Frame(0, 0, IMAGE, PutOff(make), name="a.png")
+    other = frame.at(7, 700)
+    assert (other.index, other.stamp_ns, other.name, calls) == (7, 700, "a.png", []) and other.image is IMAGE
+    assert other.right is frame.right is RIGHT and calls == [1] and (frame.index, frame.stamp_ns) == (0, 0)
