@@ -47,12 +47,13 @@ class StereoConfig(_Frozen):
         8.0, gt=0.0, description="a disparity below this many standard deviations gives no map point alone"
     )
     estimate_calibration: bool = Field(
-        True, description="estimate the rig's residual disparity offset and slopes on line"
+        True, description="estimate on line what rectification has left of the rig's calibration error"
     )
-    offset_prior_px: float = Field(1.0, gt=0.0, description="prior standard deviation of the disparity offset")
-    slope_prior_px: float = Field(
-        0.3, gt=0.0, description="prior standard deviation of its slopes, a unit of tan(field angle)"
+    residual_prior_px: float = Field(
+        2.0, gt=0.0, description="prior standard deviation of the displacements it makes, over the image"
     )
+    calibrate_every: int = Field(4, ge=1, description="key-frames between two estimates, after the first ones")
+    row_sigma_px: float = Field(0.3, gt=0.0, description="standard deviation of a row difference within a pair")
     depth_sigma_m: float = Field(
         0.0015, gt=0.0, description="RGB-D: depth noise at 1 m; it grows with the square of depth"
     )

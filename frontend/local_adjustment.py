@@ -10,6 +10,7 @@ import numpy as np
 from backend.geometry import transform_points
 from frontend.config import OdometryConfig
 from frontend.map import Array, Ints, KeyFrame, Map
+from frontend.self_calibration import basis, with_rows
 from frontend.stereo import Ranging
 from frontend.window import adjust_window, window_residuals
 
@@ -53,8 +54,7 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
     seen = gather(map_, keyframes, slot)
     if len(seen.kf) < settings.min_observations:
         return
-    stereo = config.stereo
-    prior = np.array([stereo.offset_prior_px, stereo.slope_prior_px, stereo.slope_prior_px])
+    count = len(ranging.calib) if ranging.calibrates(recent[-1] + 1) else 0
     poses, points, calib, _, _ = adjust_window(
         np.stack([k.T_C_W for k in keyframes]),
         slot,
@@ -62,15 +62,13 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         seen.start,
         seen.kf,
         seen.pt,
-        seen.uv,
-        seen.disparity,
+        *((seen.uv, seen.disparity) if count else ranging.measured(seen.uv, seen.disparity)),
         seen.sigma,
         np.full(len(seen.kf), ranging.sigma_d),
         ranging.cam,
-        ranging.calib,
-        np.zeros(3),
-        prior**-2.0,
-        ranging.estimates_calib,
+        basis(seen.uv, seen.disparity, ranging.cam, count)[:, :3],
+        ranging.calib[:count],
+        *_calibration_prior(ranging, keyframes, count),
         settings.iterations,
     )
     if not (np.isfinite(poses).all() and np.isfinite(points).all()):
@@ -79,9 +77,20 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         if place >= 0:
             keyframe.T_C_W = pose
     map_.xyz[seen.ids] = points
-    ranging.calib = calib
+    if count:
+        ranging.calib = calib
     _move_points_seen_once(map_, ranging, keyframes)
     _drop_outliers(map_, ranging, config, keyframes, poses, points, seen)
+
+
+def _calibration_prior(ranging: Ranging, keyframes: list[KeyFrame], count: int) -> tuple[Array, Array]:
+    """Mean and information of the rig's residual calibration by its prior and by the rows of the stereo matches."""
+    if not count:
+        return np.zeros(0), np.zeros((0, 0))
+    uv, disparity, row = (np.concatenate([getattr(k, name) for k in keyframes]) for name in ("uv", "disparity", "row"))
+    ok = np.isfinite(disparity) & np.isfinite(row)
+    sigma = ranging.config.row_sigma_px
+    return with_rows(uv[ok], disparity[ok], row[ok], ranging.cam, ranging.prior(len(keyframes)), ranging.calib, sigma)
 
 
 def gather(map_: Map, keyframes: list[KeyFrame], slot: Ints) -> Observations:
@@ -137,7 +146,7 @@ def _drop_outliers(
     seen: Observations,
 ) -> None:
     limit = config.mapping.outlier_factor * config.pose.outlier_sigmas
-    r = window_residuals(poses, points, seen.kf, seen.pt, seen.uv, seen.disparity, ranging.cam, ranging.calib)
+    r = window_residuals(poses, points, seen.kf, seen.pt, *ranging.measured(seen.uv, seen.disparity), ranging.cam)
     far_off = ~(np.hypot(r[:, 0], r[:, 1]) < limit * seen.sigma)
     for i in np.flatnonzero(np.abs(r[:, 2]) > limit * ranging.sigma_d).tolist():
         keyframes[seen.kf[i]].disparity[seen.row[i]] = np.nan

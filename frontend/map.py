@@ -16,7 +16,8 @@ Ints = NDArray[np.int64]
 class KeyFrame:
     """A frame that stays. Rows of the arrays are its observations; ``point`` is -1 where an observation was dropped.
 
-    ``T_C_W`` ``(4, 4)``; ``uv`` ``(n, 2)`` pixels; ``disparity`` ``(n,)`` raw, NaN where unknown; ``sigma`` ``(n,)``
+    ``T_C_W`` ``(4, 4)``; ``uv`` ``(n, 2)`` pixels; ``disparity`` and ``row`` (the row
+    in the right image less that in the left) ``(n,)`` raw, NaN where unknown; ``sigma`` ``(n,)``
     pixels of ``uv``; ``level`` ``(n,)``; ``descriptors`` ``(n, 32)`` with ``described`` ``(n,)``; ``followed``
     ``(n,)``: by flow, not only matched.
     """
@@ -27,6 +28,7 @@ class KeyFrame:
     T_C_W: Array
     uv: Array
     disparity: Array
+    row: Array
     point: Ints
     sigma: Array
     level: NDArray[np.int8]

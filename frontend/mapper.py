@@ -73,7 +73,7 @@ class Mapper:
         points[fresh] = self.map.add_points(int(fresh.sum()))
         _, depth = self.ranging.project(T_C_W, self.map.xyz[points])
         with self._stage(Stage.STEREO):
-            disparity = self.ranging.measure(frame, all_uv, np.where(depth > 0, depth, np.nan))
+            disparity, row = self.ranging.measure(frame, all_uv, np.where(depth > 0, depth, np.nan))
         sigma = np.where(matched, features.scale_factor ** level.astype(np.float64), self.config.pose.pixel_sigma_px)
         return KeyFrame(
             number=len(self.map.keyframes) + len(self.map.culled),
@@ -82,6 +82,7 @@ class Mapper:
             T_C_W=T_C_W.copy(),
             uv=all_uv,
             disparity=disparity,
+            row=row,
             point=points,
             sigma=sigma,
             level=level,
@@ -183,7 +184,7 @@ class Mapper:
         good = np.isfinite(points[:, 0]) & (parallax > np.radians(self.config.mapping.min_parallax_deg))
         pt = np.repeat(np.arange(len(ids)), np.diff(start))
         unknown = np.full(len(kf), np.nan)
-        r = window_residuals(poses, points, kf.astype(np.int64), pt, uv, unknown, self.ranging.cam, np.zeros(3))
+        r = window_residuals(poses, points, kf.astype(np.int64), pt, self.ranging.ideal(uv), unknown, self.ranging.cam)
         error = np.nan_to_num(np.hypot(r[:, 0], r[:, 1]), nan=np.inf)
         good &= np.maximum.reduceat(error, start[:-1]) < _TRIANGULATION_SIGMAS * self.config.pose.pixel_sigma_px
         self.map.xyz[ids[good]] = points[good]

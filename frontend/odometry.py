@@ -201,7 +201,6 @@ class Odometry:
         return f"the camera hardly moved: fewer key-frames than the {need} that a track needs to be written"
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
-        calib = self.ranging.calib
         return {
             "frames": float(len(self._moments)),
             "tracked": float(sum(len(s.frames) for s in kept)),
@@ -211,7 +210,5 @@ class Odometry:
             "keyframes": float(sum(len(s.map.keyframes) for s in kept)),
             "keyframes_culled": float(sum(len(s.map.culled) for s in kept)),
             "points": float(sum(int(s.map.alive.sum()) for s in kept)),
-            "disparity_offset_px": float(calib[0]),
-            "disparity_slope_y_px": float(calib[1]),
-            "disparity_slope_x_px": float(calib[2]),
+            **self.ranging.calibration_stats(),
         }

@@ -153,7 +153,7 @@ class Relocaliser:
         )
         hit = np.flatnonzero(match >= 0)
         ids = keyframe.point[rows[hit]]
-        T = absolute_pose(map_.xyz[ids], keypoints.uv[match[hit]], self.ranging.cam, _RANSAC_PX)
+        T = absolute_pose(map_.xyz[ids], self.ranging.ideal(keypoints.uv[match[hit]]), self.ranging.cam, _RANSAC_PX)
         return None if T is None else self._refined(T, ids, match[hit], keypoints)
 
     def _from_map(self, first: _Support, number: int, keypoints: Keypoints) -> _Support | None:
@@ -196,10 +196,11 @@ class Relocaliser:
         if n < self.config.pose.min_inliers:
             return None
         uv = keypoints.uv[match]
+        ideal = self.ranging.ideal(uv)
         sigma = _ORB_SIGMA_PX * self.config.features.scale_factor ** keypoints.level[match].astype(np.float64)
         outlier = self.config.pose.outlier_sigmas
         xyz, unknown = self.segment.map.xyz[ids], np.full(n, np.nan)
-        T, good, _ = refine_pose(T, xyz, uv, unknown, sigma, np.ones(n), self.ranging.cam, outlier, 4)
+        T, good, _ = refine_pose(T, xyz, ideal, unknown, sigma, np.ones(n), self.ranging.cam, outlier, 4)
         if good.sum() < self.config.pose.min_inliers or not np.isfinite(T).all():
             return None
         spread = len(self._cells(uv[good])) / max(len(self._cells(keypoints.uv)), 1)

@@ -14,7 +14,6 @@ from frontend.pose import HUBER_D, HUBER_UV
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-N_CALIB = 3
 
 
 @njit(cache=True, nogil=True)
@@ -92,7 +91,7 @@ def assemble(
     sigma_d: Array,
     cam: Array,
     r: Array,
-    n_c: int,
+    basis: Array,
     free: int,
     U: Array,
     b_c: Array,
@@ -102,7 +101,6 @@ def assemble(
     Wc: Array,
     Jc: Array,
     Jp: Array,
-    phi: Array,
 ) -> None:
     """Blocks of the normal equations: cameras U, points V, coupling W (pose) and Wc (calibration); gradients b."""
     U[:] = 0.0
@@ -111,7 +109,7 @@ def assemble(
     b_p[:] = 0.0
     W[:] = 0.0
     Wc[:] = 0.0
-    base = 6 * free
+    base, n_c = 6 * free, basis.shape[2]
     for j in range(len(points)):
         for i in range(start[j], start[j + 1]):
             if np.isnan(r[i, 0]):
@@ -133,18 +131,22 @@ def assemble(
                             U[s + a, s + c] += wq * Jc[q, a] * Jc[q, c]
                         for c in range(3):
                             W[i, a, c] += wq * Jc[q, a] * Jp[q, c]
-            if has_d and n_c:
-                phi[0], phi[1], phi[2] = 1.0, (uv[i, 1] - cam[3]) / cam[1], (uv[i, 0] - cam[2]) / cam[0]
+            for q in range(3 if has_d and n_c else (2 if n_c else 0)):
+                wq = w_d if q == 2 else w
                 for a in range(n_c):
-                    b_c[base + a] += w_d * phi[a] * r[i, 2]
+                    phi = wq * basis[i, q, a]
+                    b_c[base + a] += phi * r[i, q]
                     for c in range(n_c):
-                        U[base + a, base + c] += w_d * phi[a] * phi[c]
+                        U[base + a, base + c] += phi * basis[i, q, c]
                     for c in range(3):
-                        Wc[j, a, c] += w_d * phi[a] * Jp[2, c]
+                        Wc[j, a, c] += phi * Jp[q, c]
                     if s >= 0:
                         for c in range(6):
-                            U[base + a, s + c] += w_d * phi[a] * Jc[2, c]
-                            U[s + c, base + a] += w_d * phi[a] * Jc[2, c]
+                            U[s + c, base + a] += phi * Jc[q, c]
+    # Only the upper half was filled where poses meet the calibration.
+    for a in range(base):
+        for c in range(n_c):
+            U[base + c, a] = U[a, base + c]
 
 
 @njit(cache=True, nogil=True)
@@ -168,7 +170,7 @@ def reduce_points(
     for k in range(len(S)):
         S[k, k] += damping * U[k, k] + 1e-9
     base = 6 * free
-    A, Y, Yc = np.zeros((3, 3)), np.zeros((6, 3)), np.zeros((N_CALIB, 3))
+    A, Y, Yc = np.zeros((3, 3)), np.zeros((6, 3)), np.zeros((n_c, 3))
     for j in range(len(V)):
         for a in range(3):
             for c in range(3):

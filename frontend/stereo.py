@@ -11,10 +11,13 @@ from frontend.align import align, cut_patches, half_sized
 from frontend.cameras import Rig, RigKind
 from frontend.config import FlowConfig, StereoConfig
 from frontend.frames import Frame
+from frontend.self_calibration import N_ALL, N_LENS, bend, pair_shift, physical, prior_information, straighten
 
 _COARSE = 4
 """The first search runs on images this much smaller, whole pixels only; flow refines it."""
 _HALF = 3
+_MIN_RAW_PX = -8.0
+"""What lies at infinity has a negative disparity in a rig whose cameras squint."""
 
 
 @njit(cache=True, nogil=True)
@@ -62,18 +65,20 @@ def measure_disparity(
     right: NDArray[np.uint8],
     uv: NDArray[np.float64],
     expected: NDArray[np.float64],
+    expected_row: NDArray[np.float64],
     flow: FlowConfig,
     config: StereoConfig,
-) -> NDArray[np.float64]:
-    """Sub-pixel disparity ``(n,)`` at ``uv`` ``(n, 2)``, NaN where none is found.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sub-pixel disparity and row difference (right minus left) ``(n,)`` at ``uv`` ``(n, 2)``, NaN where none is found.
 
     ``expected`` ``(n,)``: predicted disparity, NaN where none; those are searched along the row on a reduced pair
-    first. A residual row offset of the pair is allowed for: its median over all points is taken out before the row
-    test.
+    first. ``expected_row`` ``(n,)``: predicted row difference; a common one beyond it is allowed for: its median over
+    all points is taken out before the row test.
     """
     if not len(uv):
-        return np.zeros(0)
+        return np.zeros(0), np.zeros(0)
     guess = uv.copy()
+    guess[:, 1] += expected_row
     known = np.isfinite(expected)
     guess[known, 0] -= expected[known]
     if not known.all():
@@ -89,10 +94,11 @@ def measure_disparity(
     xy, ok = align(patches, half_sized(right, 1), same, guess, flow.min_correlation, 6.0)
     rows = xy[:, 1] - uv[:, 1]
     if ok.any():
-        ok &= np.abs(rows - np.median(rows[ok])) < config.max_vertical_px / 2
+        beyond = rows - expected_row
+        ok &= np.abs(beyond - np.median(beyond[ok])) < config.max_vertical_px / 2
     disparity = uv[:, 0] - xy[:, 0]
-    ok &= (disparity > -2.0) & (disparity < config.max_disparity_px)
-    return np.where(ok, disparity, np.nan)
+    ok &= (disparity > _MIN_RAW_PX) & (disparity < config.max_disparity_px)
+    return np.where(ok, disparity, np.nan), np.where(ok, rows, np.nan)
 
 
 @njit(cache=True, nogil=True)
@@ -121,6 +127,8 @@ def depth_at(depth_m: NDArray[np.float32], uv: NDArray[np.float64], max_jump: fl
     return out
 
 
+_STARTING, _ENOUGH, _FEW_DISTORT_PX = 12, 8, 0.2
+"""Key-frames of the start; key-frames that tell distortions; displacements that fewer are believed to see."""
 _VIRTUAL_BASELINE_M = 0.08
 """RGB-D: a depth travels as the disparity of a stereo pair with this baseline, so that one kernel serves both."""
 _DEPTH_JUMP = 0.03
@@ -129,7 +137,8 @@ _DEPTH_JUMP = 0.03
 class Ranging:
     """The rig as the mapper sees it: disparities at points, and the residual calibration estimated so far.
 
-    ``cam``: ``[fx, fy, cx, cy, bf]``; ``calib`` ``(3,)``: disparity offset and slopes, as in :mod:`frontend.window`.
+    ``cam``: ``[fx, fy, cx, cy, bf]``. Positions ``uv`` are as measured in the image; :meth:`ideal` and
+    :meth:`corrected` take the residual calibration out.
     """
 
     def __init__(self, rig: Rig, config: StereoConfig, flow: FlowConfig) -> None:
@@ -139,36 +148,67 @@ class Ranging:
         ]
         self.rig, self.config, self.flow = rig, config, flow
         self.cam = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.fx * baseline])
-        self.calib = np.zeros(3)
+        self.calib = np.zeros(N_ALL if rig.kind is RigKind.STEREO else N_LENS)
+        """Residual calibration, pixels, in the order of :mod:`frontend.self_calibration`."""
         rgbd = rig.kind is RigKind.RGBD
         self.sigma_d = self.cam[4] * config.depth_sigma_m if rgbd else config.disparity_sigma_px
         self.min_disparity = self.cam[4] / config.max_depth_m if rgbd else config.min_disparity_sigmas * self.sigma_d
-        self.estimates_calib = rig.kind is RigKind.STEREO and config.estimate_calibration
+        size = camera.width, camera.height
+        self._priors = [
+            prior_information(*size, self.cam, config.residual_prior_px, beyond, len(self.calib))
+            for beyond in (_FEW_DISTORT_PX, config.residual_prior_px)
+        ]
 
     def measure(
         self, frame: Frame, uv: NDArray[np.float64], expected_depth: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Raw disparity ``(n,)`` at ``uv``, NaN where unknown; ``expected_depth`` ``(n,)`` metres, NaN where there is
-        none."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Raw disparity and row difference ``(n,)`` at ``uv``, NaN where unknown; ``expected_depth`` ``(n,)`` metres,
+        NaN where there is none."""
+        unknown = np.full(len(uv), np.nan)
         size = (self.rig.camera.width, self.rig.camera.height)
         if self.rig.kind is RigKind.STEREO and frame.right is not None:
             frame.check_size(frame.right, "right image", size)
-            expected = self.cam[4] / expected_depth + self.basis(uv) @ self.calib
-            return measure_disparity(frame.image, frame.right, uv, expected, self.flow, self.config)
+            ideal = self.cam[4] / expected_depth
+            shift = pair_shift(uv, np.nan_to_num(ideal), self.cam, self.calib)
+            return measure_disparity(
+                frame.image, frame.right, uv, ideal + shift[:, 0], shift[:, 1], self.flow, self.config
+            )
         if self.rig.kind is RigKind.RGBD and frame.depth_m is not None:
             frame.check_size(frame.depth_m, "depth image", size)
             depth = depth_at(frame.depth_m, uv, _DEPTH_JUMP)
-            return np.where(depth <= self.config.max_depth_m, self.cam[4] / depth, np.nan)
-        return np.full(len(uv), np.nan)
+            return np.where(depth <= self.config.max_depth_m, self.cam[4] / depth, np.nan), unknown
+        return unknown, unknown
 
-    def basis(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``(n, 3)``: what ``calib`` multiplies."""
-        fx, fy, cx, cy, _ = self.cam
-        return np.stack([np.ones(len(uv)), (uv[:, 1] - cy) / fy, (uv[:, 0] - cx) / fx], axis=1)
+    def ideal(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where a pinhole would have seen what was measured at ``uv`` ``(n, 2)``."""
+        return straighten(uv, self.cam, self.calib) if self.calib.any() else uv
 
     def corrected(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Disparity with the residual calibration taken out."""
-        return disparity - self.basis(uv) @ self.calib
+        """Raw disparity measured at raw ``uv`` with the residual calibration taken out."""
+        return disparity - pair_shift(uv, disparity, self.cam, self.calib)[:, 0] if self.calib.any() else disparity
+
+    def measured(
+        self, uv: NDArray[np.float64], disparity: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """:meth:`ideal` positions and :meth:`corrected` disparities."""
+        return self.ideal(uv), self.corrected(uv, disparity)
+
+    def calibrates(self, keyframes: int) -> bool:
+        """Whether the residual calibration is estimated anew after so many key-frames: often at the start, where it
+        decides about the map, later now and then (it changes slowly and costs half a bundle adjustment)."""
+        start = keyframes <= _STARTING // 2 or (keyframes <= _STARTING and keyframes % 2 == 0)
+        due = start or keyframes % self.config.calibrate_every == 0
+        return self.rig.kind is RigKind.STEREO and self.config.estimate_calibration and due
+
+    def prior(self, keyframes: int) -> NDArray[np.float64]:
+        """Prior information of the residual calibration in a bundle adjustment of so many key-frames: a few cannot tell
+        a distortion from the shape of the scene or from things that move."""
+        return self._priors[int(keyframes >= _ENOUGH)]
+
+    def calibration_stats(self) -> dict[str, float]:
+        """The calibration estimated, for reports: what it does at the middle of the image, and its parameters."""
+        at = pair_shift(self.cam[None, 2:4], np.zeros(1), self.cam, self.calib)[0]
+        return {"disparity_offset_px": float(at[0]), "row_offset_px": float(at[1]), **physical(self.calib, self.cam)}
 
     def back_project(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points ``(n, 3)`` in the camera frame; NaN where the disparity is unknown or too small."""
@@ -177,16 +217,18 @@ class Ranging:
         return self.rays(uv) * z[:, None]
 
     def rays(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Viewing rays ``(n, 3)`` with z = 1."""
+        """Viewing rays ``(n, 3)`` with z = 1 of measured positions."""
         fx, fy, cx, cy, _ = self.cam
-        return np.stack([(uv[:, 0] - cx) / fx, (uv[:, 1] - cy) / fy, np.ones(len(uv))], axis=1)
+        ideal = self.ideal(uv)
+        return np.stack([(ideal[:, 0] - cx) / fx, (ideal[:, 1] - cy) / fy, np.ones(len(uv))], axis=1)
 
     def project(
         self, T_C_W: NDArray[np.float64], points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pixels ``(n, 2)`` and depths ``(n,)`` of world points; pixels are NaN behind the camera or where the point
-        is unknown."""
+        """Pixels ``(n, 2)`` where world points show, and depths ``(n,)``; pixels are NaN behind the camera or where the
+        point is unknown."""
         fx, fy, cx, cy, _ = self.cam
         p = points @ T_C_W[:3, :3].T + T_C_W[:3, 3]
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
-        return np.stack([fx * p[:, 0] / z + cx, fy * p[:, 1] / z + cy], axis=1), p[:, 2]
+        ideal = np.stack([fx * p[:, 0] / z + cx, fy * p[:, 1] / z + cy], axis=1)
+        return bend(ideal, self.cam, self.calib) if self.calib.any() else ideal, p[:, 2]

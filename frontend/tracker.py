@@ -139,7 +139,8 @@ class Tracker:
         """A pose without any prediction: wide flow from the previous frame, then RANSAC."""
         index = np.flatnonzero(self.found & np.isfinite(xyz[:, 0]))
         uv, ok = follow(self.image[0], frame.image, self.uv[index], self.uv[index], self.config.flow)
-        return absolute_pose(xyz[index[ok]], uv[ok], self.ranging.cam, 8.0 * self.config.pose.pixel_sigma_px)
+        error_px = 8.0 * self.config.pose.pixel_sigma_px
+        return absolute_pose(xyz[index[ok]], self.ranging.ideal(uv[ok]), self.ranging.cam, error_px)
 
     def _look_again(
         self,
@@ -170,9 +171,10 @@ class Tracker:
         n = len(index)
         if n < settings.min_inliers:
             return Tracked(None, 0, f"only {n} of {len(uv)} points found, need {settings.min_inliers}"), inlier
+        ideal = self.ranging.ideal(uv[index])
         args = (
             xyz[index],
-            uv[index],
+            ideal,
             np.full(n, np.nan),
             np.full(n, settings.pixel_sigma_px),
             np.full(n, 1.0),
@@ -180,7 +182,7 @@ class Tracker:
         )
         T, good, _ = refine_pose(predicted, *args, settings.outlier_sigmas, 4)
         if good.sum() < max(settings.min_inliers, 0.5 * n):
-            T_ransac = absolute_pose(xyz[index], uv[index], self.ranging.cam, 4.0 * settings.pixel_sigma_px)
+            T_ransac = absolute_pose(xyz[index], ideal, self.ranging.cam, 4.0 * settings.pixel_sigma_px)
             if T_ransac is not None:
                 T2, good2, _ = refine_pose(T_ransac, *args, settings.outlier_sigmas, 4)
                 if good2.sum() > good.sum():

@@ -1,8 +1,8 @@
 """Window bundle adjustment: key-frame poses, points and the stereo rig's residual calibration, by a Schur complement.
 
-Compiled kernels, arrays in, arrays out. ``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. The measured
-disparity is modelled as ``bf / Z + calib @ [1, y, x]`` with ``x``, ``y`` the normalised image coordinates: an offset
-(yaw of the right camera), a slope along the rows (its roll) and one along the columns (its focal length).
+Compiled kernels, arrays in, arrays out. ``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. A measured ``(u, v,
+disparity)`` is modelled as the ideal one plus ``basis @ calib``: what the rig's residual calibration
+(:mod:`frontend.self_calibration`) does at that place of the image.
 """
 
 from __future__ import annotations
@@ -11,14 +11,16 @@ import numpy as np
 from numba import njit
 
 from frontend.pose import exp_update
-from frontend.schur import N_CALIB, Array, Ints, assemble, back_substitute, reduce_points, robust_weights
+from frontend.schur import Array, Ints, assemble, back_substitute, reduce_points, robust_weights
 
 
 @njit(cache=True, nogil=True)
 def window_residuals(
-    poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array, disparity: Array, cam: Array, calib: Array
+    poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array, disparity: Array, cam: Array
 ) -> Array:
-    """``(N, 3)`` pixels, predicted minus measured u, v, disparity (0 where unknown); NaN for points behind a camera."""
+    """``(N, 3)`` pixels, predicted minus measured u, v, disparity (0 where unknown); NaN for points behind a camera.
+
+    What was measured comes with the residual calibration taken out."""
     out = np.empty((len(kf), 3))
     for i in range(len(kf)):
         T = poses[kf[i]]
@@ -33,8 +35,7 @@ def window_residuals(
         out[i, 1] = cam[1] * Y / Z + cam[3] - uv[i, 1]
         out[i, 2] = 0.0
         if not np.isnan(disparity[i]):
-            y, x = (uv[i, 1] - cam[3]) / cam[1], (uv[i, 0] - cam[2]) / cam[0]
-            out[i, 2] = cam[4] / Z + calib[0] + calib[1] * y + calib[2] * x - disparity[i]
+            out[i, 2] = cam[4] / Z - disparity[i]
     return out
 
 
@@ -46,9 +47,22 @@ def _cost(r: Array, sigma: Array, sigma_d: Array, calib: Array, mean: Array, inf
             total += 1e4
             continue
         total += robust_weights(r[i, 0] ** 2 + r[i, 1] ** 2, r[i, 2], sigma[i], sigma_d[i])[2]
-    for k in range(N_CALIB):
-        total += info[k] * (calib[k] - mean[k]) ** 2
+    for a in range(len(calib)):
+        for c in range(len(calib)):
+            total += info[a, c] * (calib[a] - mean[a]) * (calib[c] - mean[c])
     return total
+
+
+@njit(cache=True, nogil=True)
+def _take_out(uv: Array, disparity: Array, basis: Array, calib: Array) -> tuple[Array, Array]:
+    """Positions and disparities without what the calibration adds to them."""
+    uv, disparity = uv.copy(), disparity.copy()
+    for i in range(len(uv)):
+        for k in range(len(calib)):
+            uv[i, 0] -= basis[i, 0, k] * calib[k]
+            uv[i, 1] -= basis[i, 1, k] * calib[k]
+            disparity[i] -= basis[i, 2, k] * calib[k]
+    return uv, disparity
 
 
 @njit(cache=True, nogil=True)
@@ -64,33 +78,33 @@ def adjust_window(
     sigma: Array,
     sigma_d: Array,
     cam: Array,
+    basis: Array,
     calib: Array,
     calib_mean: Array,
     calib_info: Array,
-    estimate_calib: bool,
     iterations: int,
 ) -> tuple[Array, Array, Array, float, float]:
     """Levenberg-Marquardt on robust reprojection and disparity errors.
 
     ``poses`` ``(K, 4, 4)``; ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``points`` ``(P, 3)``; the N
     observations are sorted by point, those of point j are ``start[j]:start[j + 1]``; ``kf``, ``pt`` ``(N,)`` indices,
-    ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration
-    prior: mean and inverse variance ``(3,)``. Returns poses, points, calibration, cost before and after; the cost
-    never rises.
+    ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration:
+    ``basis`` ``(N, 3, C)``, start and prior mean ``(C,)``, prior information ``(C, C)``; C = 0 keeps it out. Returns
+    poses, points, calibration, cost before and after; the cost never rises.
     """
     poses, points, calib = poses.copy(), points.copy(), calib.copy()
     free = slot.max() + 1
-    n_c = N_CALIB if estimate_calib else 0
+    n_c = basis.shape[2]
     m = 6 * free + n_c
     n_points, n = len(points), len(kf)
-    r = window_residuals(poses, points, kf, pt, uv, disparity, cam, calib)
+    r = window_residuals(poses, points, kf, pt, *_take_out(uv, disparity, basis, calib), cam)
     cost = _cost(r, sigma, sigma_d, calib, calib_mean, calib_info)
     first = cost
     damping = 1e-4
     W = np.zeros((n, 6, 3))
-    Wc = np.zeros((n_points, N_CALIB, 3))
+    Wc = np.zeros((n_points, n_c, 3))
     V, b_p, V_inv = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3)), np.zeros((n_points, 3, 3))
-    Jc, Jp, phi = np.zeros((3, 6)), np.zeros((3, 3)), np.zeros(N_CALIB)
+    Jc, Jp = np.zeros((3, 6)), np.zeros((3, 3))
     relinearise = True
     U, b_c = np.zeros((m, m)), np.zeros(m)
     for _ in range(iterations):
@@ -107,7 +121,7 @@ def adjust_window(
                 sigma_d,
                 cam,
                 r,
-                n_c,
+                basis,
                 free,
                 U,
                 b_c,
@@ -117,11 +131,11 @@ def adjust_window(
                 Wc,
                 Jc,
                 Jp,
-                phi,
             )
-            for k in range(n_c):
-                U[6 * free + k, 6 * free + k] += calib_info[k]
-                b_c[6 * free + k] += calib_info[k] * (calib[k] - calib_mean[k])
+            for a in range(n_c):
+                for c in range(n_c):
+                    U[6 * free + a, 6 * free + c] += calib_info[a, c]
+                    b_c[6 * free + a] += calib_info[a, c] * (calib[c] - calib_mean[c])
         S, rhs = reduce_points(slot, start, kf, n_c, free, U, b_c, V, b_p, W, Wc, V_inv, damping)
         delta = np.linalg.solve(S, -rhs)
         new_poses, new_points, new_calib = poses.copy(), points.copy(), calib.copy()
@@ -131,7 +145,7 @@ def adjust_window(
         for k in range(n_c):
             new_calib[k] += delta[6 * free + k]
         back_substitute(slot, start, kf, n_c, free, delta, b_p, W, Wc, V_inv, new_points)
-        new_r = window_residuals(new_poses, new_points, kf, pt, uv, disparity, cam, new_calib)
+        new_r = window_residuals(new_poses, new_points, kf, pt, *_take_out(uv, disparity, basis, new_calib), cam)
         new_cost = _cost(new_r, sigma, sigma_d, new_calib, calib_mean, calib_info)
         if new_cost < cost:
             gain = (cost - new_cost) / cost

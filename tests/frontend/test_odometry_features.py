@@ -14,6 +14,7 @@ from frontend.features import EDGE_PX, Detector, Pyramid, describe, spread_cells
 from frontend.flow import follow, follow_both_ways
 from frontend.frames import Frame
 from frontend.matching import guided_match
+from frontend.self_calibration import pair_shift
 from frontend.stereo import Ranging, depth_at, measure_disparity
 
 NOTHING = np.zeros((0, 2))
@@ -135,9 +136,11 @@ def test_disparity_is_measured_to_a_fraction_of_a_pixel_without_expectation(row_
     right = shifted(left, np.array([[1.0, 0, -23.4], [0, 1.0, row_offset]]))
     uv, _, _ = Detector(FeatureConfig()).detect(Pyramid(left, 1, 1.4), 200, NOTHING)
     uv = uv[uv[:, 0] > 45]
-    disparity = measure_disparity(left, right, uv, np.full(len(uv), np.nan), FlowConfig(), StereoConfig())
+    unknown = np.full(len(uv), np.nan)
+    disparity, row = measure_disparity(left, right, uv, unknown, np.zeros(len(uv)), FlowConfig(), StereoConfig())
     assert np.isfinite(disparity).mean() > 0.8
     assert np.nanmedian(np.abs(disparity - 23.4)) < 0.05
+    assert np.nanmedian(np.abs(row - row_offset)) < 0.05
 
 
 def test_depth_is_read_inside_surfaces_and_not_across_edges() -> None:
@@ -154,11 +157,13 @@ def test_depth_is_read_inside_surfaces_and_not_across_edges() -> None:
 
 def test_a_rig_back_projects_what_it_projects() -> None:
     ranging = Ranging(room.rig(RigKind.STEREO), StereoConfig(), FlowConfig())
-    ranging.calib = np.array([0.3, -0.1, 0.2])
+    ranging.calib = np.random.default_rng(1).normal(0.0, 1.0, len(ranging.calib))
     points = np.array([[0.5, 0.2, 3.0], [-1.0, 0.4, 5.0]])
     uv, depth = ranging.project(np.eye(4), points)
-    disparity = ranging.cam[4] / depth + ranging.basis(uv) @ ranging.calib
-    np.testing.assert_allclose(ranging.back_project(uv, disparity), points, atol=1e-9)
+    disparity = ranging.cam[4] / depth
+    for _ in range(5):  # what the calibration does to it depends on where the right camera sees the point
+        disparity = ranging.cam[4] / depth + pair_shift(uv, disparity, ranging.cam, ranging.calib)[:, 0]
+    np.testing.assert_allclose(ranging.back_project(uv, disparity), points, atol=1e-3)
     assert np.isnan(ranging.project(np.eye(4), np.array([[0.0, 0.0, -1.0]]))[0]).all()
 
 
@@ -169,7 +174,7 @@ def test_rendered_stereo_and_depth_agree() -> None:
     _, depth = scene.render(pose)
     uv, _, _ = Detector(FeatureConfig()).detect(Pyramid(frame.image, 1, 1.4), 300, NOTHING)
     truth = stereo.cam[4] / depth_at(depth, uv, 0.03)
-    measured = stereo.measure(frame, uv, np.full(len(uv), np.nan))
+    measured, _ = stereo.measure(frame, uv, np.full(len(uv), np.nan))
     both = np.isfinite(truth) & np.isfinite(measured)
     assert both.mean() > 0.6
     assert np.median(np.abs(measured - truth)[both]) < 0.1
