@@ -132,3 +132,25 @@ def test_a_metric_rig_starts_at_once_and_names_a_missing_right_image() -> None:
     frame = scene.frame(0, pose, RigKind.STEREO)
     assert "right image" in start.offer(type(frame)(0, 0, frame.image)).reason
     assert start.offer(frame).segment is not None
+
+
+def test_a_single_wall_starts_a_map_only_where_it_leaves_no_doubt() -> None:
+    """Rendered: along a slanted wall two motions explain the views alike, and every frame says so; sideways before a
+    wall one is left, and it is the camera's."""
+    slanted = np.stack([se3(so3_exp([0, 0.3, 0]), [-1.5 + 0.05 * i, 0, 2.0 + 0.03 * i]) for i in range(14)])
+    reasons = offered(slanted)
+    assert "started" not in reasons
+    doubts = [reason for reason in reasons if "ambiguous" in reason]
+    assert len(doubts) >= 8 and all("points fit two different motions" in reason for reason in doubts)
+    sideways = np.stack([se3(np.eye(3), [-1.0 + 0.06 * i, 0, 1.0]) for i in range(14)])
+    start, scene = starter(), room.Room(11)
+    for i, pose in enumerate(sideways):
+        outcome = start.offer(scene.frame(i, pose, RigKind.MONO))
+        if outcome.segment is not None:
+            break
+        assert any(char.isdigit() for char in outcome.reason) or i == 0, outcome.reason
+    assert outcome.segment is not None
+    first, second = (outcome.segment.map.keyframes[k] for k in (0, 1))
+    motion = second.T_C_W[:3, 3] / np.linalg.norm(second.T_C_W[:3, 3])
+    np.testing.assert_allclose(motion, [-1.0, 0.0, 0.0], atol=0.01)
+    assert rotation_angle_deg(second.T_C_W[:3, :3]) < 0.1 and first.frame_index == 0
