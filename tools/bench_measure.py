@@ -15,6 +15,7 @@ from frontend.trajectory import Trajectory
 if TYPE_CHECKING:
     from frontend.config import OdometryConfig
     from frontend.datasets import ImageSequence
+    from frontend.framelog import LostInterval
     from frontend.odometry import Odometry, OdometryResult
     from frontend.vocabulary import Vocabulary
 
@@ -94,7 +95,7 @@ def measure_job(job: BenchJob, advance: Callable[[int], None]) -> Measured:
     return Measured(
         trajectories=tuple(first.trajectories),
         stats={name: float(value) for name, value in first.stats.items()},
-        lost=tuple(f"{gap.frames} frames from {gap.first_ns / 1e9:.3f} s: {gap.reason}" for gap in first.lost),
+        lost=tuple(_gap(gap) for gap in first.lost),
         unreadable=tuple(unreadable),
         times=sorted(times, key=lambda one: one.cpu_yards)[len(times) // 2],
         runs=job.runs,
@@ -102,6 +103,10 @@ def measure_job(job: BenchJob, advance: Callable[[int], None]) -> Measured:
         baseline_mb=baseline,
         peak_mb=peak,
     )
+
+
+def _gap(gap: LostInterval) -> str:
+    return f"{gap.frames} frame{'s'[gap.frames == 1 :]} from {gap.first_ns / 1e9:.3f} s: {gap.reason}"
 
 
 def _warm_up(job: BenchJob, vocabulary: Vocabulary) -> None:

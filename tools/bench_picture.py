@@ -110,7 +110,8 @@ def _errors(axes: Any, result: BenchResult) -> None:
         place = {"xy": (0.015, 0.97 - 0.075 * k), "xycoords": "axes fraction", "va": "top", "fontsize": 8.5}
         axes.annotate(line, color=colour_of(k), fontweight="bold" if k == 0 else "normal", **place)
     if not words:
-        axes.annotate("no ground truth", xy=(0.5, 0.5), xycoords="axes fraction", ha="center", color=FAINT)
+        said = "nothing to compare with the truth" if result.truth else "no ground truth"
+        axes.annotate(said, xy=(0.5, 0.5), xycoords="axes fraction", ha="center", color=FAINT)
     how = "" if result.accuracy is None else f" after {'Sim(3)' if result.accuracy.with_scale else 'SE(3)'} alignment"
     dress(axes, f"error of position{how}", "way driven, m", "m")
     low, high = axes.get_ylim()
@@ -132,12 +133,12 @@ def _costs(axes: Any, results: Sequence[BenchResult]) -> None:
             left += width
         cpu, wall = (1e3 * spent / result.frames for spent in (times.cpu_s, times.wall_s))
         yard = 1e3 * times.yard_s
-        words = f" {cpu / yard:.2f} x  ({cpu:.1f} ms of {yard:.1f} ms; wall {wall / yard:.2f} x)"
+        words = f" {cpu / yard:.2f} x  ({cpu:.1f} ms; an ORB call {yard:.1f} ms; wall {wall / yard:.2f} x)"
         axes.text(left, row, words, va="center", fontsize=8.5, color=INK)
     axes.set_yticks(range(len(results)), [result.name for result in results])
     axes.invert_yaxis()
     most = max(result.measured.times.cpu_s / result.frames / result.measured.times.yard_s for result in results)
-    axes.set_xlim(0, 1.42 * most)
+    axes.set_xlim(0, 1.5 * most)
     dress(axes, "processor time a frame by stage (ms in the bars)", "multiples of one ORB call on the same images", "")
     axes.grid(axis="y", visible=False)
     axes.figure.legend(

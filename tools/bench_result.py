@@ -26,7 +26,8 @@ class Compared:
 
 @dataclass(frozen=True)
 class BenchResult:
-    """``name`` of the sequence, unique in this benchmark; ``accuracy`` None without ground truth."""
+    """``name`` of the sequence, unique in this benchmark; ``accuracy`` None without ``truth``, and where nothing was
+    tracked that has a true pose."""
 
     name: str
     kind: str
@@ -34,6 +35,7 @@ class BenchResult:
     metric: bool
     frames: int
     files: bool
+    truth: bool
     measured: Measured
     accuracy: Accuracy | None
     compared: tuple[Compared, ...] = ()
@@ -84,7 +86,7 @@ def tables(results: Sequence[BenchResult]) -> str:
     parts = [_accuracy_table(results), _cost_table(results), _stage_table(results)]
     notes = [f"{r.name}: {line}" for r in results for line in (*r.measured.lost, *r.measured.unreadable)]
     notes += [f"{r.name}: not the same poses in each run" for r in results if not r.measured.same]
-    notes += [f"{r.name}: no ground truth, errors cannot be known" for r in results if r.accuracy is None]
+    notes += [f"{r.name}: no ground truth, errors cannot be known" for r in results if not r.truth]
     return "\n\n".join("\n".join(part) for part in (*parts, notes) if part)
 
 

@@ -133,6 +133,7 @@ def _result(
         metric=sequence.rig.metric,
         frames=len(sequence),
         files=settings.files,
+        truth=truth is not None,
         measured=measured,
         accuracy=errors(measured.trajectories),
         compared=tuple(Compared(path.name, other, errors([other])) for path, other, _ in others),
