@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frontend.errors import FrontendError
 from frontend.tables import read_bytes, write_atomically
 from frontend.vocabulary import Vocabulary
 
 _TF_IDF, _L1 = 0, 0
+_BLOCK = 50_000
+"""Lines read at a time."""
 
 
 def write_text(vocabulary: Vocabulary, path: Path) -> None:
@@ -30,7 +34,29 @@ def read_text(path: Path) -> Vocabulary:
     vocabulary."""
     lines = read_bytes(path).split(b"\n")
     branching, depth = _header(lines[0], path)
-    numbers = [i for i, line in enumerate(lines[1:], 2) if line.strip()]
+    blocks = [_read_block(lines, first, path) for first in range(1, max(len(lines), 2), _BLOCK)]
+    del lines
+    number, parents, leaf, octets, weights, wrong = (np.concatenate(columns) for columns in zip(*blocks, strict=True))
+    n = len(parents)
+    wrong |= (parents < 0) | (parents > np.arange(n)) | ~np.isfinite(weights)
+    has_children = np.bincount(parents.clip(0, n), minlength=n + 1)[1:] > 0
+    wrong |= leaf & has_children
+    for row in np.flatnonzero(wrong)[:1]:
+        raise FrontendError(
+            f"{path}:{number[row]}: no node of a tree (parent before its child, bytes 0 to 255, no children of a leaf)"
+        )
+    descriptors = np.concatenate([np.zeros((1, 32), np.uint8), octets])
+    try:
+        ids = np.concatenate([[-1], parents]).astype(np.int32)
+        return Vocabulary(branching, depth, ids, descriptors, np.concatenate([[0.0], weights]))
+    except ValueError as error:
+        raise FrontendError(f"{path}: not a vocabulary: {error}") from error
+
+
+def _read_block(lines: list[bytes], first: int, path: Path) -> tuple[NDArray[Any], ...]:
+    """Of the nodes on some lines from ``first`` on: line number, parent, leaf flag, descriptor, weight, and whether a
+    byte is none. ORBvoc.txt has a million lines: in one piece, its numbers would take a gigabyte."""
+    numbers = [i + 1 for i in range(first, min(first + _BLOCK, len(lines))) if lines[i].strip()]
     bodies, weights = [], []
     for number in numbers:
         head, _, weight = lines[number - 1].strip().rpartition(b" ")
@@ -48,26 +74,9 @@ def read_text(path: Path) -> Vocabulary:
         values = np.array(weights, dtype=np.float64)
     except ValueError:
         raise _broken_line(bodies, weights, numbers, path) from None
-    parents = np.concatenate([[-1], table[:, 0]])
-    octets = table[:, 2:]
-    wrong = (
-        (octets < 0).any(axis=1)
-        | (octets > 255).any(axis=1)
-        | (table[:, 0] < 0)
-        | (table[:, 0] > np.arange(len(table)))
-    )
-    wrong |= ~np.isfinite(values)
-    has_children = np.bincount(table[:, 0].clip(0, len(table)), minlength=len(table) + 1)[1:] > 0
-    wrong |= (table[:, 1] > 0) & has_children
-    for row in np.flatnonzero(wrong)[:1]:
-        raise FrontendError(
-            f"{path}:{numbers[row]}: no node of a tree (parent before its child, bytes 0 to 255, no children of a leaf)"
-        )
-    descriptors = np.concatenate([np.zeros((1, 32), np.uint8), octets.astype(np.uint8)])
-    try:
-        return Vocabulary(branching, depth, parents.astype(np.int32), descriptors, np.concatenate([[0.0], values]))
-    except ValueError as error:
-        raise FrontendError(f"{path}: not a vocabulary: {error}") from error
+    parents, leaf, octets = table[:, 0].copy(), table[:, 1] > 0, table[:, 2:]
+    no_byte = np.asarray((octets < 0) | (octets > 255)).any(axis=1)
+    return np.array(numbers, dtype=np.int64), parents, leaf, octets.astype(np.uint8), values, np.asarray(no_byte)
 
 
 def _header(line: bytes, path: Path) -> tuple[int, int]:
