@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from frontend.map import KeyFrame, Map
 
+_ROW = 1000  # as large as a row of a key-frame: an integer object of its own
+
 
 @dataclass(frozen=True)
 class Footprint:
@@ -36,7 +38,7 @@ def footprint(map_: Map) -> Footprint:
     observations = sum(map(len, map_.observers))
     size = sum(value.nbytes for value in vars(map_).values() if isinstance(value, np.ndarray))
     size += sys.getsizeof(map_.observers) + sum(map(sys.getsizeof, map_.observers))
-    size += observations * sys.getsizeof((0, 0))
+    size += observations * (sys.getsizeof((0, 0)) + sys.getsizeof(_ROW))
     size += sys.getsizeof(map_.keyframes) + sys.getsizeof(map_.culled)
     size += sum(map(_keyframe_bytes, map_.keyframes.values()))
     size += sum(sys.getsizeof(gone) + _array_bytes(gone.T_C_P) for gone in map_.culled.values())

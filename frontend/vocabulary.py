@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -148,7 +149,7 @@ class WordIndex:
 
     def __init__(self) -> None:
         self._count = 0
-        self._holders: dict[int, tuple[list[int], list[float]]] = {}
+        self._holders: dict[int, tuple[array[int], array[float]]] = {}  # packed: it grows with every key-frame
 
     def __len__(self) -> int:
         return self._count
@@ -156,7 +157,7 @@ class WordIndex:
     def add(self, bag: BagOfWords) -> int:
         """Number of the key-frame that this bag becomes, counting from 0."""
         for word, value in zip(bag.words.tolist(), bag.values.tolist(), strict=True):
-            numbers, values = self._holders.setdefault(word, ([], []))
+            numbers, values = self._holders.setdefault(word, (array("q"), array("d")))
             numbers.append(self._count)
             values.append(value)
         self._count += 1

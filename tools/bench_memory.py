@@ -108,7 +108,7 @@ class MemoryReport:
             rows.append([str(s.frame), *memory, *counts, f"{s.cpu_ms:.2f} ms", str(s.lost)])
         last = self.samples[-1]
         said = [
-            f"{last.frame} frames in {self.tracks} tracks, {last.lost} without a pose",
+            f"{last.frame} frames, {last.lost} without a pose; tracks: {self.tracks}",
             f"memory a frame  {self.resident_bytes_a_frame:.0f} bytes, without the maps {self.bytes_a_frame:.0f} bytes",
             f"time a frame    {self.ms_growth:.2f} x from the second quarter of the run to the last",
         ]

@@ -64,7 +64,7 @@ def test_the_footprint_counts_what_a_map_holds() -> None:
         map_.insert(
             KeyFrame(
                 number=number, frame_index=number, stamp_ns=number, T_C_W=np.eye(4), uv=np.zeros((n, 2)),
-                disparity=zeros, point=ids, sigma=zeros, level=np.zeros(n, dtype=np.int8),
+                disparity=zeros, row=zeros, point=ids, sigma=zeros, level=np.zeros(n, dtype=np.int8),
                 descriptors=np.zeros((n, 32), dtype=np.uint8), described=np.ones(n, dtype=bool),
                 followed=np.ones(n, dtype=bool),
             )
