@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Sums = tuple[np.float32, ...]
 HALF = 5
 """What is compared: 11 x 11 pixels of the image searched."""
 KEPT = 9
@@ -30,6 +31,8 @@ _COARSE_CONVERGED_PX = 0.1
 _COARSE_SCORE = 0.3
 _REFINE_PX = 4.0
 """The coarse search leaves no more than this to the fine one."""
+_SAME_VIEW_PX = 0.05
+"""A turn that moves the patch's border by less is none."""
 _REORDER = {"reassoc", "contract", "arcp", "nsz"}
 """What the compiler may do to sums for speed; NaN must stay NaN."""
 _FLAT = 1.2
@@ -89,7 +92,7 @@ def _cut(image: NDArray[np.uint8], uv: Array, level: int, out: NDArray[np.uint8]
 
 @njit(cache=True, nogil=True)
 def _turned(kept: NDArray[np.uint8], fx: float, fy: float, A: Array, det: float, out: NDArray[np.float32]) -> None:
-    """The kept patch ``(19 * 19)`` as the image searched shows it, with a border of one pixel, ``(13, 16)``; ``fx``,
+    """The kept patch ``(19 * 19)`` as the image searched shows it, with a border of one pixel, ``(13, 18)``; ``fx``,
     ``fy``: where the point lies off the patch's middle pixel. In fixed point: half as long as in floating point."""
     one = 65536.0
     b00, b01 = np.int32(A[1, 1] / det * one), np.int32(-A[0, 1] / det * one)
@@ -115,30 +118,51 @@ def _turned(kept: NDArray[np.uint8], fx: float, fy: float, A: Array, det: float,
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
+def _shifted(kept: NDArray[np.uint8], fx: float, fy: float, out: NDArray[np.float32]) -> None:
+    """:func:`_turned` without a turn: all samples share their weights."""
+    x0, y0 = int(np.floor(KEPT + fx)), int(np.floor(KEPT + fy))
+    a, b, one = np.float32(KEPT + fx - x0), np.float32(KEPT + fy - y0), np.float32(1.0)
+    w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+    for r in range(_SIDE + 2):
+        at = np.uint64((y0 + r - HALF - 1) * _KEPT_SIDE + x0 - HALF - 1)
+        below = at + np.uint64(_KEPT_SIDE)
+        for j in range(_SIDE + 2):
+            c = np.uint64(j)
+            out[r, j] = (
+                w00 * np.float32(kept[at + c])
+                + w01 * np.float32(kept[at + c + np.uint64(1)])
+                + w10 * np.float32(kept[below + c])
+                + w11 * np.float32(kept[below + c + np.uint64(1)])
+            )
+
+
+@njit(cache=True, nogil=True, fastmath=_REORDER)
 def _template(
-    P: NDArray[np.float32], T: NDArray[np.float32], gx: NDArray[np.float32], gy: NDArray[np.float32]
-) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Zero-mean patch and gradients ``(11 * 16)`` of a turned patch, zero in the padding; its mean, its sum of
-    squares, the gradients' products with each other and with the patch."""
-    count = np.float32(_SIDE * _SIDE)
-    half = np.float32(0.5)
-    mean = mx = my = np.float32(0.0)
+    P: NDArray[np.float32],
+    inside: NDArray[np.float32],
+    T: NDArray[np.float32],
+    gx: NDArray[np.float32],
+    gy: NDArray[np.float32],
+) -> tuple[Sums, Sums]:
+    """Patch less its middle pixel, and its gradients, ``(11 * 16)``, of a turned patch, zero in the padding. Returns
+    the middle pixel and the three sums; the sums of products about the means: of the patch with itself and with each
+    gradient, and of the gradients. The means come out of the sums, not of the arrays: that takes one pass."""
+    count, half, zero = np.float32(_SIDE * _SIDE), np.float32(0.5), np.float32(0.0)
+    middle = P[HALF + 1, HALF + 1]
+    st, sx, sy, tt, tx, ty, xx, xy, yy = zero, zero, zero, zero, zero, zero, zero, zero, zero
     for r in range(_SIDE):
-        for c in range(_SIDE):
+        for c in range(_LANE):
             k = r * _LANE + c
-            T[k] = P[r + 1, c + 1]
-            gx[k], gy[k] = half * (P[r + 1, c + 2] - P[r + 1, c]), half * (P[r + 2, c + 1] - P[r, c + 1])
-            mean, mx, my = mean + T[k], mx + gx[k], my + gy[k]
-    mean, mx, my = mean / count, mx / count, my / count
-    hxx = hxy = hyy = squares = own_x = own_y = np.float32(0.0)
-    for r in range(_SIDE):
-        for c in range(_SIDE):
-            k = r * _LANE + c
-            t, x, y = T[k] - mean, gx[k] - mx, gy[k] - my
+            w = inside[k]
+            t = (P[r + 1, c + 1] - middle) * w
+            x, y = half * w * (P[r + 1, c + 2] - P[r + 1, c]), half * w * (P[r + 2, c + 1] - P[r, c + 1])
             T[k], gx[k], gy[k] = t, x, y
-            hxx, hxy, hyy = hxx + x * x, hxy + x * y, hyy + y * y
-            squares, own_x, own_y = squares + t * t, own_x + x * t, own_y + y * t
-    return mean, squares, hxx, hxy, hyy, own_x, own_y
+            st, sx, sy = st + t, sx + x, sy + y
+            tt, tx, ty = tt + t * t, tx + t * x, ty + t * y
+            xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+    tt, tx, ty = tt - st * st / count, tx - st * sx / count, ty - st * sy / count
+    xx, xy, yy = xx - sx * sx / count, xy - sx * sy / count, yy - sy * sy / count
+    return (middle, st, sx, sy), (tt, tx, ty, xx, xy, yy)
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
@@ -147,17 +171,17 @@ def _compare(
     width: int,
     u: float,
     v: float,
-    mean: float,
+    offset: np.float32,
     T: NDArray[np.float32],
     gx: NDArray[np.float32],
     gy: NDArray[np.float32],
     inside: NDArray[np.float32],
-) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Sums over the image's patch at ``(u, v)``, ``mean`` taken off: of its values, of their squares, and of their
+) -> Sums:
+    """Sums over the image's patch at ``(u, v)``, ``offset`` taken off: of its values, of their squares, and of their
     products with the template and its gradients."""
     x0, y0 = int(u), int(v)
     a, b = np.float32(u - x0), np.float32(v - y0)
-    one, offset = np.float32(1.0), np.float32(mean)
+    one = np.float32(1.0)
     w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
     total = squares = cross = bx = by = np.float32(0.0)
     for r in range(_SIDE):
@@ -201,7 +225,7 @@ def _align_level(
     height, width = target.shape
     flat = target.reshape(height * width)
     count = _SIDE * _SIDE
-    P = np.zeros((_SIDE + 2, _LANE), dtype=np.float32)
+    P = np.zeros((_SIDE + 2, _LANE + 2), dtype=np.float32)
     T, inside = np.zeros(_SIDE * _LANE, dtype=np.float32), np.zeros(_SIDE * _LANE, dtype=np.float32)
     gx, gy = np.zeros(_SIDE * _LANE, dtype=np.float32), np.zeros(_SIDE * _LANE, dtype=np.float32)
     for r in range(_SIDE):
@@ -213,8 +237,12 @@ def _align_level(
         if not (0.1 < det < 10.0):
             continue
         x, y = uv[i, 0] * factor, uv[i, 1] * factor
-        _turned(kept[i, level], x - np.floor(x + 0.5), y - np.floor(y + 0.5), A, det, P)
-        mean, var_T, hxx, hxy, hyy, own_x, own_y = _template(P, T, gx, gy)
+        fx, fy = x - np.floor(x + 0.5), y - np.floor(y + 0.5)
+        if max(abs(A[0, 0] - 1.0) + abs(A[0, 1]), abs(A[1, 0]) + abs(A[1, 1] - 1.0)) * (HALF + 1) < _SAME_VIEW_PX:
+            _shifted(kept[i, level], fx, fy, P)
+        else:
+            _turned(kept[i, level], fx, fy, A, det, P)
+        (offset, sum_T, sum_gx, sum_gy), (var_T, own_x, own_y, hxx, hxy, hyy) = _template(P, inside, T, gx, gy)
         det_h = hxx * hyy - hxy * hxy
         smallest = 0.5 * (hxx + hyy - np.sqrt((hxx - hyy) ** 2 + 4.0 * hxy * hxy))
         if smallest < _FLAT * count or det_h <= 0.0:
@@ -224,14 +252,15 @@ def _align_level(
             if not (u >= HALF and v >= HALF and u < width - HALF - 1 and v < height - HALF - 2):
                 score[i] = -1.0
                 break
-            total, squares, cross, bx, by = _compare(flat, width, u, v, mean, T, gx, gy, inside)
-            var_I = squares - total * total / count
+            total, squares, cross, bx, by = _compare(flat, width, u, v, offset, T, gx, gy, inside)
+            mean = total / count
+            var_I = squares - mean * total
             if var_I < 1e-2:
                 score[i] = -1.0
                 break
-            score[i] = cross / np.sqrt(var_I * var_T)
+            score[i] = (cross - mean * sum_T) / np.sqrt(var_I * var_T)
             gain = np.sqrt(var_T / var_I)
-            bx, by = gain * bx - own_x, gain * by - own_y
+            bx, by = gain * (bx - mean * sum_gx) - own_x, gain * (by - mean * sum_gy) - own_y
             du, dv = -(hyy * bx - hxy * by) / det_h, -(hxx * by - hxy * bx) / det_h
             u, v = u + du, v + dv
             if (u - guess[i, 0]) ** 2 + (v - guess[i, 1]) ** 2 > reach_px * reach_px:

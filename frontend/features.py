@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -21,6 +22,11 @@ EDGE_PX = 20
 _HALF_PATCH = 15
 _REACH = (15, 15, 15, 15, 14, 14, 14, 13, 13, 12, 11, 10, 9, 8, 6, 3)
 """Half width of each row of the round patch that gives the orientation: the same circle as OpenCV's and ORB-SLAM's."""
+_ROUND = np.array(
+    [[1.0 if abs(dx) <= _REACH[abs(dy)] else 0.0 for dx in range(-15, 17)] for dy in range(-15, 16)], dtype=np.float32
+)
+"""That patch in rows of 32: whole vectors of the processor."""
+_ROUND_X = _ROUND * np.arange(-15, 17, dtype=np.float32)
 _TILE_PX = 120
 
 
@@ -43,7 +49,7 @@ class Pyramid:
 
     def __init__(self, image: NDArray[np.uint8], levels: int, scale_factor: float) -> None:
         height, width = image.shape
-        self.levels: list[NDArray[np.uint8]] = [image]
+        self.levels: list[NDArray[np.uint8]] = [np.ascontiguousarray(image)]
         for k in range(1, levels):
             size = (round(width / scale_factor**k), round(height / scale_factor**k))
             if min(size) < 4 * EDGE_PX:
@@ -176,19 +182,24 @@ def spread_cells(
     return _spread(uv, merit, taken, width, height, cell, 1, 6.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"reassoc"})
 def _orientation(image: NDArray[np.uint8], xy: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Intensity-centroid angles in degrees, 0 to 360 (Rublee et al., ORB, ICCV 2011)."""
+    """Intensity-centroid angles in degrees, 0 to 360 (Rublee et al., ORB, ICCV 2011). All sums are whole numbers that
+    float32 holds exactly."""
     out = np.empty(len(xy), dtype=np.float32)
+    height, width = image.shape
+    flat = image.reshape(height * width)
     for i in range(len(xy)):
         cx, cy = round(xy[i, 0]), round(xy[i, 1])
-        m10, m01 = np.int64(0), np.int64(0)
-        for dy in range(-_HALF_PATCH, _HALF_PATCH + 1):
-            reach = _REACH[abs(dy)]
-            for dx in range(-reach, reach + 1):
-                value = np.int64(image[cy + dy, cx + dx])
-                m10 += dx * value
-                m01 += dy * value
+        m10, m01 = np.float32(0.0), np.float32(0.0)
+        for r in range(2 * _HALF_PATCH + 1):
+            at = np.uint64((cy + r - _HALF_PATCH) * width + cx - _HALF_PATCH)
+            row = np.float32(0.0)
+            for c in range(2 * _HALF_PATCH + 2):
+                value = np.float32(flat[at + np.uint64(c)])
+                m10 += value * _ROUND_X[r, c]
+                row += value * _ROUND[r, c]
+            m01 += np.float32(r - _HALF_PATCH) * row
         angle = np.degrees(np.arctan2(float(m01), float(m10)))
         out[i] = angle if angle >= 0 else angle + 360.0
     return out
@@ -201,22 +212,20 @@ def describe(pyramid: Pyramid, uv: NDArray[np.float64], level: NDArray[np.int8])
     descriptors = np.zeros((n, 32), dtype=np.uint8)
     for k, image in enumerate(pyramid.levels):
         height, width = image.shape
-        xy = pyramid.from_base(uv, k)
-        inside = (np.rint(xy) >= EDGE_PX).all(axis=1) & (np.rint(xy) < [width - EDGE_PX, height - EDGE_PX]).all(axis=1)
-        index = np.flatnonzero((level == k) & inside)
+        index = np.flatnonzero(level == k)
+        xy = pyramid.from_base(uv[index], k)
+        pixel = np.rint(xy)
+        inside = (pixel >= EDGE_PX).all(axis=1) & (pixel < [width - EDGE_PX, height - EDGE_PX]).all(axis=1)
+        index, xy = index[inside], xy[inside]
         if not len(index):
             continue
-        angle[index] = _orientation(image, xy[index])
-        # class_id carries the index: compute() may drop points.
-        points = [
-            cv2.KeyPoint(float(x), float(y), 31.0, float(a), 1.0, 0, int(i))
-            for (x, y), a, i in zip(xy[index].tolist(), angle[index].tolist(), index.tolist(), strict=True)
-        ]
+        angle[index] = _orientation(image, xy)
+        points = cv2.KeyPoint.convert(cast("Sequence[Any]", xy.astype(np.float32)), 31.0)
+        for point, degrees in zip(points, angle[index].tolist(), strict=True):
+            point.angle = degrees
+        # One pixel less than our own border: compute() drops no point.
         orb = cv2.ORB.create(nfeatures=len(points), nlevels=1, edgeThreshold=EDGE_PX - 1)
-        kept, rows = orb.compute(image, points)
-        kept_index = np.array([p.class_id for p in kept], dtype=np.int64)
-        descriptors[kept_index] = rows
-        angle[np.setdiff1d(index, kept_index)] = np.nan
+        descriptors[index] = orb.compute(image, points)[1]
     return Keypoints(uv, level, angle, descriptors)
 
 

@@ -13,50 +13,59 @@ from frontend.config import FlowConfig, StereoConfig
 from frontend.frames import Frame
 from frontend.self_calibration import N_ALL, N_LENS, bend, pair_shift, physical, prior_information, straighten
 
-_COARSE = 4
+_COARSE_LEVEL = 2
+_COARSE = 2**_COARSE_LEVEL
 """The first search runs on images this much smaller, whole pixels only; flow refines it."""
 _HALF = 3
 _MIN_RAW_PX = -8.0
 """What lies at infinity has a negative disparity in a rig whose cameras squint."""
+_NEGATIVE = 2
+"""Reduced pixels that a disparity may be below zero: rigs that squint."""
 
 
-@njit(cache=True, nogil=True)
 def coarse_disparity(
     left: NDArray[np.uint8], right: NDArray[np.uint8], xy: NDArray[np.float64], reach: int, rows: int
 ) -> NDArray[np.float64]:
     """Whole-pixel disparity and row offset ``(n, 2)`` of the best zero-mean SAD match along (nearly) the same row."""
+    side = (2 * _HALF + 1, 2 * _HALF + 1)
+    mean_left, mean_right = (cv2.boxFilter(image, cv2.CV_32F, side) for image in (left, right))
+    return _search_rows(left, right, mean_left, mean_right, xy, reach, rows)
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _search_rows(
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    mean_left: NDArray[np.float32],
+    mean_right: NDArray[np.float32],
+    xy: NDArray[np.float64],
+    reach: int,
+    rows: int,
+) -> NDArray[np.float64]:
     height, width = left.shape
+    flat = right.reshape(height * width)
     out = np.zeros((len(xy), 2))
+    # All disparities of a row at once, so that the compiler works on many: index 0 is the largest.
+    cost, mean = np.empty(_NEGATIVE + reach + 1, np.float32), np.empty(_NEGATIVE + reach + 1, np.float32)
     for i in range(len(xy)):
         x, y = round(xy[i, 0]), round(xy[i, 1])
         x, y = min(max(x, _HALF), width - 1 - _HALF), min(max(y, _HALF), height - 1 - _HALF)
-        mean_left = np.int64(0)
-        for dy in range(-_HALF, _HALF + 1):
-            for dx in range(-_HALF, _HALF + 1):
-                mean_left += np.int64(left[y + dy, x + dx])
-        best = np.int64(1) << 60
-        for row in range(-rows, rows + 1):
-            yr = y + row
-            if yr < _HALF or yr >= height - _HALF:
-                continue
-            for d in range(-2, reach + 1):
-                xr = x - d
-                if xr < _HALF or xr >= width - _HALF:
-                    continue
-                mean_right = np.int64(0)
-                for dy in range(-_HALF, _HALF + 1):
-                    for dx in range(-_HALF, _HALF + 1):
-                        mean_right += np.int64(right[yr + dy, xr + dx])
-                shift = (mean_left - mean_right) // 49
-                cost = np.int64(0)
-                for dy in range(-_HALF, _HALF + 1):
-                    for dx in range(-_HALF, _HALF + 1):
-                        cost += abs(np.int64(left[y + dy, x + dx]) - np.int64(right[yr + dy, xr + dx]) - shift)
-                    if cost >= best:
-                        break
-                if cost < best:
-                    best = cost
-                    out[i, 0], out[i, 1] = d, row
+        first, last = max(x - reach, _HALF), min(x + _NEGATIVE, width - 1 - _HALF)
+        n, best = np.uint64(last - first + 1), np.float32(np.inf)
+        for yr in range(max(y - rows, _HALF), min(y + rows, height - 1 - _HALF) + 1):
+            for k in range(n):
+                cost[k] = 0.0
+                mean[k] = mean_right[yr, first + k] - mean_left[y, x]
+            for dy in range(-_HALF, _HALF + 1):
+                for dx in range(-_HALF, _HALF + 1):
+                    grey = np.float32(left[y + dy, x + dx])
+                    at = np.uint64((yr + dy) * width + first + dx)
+                    for k in range(n):
+                        cost[k] += abs(grey - np.float32(flat[at + k]) + mean[k])
+            for k in range(n):
+                if cost[k] <= best:
+                    best = cost[k]
+                    out[i, 0], out[i, 1] = x - first - k, yr - y
     return out
 
 
@@ -82,12 +91,9 @@ def measure_disparity(
     known = np.isfinite(expected)
     guess[known, 0] -= expected[known]
     if not known.all():
-        size = (left.shape[1] // _COARSE, left.shape[0] // _COARSE)
-        small = [
-            cv2.resize(im, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False) for im in (left, right)
-        ]
+        small = [half_sized(im, _COARSE_LEVEL)[-1] for im in (left, right)]
         reach = int(min(config.max_disparity_px, left.shape[1] / 2) / _COARSE)
-        coarse = coarse_disparity(small[0], small[1], (uv[~known] + 0.5) / _COARSE - 0.5, reach, 0)
+        coarse = coarse_disparity(small[0], small[1], uv[~known] / _COARSE, reach, 0)
         guess[~known, 0] -= coarse[:, 0] * _COARSE
     same = np.broadcast_to(np.eye(2), (len(uv), 2, 2))
     patches = cut_patches(half_sized(left, 1), uv)
