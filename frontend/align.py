@@ -26,8 +26,8 @@ _SIDE, _KEPT_SIDE = 2 * HALF + 1, 2 * KEPT + 1
 _LANE = 16
 """Rows are padded to this many samples of no weight: whole vectors of the processor."""
 _STEPS = 12
-_CONVERGED_PX = 0.02
-_COARSE_CONVERGED_PX = 0.1
+_CONVERGED_PX = 0.01
+_COARSE_CONVERGED_PX = 0.02
 _COARSE_SCORE = 0.3
 _REFINE_PX = 4.0
 """The coarse search leaves no more than this to the fine one."""
