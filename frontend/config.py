@@ -52,6 +52,9 @@ class StereoConfig(_Frozen):
     residual_prior_px: float = Field(
         2.0, gt=0.0, description="prior standard deviation of the displacements it makes, over the image"
     )
+    lens_prior_px: float = Field(
+        0.5, gt=0.0, description="mono, RGB-D: the same for the radial distortion of the one lens"
+    )
     calibrate_every: int = Field(4, ge=1, description="key-frames between two estimates, after the first ones")
     row_sigma_px: float = Field(0.3, gt=0.0, description="standard deviation of a row difference within a pair")
     depth_sigma_m: float = Field(

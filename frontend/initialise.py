@@ -91,9 +91,8 @@ class MonoStarter:
         need = settings.min_flow_px * frame.image.shape[1] / 640
         if flow < need:
             return Start(None, f"static: the points have moved by {flow:.2f} px (median), need {need:.1f} px")
-        views = solve_two_views(
-            self._first_uv, self._uv, self.ranging.rig.camera.K, self.config.pose.pixel_sigma_px, settings
-        )
+        ideal = self.ranging.ideal(self._first_uv), self.ranging.ideal(self._uv)
+        views = solve_two_views(*ideal, self.ranging.rig.camera.K, self.config.pose.pixel_sigma_px, settings)
         if views.T_2_1 is not None:
             return self._build(frame, views)
         if frame.index - self._first.index >= settings.max_frames:

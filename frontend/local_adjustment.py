@@ -55,7 +55,8 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
     if len(seen.kf) < settings.min_observations:
         return
     count = len(ranging.calib) if ranging.calibrates(recent[-1] + 1) else 0
-    poses, points, calib, _, _ = adjust_window(
+    mean, prior = _calibration_prior(ranging, keyframes, count)
+    poses, points, calib, information, _, _ = adjust_window(
         np.stack([k.T_C_W for k in keyframes]),
         slot,
         map_.xyz[seen.ids],
@@ -68,7 +69,8 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         ranging.cam,
         basis(seen.uv, seen.disparity, ranging.cam, count)[:, :3],
         ranging.calib[:count],
-        *_calibration_prior(ranging, keyframes, count),
+        mean,
+        prior,
         settings.iterations,
     )
     if not (np.isfinite(poses).all() and np.isfinite(points).all()):
@@ -78,7 +80,7 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
             keyframe.T_C_W = pose
     map_.xyz[seen.ids] = points
     if count:
-        ranging.calib = calib
+        ranging.learn(calib, information - prior)
     _move_points_seen_once(map_, ranging, keyframes)
     _drop_outliers(map_, ranging, config, keyframes, poses, points, seen)
 
@@ -87,6 +89,8 @@ def _calibration_prior(ranging: Ranging, keyframes: list[KeyFrame], count: int) 
     """Mean and information of the rig's residual calibration by its prior and by the rows of the stereo matches."""
     if not count:
         return np.zeros(0), np.zeros((0, 0))
+    if ranging.belief is not None:
+        return ranging.belief.mean, ranging.belief.information
     uv, disparity, row = (np.concatenate([getattr(k, name) for k in keyframes]) for name in ("uv", "disparity", "row"))
     ok = np.isfinite(disparity) & np.isfinite(row)
     sigma = ranging.config.row_sigma_px

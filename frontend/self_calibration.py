@@ -2,7 +2,8 @@
 
 The first camera's lens keeps a little radial and tangential distortion (``k1 k2 p1 p2``). The right camera of a stereo
 pair differs from it by a small turn (``wx wy wz``), by its principal point (``cx cy``) and by its lens (``q1 q2``
-tangential, ``m1`` radial). All are displacements in the image of what an ideal pair would see; they are functions of
+tangential, ``m1`` radial). A lone camera estimates
+``k1`` only. All are displacements in the image of what an ideal pair would see; they are functions of
 where a point was *measured*, so that an ideal position is the measured one minus ``basis @ parameters``, exactly.
 
 Not among them: focal lengths, the baseline and the first camera's principal point. A car that drives straight on shows
@@ -15,6 +16,8 @@ the prior is on the displacement, not on the parameters (:func:`prior_informatio
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -22,7 +25,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 LENS = ("k1", "k2", "p1", "p2")
 RIGHT = ("wx", "wy", "wz", "cx", "cy", "q1", "q2", "m1")
-N_LENS, N_ALL = len(LENS), len(LENS) + len(RIGHT)
+N_RADIAL, N_LENS, N_ALL = 1, len(LENS), len(LENS) + len(RIGHT)
+"""Counts of leading parameters: a lone camera's, one lens's, a pair's."""
+_DRIFT = 0.02
+"""Standard deviation of what a calibration may change from key-frame to key-frame, as a share of its prior's. Windows
+overlap, so their information is counted more than once: this also keeps an early belief from standing for ever."""
 _GRID = 15
 _REWEIGHTED = 5
 
@@ -54,9 +61,9 @@ def basis(uv: Array, disparity: Array, cam: Array, count: int) -> Array:
     for i in range(len(uv)):
         x, y = (uv[i, 0] - cam[2]) / cam[0], (uv[i, 1] - cam[3]) / cam[1]
         _lens(x, y, left)
-        for k in range(N_LENS):
+        for k in range(min(N_LENS, count)):
             out[i, 0, k], out[i, 1, k] = left[0, k], left[1, k]
-        if count == N_LENS or np.isnan(disparity[i]):
+        if count <= N_LENS or np.isnan(disparity[i]):
             continue
         x_right = x - disparity[i] / cam[0]
         _lens(x_right, y, moved)
@@ -89,7 +96,7 @@ def lens_shift(uv: Array, cam: Array, lens: Array) -> Array:
         _lens((uv[i, 0] - cam[2]) / cam[0], (uv[i, 1] - cam[3]) / cam[1], left)
         for r in range(2):
             total = 0.0
-            for k in range(N_LENS):
+            for k in range(len(lens)):
                 total += left[r, k] * lens[k]
             out[i, r] = total
     return out
@@ -141,3 +148,27 @@ def with_rows(
         H = information + rows.T @ (rows * weight[:, None])
         mean = np.linalg.solve(H, rows.T @ (row * weight))
     return mean, H
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What earlier windows have told about the parameters: ``mean`` ``(C,)`` and ``information`` ``(C, C)``, beginning
+    with the prior; ``drift`` ``(C, C)`` is the covariance of their change from key-frame to key-frame.
+
+    One camera tells its lens by the turns it makes; between them only memory keeps the estimate, and with it the scale
+    of a monocular map.
+    """
+
+    mean: Array
+    information: Array
+    drift: Array
+
+    @classmethod
+    def at_start(cls, prior: Array) -> Belief:
+        return cls(np.zeros(len(prior)), prior, _DRIFT**2 * np.linalg.inv(prior))
+
+    def after(self, mean: Array, gained: Array) -> Belief:
+        """With an estimate and the information ``gained`` ``(C, C)`` by its window."""
+        spread = np.linalg.inv(self.information + gained) + self.drift
+        information = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+        return Belief(mean, np.asarray(0.5 * (information + information.T), dtype=np.float64), self.drift)

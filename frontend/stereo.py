@@ -11,7 +11,16 @@ from frontend.align import align, cut_patches, half_sized
 from frontend.cameras import Rig, RigKind
 from frontend.config import FlowConfig, StereoConfig
 from frontend.frames import Frame
-from frontend.self_calibration import N_ALL, N_LENS, bend, pair_shift, physical, prior_information, straighten
+from frontend.self_calibration import (
+    N_ALL,
+    N_RADIAL,
+    Belief,
+    bend,
+    pair_shift,
+    physical,
+    prior_information,
+    straighten,
+)
 
 _COARSE_LEVEL = 2
 _COARSE = 2**_COARSE_LEVEL
@@ -154,16 +163,21 @@ class Ranging:
         ]
         self.rig, self.config, self.flow = rig, config, flow
         self.cam = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.fx * baseline])
-        self.calib = np.zeros(N_ALL if rig.kind is RigKind.STEREO else N_LENS)
+        self.calib = np.zeros(N_ALL if rig.kind is RigKind.STEREO else N_RADIAL)
         """Residual calibration, pixels, in the order of :mod:`frontend.self_calibration`."""
         rgbd = rig.kind is RigKind.RGBD
         self.sigma_d = self.cam[4] * config.depth_sigma_m if rgbd else config.disparity_sigma_px
         self.min_disparity = self.cam[4] / config.max_depth_m if rgbd else config.min_disparity_sigmas * self.sigma_d
         size = camera.width, camera.height
         self._priors = [
-            prior_information(*size, self.cam, config.residual_prior_px, beyond, len(self.calib))
+            prior_information(*size, self.cam, config.residual_prior_px, beyond, N_ALL)
             for beyond in (_FEW_DISTORT_PX, config.residual_prior_px)
         ]
+        self.belief: Belief | None = None
+        """What a lone camera's lens is known to be; a stereo pair tells its calibration anew in every window."""
+        if rig.kind is not RigKind.STEREO:
+            prior = prior_information(*size, self.cam, config.lens_prior_px, np.inf, N_RADIAL)
+            self.belief = Belief.at_start(prior)
 
     def measure(
         self, frame: Frame, uv: NDArray[np.float64], expected_depth: NDArray[np.float64]
@@ -204,7 +218,13 @@ class Ranging:
         decides about the map, later now and then (it changes slowly and costs half a bundle adjustment)."""
         start = keyframes <= _STARTING // 2 or (keyframes <= _STARTING and keyframes % 2 == 0)
         due = start or keyframes % self.config.calibrate_every == 0
-        return self.rig.kind is RigKind.STEREO and self.config.estimate_calibration and due
+        return self.config.estimate_calibration and (due or self.belief is not None)
+
+    def learn(self, calib: NDArray[np.float64], gained: NDArray[np.float64]) -> None:
+        """Take over an estimate; ``gained`` ``(C, C)``: the information of its window beyond the prior's."""
+        self.calib = calib
+        if self.belief is not None:
+            self.belief = self.belief.after(calib, gained)
 
     def prior(self, keyframes: int) -> NDArray[np.float64]:
         """Prior information of the residual calibration in a bundle adjustment of so many key-frames: a few cannot tell

@@ -83,7 +83,7 @@ def adjust_window(
     calib_mean: Array,
     calib_info: Array,
     iterations: int,
-) -> tuple[Array, Array, Array, float, float]:
+) -> tuple[Array, Array, Array, Array, float, float]:
     """Levenberg-Marquardt on robust reprojection and disparity errors.
 
     ``poses`` ``(K, 4, 4)``; ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``points`` ``(P, 3)``; the N
@@ -106,6 +106,7 @@ def adjust_window(
     V, b_p, V_inv = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3)), np.zeros((n_points, 3, 3))
     Jc, Jp = np.zeros((3, 6)), np.zeros((3, 3))
     relinearise = True
+    S = np.zeros((m, m))
     U, b_c = np.zeros((m, m)), np.zeros(m)
     for _ in range(iterations):
         if relinearise:
@@ -159,4 +160,13 @@ def adjust_window(
             relinearise = False
             if damping > 1e6:
                 break
-    return poses, points, calib, first, cost
+    return poses, points, calib, _marginal(S, 6 * free), first, cost
+
+
+@njit(cache=True, nogil=True)
+def _marginal(S: Array, first: int) -> Array:
+    """Information of the unknowns from ``first`` on when all others are left free."""
+    if first == 0 or first == len(S):
+        return S[first:, first:].copy()
+    across = np.ascontiguousarray(S[:first, first:])
+    return S[first:, first:] - across.T @ np.linalg.solve(np.ascontiguousarray(S[:first, :first]), across)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 import room
@@ -141,6 +142,24 @@ def test_a_hidden_disparity_offset_is_estimated_and_can_be_left_alone() -> None:
     assert not without.tracks or error_m(without.trajectories[0], WALK, False) > 2 * error_m(
         result.trajectories[0], WALK, False
     )
+
+
+def test_a_hidden_lens_is_estimated_by_one_camera() -> None:
+    lens, K = np.array([0.04, 0.0, 0.0, 0.0]), room.CAMERA.K
+    u, v = np.meshgrid(np.arange(room.CAMERA.width, dtype=np.float32), np.arange(room.CAMERA.height, dtype=np.float32))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)[:, None]
+    place = cv2.undistortPoints(pixels, K, lens, P=K).reshape(*u.shape, 2).astype(np.float32)
+
+    def bent(index: int, frame: Frame) -> Frame:
+        image = cv2.remap(frame.image, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        return replace(frame, image=image.astype(np.uint8))
+
+    result, _, _ = track(RigKind.MONO, change=bent)
+    assert result.stats["lens_k1"] == pytest.approx(0.04, abs=0.012)
+    without = OdometryConfig.model_validate({"stereo": {"estimate_calibration": False}})
+    left_alone, _, _ = track(RigKind.MONO, change=bent, config=without)
+    assert left_alone.stats["lens_k1"] == 0.0
+    assert error_m(result.trajectories[0], WALK, True) < 0.7 * error_m(left_alone.trajectories[0], WALK, True)
 
 
 @pytest.mark.parametrize("kind", list(RigKind))

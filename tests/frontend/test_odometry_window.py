@@ -59,7 +59,7 @@ class Problem:
 
 def test_exact_observations_give_the_truth_and_the_hidden_calibration() -> None:
     problem = Problem(0.0, [0.4, -0.2, 0.1])
-    poses, points, calib, before, after = problem.solve(True, prior_px=1e4)
+    poses, points, calib, _, before, after = problem.solve(True, prior_px=1e4)
     np.testing.assert_allclose(poses, problem.poses, atol=1e-5)
     np.testing.assert_allclose(points, problem.points, atol=1e-4)
     np.testing.assert_allclose(calib, problem.calib, atol=1e-5)
@@ -69,7 +69,7 @@ def test_exact_observations_give_the_truth_and_the_hidden_calibration() -> None:
 @pytest.mark.parametrize("estimate_calib", [True, False])
 def test_noisy_observations_give_the_optimum_that_scipy_finds(estimate_calib: bool) -> None:
     problem = Problem(0.1, [0.1, 0.0, 0.0])
-    poses, points, calib, _, after = problem.solve(estimate_calib)
+    poses, points, calib, information, _, after = problem.solve(estimate_calib)
     free, count = len(problem.poses) - 1, len(problem.points)
 
     def cost(x: np.ndarray) -> np.ndarray:
@@ -85,12 +85,17 @@ def test_noisy_observations_give_the_optimum_that_scipy_finds(estimate_calib: bo
     best = least_squares(cost, x0, x_scale="jac", xtol=1e-12, ftol=1e-12)
     assert after <= 2.0 * best.cost * (1 + 1e-5)
     assert np.abs(best.x[: 6 * free]).max() < 2e-4
+    # What the calibration is known by is the inverse of its covariance (nearly all weights are 1 here).
+    c = information.shape[0]
+    if c:
+        covariance = np.linalg.inv(best.jac.T @ best.jac)[-c:, -c:]
+        np.testing.assert_allclose(information @ covariance, np.eye(c), atol=0.1)
 
 
 def test_fixed_poses_stay_and_the_cost_never_rises() -> None:
     problem = Problem(0.3, [0.0, 0.0, 0.0])
     problem.slot = np.array([-1, -1, 0, 1, 2])
-    poses, _, calib, before, after = problem.solve(False, iterations=5)
+    poses, _, calib, _, before, after = problem.solve(False, iterations=5)
     np.testing.assert_array_equal(poses[:2], problem.start_poses[:2])
     assert calib.shape == (0,)
     assert after <= before

@@ -10,6 +10,7 @@ from frontend.self_calibration import (
     N_ALL,
     N_LENS,
     RIGHT,
+    Belief,
     basis,
     bend,
     pair_shift,
@@ -94,3 +95,17 @@ def test_rows_alone_tell_a_turn_of_the_right_camera_in_spite_of_wrong_matches() 
     wz = N_LENS + RIGHT.index("wz")
     assert abs(mean[wz] - truth[wz]) < 0.1 and np.sqrt(np.linalg.inv(H)[wz, wz]) < 0.1
     assert abs(physical(mean, CAM)["right_turn_z_deg"] - np.degrees(-2.0 / CAM[0])) < 0.01
+
+
+def test_a_belief_adds_up_what_windows_tell_and_forgets_slowly() -> None:
+    prior, told = np.array([[4.0]]), np.array([[50.0]])
+    belief = Belief.at_start(prior)
+    first = belief.after(np.array([0.3]), told)
+    drift = 0.02**2 / 4.0
+    np.testing.assert_allclose(first.information, 1.0 / (1.0 / 54.0 + drift))
+    np.testing.assert_array_equal(first.mean, [0.3])
+    # Many windows: the variance settles where what is told makes up for the drift, v = 1 / (1 / v + told) + drift.
+    for _ in range(2000):
+        belief = belief.after(np.array([0.3]), told)
+    v = 1.0 / belief.information[0, 0]
+    assert abs(v - drift - 1.0 / (1.0 / v + 50.0)) < 1e-12 and v > drift
