@@ -165,7 +165,8 @@ class Belief:
 
     @classmethod
     def at_start(cls, prior: Array) -> Belief:
-        return cls(np.zeros(len(prior)), prior, _DRIFT**2 * np.linalg.inv(prior))
+        drift = np.asarray(_DRIFT**2 * np.linalg.inv(prior), dtype=np.float64)
+        return cls(np.zeros(len(prior)), prior, drift)
 
     def after(self, mean: Array, gained: Array) -> Belief:
         """With an estimate and the information ``gained`` ``(C, C)`` by its window."""
