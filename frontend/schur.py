@@ -14,6 +14,8 @@ from frontend.pose import HUBER_D, HUBER_UV
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_REORDER = {"reassoc", "contract"}
+"""What the compiler may do to sums for speed; NaN must stay NaN."""
 
 
 @njit(cache=True, nogil=True)
@@ -34,37 +36,26 @@ def robust_weights(e_uv2: float, e_d: float, s: float, s_d: float) -> tuple[floa
     return w, w_d, cost
 
 
-@njit(cache=True, nogil=True)
-def _linearise(T: Array, p: Array, uv: Array, has_d: bool, cam: Array, Jc: Array, Jp: Array) -> None:
-    """Jacobians ``(3, 6)`` by the pose (left update) and ``(3, 3)`` by the point, written in place."""
+@njit(cache=True, nogil=True, fastmath=_REORDER)
+def _linearise(T: Array, p: Array, cam: Array, w: float, w_d: float, Jc: Array, Jp: Array) -> None:
+    """Jacobians ``(3, 6)`` by the pose (left update) and ``(3, 3)`` by the point, rows times the roots of the weights
+    (0 where there is no disparity), written in place."""
     X = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
     Y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
     Z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
     iz = 1.0 / Z
     x, y = X * iz, Y * iz
-    a0, a1, a2 = cam[0] * iz, cam[1] * iz, cam[4] * iz * iz
-    Jc[0, 0], Jc[0, 1], Jc[0, 2], Jc[0, 3], Jc[0, 4], Jc[0, 5] = (
-        a0,
-        0.0,
-        -a0 * x,
-        -cam[0] * x * y,
-        cam[0] * (1 + x * x),
-        -cam[0] * y,
-    )
-    Jc[1, 0], Jc[1, 1], Jc[1, 2], Jc[1, 3], Jc[1, 4], Jc[1, 5] = (
-        0.0,
-        a1,
-        -a1 * y,
-        -cam[1] * (1 + y * y),
-        cam[1] * x * y,
-        cam[1] * x,
-    )
-    Jc[2, :] = 0.0
-    if has_d:
-        Jc[2, 2], Jc[2, 3], Jc[2, 4] = -a2, -a2 * Y, a2 * X
-    for r in range(3):
-        for k in range(3):
-            Jp[r, k] = Jc[r, 0] * T[0, k] + Jc[r, 1] * T[1, k] + Jc[r, 2] * T[2, k]
+    fx, fy, bf = w * cam[0], w * cam[1], w_d * cam[4]
+    a0, a1, a2 = fx * iz, fy * iz, bf * iz * iz
+    Jc[0, 0], Jc[0, 1], Jc[0, 2] = a0, 0.0, -a0 * x
+    Jc[0, 3], Jc[0, 4], Jc[0, 5] = -fx * x * y, fx * (1 + x * x), -fx * y
+    Jc[1, 0], Jc[1, 1], Jc[1, 2] = 0.0, a1, -a1 * y
+    Jc[1, 3], Jc[1, 4], Jc[1, 5] = -fy * (1 + y * y), fy * x * y, fy * x
+    Jc[2, 0], Jc[2, 1], Jc[2, 2], Jc[2, 3], Jc[2, 4], Jc[2, 5] = 0.0, 0.0, -a2, -a2 * Y, a2 * X, 0.0
+    for k in range(3):
+        Jp[0, k] = a0 * (T[0, k] - x * T[2, k])
+        Jp[1, k] = a1 * (T[1, k] - y * T[2, k])
+        Jp[2, k] = -a2 * T[2, k]
 
 
 @njit(cache=True, nogil=True)
@@ -78,14 +69,13 @@ def _invert3(A: Array, out: Array) -> None:
     out[2, 0], out[2, 1], out[2, 2] = out[0, 2], out[1, 2], (a * d - b * b) * inv
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_REORDER)
 def assemble(
     poses: Array,
     slot: Ints,
     points: Array,
     start: Ints,
     kf: Ints,
-    uv: Array,
     disparity: Array,
     sigma: Array,
     sigma_d: Array,
@@ -99,54 +89,76 @@ def assemble(
     b_p: Array,
     W: Array,
     Wc: Array,
-    Jc: Array,
-    Jp: Array,
 ) -> None:
-    """Blocks of the normal equations: cameras U, points V, coupling W (pose) and Wc (calibration); gradients b."""
+    """Blocks of the normal equations: cameras U, points V, coupling W (pose) and Wc (calibration); gradients b. Of
+    what is symmetric only the upper half is made, and mirrored at the end."""
     U[:] = 0.0
     b_c[:] = 0.0
     V[:] = 0.0
     b_p[:] = 0.0
     W[:] = 0.0
     Wc[:] = 0.0
+    Jc, Jp, e = np.zeros((3, 6)), np.zeros((3, 3)), np.zeros(3)
+    root = np.zeros(3)
     base, n_c = 6 * free, basis.shape[2]
     for j in range(len(points)):
         for i in range(start[j], start[j + 1]):
             if np.isnan(r[i, 0]):
                 continue
-            has_d = not np.isnan(disparity[i])
-            _linearise(poses[kf[i]], points[j], uv[i], has_d, cam, Jc, Jp)
             w, w_d, _ = robust_weights(r[i, 0] ** 2 + r[i, 1] ** 2, r[i, 2], sigma[i], sigma_d[i])
+            root[0] = root[1] = np.sqrt(w)
+            root[2] = 0.0 if np.isnan(disparity[i]) else np.sqrt(w_d)
+            _linearise(poses[kf[i]], points[j], cam, root[0], root[2], Jc, Jp)
+            for q in range(3):
+                e[q] = root[q] * r[i, q]
+            for a in range(3):
+                b_p[j, a] += Jp[0, a] * e[0] + Jp[1, a] * e[1] + Jp[2, a] * e[2]
+                for c in range(a, 3):
+                    V[j, a, c] += Jp[0, a] * Jp[0, c] + Jp[1, a] * Jp[1, c] + Jp[2, a] * Jp[2, c]
             s = 6 * slot[kf[i]]
-            for q in range(3 if has_d else 2):
-                wq = w_d if q == 2 else w
-                for a in range(3):
-                    b_p[j, a] += wq * Jp[q, a] * r[i, q]
+            if s >= 0:
+                for a in range(6):
+                    b_c[s + a] += Jc[0, a] * e[0] + Jc[1, a] * e[1] + Jc[2, a] * e[2]
+                    for c in range(a, 6):
+                        U[s + a, s + c] += Jc[0, a] * Jc[0, c] + Jc[1, a] * Jc[1, c] + Jc[2, a] * Jc[2, c]
                     for c in range(3):
-                        V[j, a, c] += wq * Jp[q, a] * Jp[q, c]
+                        W[i, a, c] = Jc[0, a] * Jp[0, c] + Jc[1, a] * Jp[1, c] + Jc[2, a] * Jp[2, c]
+            for a in range(n_c):
+                p0, p1 = root[0] * basis[i, 0, a], root[1] * basis[i, 1, a]
+                p2 = root[2] * basis[i, 2, a]
+                b_c[base + a] += p0 * e[0] + p1 * e[1] + p2 * e[2]
+                for c in range(a, n_c):
+                    U[base + a, base + c] += (
+                        p0 * root[0] * basis[i, 0, c] + p1 * root[1] * basis[i, 1, c] + p2 * root[2] * basis[i, 2, c]
+                    )
+                for c in range(3):
+                    Wc[j, a, c] += p0 * Jp[0, c] + p1 * Jp[1, c] + p2 * Jp[2, c]
                 if s >= 0:
-                    for a in range(6):
-                        b_c[s + a] += wq * Jc[q, a] * r[i, q]
-                        for c in range(6):
-                            U[s + a, s + c] += wq * Jc[q, a] * Jc[q, c]
-                        for c in range(3):
-                            W[i, a, c] += wq * Jc[q, a] * Jp[q, c]
-            for q in range(3 if has_d and n_c else (2 if n_c else 0)):
-                wq = w_d if q == 2 else w
-                for a in range(n_c):
-                    phi = wq * basis[i, q, a]
-                    b_c[base + a] += phi * r[i, q]
-                    for c in range(n_c):
-                        U[base + a, base + c] += phi * basis[i, q, c]
-                    for c in range(3):
-                        Wc[j, a, c] += phi * Jp[q, c]
-                    if s >= 0:
-                        for c in range(6):
-                            U[s + c, base + a] += phi * Jc[q, c]
-    # Only the upper half was filled where poses meet the calibration.
-    for a in range(base):
-        for c in range(n_c):
-            U[base + c, a] = U[a, base + c]
+                    for c in range(6):
+                        U[s + c, base + a] += p0 * Jc[0, c] + p1 * Jc[1, c] + p2 * Jc[2, c]
+        V[j, 1, 0], V[j, 2, 0], V[j, 2, 1] = V[j, 0, 1], V[j, 0, 2], V[j, 1, 2]
+    for a in range(len(U)):
+        for c in range(a):
+            U[a, c] = U[c, a]
+
+
+@njit(cache=True, nogil=True, fastmath=_REORDER)
+def _subtract(S: Array, row: int, column: int, Y: Array, W: Array) -> None:
+    """``S[row:, column:] -= Y @ W.T`` for blocks ``(m, 3)``, ``(n, 3)``."""
+    for a in range(len(Y)):
+        y0, y1, y2 = Y[a, 0], Y[a, 1], Y[a, 2]
+        for c in range(len(W)):
+            S[row + a, column + c] -= y0 * W[c, 0] + y1 * W[c, 1] + y2 * W[c, 2]
+
+
+@njit(cache=True, nogil=True, fastmath=_REORDER)
+def _times(W: Array, Vi: Array, b: Array, rhs: Array, row: int, Y: Array) -> None:
+    """``Y = W @ Vi`` for a block ``(m, 3)``, and ``rhs[row:] -= Y @ b``."""
+    for a in range(len(W)):
+        w0, w1, w2 = W[a, 0], W[a, 1], W[a, 2]
+        for c in range(3):
+            Y[a, c] = w0 * Vi[0, c] + w1 * Vi[1, c] + w2 * Vi[2, c]
+        rhs[row + a] -= Y[a, 0] * b[0] + Y[a, 1] * b[1] + Y[a, 2] * b[2]
 
 
 @njit(cache=True, nogil=True)
@@ -177,34 +189,20 @@ def reduce_points(
                 A[a, c] = V[j, a, c]
             A[a, a] += damping * A[a, a] + 1e-9
         _invert3(A, V_inv[j])
-        Vi = V_inv[j]
         if n_c:
-            for a in range(n_c):
-                for c in range(3):
-                    Yc[a, c] = Wc[j, a, 0] * Vi[0, c] + Wc[j, a, 1] * Vi[1, c] + Wc[j, a, 2] * Vi[2, c]
-                rhs[base + a] -= Yc[a, 0] * b_p[j, 0] + Yc[a, 1] * b_p[j, 1] + Yc[a, 2] * b_p[j, 2]
-            for a in range(n_c):
-                for c in range(n_c):
-                    S[base + a, base + c] -= Yc[a, 0] * Wc[j, c, 0] + Yc[a, 1] * Wc[j, c, 1] + Yc[a, 2] * Wc[j, c, 2]
+            _times(Wc[j], V_inv[j], b_p[j], rhs, base, Yc)
+            _subtract(S, base, base, Yc, Wc[j])
         for i in range(start[j], start[j + 1]):
             s = 6 * slot[kf[i]]
             if s < 0:
                 continue
-            for a in range(6):
-                for c in range(3):
-                    Y[a, c] = W[i, a, 0] * Vi[0, c] + W[i, a, 1] * Vi[1, c] + W[i, a, 2] * Vi[2, c]
-                rhs[s + a] -= Y[a, 0] * b_p[j, 0] + Y[a, 1] * b_p[j, 1] + Y[a, 2] * b_p[j, 2]
-            for i2 in range(start[j], start[j + 1]):
-                s2 = 6 * slot[kf[i2]]
-                if s2 < s:
-                    continue
-                for a in range(6):
-                    for c in range(6):
-                        S[s + a, s2 + c] -= Y[a, 0] * W[i2, c, 0] + Y[a, 1] * W[i2, c, 1] + Y[a, 2] * W[i2, c, 2]
+            _times(W[i], V_inv[j], b_p[j], rhs, s, Y)
+            for other in range(start[j], start[j + 1]):
+                s_other = 6 * slot[kf[other]]
+                if s_other >= s:
+                    _subtract(S, s, s_other, Y, W[other])
             if n_c:
-                for a in range(6):
-                    for c in range(n_c):
-                        S[s + a, base + c] -= Y[a, 0] * Wc[j, c, 0] + Y[a, 1] * Wc[j, c, 1] + Y[a, 2] * Wc[j, c, 2]
+                _subtract(S, s, base, Y, Wc[j])
     for a in range(len(S)):
         for c in range(a):
             S[a, c] = S[c, a]

@@ -13,6 +13,10 @@ from numba import njit
 from frontend.pose import exp_update
 from frontend.schur import Array, Ints, assemble, back_substitute, reduce_points, robust_weights
 
+_SETTLED = 2e-4
+"""A step that lowers the cost by less than this share is the last: the window is adjusted again at the next
+key-frame."""
+
 
 @njit(cache=True, nogil=True)
 def window_residuals(
@@ -104,7 +108,6 @@ def adjust_window(
     W = np.zeros((n, 6, 3))
     Wc = np.zeros((n_points, n_c, 3))
     V, b_p, V_inv = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3)), np.zeros((n_points, 3, 3))
-    Jc, Jp = np.zeros((3, 6)), np.zeros((3, 3))
     relinearise = True
     S = np.zeros((m, m))
     U, b_c = np.zeros((m, m)), np.zeros(m)
@@ -116,7 +119,6 @@ def adjust_window(
                 points,
                 start,
                 kf,
-                uv,
                 disparity,
                 sigma,
                 sigma_d,
@@ -130,8 +132,6 @@ def adjust_window(
                 b_p,
                 W,
                 Wc,
-                Jc,
-                Jp,
             )
             for a in range(n_c):
                 for c in range(n_c):
@@ -153,7 +153,7 @@ def adjust_window(
             poses, points, calib, r, cost = new_poses, new_points, new_calib, new_r, new_cost
             damping = max(damping * 0.2, 1e-8)
             relinearise = True
-            if gain < 1e-5:
+            if gain < _SETTLED:
                 break
         else:
             damping *= 10.0
