@@ -4,10 +4,10 @@ result."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
-from backend.geometry import transform_points
 from frontend.config import OdometryConfig
 from frontend.map import Array, Ints, KeyFrame, Map
 from frontend.self_calibration import basis, with_rows
@@ -115,8 +115,8 @@ def gather(map_: Map, keyframes: list[KeyFrame], slot: Ints) -> Observations:
     moves = np.bincount(near, weights=slot[kf] >= 0) > 0
     use = np.flatnonzero((count[near] >= 2) & moves[near])
     order = use[np.argsort(point[use], kind="stable")]
-    ids, start = np.unique(point[order], return_index=True)
-    start = np.append(start, len(order)).astype(np.int64)
+    begins = np.flatnonzero(np.diff(point[order], prepend=-1))
+    ids, start = point[order][begins], np.append(begins, len(order)).astype(np.int64)
     flat = flat[order]
     return Observations(
         ids,
@@ -132,12 +132,19 @@ def gather(map_: Map, keyframes: list[KeyFrame], slot: Ints) -> Observations:
 
 def _move_points_seen_once(map_: Map, ranging: Ranging, keyframes: list[KeyFrame]) -> None:
     """They hang on their key-frame: they move with it and with the calibration."""
+    rows_of = []
     for keyframe in keyframes:
         rows = np.flatnonzero((keyframe.point >= 0) & np.isfinite(keyframe.disparity))
-        rows = rows[map_.views[keyframe.point[rows]] == 1]
-        p_C = ranging.back_project(keyframe.uv[rows], keyframe.disparity[rows])
-        good = np.isfinite(p_C[:, 0])
-        map_.xyz[keyframe.point[rows[good]]] = transform_points(keyframe.T_W_C, p_C[good])
+        rows_of.append(rows[map_.views[keyframe.point[rows]] == 1])
+    kf = np.repeat(np.arange(len(keyframes)), [len(rows) for rows in rows_of])
+    point, uv, disparity = (
+        np.concatenate([values(k)[rows] for k, rows in zip(keyframes, rows_of, strict=True)])
+        for values in (attrgetter("point"), attrgetter("uv"), attrgetter("disparity"))
+    )
+    p_C = ranging.back_project(uv, disparity)
+    good = np.isfinite(p_C[:, 0])
+    T_W_C = np.stack([k.T_W_C for k in keyframes])[kf[good]]
+    map_.xyz[point[good]] = np.einsum("nij,nj->ni", T_W_C[:, :3, :3], p_C[good]) + T_W_C[:, :3, 3]
 
 
 def _drop_outliers(

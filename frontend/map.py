@@ -54,6 +54,29 @@ class CulledKeyFrame:
     T_C_P: Array
 
 
+def union(parts: list[Ints]) -> Ints:
+    """Each point number of ``parts`` once, ascending, without -1. Numbers seen together lie close: marks are much
+    quicker than sorting."""
+    ids = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+    ids = ids[ids >= 0]
+    if not len(ids):
+        return ids
+    first = int(ids.min())
+    marked = np.zeros(int(ids.max()) - first + 1, dtype=bool)
+    marked[ids - first] = True
+    return np.flatnonzero(marked) + first
+
+
+def without(ids: Ints, gone: Ints) -> Ints:
+    """``ids`` (ascending) less those in ``gone``."""
+    if not len(ids):
+        return ids
+    first, last = int(ids[0]), int(ids[-1])
+    keep = np.ones(last - first + 1, dtype=bool)
+    keep[gone[(gone >= first) & (gone <= last)] - first] = False
+    return ids[keep[ids - first]]
+
+
 _COLUMNS = ("_xyz", "_alive", "_metric", "_views", "_descriptors", "_described", "_level", "_depth")
 
 

@@ -9,7 +9,7 @@ from frontend.config import OdometryConfig
 from frontend.features import Detector, Keypoints, Pyramid, describe, spread_cells, undescribed
 from frontend.frames import Frame
 from frontend.local_adjustment import adjust_locally, window_keyframes
-from frontend.map import Array, Ints, KeyFrame, Map
+from frontend.map import Array, Ints, KeyFrame, Map, union, without
 from frontend.matching import guided_match
 from frontend.stereo import Ranging
 from frontend.stopwatch import Stage, Stopwatch
@@ -119,7 +119,7 @@ class Mapper:
         search."""
         out = np.full(len(keypoints) - n, -1, dtype=np.int64)
         local = self.local_points()
-        local = np.setdiff1d(local[self.map.described[local]], followed)
+        local = without(local[self.map.described[local]], followed)
         if not len(local) or not len(out):
             return out
         uv, depth = self.ranging.project(T_C_W, self.map.xyz[local])
@@ -150,8 +150,7 @@ class Mapper:
         recent, older = window_keyframes(self.map, self.config)
         if not recent:
             return np.zeros(0, dtype=np.int64)
-        ids = np.unique(np.concatenate([self.map.keyframes[k].point for k in older + recent]))
-        ids = ids[ids >= 0]
+        ids = union([self.map.keyframes[k].point for k in older + recent])
         return ids[self.map.alive[ids] & np.isfinite(self.map.xyz[ids, 0])]
 
     def _position_new(self, keyframe: KeyFrame) -> None:
@@ -195,7 +194,7 @@ class Mapper:
         stays."""
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
         rows = rows[np.isfinite(self.map.xyz[keyframe.point[rows], 0])]
-        local = np.setdiff1d(self.local_points(), keyframe.point)
+        local = without(self.local_points(), keyframe.point)
         local = local[self.map.described[local]]
         uv, depth = self.ranging.project(keyframe.T_C_W, self.map.xyz[local])
         near = np.flatnonzero(depth > 0)

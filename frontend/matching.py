@@ -31,17 +31,23 @@ def _guided(
     out = np.full(len(uv_a), -1, dtype=np.int64)
     distance_of = np.full(len(uv_b), 257, dtype=np.int64)
     owner = np.full(len(uv_b), -1, dtype=np.int64)
+    # From the top of the image to its foot: only the rows within the radius are looked through.
+    downwards = np.argsort(uv_b[:, 1])
+    rows = uv_b[downwards, 1]
     for i in range(len(uv_a)):
-        best, second, index = np.int64(257), np.int64(257), -1
+        best, second, index = np.int64(257), np.int64(257), np.int64(-1)
         r2 = radius[i] * radius[i]
-        for j in range(len(uv_b)):
+        first = np.searchsorted(rows, uv_a[i, 1] - radius[i])
+        last = np.searchsorted(rows, uv_a[i, 1] + radius[i], side="right")
+        for place in range(first, last):
+            j = downwards[place]
             dx, dy = uv_a[i, 0] - uv_b[j, 0], uv_a[i, 1] - uv_b[j, 1]
             if dx * dx + dy * dy > r2 or abs(level_a[i] - level_b[j]) > level_slack:
                 continue
             d = np.int64(0)
             for k in range(4):
                 d += np.int64(_popcount(words_a[i, k] ^ words_b[j, k]))
-            if d < best:
+            if d < best or (d == best and j < index):
                 best, second, index = d, best, j
             elif d < second:
                 second = d
