@@ -60,6 +60,13 @@ class StereoConfig(_Frozen):
     depth_sigma_m: float = Field(
         0.0015, gt=0.0, description="RGB-D: depth noise at 1 m; it grows with the square of depth"
     )
+    align_depth: bool = Field(True, description="RGB-D: align whole depth images in the window's bundle adjustment")
+    align_columns: int = Field(80, ge=20, le=640, description="RGB-D: blocks across a depth image that are aligned")
+    align_lags: tuple[int, ...] = Field((1, 2, 4, 8), description="RGB-D: with the key-frames so many before")
+    align_correlated: float = Field(
+        2.0, gt=0.0, description="RGB-D: so many places err alike; their information counts as that of one"
+    )
+    max_align_depth_m: float = Field(4.5, gt=0.0, description="RGB-D: depths beyond this are not aligned")
     max_depth_m: float = Field(8.0, gt=0.0, description="RGB-D: depths beyond this are not used")
 
 

@@ -9,6 +9,7 @@ from operator import attrgetter
 import numpy as np
 
 from frontend.config import OdometryConfig
+from frontend.depth_alignment import Alignment, align_surfaces
 from frontend.map import Array, Ints, KeyFrame, Map
 from frontend.self_calibration import basis, with_rows
 from frontend.stereo import Ranging
@@ -56,8 +57,10 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         return
     count = len(ranging.calib) if ranging.calibrates(recent[-1] + 1) else 0
     mean, prior = _calibration_prior(ranging, keyframes, count)
+    before = np.stack([k.T_C_W for k in keyframes])
+    aligned = _align(ranging, keyframes, before, slot)
     poses, points, calib, information, _, _ = adjust_window(
-        np.stack([k.T_C_W for k in keyframes]),
+        before,
         slot,
         map_.xyz[seen.ids],
         seen.start,
@@ -71,6 +74,11 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         ranging.calib[:count],
         mean,
         prior,
+        aligned.pairs,
+        aligned.T_A_B,
+        aligned.information,
+        aligned.gradient,
+        aligned.cost,
         settings.iterations,
     )
     if not (np.isfinite(poses).all() and np.isfinite(points).all()):
@@ -83,6 +91,16 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         ranging.learn(calib, information - prior)
     _move_points_seen_once(map_, ranging, keyframes)
     _drop_outliers(map_, ranging, config, keyframes, poses, points, seen)
+
+
+def _align(ranging: Ranging, keyframes: list[KeyFrame], poses: Array, slot: Ints) -> Alignment:
+    """The depth images of the free key-frames against those before them."""
+    config = ranging.config
+    if keyframes[-1].surface is None:
+        return Alignment.none()
+    pairs = [(k - lag, k) for k in np.flatnonzero(slot >= 0).tolist() for lag in config.align_lags if lag <= k]
+    surfaces = [k.surface for k in keyframes]
+    return align_surfaces(surfaces, poses, pairs, ranging.cam, config.depth_sigma_m, config.align_correlated)
 
 
 def _calibration_prior(ranging: Ranging, keyframes: list[KeyFrame], count: int) -> tuple[Array, Array]:

@@ -8,6 +8,8 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from frontend.depth_alignment import Surface
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -37,6 +39,8 @@ class KeyFrame:
     followed: NDArray[np.bool_]
     stays: bool = True
     """False: supports the window only and goes when it leaves it; it has no descriptors."""
+    surface: Surface | None = None
+    """RGB-D: what the depth image showed."""
 
     @property
     def T_W_C(self) -> Array:

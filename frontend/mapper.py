@@ -90,6 +90,7 @@ class Mapper:
             described=described,
             followed=followed,
             stays=stays,
+            surface=self.ranging.surface(frame),
         )
 
     def _stays(self, T_C_W: Array, point: Ints) -> bool:

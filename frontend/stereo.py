@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from frontend.align import align, cut_patches, half_sized
 from frontend.cameras import Rig, RigKind
 from frontend.config import FlowConfig, StereoConfig
+from frontend.depth_alignment import Surface, surface
 from frontend.frames import Frame
 from frontend.self_calibration import (
     N_ALL,
@@ -198,6 +199,13 @@ class Ranging:
             depth = depth_at(frame.depth_m, uv, _DEPTH_JUMP)
             return np.where(depth <= self.config.max_depth_m, self.cam[4] / depth, np.nan), unknown
         return unknown, unknown
+
+    def surface(self, frame: Frame) -> Surface | None:
+        """What the depth image shows as a whole; None where there is none, or where it is not used."""
+        config = self.config
+        if self.rig.kind is not RigKind.RGBD or not config.align_depth or frame.depth_m is None:
+            return None
+        return surface(frame.depth_m, self.cam, config.max_align_depth_m, config.align_columns)
 
     def ideal(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where a pinhole would have seen what was measured at ``uv`` ``(n, 2)``."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from frontend.depth_alignment import add_alignment, alignment_cost
 from frontend.pose import exp_update
 from frontend.schur import Array, Ints, assemble, back_substitute, reduce_points, robust_weights
 
@@ -86,6 +87,11 @@ def adjust_window(
     calib: Array,
     calib_mean: Array,
     calib_info: Array,
+    pairs: Ints,
+    T_A_B: Array,
+    pair_info: Array,
+    pair_gradient: Array,
+    pair_cost: Array,
     iterations: int,
 ) -> tuple[Array, Array, Array, Array, float, float]:
     """Levenberg-Marquardt on robust reprojection and disparity errors.
@@ -93,8 +99,9 @@ def adjust_window(
     ``poses`` ``(K, 4, 4)``; ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``points`` ``(P, 3)``; the N
     observations are sorted by point, those of point j are ``start[j]:start[j + 1]``; ``kf``, ``pt`` ``(N,)`` indices,
     ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration:
-    ``basis`` ``(N, 3, C)``, start and prior mean ``(C,)``, prior information ``(C, C)``; C = 0 keeps it out. Returns
-    poses, points, calibration, cost before and after; the cost never rises.
+    ``basis`` ``(N, 3, C)``, start and prior mean ``(C,)``, prior information ``(C, C)``; C = 0 keeps it out. Pairs of
+    poses: the arrays of a :class:`frontend.depth_alignment.Alignment`. Returns poses, points, calibration, the
+    calibration's information, cost before and after; the cost never rises.
     """
     poses, points, calib = poses.copy(), points.copy(), calib.copy()
     free = slot.max() + 1
@@ -103,6 +110,7 @@ def adjust_window(
     n_points, n = len(points), len(kf)
     r = window_residuals(poses, points, kf, pt, *_take_out(uv, disparity, basis, calib), cam)
     cost = _cost(r, sigma, sigma_d, calib, calib_mean, calib_info)
+    cost += alignment_cost(poses, pairs, T_A_B, pair_info, pair_gradient, pair_cost)
     first = cost
     damping = 1e-4
     W = np.zeros((n, 6, 3))
@@ -137,6 +145,7 @@ def adjust_window(
                 for c in range(n_c):
                     U[6 * free + a, 6 * free + c] += calib_info[a, c]
                     b_c[6 * free + a] += calib_info[a, c] * (calib[c] - calib_mean[c])
+            add_alignment(poses, slot, pairs, T_A_B, pair_info, pair_gradient, U, b_c)
         S, rhs = reduce_points(slot, start, kf, n_c, free, U, b_c, V, b_p, W, Wc, V_inv, damping)
         delta = np.linalg.solve(S, -rhs)
         new_poses, new_points, new_calib = poses.copy(), points.copy(), calib.copy()
@@ -148,6 +157,7 @@ def adjust_window(
         back_substitute(slot, start, kf, n_c, free, delta, b_p, W, Wc, V_inv, new_points)
         new_r = window_residuals(new_poses, new_points, kf, pt, *_take_out(uv, disparity, basis, new_calib), cam)
         new_cost = _cost(new_r, sigma, sigma_d, new_calib, calib_mean, calib_info)
+        new_cost += alignment_cost(new_poses, pairs, T_A_B, pair_info, pair_gradient, pair_cost)
         if new_cost < cost:
             gain = (cost - new_cost) / cost
             poses, points, calib, r, cost = new_poses, new_points, new_calib, new_r, new_cost

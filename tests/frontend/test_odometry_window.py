@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from backend.geometry import se3, se3_exp, so3_exp
+from frontend.depth_alignment import Alignment
 from frontend.triangulate import triangulate
 from frontend.window import adjust_window, window_residuals
 
@@ -49,11 +50,11 @@ class Problem:
         self.start_points = self.points + rng.normal(0, 0.1, self.points.shape)
 
     def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> tuple:
-        n, c = len(self.kf), 3 if estimate_calib else 0
+        n, c, none = len(self.kf), 3 if estimate_calib else 0, Alignment.none()
         return adjust_window(
             self.start_poses, self.slot, self.start_points, self.start, self.kf, self.pt, self.uv, self.disparity,
             np.full(n, SIGMA), np.full(n, SIGMA_D), CAM, self.basis[:, :, :c], np.zeros(c), np.zeros(c),
-            np.eye(c) * prior_px**-2.0, iterations,
+            np.eye(c) * prior_px**-2.0, none.pairs, none.T_A_B, none.information, none.gradient, none.cost, iterations,
         )  # fmt: skip
 
 
