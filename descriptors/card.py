@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
 from descriptors.errors import DescriptorError
 
@@ -22,8 +22,20 @@ class OperatingPoint(BaseModel):
     recall: float = Field(ge=0, le=1)  # share of the queries with a place to find that are accepted and right
 
 
+class SetCurve(BaseModel):
+    """One set of images (a rendered world, a sequence of the user's) out of those a calibration pools."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    queries: int = Field(ge=0)
+    findable: int = Field(ge=0)  # queries that have a place to find
+    strict: OperatingPoint | None = None  # what this set alone would have given; None where it supports no threshold
+    curve: tuple[OperatingPoint, ...] = ()
+
+
 class Calibration(BaseModel):
-    """Where the thresholds come from. ``curve``: falling through the distances, for plots and for other wishes."""
+    """Where the thresholds come from. ``curve``: rising through the distances, for plots and for other wishes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -32,6 +44,21 @@ class Calibration(BaseModel):
     strict: OperatingPoint  # a match on appearance alone
     candidate: OperatingPoint  # worth a geometric verification
     curve: tuple[OperatingPoint, ...] = ()
+    sets: tuple[SetCurve, ...] = ()  # the same, set by set
+
+
+class Figure(BaseModel):
+    """How well places of one set are found with one code of the vectors: a row of ``maslam netvlad eval``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    dataset: str
+    code: str
+    bytes: int = Field(gt=0)  # of one vector on the wire
+    queries: int = Field(ge=0)
+    recall_at_1: float = Field(ge=0, le=1)
+    recall_at_5: float = Field(ge=0, le=1)
+    ap: float = Field(ge=0, le=1)  # average precision of "the nearest neighbour, if near enough"
 
 
 class ModelCard(BaseModel):
@@ -43,12 +70,17 @@ class ModelCard(BaseModel):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")  # of the ONNX file
     dim: int = Field(gt=0)
     input_pixels: int = Field(gt=0)  # an image is resized to about this many pixels, its shape kept
+    input_size: tuple[PositiveInt, PositiveInt] | None = None  # (height, width): exactly this instead, for rigid graphs
+    colour: bool = False  # the network takes (N, 3, H, W) in the order R, G, B; else (N, 1, H, W) grey
     threshold: float = Field(gt=0)  # Euclidean distance: matches on appearance alone
     candidate_threshold: float = Field(gt=0)  # Euclidean distance: candidates for geometric verification
     min_std: float = Field(ge=0)  # grey levels: an image with less local contrast has no texture to recognise
     licence: str = "BSD-3-Clause"
     training: str = ""  # the commands that made the weights
+    data: str = ""  # the images they were trained on, in words
+    source: str = ""  # where foreign weights come from: file, paper
     calibration: Calibration | None = None
+    figures: tuple[Figure, ...] = ()
 
 
 def read_card(model: str | Path) -> tuple[Path, ModelCard]:
