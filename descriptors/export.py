@@ -14,68 +14,19 @@ from numpy.typing import NDArray
 from torch import nn
 
 from descriptors.netvlad import STD_FLOOR, NetVladNetwork
-
-OPSET = 17
-INPUT, OUTPUT = "images", "vectors"
-_NORM_FLOOR = 1e-12
-
-
-class _Graph:
-    """Nodes and constants of a graph under construction; ``add`` returns the name of its output."""
-
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def constant(self, value: NDArray[Any]) -> str:
-        from onnx import numpy_helper
-
-        name = f"c{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(value), name))
-        return name
-
-    def scalar(self, value: float) -> str:
-        return self.constant(np.array(value, dtype=np.float32))
-
-    def add(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        from onnx import helper
-
-        name = output or f"v{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [name], **attributes))
-        return name
-
-    def unit(self, x: str, axis: int, output: str = "") -> str:
-        """``x`` over its Euclidean norm along ``axis``, as ``torch.nn.functional.normalize`` does it."""
-        norm = self.add("Max", self.add("ReduceL2", x, axes=[axis], keepdims=1), self.scalar(_NORM_FLOOR))
-        return self.add("Div", x, norm, output=output)
+from descriptors.onnx_graph import INPUT, OUTPUT, OnnxGraph
 
 
 def export_onnx(network: NetVladNetwork, path: Path) -> None:
     """Write ``network`` (its evaluation mode) as ONNX: input ``images`` ``(N, 1, H, W)`` uint8, output ``vectors``
     ``(N, dim)`` float32."""
-    import onnx
-    from onnx import TensorProto, helper
-
-    graph = _Graph()
+    graph = OnnxGraph()
     features = _local_features(graph, network)
     _aggregate(graph, network, features)
-    built = helper.make_graph(
-        graph.nodes,
-        "netvlad",
-        [helper.make_tensor_value_info(INPUT, TensorProto.UINT8, ["batch", 1, "height", "width"])],
-        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", network.config.dim])],
-        graph.constants,
-    )
-    model = helper.make_model(
-        built, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="maslam", ir_version=8
-    )
-    onnx.checker.check_model(model)
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(model.SerializeToString(deterministic=True))
-    partial.replace(path)
+    graph.save(path, channels=1, dim=network.config.dim)
 
 
-def _local_features(graph: _Graph, network: NetVladNetwork) -> str:
+def _local_features(graph: OnnxGraph, network: NetVladNetwork) -> str:
     """Standardisation, backbone, reduction: the name of the unit local features ``(N, D, h, w)``."""
     x = graph.add("Cast", INPUT, to=1)
     centred = graph.add("Sub", x, graph.add("ReduceMean", x, axes=[1, 2, 3], keepdims=1))
@@ -89,7 +40,7 @@ def _local_features(graph: _Graph, network: NetVladNetwork) -> str:
     return graph.unit(x, axis=1)
 
 
-def _convolution(graph: _Graph, x: str, convolution: nn.Conv2d, norm: nn.BatchNorm2d) -> str:
+def _convolution(graph: OnnxGraph, x: str, convolution: nn.Conv2d, norm: nn.BatchNorm2d) -> str:
     """A convolution with the batch norm after it folded in (in double precision)."""
     scale = _array(norm.weight) / np.sqrt(_array(norm.running_var) + norm.eps)
     weight = (_array(convolution.weight) * scale[:, None, None, None]).astype(np.float32)
@@ -101,7 +52,7 @@ def _convolution(graph: _Graph, x: str, convolution: nn.Conv2d, norm: nn.BatchNo
     )  # fmt: skip
 
 
-def _aggregate(graph: _Graph, network: NetVladNetwork, features: str) -> None:
+def _aggregate(graph: OnnxGraph, network: NetVladNetwork, features: str) -> None:
     """The VLAD layer and the projection, up to the graph's output."""
     clusters, local_dim = network.config.clusters, network.config.local_dim
     weight, bias = _array(network.vlad.assign.weight), _array(network.vlad.assign.bias)
