@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, model_validator
 
 from descriptors.errors import DescriptorError
 
@@ -72,6 +72,8 @@ class ModelCard(BaseModel):
     input_pixels: int = Field(gt=0)  # an image is resized to about this many pixels, its shape kept
     input_size: tuple[PositiveInt, PositiveInt] | None = None  # (height, width): exactly this instead, for rigid graphs
     colour: bool = False  # the network takes (N, 3, H, W) in the order R, G, B; else (N, 1, H, W) grey
+    mean: tuple[float, ...] = ()  # grey levels, one for each channel: graphs that take float32 get (level - mean) / std
+    std: tuple[PositiveFloat, ...] = ()
     threshold: float = Field(gt=0)  # Euclidean distance: matches on appearance alone
     candidate_threshold: float = Field(gt=0)  # Euclidean distance: candidates for geometric verification
     min_std: float = Field(ge=0)  # grey levels: an image with less local contrast has no texture to recognise
@@ -81,6 +83,19 @@ class ModelCard(BaseModel):
     source: str = ""  # where foreign weights come from: file, paper
     calibration: Calibration | None = None
     figures: tuple[Figure, ...] = ()
+
+    @property
+    def channels(self) -> int:
+        return 3 if self.colour else 1
+
+    @model_validator(mode="after")
+    def _fits_channels(self) -> ModelCard:
+        for name, values in (("mean", self.mean), ("std", self.std)):
+            if values and len(values) != self.channels:
+                raise ValueError(f"{name} has {len(values)} values for {self.channels} channels")
+        if self.candidate_threshold < self.threshold:
+            raise ValueError(f"candidate_threshold {self.candidate_threshold} is under threshold {self.threshold}")
+        return self
 
 
 def read_card(model: str | Path) -> tuple[Path, ModelCard]:
@@ -95,7 +110,7 @@ def read_card(model: str | Path) -> tuple[Path, ModelCard]:
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"])
-        raise DescriptorError(f"{card_path}: {field}: {first['msg']}") from error
+        raise DescriptorError(f"{card_path}: {field or 'the card'}: {first['msg']}") from error
     if card.sha256 != file_sha256(onnx_path):
         raise DescriptorError(f"{onnx_path}: not the weights that {card_path.name} describes (SHA-256 differs)")
     return onnx_path, card

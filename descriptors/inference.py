@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from descriptors.card import Calibration, ModelCard, read_card
 from descriptors.errors import DescriptorError
+from descriptors.session import CPU, Session
 
 if TYPE_CHECKING:
     from descriptors.container import PlaceVectors
+
+Images = Sequence[NDArray[np.uint8]] | NDArray[np.uint8]
 
 MIN_SIDE_PX = 16
 """An image is never resized below this: the network halves its input three times."""
@@ -25,27 +28,23 @@ _CONTRAST_WINDOW_PX = 9
 class NetVlad:
     """A loaded model. ``describe`` gives the same bytes for the same image, alone or among others, on every call."""
 
-    def __init__(self, session: Any, card: ModelCard) -> None:
-        self._session, self._card = session, card
-        self._input = session.get_inputs()[0].name
+    def __init__(self, session: Session, card: ModelCard, batch: int = 1) -> None:
+        self._session, self._card, self._batch = session, card, batch
 
     @classmethod
-    def load(cls, model: str | Path = "default", threads: int = 1) -> NetVlad:
-        """A shipped model by name, or the path of an ``.onnx`` file with its card beside it. ``threads``: for one
-        image."""
-        import onnxruntime
+    def load(cls, model: str | Path = "default", threads: int = 1, provider: str = CPU, batch: int = 1) -> NetVlad:
+        """A shipped model by name, or the path of an ``.onnx`` file with its card beside it.
 
-        if threads < 1:
-            raise DescriptorError(f"a descriptor needs at least 1 thread, got {threads}")
+        ``threads`` share the work on one image. ``provider``: where onnxruntime runs it, by its name in full or in
+        short (``cuda``). ``batch``: images of one size that go through the network together; 1 promises the same
+        bytes for an image whatever is described with it, more is for graphics cards (docs/netvlad.md has what it
+        gains).
+        """
+        for name, count in (("thread", threads), ("image in a batch", batch)):
+            if count < 1:
+                raise DescriptorError(f"a descriptor needs at least 1 {name}, got {count}")
         path, card = read_card(model)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-        options.log_severity_level = 3
-        try:
-            session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:
-            raise DescriptorError(f"{path}: onnxruntime cannot load it: {error}") from error
-        return cls(session, card)
+        return cls(Session.open(path, card, threads, provider), card, batch)
 
     @property
     def name(self) -> str:
@@ -85,64 +84,106 @@ class NetVlad:
     def card(self) -> ModelCard:
         return self._card
 
-    def describe(self, images: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDArray[np.float32]:
+    @property
+    def colour(self) -> bool:
+        """Whether colour images tell the network more than grey ones."""
+        return self._card.colour
+
+    def describe(self, images: Images) -> NDArray[np.float32]:
         """Place vectors ``(N, dim)`` float32, rows of unit norm.
 
         ``images``: N images ``(H, W)`` grey or ``(H, W, 3)`` BGR, uint8, each of any size, or one such stack ``(N,
         H, W)``. An image without texture still gets a vector, a meaningless one: see :meth:`textured`.
         """
-        # One image at a time: a batch is no faster on one thread, and its sums would depend on what else is in it.
-        rows = [self._session.run(None, {self._input: self._prepare(image)[None, None]})[0] for image in images]
-        return np.concatenate(rows) if rows else np.zeros((0, self.dim), dtype=np.float32)
+        return self._run([self._prepare(image) for image in images])
 
-    def textured(self, images: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def textured(self, images: Images) -> NDArray[np.bool_]:
         """Whether each image has enough local contrast to be recognised, ``(N,)`` bool."""
-        return np.array([local_contrast(self._prepare(image)) >= self.min_std for image in images], dtype=bool)
+        return np.array([self._has_texture(self._prepare(image)) for image in images], dtype=bool)
 
-    def place_vectors(
-        self, images: Sequence[NDArray[np.uint8]] | NDArray[np.uint8], stamps_ns: NDArray[np.int64] | Sequence[int]
-    ) -> PlaceVectors:
+    def look(self, images: Images) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """:meth:`describe` and :meth:`textured` of images that are brought to size once."""
+        prepared = [self._prepare(image) for image in images]
+        return self._run(prepared), np.array([self._has_texture(image) for image in prepared], dtype=bool)
+
+    def place_vectors(self, images: Images, stamps_ns: NDArray[np.int64] | Sequence[int]) -> PlaceVectors:
         """Vectors, texture flags and time stamps (nanoseconds, one an image) in the container that is written to
         disk."""
         from descriptors.container import PlaceVectors
 
-        return PlaceVectors(
-            self.name,
-            self.sha256,
-            self.dim,
-            np.asarray(stamps_ns, dtype=np.int64),
-            self.describe(images),
-            self.textured(images),
-        )
+        stamps = np.asarray(stamps_ns, dtype=np.int64)
+        return PlaceVectors(self.name, self.sha256, self.dim, stamps, *self.look(images))
 
     def _prepare(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        return to_working_size(image, self._card.input_pixels)
-
-
-def to_working_size(image: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
-    """A grey or BGR uint8 image as grey ``(h, w)`` of about ``pixels`` pixels, its shape kept: every image costs
-    the same."""
-    grey = np.asarray(image)
-    if grey.dtype != np.uint8 or grey.ndim not in (2, 3) or not grey.size:
-        raise DescriptorError(
-            f"an image must be (H, W) or (H, W, 3) uint8 with pixels in it, got {grey.shape} {grey.dtype}"
+        """What the network gets of one image, ``(C, h, w)``."""
+        if not self._card.colour:
+            return to_working_size(image, self._card.input_pixels, self._card.input_size)[None]
+        return np.ascontiguousarray(
+            colour_to_working_size(image, self._card.input_pixels, self._card.input_size)[:, :, ::-1].transpose(2, 0, 1)
         )
-    if grey.ndim == 3:
-        if grey.shape[2] not in (1, 3):
-            raise DescriptorError(f"a colour image must have 3 channels (BGR), got {grey.shape[2]}")
-        grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY) if grey.shape[2] == 3 else grey[:, :, 0]
-    height, width = grey.shape
+
+    def _has_texture(self, prepared: NDArray[np.uint8]) -> bool:
+        grey = prepared[0] if len(prepared) == 1 else cv2.cvtColor(prepared.transpose(1, 2, 0), cv2.COLOR_RGB2GRAY)
+        return local_contrast(np.asarray(grey, dtype=np.uint8)) >= self.min_std
+
+    def _run(self, prepared: list[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        """Neighbours of one size go together, at most ``batch`` of them."""
+        rows, start = [], 0
+        for k in range(1, len(prepared) + 1):
+            if k == len(prepared) or k - start == self._batch or prepared[k].shape != prepared[start].shape:
+                rows.append(self._session.run(np.stack(prepared[start:k])))
+                start = k
+        return np.concatenate(rows) if rows else np.zeros((0, self.dim), dtype=np.float32)
+
+
+def to_working_size(
+    image: NDArray[np.uint8], pixels: int, exact: tuple[int, int] | None = None
+) -> NDArray[np.uint8]:
+    """A grey or BGR uint8 image as grey ``(h, w)`` of about ``pixels`` pixels, its shape kept: every image costs
+    the same. ``exact`` (h, w): of this size instead, its shape as it may be."""
+    checked = _checked(image)
+    grey = cv2.cvtColor(checked, cv2.COLOR_BGR2GRAY) if checked.ndim == 3 else checked
+    return _resized(np.asarray(grey, dtype=np.uint8), pixels, exact)
+
+
+def colour_to_working_size(
+    image: NDArray[np.uint8], pixels: int, exact: tuple[int, int] | None = None
+) -> NDArray[np.uint8]:
+    """The same in colour, ``(h, w, 3)`` BGR; a grey image has three equal channels."""
+    checked = _checked(image)
+    colour = checked if checked.ndim == 3 else cv2.cvtColor(checked, cv2.COLOR_GRAY2BGR)
+    return _resized(np.asarray(colour, dtype=np.uint8), pixels, exact)
+
+
+def _checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """``(H, W)`` or ``(H, W, 3)``, or an error that says what it is instead."""
+    found = np.asarray(image)
+    if found.dtype != np.uint8 or found.ndim not in (2, 3) or not found.size:
+        raise DescriptorError(
+            f"an image must be (H, W) or (H, W, 3) uint8 with pixels in it, got {found.shape} {found.dtype}"
+        )
+    if found.ndim == 3 and found.shape[2] not in (1, 3):
+        raise DescriptorError(f"a colour image must have 3 channels (BGR), got {found.shape[2]}")
+    height, width = found.shape[:2]
     if max(height, width) > MAX_SIDE_RATIO * min(height, width):
         raise DescriptorError(
             f"an image of {width}x{height} px is too narrow: sides may differ by a factor of {MAX_SIDE_RATIO:g}"
         )
+    return np.ascontiguousarray(found[:, :, 0] if found.shape[2:] == (1,) else found)
+
+
+def _resized(image: NDArray[np.uint8], pixels: int, exact: tuple[int, int] | None) -> NDArray[np.uint8]:
+    height, width = image.shape[:2]
     scale = (pixels / (height * width)) ** 0.5
     size = (max(MIN_SIDE_PX, round(width * scale)), max(MIN_SIDE_PX, round(height * scale)))
+    if exact is not None:
+        size = exact[1], exact[0]
     if size == (width, height):
-        return np.ascontiguousarray(grey)
+        return image
     # Area averaging when shrinking: anything else aliases fine texture differently from every viewpoint.
-    method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(np.ascontiguousarray(grey), size, interpolation=method), dtype=np.uint8)
+    shrinks = size[0] * size[1] < width * height
+    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
 
 
 def local_contrast(grey: NDArray[np.uint8]) -> float:

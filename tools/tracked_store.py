@@ -48,7 +48,7 @@ def make_job(
     """
     digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {code_digest()}".encode())
     digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
-    models = [path for path in (vocabulary, Path(model)) if path is not None and path.is_file()]
+    models = [path for path in (vocabulary, Path(model), Path(model).with_suffix(".json")) if path and path.is_file()]
     for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
         status = path.stat() if path.exists() else None
         digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())

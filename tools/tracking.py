@@ -131,8 +131,10 @@ class _Places:
         self._made: dict[int, tuple[NDArray[np.float32], bool]] = {}
 
     def describe(self, index: int, image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], bool]:
-        textured = bool(self._model.textured([image])[0])
-        self._made[index] = self._model.describe([image])[0], textured
+        # Odometry decodes grey; a colour network's few key-frames are read again for their colours.
+        seen = self._sequence.read_colour(index) if self._model.colour else image
+        vectors, textured = self._model.look([seen])
+        self._made[index] = vectors[0], bool(textured[0])
         return self._made[index]
 
     def of(self, index: int) -> tuple[NDArray[np.float32], bool]:

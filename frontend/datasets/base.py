@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontend.cameras import Rig, RigKind
-from frontend.datasets.images import read_depth, read_grey
+from frontend.datasets.images import read_colour, read_depth, read_grey
 from frontend.errors import FrontendError
 from frontend.frames import Frame, PutOff
 from frontend.rectification import Rectifier
@@ -100,6 +100,12 @@ class ImageSequence:
         depth = self._depth(i) if self.depth else None
         return Frame(i, int(self.stamps_ns[i]), self._left(i), right, depth, str(self.left[i]))
 
+    def read_colour(self, i: int) -> NDArray[np.uint8]:
+        """The image of frame ``i``, rectified like its grey one, ``(H, W, 3)`` BGR; of three equal channels where the
+        file is grey. Errors as :meth:`read`'s."""
+        image = self._sized(read_colour(self.left[i]), self.left[i])
+        return image if self.rectifier is None else self.rectifier.rectify_left(image)
+
     def frames(
         self, start: int = 0, stop: int | None = None, ahead: int = 4, watch: Stopwatch | None = None
     ) -> Iterator[Frame]:
@@ -146,7 +152,7 @@ class ImageSequence:
 
     def _sized(self, image: NDArray[Pixel], path: Path) -> NDArray[Pixel]:
         width, height = self.stored_size
-        if image.shape != (height, width):
+        if image.shape[:2] != (height, width):
             raise FrontendError(
                 f"{path}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}"
             )

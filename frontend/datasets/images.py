@@ -40,6 +40,12 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
     return image.astype(np.uint8, copy=False)
 
 
+def read_colour(path: Path) -> NDArray[np.uint8]:
+    """``(H, W, 3)`` uint8 BGR, whatever the file holds; errors as :func:`read_grey`'s."""
+    image = _decode(path, cv2.IMREAD_COLOR)
+    return image.astype(np.uint8, copy=False)
+
+
 def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
     """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres a step; 0 and 65535 are unknown and
     become 0."""

@@ -73,17 +73,15 @@ class KnownModel:
     """A vector that tells the frame: the mean grey level."""
 
     name, sha256, dim, threshold, candidate_threshold, min_std = "known", "0" * 64, 2, 0.1, 0.3, 2.0
+    colour = False
 
     @classmethod
     def load(cls, *_: Any) -> KnownModel:
         return cls()
 
-    def describe(self, images: list[np.ndarray]) -> np.ndarray:
+    def look(self, images: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         angle = np.array([image.mean() / 100 for image in images])
-        return np.column_stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
-
-    def textured(self, images: list[np.ndarray]) -> np.ndarray:
-        return np.ones(len(images), dtype=bool)
+        return np.column_stack([np.cos(angle), np.sin(angle)]).astype(np.float32), np.ones(len(images), dtype=bool)
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,124 @@
+"""A model's ONNX graph opened with onnxruntime and checked against its card: what goes in, what comes out, where it
+runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptors.card import ModelCard
+from descriptors.errors import DescriptorError
+
+CPU = "CPUExecutionProvider"
+_SUFFIX = "ExecutionProvider"
+_TYPES = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32}
+_UNIT = 1e-3  # a vector off unit length by more than this is scaled to it
+
+
+def available_providers() -> tuple[str, ...]:
+    """What this installation of onnxruntime can run models on, the default first: ``CPUExecutionProvider``, ..."""
+    import onnxruntime
+
+    return tuple(sorted(onnxruntime.get_available_providers(), key=lambda name: (name != CPU, name)))
+
+
+def find_provider(wanted: str) -> str:
+    """The full name of a provider given in full or in short (``cuda``, ``CUDAExecutionProvider``), in any case."""
+    known = available_providers()
+    for name in known:
+        if wanted.lower() in (name.lower(), name.removesuffix(_SUFFIX).lower()):
+            return name
+    names = ", ".join(name.removesuffix(_SUFFIX) for name in known)
+    raise DescriptorError(f"onnxruntime has no provider '{wanted}' here, only: {names}")
+
+
+class Session:
+    """One opened graph. ``run`` may be called from several threads at a time."""
+
+    def __init__(self, session: Any, path: Path, card: ModelCard) -> None:
+        self._session, self._path, self._card = session, path, card
+        (given,) = session.get_inputs()
+        self._input, self._type = given.name, _TYPES[given.type]
+        self._output = session.get_outputs()[0].name
+
+    @classmethod
+    def open(cls, path: Path, card: ModelCard, threads: int, provider: str) -> Session:
+        """``threads``: that share one image's work on a CPU. ``DescriptorError`` where the graph cannot be loaded, or
+        is not what ``card`` says."""
+        import onnxruntime
+
+        name = find_provider(provider)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+        options.log_severity_level = 4  # what goes wrong is raised, and said once
+        try:
+            session = onnxruntime.InferenceSession(
+                str(path), options, providers=[name] if name == CPU else [name, CPU]
+            )
+        except Exception as error:
+            raise DescriptorError(f"{path}: onnxruntime cannot load it: {_line(error)}") from error
+        if session.get_providers()[0] != name:  # onnxruntime falls back on its own where a driver is missing
+            raise DescriptorError(f"{path}: {name} does not start on this machine (driver or libraries missing?)")
+        _check(session, path, card)
+        return cls(session, path, card)
+
+    def run(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Unit vectors ``(N, dim)`` float32 of images ``(N, C, H, W)`` uint8, all of one size."""
+        values: NDArray[Any] = images
+        if self._type is np.float32:
+            values = images.astype(np.float32)
+            if self._card.mean:
+                values -= np.array(self._card.mean, dtype=np.float32)[:, None, None]
+            if self._card.std:
+                values /= np.array(self._card.std, dtype=np.float32)[:, None, None]
+        try:
+            vectors = self._session.run([self._output], {self._input: values})[0]
+        except Exception as error:
+            raise DescriptorError(f"{self._path}: onnxruntime cannot run it: {_line(error)}") from error
+        if vectors.shape != (len(images), self._card.dim):
+            raise DescriptorError(
+                f"{self._path}: makes {vectors.shape} of {len(images)} images, "
+                f"but its card says {self._card.dim} numbers each"
+            )
+        norms = np.linalg.norm(vectors, axis=1, keepdims=True)
+        if not np.isfinite(norms).all():
+            raise DescriptorError(f"{self._path}: makes vectors that are not finite")
+        if np.abs(norms - 1.0).max(initial=0.0) > _UNIT:
+            vectors = vectors / np.maximum(norms, 1e-12)
+        return np.asarray(vectors, dtype=np.float32)
+
+
+def _check(session: Any, path: Path, card: ModelCard) -> None:
+    """Everything that can be said before an image is there."""
+    inputs, output = session.get_inputs(), session.get_outputs()[0]
+    if len(inputs) != 1:
+        names = ", ".join(one.name for one in inputs)
+        raise DescriptorError(f"{path}: takes {len(inputs)} inputs ({names}), a place descriptor takes one: images")
+    given = inputs[0]
+    if given.type not in _TYPES:
+        raise DescriptorError(f"{path}: takes {given.type}, a place descriptor takes uint8 or float32 images")
+    if len(given.shape) != 4:
+        raise DescriptorError(f"{path}: takes an input of shape {given.shape}, images are (N, channels, H, W)")
+    batch, channels, *size = given.shape
+    if isinstance(channels, int) and channels != card.channels:
+        kind = "colour" if card.colour else "grey"
+        raise DescriptorError(f"{path}: takes {channels} channels, its card says {kind} ({card.channels})")
+    if isinstance(batch, int) and batch != 1:
+        raise DescriptorError(f"{path}: takes exactly {batch} images at a time; the number must be free, or 1")
+    wanted = card.input_size or (None, None)
+    for side, fixed, said in zip(("height", "width"), size, wanted, strict=True):
+        if isinstance(fixed, int) and fixed != said:
+            raise DescriptorError(
+                f"{path}: takes images of {side} {fixed} alone; its card's input_size says {said or 'nothing'}"
+            )
+    dim = output.shape[-1] if len(output.shape) == 2 else None
+    if len(output.shape) != 2 or (isinstance(dim, int) and dim != card.dim):
+        raise DescriptorError(f"{path}: makes an output of shape {output.shape}, its card says (N, {card.dim})")
+
+
+def _line(error: Exception) -> str:
+    """What onnxruntime says, as one line."""
+    return " ".join(str(error).split())
