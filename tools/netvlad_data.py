@@ -26,7 +26,16 @@ def image_files(folder: Path) -> list[Path]:
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
     """One image ``(H, W)`` uint8."""
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    return _read(path, cv2.IMREAD_GRAYSCALE)
+
+
+def read_colour(path: Path) -> NDArray[np.uint8]:
+    """One image ``(H, W, 3)`` uint8, BGR."""
+    return _read(path, cv2.IMREAD_COLOR)
+
+
+def _read(path: Path, flags: int) -> NDArray[np.uint8]:
+    image = cv2.imread(str(path), flags)
     if image is None:
         raise ToolError(f"{path}: cannot be decoded as an image")
     return np.asarray(image, dtype=np.uint8)
@@ -51,11 +60,13 @@ def read_photos(folder: Path, width: int = 240, height: int = 180) -> NDArray[np
 
 @dataclass(frozen=True)
 class PlaceBenchmark:
-    """Q queries against R references, grey images of any size.
+    """Q queries against R references: images of any size, grey ``(h, w)`` or BGR ``(h, w, 3)``.
 
     ``truth`` ``(Q, R)`` bool: the reference shows the query's place; a query may have no place to find. ``ignore``
     ``(Q, R)`` bool or None: pairs that are neither right nor wrong, as far as thresholds are concerned (recall
-    counts them as wrong).
+    counts them as wrong). ``barred`` ``(Q, R)`` bool or None: pairs that are never compared (the query itself, its
+    neighbours in time); ``truth`` is False there. ``poses``: ``T_W_C`` of queries ``(Q, 4, 4)`` and references
+    ``(R, 4, 4)`` where known, for people to look at.
     """
 
     name: str
@@ -63,21 +74,23 @@ class PlaceBenchmark:
     references: list[NDArray[np.uint8]]
     truth: NDArray[np.bool_]
     ignore: NDArray[np.bool_] | None = None
+    barred: NDArray[np.bool_] | None = None
+    poses: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
 
-def gardenspoint(root: Path, tolerance: int = 2) -> PlaceBenchmark:
+def gardenspoint(root: Path, tolerance: int = 2, colour: bool = False) -> PlaceBenchmark:
     """GardensPoint day against night, cut from figures: the same number is the same place, within ``tolerance``
     images."""
-    folder = root / "places_gardenspoint"
-    references, queries = ([read_grey(p) for p in image_files(folder / side)] for side in ("gt", "query"))
+    folder, read = root / "places_gardenspoint", read_colour if colour else read_grey
+    references, queries = ([read(p) for p in image_files(folder / side)] for side in ("gt", "query"))
     apart = np.abs(np.arange(len(queries))[:, None] - np.arange(len(references)))
     return PlaceBenchmark("places_gardenspoint", queries, references, apart <= tolerance)
 
 
-def corridor(root: Path) -> PlaceBenchmark:
+def corridor(root: Path, colour: bool = False) -> PlaceBenchmark:
     """The corridor set (Milford, IJRR 2013) with its own list of right answers."""
-    folder = root / "places_corridor"
-    references, queries = ([read_grey(p) for p in image_files(folder / side)] for side in ("ref", "query"))
+    folder, read = root / "places_corridor", read_colour if colour else read_grey
+    references, queries = ([read(p) for p in image_files(folder / side)] for side in ("ref", "query"))
     truth = np.zeros((len(queries), len(references)), dtype=bool)
     for query, answers in enumerate(_read_truth(folder / "ground_truth_new.npy", len(queries))):
         truth[query, sorted(answers)] = True

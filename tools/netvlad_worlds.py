@@ -186,7 +186,8 @@ def benchmark(name: str, places: list[list[Visit]], config: SamplerConfig, absen
     truth = (apart <= radius) & (cosine >= np.cos(np.radians(30.0)))
     shares = np.maximum(overlap(queries, references), overlap(references, queries).T)
     undecided = ~truth & (shares >= config.conflict_overlap)
-    return PlaceBenchmark(name, [v.image for v in queries], [v.image for v in references], truth, undecided)
+    asked, known = [v.image for v in queries], [v.image for v in references]
+    return PlaceBenchmark(name, asked, known, truth, undecided, poses=(q, r))
 
 
 def save_places(path: Path, places: list[list[Visit]]) -> None:
