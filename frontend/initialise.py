@@ -23,10 +23,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Start:
-    """A track that has begun, or None and the reason with its numbers."""
+    """A track that has begun, or None and the reason with its numbers. ``first``: the earlier of the two views it
+    began with (monocular)."""
 
     segment: Segment | None
     reason: str = ""
+    first: Frame | None = None
 
 
 class Starter(Protocol):
@@ -129,4 +131,4 @@ class MonoStarter:
             return self._begin(
                 frame, f"only {known} points left after bundle adjustment, need {self.config.mono.min_points}; "
             )
-        return Start(segment)
+        return Start(segment, first=self._first)

@@ -40,7 +40,9 @@ class State(StrEnum):
 @dataclass(frozen=True)
 class FrameResult:
     """``T_W_C`` ``(4, 4)`` in the frame of the current track, None where there is no pose; ``reason`` then says why,
-    with numbers. ``problem``: what was wrong with a second image that was needed; the key-frame was made without it."""
+    with numbers. ``problem``: what was wrong with a second image that was needed; the key-frame was made without it.
+    ``stays``: a key-frame that is no mere support of the window: it will be in the track unless it is culled.
+    ``first``: an earlier frame that has become a key-frame with this one, the first view of a monocular track."""
 
     stamp_ns: int
     T_W_C: NDArray[np.float64] | None
@@ -48,6 +50,8 @@ class FrameResult:
     is_keyframe: bool
     reason: str = ""
     problem: str = ""
+    stays: bool = False
+    first: Frame | None = None
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,9 @@ class Odometry:
             frame.prepare()
             segment.insert_keyframe(frame)
         T_W_C = se3_inverse(segment.tracker.T_C_W)
-        return self._note(FrameResult(frame.stamp_ns, T_W_C, State.TRACKING, is_keyframe, problem=frame.problem))
+        stays = is_keyframe and segment.latest is not None and segment.latest.stays
+        result = FrameResult(frame.stamp_ns, T_W_C, State.TRACKING, is_keyframe, problem=frame.problem, stays=stays)
+        return self._note(result)
 
     @property
     def maps(self) -> list[Map]:
@@ -144,7 +150,8 @@ class Odometry:
             self._finished.append(self._segment)
         self._segment, self._lost_frames = start.segment, 0
         log.info("track %d starts at frame %d", len(self._finished), frame.index)
-        return FrameResult(frame.stamp_ns, se3_inverse(start.segment.tracker.T_C_W), State.TRACKING, True)
+        T_W_C = se3_inverse(start.segment.tracker.T_C_W)
+        return FrameResult(frame.stamp_ns, T_W_C, State.TRACKING, True, stays=True, first=start.first)
 
     def _search(self, frame: Frame, segment: Segment, reason: str) -> tuple[Segment, Tracked]:
         """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""

@@ -76,8 +76,9 @@ def track(
     unreadable: list[str] = []
     refusals: Counter[str] = Counter()
     for frame, result in follow(sequence, odometry, unreadable):
-        if result.is_keyframe:
-            places.describe(frame.index, frame.image)
+        for keyframe in (result.first, frame if result.stays else None):
+            if keyframe is not None:
+                places.describe(keyframe.index, keyframe.image)
         if result.T_W_C is None:
             refusals[result.reason] += 1
         advance(frame.index + 1)

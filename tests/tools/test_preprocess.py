@@ -47,8 +47,10 @@ class KnownOdometry:
         pose = TRUTH[frame.index] if tracked else None
         return SimpleNamespace(
             is_keyframe=tracked and frame.index % EVERY == 0,
+            stays=tracked and frame.index % EVERY == 0,
             T_W_C=pose,
             reason="" if tracked else "too dark",
+            first=None,
             problem=BROKEN_RIGHT.format(frame.index) if frame.index in broken_right else "",
         )
 
