@@ -51,7 +51,8 @@ class OnnxGraph:
         return self.add("Div", x, norm, output=output)
 
     def save(self, path: Path, channels: int, dim: int, name: str = "netvlad") -> None:
-        """Check the graph and write it, whole or not at all; equal graphs give equal bytes."""
+        """Check the graph and write it, whole or not at all; equal graphs give equal bytes. Once: the graph is empty
+        afterwards."""
         import onnx
         from onnx import TensorProto, helper
 
@@ -62,10 +63,14 @@ class OnnxGraph:
             [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", dim])],
             self.constants,
         )
+        self.constants.clear()  # they are in the graph now, and may be 500 MB
         model = helper.make_model(
             built, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="maslam", ir_version=IR_VERSION
         )
-        onnx.checker.check_model(model)
+        del built
+        content = model.SerializeToString(deterministic=True)
+        del model
+        onnx.checker.check_model(content)
         partial = path.with_name(path.name + ".part")
-        partial.write_bytes(model.SerializeToString(deterministic=True))
+        partial.write_bytes(content)
         partial.replace(path)

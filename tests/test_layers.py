@@ -21,7 +21,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     ),
     "tools": ("backend", "frontend", "descriptors", "mas"),
 }  # fmt: skip
-TORCH_SIDE = ("augmentation", "export", "initialisation", "netvlad", "training")
+TORCH_SIDE = ("augmentation", "export", "initialisation", "netvlad", "torch_checkpoint", "training", "vgg16")
 """Modules of ``descriptors`` that only training needs: torch is their subject, so nothing else may import them on
 import."""
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]

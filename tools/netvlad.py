@@ -37,14 +37,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _world_arguments(train)
     add_model_options(train, TrainingConfig(), "training")
     add_model_options(train, MaterialConfig(), "material")
-    export = actions.add_parser("export", help="checkpoint to ONNX with its card (needs maslam[train])")
-    export.add_argument("checkpoint", metavar="CHECKPOINT", type=Path)
-    export.add_argument("out", metavar="OUT.onnx", type=Path)
-    export.add_argument("--name", default="maslam-netvlad", help="of the model, on its card (default: %(default)s)")
+    export = actions.add_parser("export", help="weights, ours or published, to ONNX with a card (needs maslam[train])")
     export.add_argument(
-        "--pixels", type=int, default=19_200, help="size that images are brought to (default: %(default)s)"
+        "checkpoint", metavar="WEIGHTS", type=Path, help="our checkpoint; VGG16-NetVLAD from MatConvNet or PyTorch"
+    )
+    export.add_argument("out", metavar="OUT.onnx", type=Path)
+    export.add_argument("--name", default="", help="of the model, on its card (default: what the file is)")
+    export.add_argument(
+        "--dim", type=int, metavar="N", help="the first N numbers of a published whitening (default: all)"
+    )
+    export.add_argument(
+        "--pixels", type=int, metavar="N", help="size that images are brought to (default: 19200; published: 307200)"
     )
     export.add_argument("--note", default="", help="how the weights were trained, for the card")
+    export.add_argument("--quiet", action="store_true", help="no progress")
     calibrate = actions.add_parser("calibrate", help="measure the thresholds of a model and write them into its card")
     calibrate.add_argument("model", metavar="MODEL.onnx", type=Path)
     _world_arguments(calibrate)
@@ -83,10 +89,14 @@ def _train(arguments: argparse.Namespace) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> None:
-    from tools.netvlad_train import export
+    from tools.netvlad_export import ExportJob, export_model
+    from tools.progress import progress_on
 
-    with _needing_torch():
-        print(export(arguments.checkpoint, arguments.out, arguments.name, arguments.pixels, arguments.note))
+    job = ExportJob(
+        arguments.checkpoint, arguments.out, arguments.name, arguments.dim, arguments.pixels, arguments.note
+    )
+    with _needing_torch(), progress_on(quiet=arguments.quiet) as progress:
+        print(export_model(job, progress))
 
 
 def _calibrate(arguments: argparse.Namespace) -> None:
