@@ -7,17 +7,18 @@ those that found it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.card import Calibration, OperatingPoint
+from descriptors.card import Calibration, OperatingPoint, SetCurve
 from descriptors.errors import DescriptorError
 
 _CHUNK = 1024
 _CURVE_POINTS = 40
+_SET_POINTS = 24
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,8 @@ def strict_point(curve: PrecisionRecall, precision: float) -> OperatingPoint | N
     "Never", not "at that point": a later lucky run of right matches would hide a worse stretch before it. A stretch
     of fewer matches than it takes to measure the precision is not held against it.
     """
-    enough = 1.0 / max(1.0 - precision, 1e-3)
-    bad = (curve.precision < precision) & (curve.matches >= enough)
-    end = int(np.argmax(bad)) if bad.any() else len(curve.distance)
-    good = np.flatnonzero((curve.precision[:end] >= precision) & (curve.distance[:end] > 0))
+    before = curve.distance < _first_failure(curve, precision)
+    good = np.flatnonzero(before & (curve.precision >= precision) & (curve.distance > 0))
     return _point(curve, int(good[-1])) if len(good) else None
 
 
@@ -124,22 +123,54 @@ def candidate_point(curve: PrecisionRecall, share: float, precision: float) -> O
 
 
 def calibrate(
-    retrieval: Retrieval, data: str, strict_precision: float, candidate_share: float, candidate_precision: float
+    sets: Mapping[str, Retrieval],
+    data: str,
+    strict_precision: float,
+    candidate_share: float,
+    candidate_precision: float,
 ) -> Calibration:
-    """Both thresholds and the curve they were read from; an error where the data cannot support them."""
-    curve = precision_recall(retrieval)
-    strict = strict_point(curve, strict_precision)
+    """Both thresholds of several named sets together, and the curves they were read from; an error where the data
+    cannot support them.
+
+    The strict one keeps its precision over all sets pooled, and in each set by itself as far as that has enough
+    matches to tell: else easy sets would pay for a hard one, in which agents then go wrong.
+    """
+    together = pool(list(sets.values()))
+    curve, curves = precision_recall(together), {name: precision_recall(one) for name, one in sets.items()}
+    limit = min((_first_failure(one, strict_precision) for one in curves.values()), default=np.inf)
+    strict = strict_point(_until(curve, limit), strict_precision)
     candidate = candidate_point(curve, candidate_share, candidate_precision)
     if strict is None or candidate is None:
+        found = int(together.right[:, 0].sum())
         raise DescriptorError(
-            f"calibration on {data}: no distance reaches precision {strict_precision} "
-            f"over {len(retrieval.findable)} queries"
+            f"calibration on {data}: no distance reaches precision {strict_precision} over {len(together.findable)} "
+            f"queries, {found} of which have the right nearest neighbour"
         )
     if candidate.distance < strict.distance:
         candidate = strict
     return Calibration(
-        data=data, queries=len(retrieval.findable), strict=strict, candidate=candidate, curve=_thin(curve)
+        data=data,
+        queries=len(together.findable),
+        strict=strict,
+        candidate=candidate,
+        curve=_thin(curve, _CURVE_POINTS),
+        sets=tuple(
+            SetCurve(
+                name=name,
+                queries=len(sets[name].findable),
+                findable=int(sets[name].findable.sum()),
+                strict=strict_point(one, strict_precision),
+                curve=_thin(one, _SET_POINTS),
+            )
+            for name, one in curves.items()
+        ),
     )
+
+
+def accepted(calibration: Calibration) -> int:
+    """How many matches the strict threshold's precision was measured on."""
+    findable = sum(one.findable for one in calibration.sets)
+    return round(calibration.strict.recall * findable / max(calibration.strict.precision, 1e-6))
 
 
 def pool(retrievals: Sequence[Retrieval]) -> Retrieval:
@@ -158,7 +189,19 @@ def _point(curve: PrecisionRecall, row: int) -> OperatingPoint:
     return OperatingPoint(distance=distance, precision=precision, recall=recall)
 
 
-def _thin(curve: PrecisionRecall) -> tuple[OperatingPoint, ...]:
+def _first_failure(curve: PrecisionRecall, precision: float) -> float:
+    """The smallest distance at which the precision is missed by enough matches to tell; infinite where it never is."""
+    enough = 1.0 / max(1.0 - precision, 1e-3) - 1e-9
+    bad = np.flatnonzero((curve.precision < precision) & (curve.matches >= enough))
+    return float(curve.distance[bad[0]]) if len(bad) else np.inf
+
+
+def _until(curve: PrecisionRecall, distance: float) -> PrecisionRecall:
+    n = int(np.searchsorted(curve.distance, distance, side="left"))
+    return PrecisionRecall(curve.distance[:n], curve.matches[:n], curve.precision[:n], curve.recall[:n])
+
+
+def _thin(curve: PrecisionRecall, points: int) -> tuple[OperatingPoint, ...]:
     positive = np.flatnonzero(curve.distance > 1e-6)
-    rows = np.unique(np.linspace(0, len(positive) - 1, min(_CURVE_POINTS, len(positive))).round().astype(int))
+    rows = np.unique(np.linspace(0, len(positive) - 1, min(points, len(positive))).round().astype(int))
     return tuple(_point(curve, int(positive[row])) for row in rows)

@@ -7,6 +7,7 @@ import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,8 @@ class PlaceVectors:
     """Vectors of K key-frames: ``stamps_ns`` ``(K,)`` int64, ``vectors`` ``(K, dim)`` float32 unit rows,
     ``textured`` ``(K,)`` bool.
 
-    ``name`` and ``sha256`` say which model made them; ``dim`` is repeated so that a cut file shows.
+    ``name`` and ``sha256`` say which model made them; ``dim`` is repeated so that a cut file shows. ``images``: the
+    name of each one's image, or empty where stamps say it all.
     """
 
     name: str
@@ -34,9 +36,12 @@ class PlaceVectors:
     stamps_ns: NDArray[np.int64]
     vectors: NDArray[np.float32]
     textured: NDArray[np.bool_]
+    images: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.stamps_ns)
+        if self.images and len(self.images) != count:
+            raise DescriptorError(f"place vectors of {self.name}: {count} stamps, {len(self.images)} names of images")
         shapes = (self.stamps_ns.shape, self.vectors.shape, self.textured.shape)
         if shapes != ((count,), (count, self.dim), (count,)):
             raise DescriptorError(
@@ -59,18 +64,20 @@ class PlaceVectors:
 
     def save(self, path: Path) -> None:
         """Write as ``.npz`` without pickle, whole or not at all; equal vectors give equal bytes."""
+        fields: dict[str, Any] = {
+            "version": np.int64(_VERSION),
+            "name": np.array(self.name),
+            "sha256": np.array(self.sha256),
+            "dim": np.int64(self.dim),
+            "stamps_ns": self.stamps_ns,
+            "vectors": self.vectors.astype("<f4"),
+            "textured": self.textured,
+        }
+        if self.images:
+            fields["images"] = np.array(self.images)
         partial = path.with_name(path.name + ".part")
         with partial.open("wb") as file:
-            np.savez(
-                file,
-                version=np.int64(_VERSION),
-                name=np.array(self.name),
-                sha256=np.array(self.sha256),
-                dim=np.int64(self.dim),
-                stamps_ns=self.stamps_ns,
-                vectors=self.vectors.astype("<f4"),
-                textured=self.textured,
-            )
+            np.savez(file, **fields)
         os.replace(partial, path)
 
     @classmethod
@@ -83,7 +90,7 @@ class PlaceVectors:
             raise DescriptorError(f"{path}: not found") from error
         except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise DescriptorError(f"{path}: not a file of place vectors: {error}") from error
-        if fields.keys() != _FIELDS:
+        if fields.keys() - {"images"} != _FIELDS:
             raise DescriptorError(f"{path}: not a file of place vectors: it holds {sorted(fields)}")
         if int(fields["version"]) != _VERSION:
             raise DescriptorError(
@@ -93,6 +100,7 @@ class PlaceVectors:
             return cls(
                 str(fields["name"]), str(fields["sha256"]), int(fields["dim"]), fields["stamps_ns"].astype(np.int64),
                 fields["vectors"].astype(np.float32), fields["textured"].astype(bool),
+                tuple(str(image) for image in fields.get("images", ())),
             )  # fmt: skip
         except DescriptorError as error:
             raise DescriptorError(f"{path}: {error}") from error

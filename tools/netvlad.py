@@ -1,4 +1,4 @@
-"""``maslam netvlad``: train, export, calibrate and evaluate the place descriptor (docs/netvlad.md)."""
+"""``maslam netvlad``: train, export, calibrate, evaluate and use the place descriptor (docs/netvlad.md)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ CACHE = Path("worlds_cache")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the four actions."""
+    """Arguments of the actions."""
     from descriptors.config import TrainingConfig
     from tools.netvlad_train import MaterialConfig
+    from tools.netvlad_use import add_calibration_arguments, add_use_actions
     from tools.options import add_model_options
 
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
@@ -51,13 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     export.add_argument("--note", default="", help="how the weights were trained, for the card")
     export.add_argument("--quiet", action="store_true", help="no progress")
-    calibrate = actions.add_parser("calibrate", help="measure the thresholds of a model and write them into its card")
-    calibrate.add_argument("model", metavar="MODEL.onnx", type=Path)
+    calibrate = actions.add_parser("calibrate", help="measure thresholds on rendered worlds or your own sequences")
     _world_arguments(calibrate)
     _held_out_arguments(calibrate)
-    calibrate.add_argument(
-        "--precision", type=float, default=0.99, help="of the strict threshold (default: %(default)s)"
-    )
+    add_calibration_arguments(calibrate)
     evaluate = actions.add_parser("eval", help="recall and precision on real sets and held-out rendered worlds")
     evaluate.add_argument(
         "--model", metavar="NAME|FILE", action="append", help="default: the shipped one; may be repeated"
@@ -67,11 +65,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     evaluate.add_argument("--json", action="store_true", help="records instead of a table")
     _world_arguments(evaluate)
     _held_out_arguments(evaluate)
+    add_use_actions(actions)
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Do the action asked for."""
-    {"train": _train, "export": _export, "calibrate": _calibrate, "eval": _evaluate}[arguments.action](arguments)
+    from tools.netvlad_use import run_describe, run_info
+
+    run = {
+        "train": _train, "export": _export, "calibrate": _calibrate, "eval": _evaluate, "info": run_info,
+        "describe": run_describe,
+    }  # fmt: skip
+    run[arguments.action](arguments)
 
 
 def _train(arguments: argparse.Namespace) -> None:
@@ -100,17 +105,9 @@ def _export(arguments: argparse.Namespace) -> None:
 
 
 def _calibrate(arguments: argparse.Namespace) -> None:
-    from tools.netvlad_calibrate import CalibrationSettings, calibrate_model
-    from tools.progress import progress_on
+    from tools.netvlad_use import run_calibration
 
-    settings = CalibrationSettings(
-        arguments.worlds, arguments.places, precision=arguments.precision, kinds=_kinds(arguments)
-    )
-    with progress_on(quiet=arguments.quiet) as progress:
-        card = calibrate_model(arguments.model, settings, arguments.cache, arguments.workers, progress)
-    if card.calibration is not None:
-        for name, point in (("strict", card.calibration.strict), ("candidate", card.calibration.candidate)):
-            print(f"{name}: distance {point.distance:.3f}, precision {point.precision:.3f}, recall {point.recall:.3f}")
+    run_calibration(arguments, _kinds(arguments))
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:

@@ -100,6 +100,10 @@ class ImageSequence:
         depth = self._depth(i) if self.depth else None
         return Frame(i, int(self.stamps_ns[i]), self._left(i), right, depth, str(self.left[i]))
 
+    def read_image(self, i: int) -> NDArray[np.uint8]:
+        """The image of frame ``i`` alone, ``(H, W)`` grey as in :meth:`read`."""
+        return self._left(i)
+
     def read_colour(self, i: int) -> NDArray[np.uint8]:
         """The image of frame ``i``, rectified like its grey one, ``(H, W, 3)`` BGR; of three equal channels where the
         file is grey. Errors as :meth:`read`'s."""

@@ -78,7 +78,21 @@ def test_candidate_threshold_gives_way_to_the_wanted_precision() -> None:
 
 def test_data_that_supports_no_threshold_is_an_error() -> None:
     with pytest.raises(DescriptorError, match=r"no distance reaches precision 0\.99 over 300 queries"):
-        calibrate(_retrieval(np.linspace(0.1, 1, 300).tolist(), [False] * 300), "look-alikes", 0.99, 0.9, 0.5)
+        calibrate({"x": _retrieval(np.linspace(0.1, 1, 300).tolist(), [False] * 300)}, "look-alikes", 0.99, 0.9, 0.5)
+
+
+def test_easy_sets_do_not_pay_for_a_hard_one() -> None:
+    # 20000 right matches of an easy set would hide that half of the hard one's beyond 0.5 are wrong.
+    easy, far = _retrieval(np.linspace(0.2, 1.0, 20_000).tolist(), [True] * 20_000), np.linspace(0.3, 0.7, 400)
+    hard = _retrieval(far.tolist(), [bool(d < 0.5 or k % 2) for k, d in enumerate(far)])
+    pooled = strict_point(precision_recall(pool([easy, hard])), 0.99)
+    made = calibrate({"easy": easy, "hard": hard}, "two sets", 0.99, 0.9, 0.5)
+    assert pooled is not None and pooled.distance > 0.6
+    assert 0.49 < made.strict.distance < 0.51
+    stands = hard.distances[:, 0] <= made.strict.distance
+    assert hard.right[stands, 0].mean() >= 0.99
+    assert [(s.name, s.queries, s.findable) for s in made.sets] == [("easy", 20_000, 20_000), ("hard", 400, 400)]
+    assert all(len(one.curve) <= 24 for one in made.sets) and len(made.curve) <= 40
 
 
 def test_retrieval_equals_brute_force_and_ignores_what_it_is_told_to() -> None:
