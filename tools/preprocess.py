@@ -39,6 +39,7 @@ class PreprocessSettings:
     overlap: int = DEFAULT_OVERLAP
     rig: str | None = None
     model: str = "default"
+    provider: str = "CPU"
     vocabulary: Path | None = None
     workers: int = 0
 
@@ -78,6 +79,9 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", default="default", metavar="NAME|FILE", help="place descriptor: a shipped one or an ONNX file"
     )
     parser.add_argument(
+        "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs the place descriptor (default: CPU)"
+    )
+    parser.add_argument(
         "--vocabulary", type=Path, metavar="FILE", help="DBoW2 vocabulary of ORB words (default: the shipped one)"
     )
     parser.add_argument(
@@ -100,6 +104,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         overlap=arguments.overlap,
         rig=arguments.rig,
         model=arguments.model,
+        provider=arguments.provider,
         vocabulary=arguments.vocabulary,
         workers=arguments.workers,
     )
@@ -136,6 +141,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     from tools.tracked_store import take_tracked, track_job
     from tools.workers import core_count, run_jobs
 
+    model = NetVlad.load(settings.model, provider=settings.provider)  # before the work that would be in vain
     dataset = open_dataset(source, RigKind(settings.rig) if settings.rig else None, strict=False)
     if settings.agents is not None and len(dataset.sequences) > 1:
         count = len(dataset.sequences)
@@ -154,7 +160,6 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
         raise ToolError(said) from next(iter(errors.values()), None)
     for problem in problems:
         progress.say(f"warning: {problem}")
-    model = NetVlad.load(settings.model)
     return write_sequences(out, dataset, tracked, model, _split(settings), {**_as_set(settings), "problems": problems})
 
 
@@ -176,7 +181,8 @@ def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[li
     for sequence in dataset.sequences:
         problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
         if all(problem.severity is not Severity.ERROR for problem in sequence.problems):
-            jobs.append(make_job(sequence, settings.odometry, settings.model, settings.vocabulary, out / FRONTEND))
+            of = (sequence, settings.odometry, settings.model, settings.vocabulary, out / FRONTEND)
+            jobs.append(make_job(*of, settings.provider))
     return jobs, problems
 
 
@@ -192,5 +198,6 @@ def _as_set(settings: PreprocessSettings) -> dict[str, Any]:
         SECTION: settings.odometry.model_dump(mode="json"),
         "rig": settings.rig,
         "model": settings.model,
+        "provider": settings.provider,
         "vocabulary": str(settings.vocabulary) if settings.vocabulary else None,
     }

@@ -36,24 +36,30 @@ class TrackingJob:
     vocabulary: Path | None
     store: Path
     fingerprint: str
+    provider: str
 
 
 def make_job(
-    sequence: ImageSequence, odometry: OdometryConfig, model: str, vocabulary: Path | None, folder: Path
+    sequence: ImageSequence,
+    odometry: OdometryConfig,
+    model: str,
+    vocabulary: Path | None,
+    folder: Path,
+    provider: str = "CPU",
 ) -> TrackingJob:
-    """The job of a sequence, its result to be kept in ``folder``.
+    """The job of a sequence, its result to be kept in ``folder``; ``provider``: what runs the descriptor.
 
     The fingerprint covers the images (names, sizes, times of change), the calibration, the settings, the models and the
     code.
     """
-    digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {code_digest()}".encode())
+    digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {provider} {code_digest()}".encode())
     digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
     models = [path for path in (vocabulary, Path(model), Path(model).with_suffix(".json")) if path and path.is_file()]
     for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
         status = path.stat() if path.exists() else None
         digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
     store = folder / f"{sequence.name}.npz"
-    return TrackingJob(sequence, odometry, model, vocabulary, store, digest.hexdigest())
+    return TrackingJob(sequence, odometry, model, vocabulary, store, digest.hexdigest(), provider)
 
 
 def _decoding(sequence: ImageSequence) -> bytes:
@@ -74,7 +80,7 @@ def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
         from descriptors.inference import NetVlad
         from frontend.vocabulary import Vocabulary
 
-        vocabulary, model = Vocabulary.load(job.vocabulary), NetVlad.load(job.model)
+        vocabulary, model = Vocabulary.load(job.vocabulary), NetVlad.load(job.model, provider=job.provider)
         save_tracked(job.store, track(job.sequence, job.odometry, vocabulary, model, advance), job.fingerprint)
     advance(len(job.sequence))
 

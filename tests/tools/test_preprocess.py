@@ -5,6 +5,7 @@ taken up again.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -78,7 +79,7 @@ class KnownModel:
     colour = False
 
     @classmethod
-    def load(cls, *_: Any) -> KnownModel:
+    def load(cls, *_: Any, **__: Any) -> KnownModel:
         return cls()
 
     def look(self, images: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -153,6 +154,26 @@ def test_results_are_taken_up_again_and_made_anew_when_something_changed(tmp_pat
     cv2.imwrite(str(source / "image_0" / "000003.png"), np.full((24, 32), 200, dtype=np.uint8))
     assert preprocess(source, out, "--odometry.seed", 1) == 0
     assert len(calls) == 3 * FRAMES, "another image does"
+
+
+def test_vectors_of_two_models_do_not_run_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("agent_00", "agent_01"):
+        write_agent(tmp_path / "town" / name)
+    assert preprocess(tmp_path / "town", tmp_path / "one") == 0
+    monkeypatch.setattr(KnownModel, "sha256", "1" * 64)
+    monkeypatch.setattr(KnownModel, "name", "another")
+    assert preprocess(tmp_path / "town", tmp_path / "two", "--model", "another") == 0
+    assert cli.main(["run", str(tmp_path / "two"), str(tmp_path / "run"), "--quiet"]) == 0
+    shutil.copytree(tmp_path / "two" / "agent_01", tmp_path / "one" / "agent_01", dirs_exist_ok=True)
+    capsys.readouterr()
+    assert cli.main(["run", str(tmp_path / "one"), str(tmp_path / "mixed"), "--quiet"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    place = tmp_path / "one" / "agent_01" / "netvlad.npz"
+    assert line.startswith(f"maslam: {place}: made by model another (111111111111, 2 numbers)")
+    assert "says known (000000000000, 2): make the folder anew" in line
+    assert not (tmp_path / "mixed" / "summary.json").exists()
 
 
 def test_a_sequence_that_cannot_be_tracked_does_not_stop_the_others(
