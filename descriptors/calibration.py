@@ -66,18 +66,27 @@ def retrieve(
     """
     if truth.shape != (len(queries), len(references)):
         raise DescriptorError(f"truth must be ({len(queries)}, {len(references)}), got {truth.shape}")
-    k = min(k, len(references))
-    distances, right = np.empty((len(queries), k), dtype=np.float32), np.empty((len(queries), k), dtype=bool)
-    for start in range(0, len(queries), _CHUNK):
+    parts = []
+    for start in range(0, max(len(queries), 1), _CHUNK):
         rows = slice(start, start + _CHUNK)
-        d = np.sqrt(np.maximum(2.0 - 2.0 * (queries[rows] @ references.T), 0.0))
-        if ignore is not None:
-            d[ignore[rows]] = np.inf
-        order = np.argsort(d, axis=1, kind="stable")[:, :k]
-        distances[rows] = np.take_along_axis(d, order, axis=1)
-        right[rows] = np.take_along_axis(truth[rows], order, axis=1) & np.isfinite(distances[rows])
-    allowed = truth if ignore is None else truth & ~ignore
-    return Retrieval(distances, right, np.asarray(allowed.any(axis=1)))
+        distances = np.sqrt(np.maximum(2.0 - 2.0 * (queries[rows] @ references.T), 0.0))
+        parts.append(judge(distances, truth[rows], k, None if ignore is None else ignore[rows]))
+    return pool(parts)
+
+
+def judge(
+    distances: NDArray[np.float32], truth: NDArray[np.bool_], k: int = 5, ignore: NDArray[np.bool_] | None = None
+) -> Retrieval:
+    """As :func:`retrieve`, of distances ``(Q, R)`` measured elsewhere; equal distances in the order of the
+    references."""
+    if distances.shape != truth.shape:
+        raise DescriptorError(f"truth must be {distances.shape}, got {truth.shape}")
+    allowed = distances if ignore is None else np.where(ignore, np.float32(np.inf), distances)
+    order = np.argsort(allowed, axis=1, kind="stable")[:, :k]
+    nearest = np.take_along_axis(allowed, order, axis=1).astype(np.float32)
+    right = np.take_along_axis(truth, order, axis=1) & np.isfinite(nearest)
+    findable = truth if ignore is None else truth & ~ignore
+    return Retrieval(nearest, right, np.asarray(findable.any(axis=1)))
 
 
 def precision_recall(retrieval: Retrieval) -> PrecisionRecall:

@@ -6,6 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
+from tools.netvlad_options import add_revisit_options, revisits_of
+
 SHIPPED = "default"
 
 
@@ -47,14 +49,7 @@ def add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the right matches that the candidate threshold keeps (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="the calibration as one JSON object")
-    own = parser.add_argument_group("own sequences")
-    own.add_argument("--radius", type=float, default=5.0, metavar="M", help="same place (default: %(default)s m)")
-    own.add_argument("--angle", type=float, default=30.0, metavar="DEG", help="and heading (default: %(default)s)")
-    own.add_argument(
-        "--apart", type=float, default=20.0, metavar="S",
-        help="a visit is another one this much later (default: %(default)s s)",
-    )  # fmt: skip
-    own.add_argument("--spacing", type=float, default=1.0, metavar="M", help="between images (default: %(default)s m)")
+    add_revisit_options(parser)
 
 
 def _running_arguments(parser: argparse.ArgumentParser, threads: int) -> None:
@@ -110,7 +105,6 @@ def run_calibration(arguments: argparse.Namespace, kinds: tuple[str, ...]) -> No
         target,
         world_benchmarks,
     )
-    from tools.netvlad_posed import RevisitSettings
     from tools.progress import progress_on
 
     out = target(arguments.model, arguments.out)
@@ -124,8 +118,7 @@ def run_calibration(arguments: argparse.Namespace, kinds: tuple[str, ...]) -> No
     )
     with progress_on(quiet=arguments.quiet) as progress:
         if arguments.sequence:
-            revisits = RevisitSettings(arguments.radius, arguments.angle, arguments.apart, arguments.spacing)
-            benchmarks, data = own_benchmarks(arguments.sequence, revisits, progress)
+            benchmarks, data = own_benchmarks(arguments.sequence, revisits_of(arguments), progress)
         else:
             benchmarks, data = world_benchmarks(settings, arguments.cache, arguments.workers, progress)
         path, card = calibrate_model(arguments.model, benchmarks, data, settings, progress, out)

@@ -140,14 +140,14 @@ def _describe_all(paths: Sequence[Path], features: int, progress: Progress) -> l
     task = progress.start("describing images", len(paths))
     images = []
     for done, path in enumerate(paths, 1):
-        descriptors = _describe(read_grey(path), features)
+        descriptors = describe_orb(read_grey(path), features)
         if len(descriptors) >= _MIN_DESCRIPTORS:
             images.append(descriptors)
         progress.advance(task, done)
     return images
 
 
-def _describe(image: NDArray[np.uint8], features: int) -> NDArray[np.uint8]:
+def describe_orb(image: NDArray[np.uint8], features: int) -> NDArray[np.uint8]:
     """OpenCV's ORB, whose descriptors the odometry computes too, at corners that ORB finds itself."""
     import cv2
     import numpy as np

@@ -65,11 +65,13 @@ def test_train_export_calibrate_and_evaluate(tmp_path: Path, photos: Path, capsy
     assert card.threshold == card.calibration.strict.distance < 2.0
     assert "town_9500" in card.calibration.data
     capsys.readouterr()
-    assert main(["netvlad", "eval", "--model", str(model), "--data", str(tmp_path), "--json", *options]) == 0
+    wanted = ["--data", str(tmp_path), "--json", "--methods", "netvlad,thumbnail"]
+    assert main(["netvlad", "eval", "--model", str(model), *wanted, *options]) == 0
     records = json.loads(capsys.readouterr().out)
     keys = {"dataset", "method", "code", "bytes", "queries", "recall_at_1", "recall_at_5", "ap", "ms"}
     assert [(r["dataset"], r["method"], r["bytes"], r.keys() == keys) for r in records] == [
         ("town_9500", "netvlad:tiny", 64, True),
+        ("town_9500", "netvlad:tiny", 16, True),
         ("town_9500", "thumbnail", 768, True),
     ]
     # The wall's views of one place are the same picture: nothing may come out but full marks.

@@ -1,0 +1,234 @@
+"""``maslam netvlad eval``: options, and which descriptors are tried on which sets."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tools.errors import ToolError, UsageError
+from tools.netvlad_options import (
+    add_held_out_options,
+    add_revisit_options,
+    add_world_options,
+    kinds_of,
+    needing_torch,
+    revisits_of,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from tools.netvlad_data import PlaceBenchmark
+    from tools.netvlad_eval import Evaluation
+    from tools.netvlad_foreign import InputForm
+    from tools.netvlad_methods import Method
+    from tools.progress import Progress
+
+METHODS = ("netvlad", "rootsift-vlad", "bag-of-words", "thumbnail", "random-weights")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Models, baselines, sets, and what is made of them."""
+    parser.add_argument(
+        "--model", metavar="NAME|FILE", action="append",
+        help="shipped model by name, or any ONNX place descriptor, with or without a card (default: the shipped one); "
+        "may be repeated",
+    )  # fmt: skip
+    parser.add_argument(
+        "--methods", metavar="LIST", default=",".join(METHODS[:-1]),
+        help=f"of {', '.join(METHODS)} (default: all but the last)",
+    )  # fmt: skip
+    parser.add_argument("--random", action="store_true", help="random-weights too (needs maslam[train])")
+    parser.add_argument("--sets", metavar="LIST", help="real sets and worlds by the table's names (default: all)")
+    parser.add_argument(
+        "--sequence", type=Path, metavar="DATASET", action="append", default=[],
+        help="your own images with ground truth, as one more set; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets (default: $MASLAM_DATA)")
+    parser.add_argument(
+        "--photos", type=Path, metavar="DIR", help="what baselines are fitted on (default: `photos` of the data folder)"
+    )
+    parser.add_argument(
+        "--fit-worlds", type=int, default=1, metavar="N",
+        help="training worlds of each kind that baselines are fitted on, too (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--vocabulary", type=Path, metavar="FILE", help="of bag-of-words (default: the shipped one)")
+    parser.add_argument("--json", action="store_true", help="records instead of a table")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="pictures: curves, hits and misses, recall over bytes")
+    bare = parser.add_argument_group("an ONNX file without a card")
+    bare.add_argument("--input-pixels", type=int, metavar="N", help="resize images to about so many (default: 76800)")
+    bare.add_argument("--input-size", metavar="WxH", help="resize to exactly this (default: what the file fixes)")
+    bare.add_argument("--input-mean", metavar="LIST", help="grey levels taken off each channel (default: none)")
+    bare.add_argument("--input-std", metavar="LIST", help="grey levels each channel is divided by (default: 1)")
+    add_world_options(parser)
+    add_held_out_options(parser)
+    add_revisit_options(parser)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Evaluate; print the table or the records; draw."""
+    from tools.netvlad_eval import as_records, table
+    from tools.progress import progress_on
+
+    names = _names("--methods", arguments.methods, METHODS)
+    if arguments.random and "random-weights" not in names:
+        names = (*names, "random-weights")
+    with progress_on(quiet=arguments.quiet) as progress, _one_thread():
+        benchmarks, coloured = _benchmarks(arguments, progress), {}
+        methods = _methods(arguments, names, progress)
+        if any(method.colour for method in methods):
+            coloured = {one.name: one for one in _real_sets(arguments, colour=True)}
+        task = progress.start("evaluating", len(methods) * len(benchmarks))
+        results: list[list[Evaluation]] = []
+        for one in benchmarks:
+            results.append([])
+            for method in methods:
+                results[-1] += _evaluate(method, coloured.get(one.name, one) if method.colour else one)
+                progress.advance(task, len(methods) * (len(results) - 1) + methods.index(method) + 1)
+        scores = [evaluation.score for of_set in results for evaluation in of_set]
+        if arguments.out is not None:
+            from tools.netvlad_eval_picture import draw_evaluation
+
+            for path in draw_evaluation(benchmarks, results, arguments.out):
+                progress.say(f"wrote {path}")
+    print(json.dumps(as_records(scores), indent=1) if arguments.json else table(scores))
+
+
+def _evaluate(method: Method, benchmark: PlaceBenchmark) -> list[Evaluation]:
+    from tools.netvlad_eval import evaluate
+
+    return evaluate(method, benchmark)
+
+
+def _benchmarks(arguments: argparse.Namespace, progress: Progress) -> list[PlaceBenchmark]:
+    """Real sets, rendered held-out worlds and the user's sequences, in this order."""
+    from tools.netvlad_posed import posed_benchmark
+    from tools.netvlad_train import render_worlds
+    from tools.netvlad_worlds import HELD_OUT_SEEDS, benchmark, config_for
+    from tools.progress import counter
+
+    worlds = {
+        f"{kind}_{HELD_OUT_SEEDS + k}": (kind, HELD_OUT_SEEDS + k)
+        for kind in kinds_of(arguments)
+        for k in range(arguments.worlds)
+    }
+    made = _real_sets(arguments)
+    if arguments.sets is not None:
+        chosen = _names("--sets", arguments.sets, (*(one.name for one in made), *worlds))
+        made = [one for one in made if one.name in chosen]
+        worlds = {name: world for name, world in worlds.items() if name in chosen}
+    rendered = render_worlds(list(worlds.values()), arguments.places, arguments.cache, arguments.workers, progress)
+    made += [benchmark(f"{kind}_{seed}", places, config_for(kind), 0.0) for (kind, seed), places in rendered.items()]
+    for folder in arguments.sequence:
+        made.append(posed_benchmark(folder, revisits_of(arguments), counter(progress, f"reading {folder}")))
+    if not made:
+        raise ToolError(
+            f"{_data(arguments)}: holds no place-recognition set, and neither a rendered world (--worlds) nor a "
+            "sequence (--sequence) is asked for"
+        )
+    return made
+
+
+def _methods(arguments: argparse.Namespace, names: tuple[str, ...], progress: Progress) -> list[Method]:
+    from frontend.vocabulary import Vocabulary
+    from tools.netvlad_foreign import load_model
+    from tools.netvlad_methods import netvlad_method, random_method, sift_method, thumbnail_method, words_method
+    from tools.netvlad_sift import fitted
+
+    made: list[Method] = []
+    if "netvlad" in names:
+        form = _input_form(arguments)
+        made += [netvlad_method(load_model(model, form)) for model in arguments.model or ["default"]]
+    photos, views = _fit_images(arguments, progress) if {"rootsift-vlad", "random-weights"} & set(names) else ([], [])
+    if "rootsift-vlad" in names:
+        # The codebook from real images where there are any: one half made of rendered walls finds fewer real places.
+        task, images = progress.start("fitting rootsift-vlad", len(photos) + len(views)), photos + views
+        model = fitted(photos or views, images, arguments.cache, lambda done: progress.advance(task, done))
+        made.append(sift_method(model))
+    if "bag-of-words" in names:
+        made.append(words_method(Vocabulary.load(arguments.vocabulary)))
+    if "thumbnail" in names:
+        made.append(thumbnail_method())
+    if "random-weights" in names:
+        with needing_torch():
+            made.append(random_method(photos + views))
+    return made
+
+
+def _fit_images(
+    arguments: argparse.Namespace, progress: Progress
+) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
+    """Photographs and rendered training worlds: what our own projection is fitted on, and nothing that is tested."""
+    from tools.netvlad_data import read_photos
+    from tools.netvlad_train import KINDS, MaterialConfig, render_worlds
+    from tools.netvlad_worlds import TRAINING_SEEDS
+
+    folder = arguments.photos or _data(arguments) / "photos"
+    photos = list(read_photos(folder)) if arguments.photos or folder.is_dir() else []
+    wanted = [(kind, TRAINING_SEEDS + k) for kind in KINDS for k in range(arguments.fit_worlds)]
+    rendered = render_worlds(wanted, MaterialConfig().places, arguments.cache, arguments.workers, progress)
+    views = [visit.image for places in rendered.values() for visits in places for visit in visits]
+    if not photos and not views:
+        raise ToolError(
+            f"{folder}: no photographs to fit the baselines on, and no training worlds either (--photos, --fit-worlds, "
+            "or --methods without rootsift-vlad and random-weights)"
+        )
+    progress.say(f"baselines are fitted on {len(photos)} photographs and {len(views)} views of training worlds")
+    return photos, views
+
+
+def _input_form(arguments: argparse.Namespace) -> InputForm:
+    from tools.netvlad_foreign import InputForm
+
+    size = None
+    if arguments.input_size is not None:
+        words = arguments.input_size.lower().split("x")
+        if len(words) != 2 or not all(word.isdigit() and int(word) > 0 for word in words):
+            raise UsageError(f"--input-size {arguments.input_size}: expected WIDTHxHEIGHT in pixels, such as 320x240")
+        size = (int(words[1]), int(words[0]))
+    mean, std = (_numbers(f"--input-{name}", getattr(arguments, f"input_{name}")) for name in ("mean", "std"))
+    return InputForm(arguments.input_pixels, size, mean, std)
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise UsageError(f"{option} {text}: expected numbers with commas between them") from None
+
+
+def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    chosen = tuple(word for word in text.split(",") if word)
+    for name in chosen:
+        if name not in known:
+            raise UsageError(f"{option} {name}: not one of {', '.join(known) or 'nothing'}")
+    return tuple(name for name in known if name in chosen)
+
+
+def _real_sets(arguments: argparse.Namespace, colour: bool = False) -> list[PlaceBenchmark]:
+    from tools.netvlad_eval import public_benchmarks
+
+    return public_benchmarks(_data(arguments), colour=colour)
+
+
+def _data(arguments: argparse.Namespace) -> Path:
+    return Path(arguments.data or os.environ.get("MASLAM_DATA", "../shared/data"))
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """OpenCV on one thread, as the times in the table are said to be."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
