@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from descriptors.card import Calibration, ModelCard, read_card
 from descriptors.errors import DescriptorError
 from descriptors.session import CPU, Session
+from descriptors.texture import has_texture
 
 if TYPE_CHECKING:
     from descriptors.container import PlaceVectors
@@ -22,7 +23,6 @@ Images = Sequence[NDArray[np.uint8]] | NDArray[np.uint8]
 MIN_SIDE_PX = 16
 """An image is never resized below this: the network halves its input three times."""
 MAX_SIDE_RATIO = 8.0
-_CONTRAST_WINDOW_PX = 9
 
 
 class NetVlad:
@@ -72,7 +72,7 @@ class NetVlad:
 
     @property
     def min_std(self) -> float:
-        """Grey levels of local contrast below which an image has no texture to recognise."""
+        """Grey levels of local contrast below which an image, or a part of it, has no texture to recognise."""
         return self._card.min_std
 
     @property
@@ -98,7 +98,7 @@ class NetVlad:
         return self._run([self._prepare(image) for image in images])
 
     def textured(self, images: Images) -> NDArray[np.bool_]:
-        """Whether each image has enough local contrast to be recognised, ``(N,)`` bool."""
+        """Whether each image has texture to be recognised by (``descriptors.texture``), ``(N,)`` bool."""
         return np.array([self._has_texture(self._prepare(image)) for image in images], dtype=bool)
 
     def look(self, images: Images) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -124,7 +124,7 @@ class NetVlad:
 
     def _has_texture(self, prepared: NDArray[np.uint8]) -> bool:
         grey = prepared[0] if len(prepared) == 1 else cv2.cvtColor(prepared.transpose(1, 2, 0), cv2.COLOR_RGB2GRAY)
-        return local_contrast(np.asarray(grey, dtype=np.uint8)) >= self.min_std
+        return has_texture(np.asarray(grey, dtype=np.uint8), self.min_std)
 
     def _run(self, prepared: list[NDArray[np.uint8]]) -> NDArray[np.float32]:
         """Neighbours of one size go together, at most ``batch`` of them."""
@@ -184,11 +184,3 @@ def _resized(image: NDArray[np.uint8], pixels: int, exact: tuple[int, int] | Non
     shrinks = size[0] * size[1] < width * height
     method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
-
-
-def local_contrast(grey: NDArray[np.uint8]) -> float:
-    """Standard deviation, grey levels, of an image minus its own local mean: shading does not count as texture,
-    edges do."""
-    values = grey.astype(np.float32)
-    window = (_CONTRAST_WINDOW_PX, _CONTRAST_WINDOW_PX)
-    return float(np.sqrt(np.mean((values - cv2.blur(values, window, borderType=cv2.BORDER_REFLECT)) ** 2)))

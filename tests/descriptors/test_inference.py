@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from descriptors.card import MODELS, file_sha256, read_card
 from descriptors.errors import DescriptorError
-from descriptors.inference import NetVlad, local_contrast, to_working_size
+from descriptors.inference import NetVlad, to_working_size
 from tests.descriptors.conftest import textured_image
 
 
@@ -76,16 +76,6 @@ def test_colour_is_taken_as_grey(model: NetVlad, images: list[NDArray[np.uint8]]
     np.testing.assert_array_equal(model.describe([colour]), model.describe([images[0]]))
 
 
-def test_images_without_texture_are_flagged(model: NetVlad) -> None:
-    rng = np.random.default_rng(0)
-    ramp = np.tile(np.linspace(60, 190, 640), (480, 1))
-    noisy_wall = (ramp + rng.normal(0, 2.0, ramp.shape)).clip(0, 255).astype(np.uint8)
-    flat = np.full((480, 640), 128, dtype=np.uint8)
-    flags = model.textured([flat, ramp.astype(np.uint8), noisy_wall, textured_image(1, 480, 640)])
-    assert flags.tolist() == [False, False, False, True]
-    assert np.isfinite(model.describe([flat])).all()
-
-
 def test_container_of_a_sequence(model: NetVlad, images: list[NDArray[np.uint8]]) -> None:
     images[2] = np.full_like(images[2], 200)
     made = model.place_vectors(images, np.arange(8) * 100)
@@ -113,13 +103,6 @@ def test_working_size_keeps_shape_and_cost() -> None:
         h, w = to_working_size(np.zeros((height, width), dtype=np.uint8), 43_200).shape
         assert h * w == pytest.approx(43_200, rel=0.02)
         assert w / h == pytest.approx(width / height, rel=0.02)
-
-
-def test_local_contrast_sees_edges_and_not_shading() -> None:
-    ramp = np.tile(np.linspace(0, 255, 160), (120, 1)).astype(np.uint8)
-    edge = np.where(np.arange(160) % 40 < 20, 60, 180).astype(np.uint8) * np.ones((120, 1), dtype=np.uint8)
-    assert local_contrast(ramp) < 1.0
-    assert local_contrast(edge) > 10.0
 
 
 def test_models_are_checked(tmp_path: Path) -> None:
