@@ -98,9 +98,14 @@ class ModelCard(BaseModel):
         return self
 
 
+def model_path(model: str | Path) -> Path:
+    """The ``.onnx`` file of a shipped model (by name) or of a user's (its path), whether it is there or not."""
+    return MODELS / f"{model}.onnx" if isinstance(model, str) and not model.endswith(".onnx") else Path(model)
+
+
 def read_card(model: str | Path) -> tuple[Path, ModelCard]:
     """The ONNX file and the checked card of a shipped model (by name) or of a user's (path of the ``.onnx`` file)."""
-    onnx_path = MODELS / f"{model}.onnx" if isinstance(model, str) and not model.endswith(".onnx") else Path(model)
+    onnx_path = model_path(model)
     card_path = onnx_path.with_suffix(".json")
     for path in (onnx_path, card_path):
         if not path.is_file():

@@ -51,6 +51,11 @@ class NetVlad:
         return self._card.name
 
     @property
+    def path(self) -> Path:
+        """Of the ONNX file; what belongs to the model stands beside it."""
+        return self._session.path
+
+    @property
     def sha256(self) -> str:
         """Of the ONNX file: vectors of two models never mix."""
         return self._card.sha256

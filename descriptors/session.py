@@ -39,7 +39,7 @@ class Session:
     """One opened graph. ``run`` may be called from several threads at a time."""
 
     def __init__(self, session: Any, path: Path, card: ModelCard) -> None:
-        self._session, self._path, self._card = session, path, card
+        self._session, self.path, self._card = session, path, card
         (given,) = session.get_inputs()
         self._input, self._type = given.name, _TYPES[given.type]
         self._output = session.get_outputs()[0].name
@@ -77,15 +77,15 @@ class Session:
         try:
             vectors = self._session.run([self._output], {self._input: values})[0]
         except Exception as error:
-            raise DescriptorError(f"{self._path}: onnxruntime cannot run it: {_line(error)}") from error
+            raise DescriptorError(f"{self.path}: onnxruntime cannot run it: {_line(error)}") from error
         if vectors.shape != (len(images), self._card.dim):
             raise DescriptorError(
-                f"{self._path}: makes {vectors.shape} of {len(images)} images, "
+                f"{self.path}: makes {vectors.shape} of {len(images)} images, "
                 f"but its card says {self._card.dim} numbers each"
             )
         norms = np.linalg.norm(vectors, axis=1, keepdims=True)
         if not np.isfinite(norms).all():
-            raise DescriptorError(f"{self._path}: makes vectors that are not finite")
+            raise DescriptorError(f"{self.path}: makes vectors that are not finite")
         if np.abs(norms - 1.0).max(initial=0.0) > _UNIT:
             vectors = vectors / np.maximum(norms, 1e-12)
         return np.asarray(vectors, dtype=np.float32)

@@ -64,7 +64,7 @@ class Agent:
     def observe(self, keyframe: KeyFrame) -> None:
         """The sensors' next key-frame."""
         self.state.observe(keyframe)
-        self.book.index.add(keyframe)
+        self.book.remember(keyframe)
         self._new.append(keyframe)
 
     def finish(self) -> None:

@@ -22,6 +22,10 @@ class PlacesConfig(_Section):
         le=2,
         description="places match below this distance of unit vectors, 0 to 2; unset: the descriptor's own",
     )
+    code: str = Field(
+        "int8",
+        description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16",
+    )
     features: Literal["descriptors", "words"] = Field(
         "descriptors", description="what a verification sends for each point"
     )

@@ -8,6 +8,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from descriptors.card import model_path
+from descriptors.codes import Coder
+from descriptors.errors import DescriptorError
 from mas.agent import Agent
 from mas.config import MasConfig
 from mas.errors import MasError
@@ -131,6 +134,7 @@ def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: 
     if not sequences:
         raise MasError("no agents to run")
     wanted = manifest.descriptor
+    coder = coder_of(manifest, config.places.code)
     agents = []
     for me, sequence in enumerate(sequences):
         if (sequence.places.sha256, sequence.places.dim) != (wanted.sha256, wanted.dim):
@@ -141,9 +145,20 @@ def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: 
         if sequence.metric != (manifest.scale == "metric"):
             raise MasError(f"{sequence.name}: its scale is not {manifest.scale} like that of the others")
         others = tuple(a for a in range(len(sequences)) if a != me)
-        profile = Profile(me, others, sequence.metric, wanted.sha256, wanted.threshold)
+        profile = Profile(me, others, sequence.metric, wanted.sha256, wanted.threshold, coder)
         agents.append(Agent(profile, config, policy_of(config)))
     return agents
+
+
+def coder_of(manifest: Manifest, code: str) -> Coder:
+    """How place vectors travel. Product codes look for their codebooks beside the model that preprocessing used; an
+    error where they are not there or belong to other weights."""
+    wanted = manifest.descriptor
+    model = str(manifest.settings.get("model", "default"))
+    try:
+        return Coder.make(code, wanted.dim, wanted.sha256, model_path(model))
+    except DescriptorError as error:
+        raise MasError(f"{error}, or choose another code (places.code)") from error
 
 
 def _play(environment: Environment, onlooker: Onlooker, recorder: Recorder, progress: Progress | None) -> int:

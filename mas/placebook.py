@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import Sim3
+from descriptors.search import NearestIndex
 from mas.identities import MatchId
 from mas.keyframe import KeyFrame
 from mas.matches import Fate
@@ -32,47 +33,45 @@ class Candidate:
     T_M_Q: Sim3 | None = None
 
 
-class PlaceIndex:
-    """Place vectors of the agent's own key-frames, searched exactly."""
-
-    def __init__(self) -> None:
-        self._vectors: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
-        self._count = 0
-        self._rows: list[int] = []
-
-    def add(self, keyframe: KeyFrame) -> None:
-        """Key-frames without texture are left out: their vectors say nothing."""
-        if not keyframe.textured:
-            return
-        if self._count == len(self._vectors):
-            grown = np.zeros((max(64, 2 * self._count), len(keyframe.vector)), dtype=np.float32)
-            if self._count:
-                grown[: self._count] = self._vectors[: self._count]
-            self._vectors = grown
-        self._vectors[self._count] = keyframe.vector
-        self._count += 1
-        self._rows.append(keyframe.index)
-
-    def nearest(self, vector: NDArray[np.float32], below: int | None = None) -> tuple[int, float] | None:
-        """Index and Euclidean distance of the nearest key-frame (among those with index < ``below``); the older one
-        of equals."""
-        count = self._count if below is None else int(np.searchsorted(self._rows, below))
-        if not count:
-            return None
-        apart = np.linalg.norm(self._vectors[:count] - vector, axis=1)
-        best = int(np.argmin(apart))
-        return self._rows[best], min(float(apart[best]), 2.0)
-
-
 @dataclass
 class PlaceBook:
-    """Candidates of the agent's own queries, and when it was last matched with whom."""
+    """Candidates of the agent's own queries, and when it was last matched with whom.
+
+    ``whole``, ``kept``: vectors of its own key-frames, and what the place code keeps of them; one and the same where
+    that is everything.
+    """
 
     state: AgentState
-    index: PlaceIndex = field(default_factory=PlaceIndex)
+    whole: NearestIndex = field(default_factory=NearestIndex)
+    kept: NearestIndex = field(default_factory=NearestIndex)
     candidates: dict[MatchId, Candidate] = field(default_factory=dict)
     last_matched: dict[int, int] = field(default_factory=dict)
     verified: dict[int, list[int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.state.profile.coder.whole:
+            self.kept = self.whole
+
+    def remember(self, keyframe: KeyFrame) -> None:
+        """Make a key-frame findable. One without texture is left out: its vector says nothing."""
+        if not keyframe.textured:
+            return
+        self.whole.add(keyframe.index, keyframe.vector)
+        if self.kept is not self.whole:
+            self.kept.add(keyframe.index, self.state.profile.coder.cut(keyframe.vector[None])[0])
+
+    def nearest(self, vector: NDArray[np.float32], below: int) -> tuple[int, float] | None:
+        """Index and Euclidean distance (0 to 2) of the own key-frame nearest to an own vector, among those with index
+        < ``below``; the older one of equals."""
+        found = self.whole.nearest(vector, below)
+        return None if found is None else (found[0], min(found[1], 2.0))
+
+    def nearest_to_code(self, code: NDArray[np.uint8]) -> tuple[int, float] | None:
+        """The same for another agent's vector as it came over the air, ``(bytes,)``, among all own key-frames; the
+        distance is that between the uncoded vectors as far as the code lets it be known."""
+        coder = self.state.profile.coder
+        found = self.kept.nearest(coder.decode(code[None])[0])
+        return None if found is None else (found[0], min(coder.restored(found[1]), 2.0))
 
     def propose(self, candidate: Candidate) -> bool:
         """Enter a candidate; whether it is worth a verification. If not, the reason stands in the book."""

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from descriptors.errors import DescriptorError
 from mas.contract import Contract
 from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
@@ -54,18 +55,28 @@ class PlaceRecognition(Trade):
         if keyframe is None:
             self.desk.say(contract, Rejection("no longer wanted"))
             return
-        vector = Tensor.of(self.state.keyframes[keyframe].vector, "<f4")
-        self.desk.say(contract, Award(PlaceQuery(keyframe, self.state.profile.model, vector)))
+        coder = self.state.profile.coder
+        code = Tensor.of(coder.encode(self.state.keyframes[keyframe].vector[None])[0], "|u1")
+        self.desk.say(contract, Award(PlaceQuery(keyframe, self.state.profile.short_model, coder.key, code)))
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, PlaceQuery):
             raise WorkError("not a place query")
-        if task.model != self.state.profile.model:
-            raise WorkError(f"descriptors of another model: {task.model[:12]}, mine is {self.state.profile.model[:12]}")
+        found = self._nearest(task)
         self.desk.say(contract, Confirmation())
-        found = self.book.index.nearest(task.vector.array())
         answer = PlaceAnswer(*found) if found else PlaceAnswer(None, _FARTHEST)
         self.desk.say(contract, Result(answer))
+
+    def _nearest(self, query: PlaceQuery) -> tuple[int, float] | None:
+        profile = self.state.profile
+        if query.model != profile.short_model:
+            raise WorkError(f"descriptors of another model: {query.model}, mine is {profile.short_model}")
+        if query.code != profile.coder.key:
+            raise WorkError(f"place vector in another code: {query.code}, mine is {profile.coder.key}")
+        try:
+            return self.book.nearest_to_code(query.vector.array())
+        except DescriptorError as error:
+            raise WorkError(str(error)) from error
 
     def on_result(self, contract: Contract, outcome: Outcome) -> None:
         keyframe = self._asked.get(contract.id)
@@ -101,7 +112,7 @@ class PlaceRecognition(Trade):
         newest = self._newest_candidate(keyframe)
         if not keyframe.textured or not newest:
             return
-        found = self.book.index.nearest(keyframe.vector, below=newest)
+        found = self.book.nearest(keyframe.vector, below=newest)
         if found is None or found[1] >= self.threshold:
             return
         me = self.state.me

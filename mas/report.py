@@ -41,6 +41,8 @@ def summarise(
         version=_version(),
         preset=config.preset,
         seed=config.seed,
+        place_code=agents[0].state.profile.coder.key,
+        place_code_bytes=agents[0].state.profile.coder.bytes,
         scale="arbitrary" if onlooker.with_scale else "metric",
         agents=len(agents),
         keyframes=sum(len(a.state.keyframes) for a in agents),

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import Array, Sim3, se3_inverse
+from descriptors.codes import Coder
 from mas.config import MasConfig
 from mas.identities import FrameId, MatchId
 from mas.keyframe import KeyFrame
@@ -33,7 +34,8 @@ class Piece:
 class Profile:
     """What the agent was told about itself and the others when it was set up: no more than names.
 
-    ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance.
+    ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance; ``coder``: how place vectors
+    travel, the same for all.
     """
 
     me: int
@@ -41,6 +43,12 @@ class Profile:
     metric: bool
     model: str
     threshold: float
+    coder: Coder
+
+    @property
+    def short_model(self) -> str:
+        """As much of the model's hash as goes with every query: 64 bits."""
+        return self.model[:16]
 
 
 @dataclass

@@ -72,6 +72,8 @@ class Summary(_Figures):
     version: str
     preset: str
     seed: int
+    place_code: str = Field("float32", description="how place vectors travelled")
+    place_code_bytes: int | None = Field(None, description="of one place vector; None: a run before it was written")
     scale: str
     agents: int
     keyframes: int

@@ -8,24 +8,37 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from mas.identities import MAX_AGENTS, MAX_POINTS, Agent, FrameId, Index, MatchId, Members, Reason, Stamp
+from mas.identities import (
+    MAX_AGENTS,
+    MAX_POINTS,
+    MAX_VECTOR_BYTES,
+    Agent,
+    FrameId,
+    Index,
+    MatchId,
+    Members,
+    Reason,
+    Stamp,
+)
 from mas.tensors import Tensor, check, check_points, check_poses, check_sim3, check_sim3s
 
 # -- tasks: what an award asks for ------------------------------------------------------------------------------------
 
 
 class PlaceQuery(msgspec.Struct, frozen=True, array_like=True, tag=1):
-    """Which of your key-frames looks most like this one? ``vector`` ``(dim,)`` float32, unit length; ``model``: hash of
-    the network that made it."""
+    """Which of your key-frames looks most like this one? ``vector`` ``(bytes,)``: its place vector in ``code``
+    (:mod:`descriptors.codes`); ``model``: the first digits of the hash of the network that made it. Who speaks another
+    code or model refuses the work."""
 
     keyframe: Index
     model: Annotated[str, msgspec.Meta(max_length=64)]
+    code: Annotated[str, msgspec.Meta(min_length=1, max_length=32)]
     vector: Tensor
 
     def __post_init__(self) -> None:
-        v = check("vector", self.vector, "<f4", (None,))
-        if not len(v) or np.abs(v).max() > 1.01 or abs(float(np.linalg.norm(v)) - 1.0) > 1e-2:
-            raise ValueError("vector: not of length 1")
+        count = len(check("vector", self.vector, "|u1", (None,)))
+        if not 0 < count <= MAX_VECTOR_BYTES:
+            raise ValueError(f"vector: {count} bytes, expected 1 to {MAX_VECTOR_BYTES}")
 
 
 class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):

@@ -49,9 +49,10 @@ _OF_WORK = {
 def account(message: Message) -> tuple[Traffic, str, int]:
     """What a message counts for, its kind in a word, and its payload in bytes as the published tables count it.
 
-    DVPR: 4 a number of the vector; back 8 + 4. RelPose: 1 + 4 + 4 and for each point 12 for its position and 32 for its
-    descriptor or 2 for its word; back two vectors of 6 doubles. DOpt: 8 a number of a separator pose. Map merge: what
-    the maps hold. The tables know no negotiation: its payload is 0, its wire bytes are not.
+    DVPR: the coded vector (as float32: 4 a number, as there); back 8 + 4. RelPose: 1 + 4 + 4 and for each point 12 for
+    its position and 32 for its descriptor or 2 for its word; back two vectors of 6 doubles. DOpt: 8 a number of a
+    separator pose. Map merge: what the maps hold. The tables know no negotiation: its payload is 0, its wire bytes are
+    not.
     """
     body = message.body
     if isinstance(body, SolverBody):

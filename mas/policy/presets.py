@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from mas.config import MasConfig, MergeConfig
+from mas.config import MasConfig, MergeConfig, PlacesConfig
 from mas.errors import MasError
 from mas.policy.base import Policy
 from mas.policy.query_all import QueryAll
 
 PRESETS: dict[str, MasConfig] = {
-    "default": MasConfig(preset="default"),
+    "default": MasConfig(preset="default", places=PlacesConfig(code="float32")),
     "maslam": MasConfig(
         preset="maslam",
         ask_again=False,
@@ -17,7 +17,7 @@ PRESETS: dict[str, MasConfig] = {
 }
 """``default``: the thesis's default system (4.2). ``maslam``: ours, the default of the command: does not ask where
 the answer could not be used, buys maps less often while driving and with the points that a key-frame needs to be
-recognised.
+recognised, and sends place vectors as int8, a byte a number.
 """
 
 

@@ -46,13 +46,13 @@ def verify_task(**changes: object) -> VerifyTask:
 
 def examples() -> list[Message]:
     contract = ContractId(0, 7)
-    vector = Tensor.of(np.eye(1, 16)[0], "<f4")
+    vector = Tensor.of(np.arange(16), "|u1")
     links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), *[pack_sim3s([Sim3.identity()])] * 2)
     bodies = [
         Call(Operation.DOPT, 5_000_000_000, (0, 1)),
         Bid(100, 0, links),
         Refusal("busy"),
-        Award(PlaceQuery(3, "ab" * 32, vector)),
+        Award(PlaceQuery(3, "ab" * 8, "int8", vector)),
         Award(verify_task()),
         Confirmation(),
         Result(PlaceAnswer(4, 0.25)),

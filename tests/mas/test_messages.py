@@ -13,7 +13,7 @@ from sample_messages import examples, submap, verify_task
 
 from backend.geometry import Sim3, se3_exp
 from mas.identities import ContractId, FrameId, MatchId
-from mas.messages import Links, Message, Result, decode, encode
+from mas.messages import VERSION, Award, Links, Message, Result, decode, encode
 from mas.solver_messages import SolverReport
 from mas.tasks import PlaceAnswer, PlaceQuery
 from mas.tensors import MessageError, Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
@@ -60,9 +60,9 @@ def test_noise_is_no_message(noise: bytes) -> None:
 
 
 BAD_VALUES = {
-    "vector of NaN": lambda: PlaceQuery(0, "x", Tensor.of([np.nan] * 4, "<f4")),
-    "vector not of length 1": lambda: PlaceQuery(0, "x", Tensor.of([3.0, 0.0], "<f4")),
-    "vector of doubles": lambda: PlaceQuery(0, "x", Tensor.of([1.0, 0.0], "<f8")),
+    "vector of no bytes": lambda: PlaceQuery(0, "x", "int8", Tensor.of([], "|u1")),
+    "vector of too many bytes": lambda: PlaceQuery(0, "x", "int8", Tensor.of(np.zeros(100_000), "|u1")),
+    "vector of doubles": lambda: PlaceQuery(0, "x", "int8", Tensor.of([1.0, 0.0], "<f8")),
     "fewer descriptors than points": lambda: verify_task(descriptors=Tensor.of(np.zeros((3, 32)), "|u1")),
     "neither descriptors nor words": lambda: verify_task(descriptors=None),
     "infinite points": lambda: verify_task(points=Tensor.of(np.full((4, 3), np.inf), "<f4")),
@@ -87,11 +87,18 @@ def test_values_that_make_no_sense_are_refused(name: str) -> None:
         BAD_VALUES[name]()
 
 
+@pytest.mark.parametrize("code", ["", "y" * 33])
+def test_a_place_code_has_a_short_name(code: str) -> None:
+    query = PlaceQuery(0, "x", code, Tensor.of([1, 0], "|u1"))
+    with pytest.raises(MessageError):
+        decode(encode(Message(0, 1, ContractId(0, 7), Award(query))), LIMIT)
+
+
 def test_what_a_sender_cannot_build_is_refused_when_it_arrives() -> None:
     """Checks run at decoding, whoever made the bytes."""
     good = encode(Message(0, 1, ContractId(0, 7), Result(PlaceAnswer(4, 0.25))))
     fields = msgspec.msgpack.decode(good)
-    for path, value in (([1], 10**6), ([3, 1, 2], 9.0), ([3, 1, 1], -4), ([4], 2), ([3, 0], 77)):
+    for path, value in (([1], 10**6), ([3, 1, 2], 9.0), ([3, 1, 1], -4), ([4], VERSION + 1), ([3, 0], 77)):
         changed = msgspec.msgpack.decode(good)
         target = changed
         for key in path[:-1]:

@@ -61,11 +61,11 @@ class TestInProcess(TransportContract):
 def test_payload_is_counted_as_the_published_tables_do() -> None:
     """Expected figures worked out by hand from the table of byte accounting."""
     contract = ContractId(0, 0)
-    vector = np.zeros(128)
-    vector[0] = 1.0
+    vector = np.ones(4 * 128)
     words = verify_task(descriptors=None, words=Tensor.of(np.zeros(4), "<u2"))
     cases = [
-        (Award(PlaceQuery(0, "x", Tensor.of(vector, "<f4"))), Traffic.DVPR, 4 * 128),
+        (Award(PlaceQuery(0, "x", "float32", Tensor.of(vector, "|u1"))), Traffic.DVPR, 4 * 128),
+        (Award(PlaceQuery(0, "x", "pq32", Tensor.of(vector[:32], "|u1"))), Traffic.DVPR, 32),
         (Result(PlaceAnswer(1, 0.1)), Traffic.DVPR, 8 + 4),
         (Award(verify_task()), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (32 + 12)),
         (Award(words), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (2 + 12)),

@@ -1,0 +1,131 @@
+"""Place vectors on the wire: agents decide as before, for fewer bytes, and refuse what they cannot read."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from factory import DIM, SHA256, town
+
+from descriptors.codebooks import train_codebooks
+from mas.agent import Agent
+from mas.config import MasConfig
+from mas.environment import make_agents, run
+from mas.errors import MasError
+from mas.keyframe import keyframes_of
+from mas.messages import Award, Failure, Message, Result
+from mas.policy.presets import preset
+from mas.tasks import PlaceQuery
+from mas.tensors import Tensor
+
+
+def with_code(code: str) -> MasConfig:
+    config = preset("maslam")
+    return config.model_copy(update={"places": config.places.model_copy(update={"code": code})})
+
+
+def candidates(run_folder: Path) -> list[tuple[str, ...]]:
+    with open(run_folder / "matches.csv", newline="") as file:
+        names = ("query_agent", "query_keyframe", "match_agent", "match_keyframe", "fate")
+        return [tuple(row[n] for n in names) for row in csv.DictReader(file)]
+
+
+def agents_with(code: str) -> list[Agent]:
+    """Two agents that have seen the same street."""
+    manifest, sequences = town(2, 14, spacing_m=0.0)
+    agents = make_agents(manifest, sequences, with_code(code))
+    for agent, sequence in zip(agents, sequences, strict=True):
+        for keyframe in keyframes_of(sequence):
+            agent.observe(keyframe)
+    return agents
+
+
+def asked(agents: list[Agent]) -> Message:
+    """Agent 0's award with its first place query, everything before it delivered."""
+    mail = agents[0].tick(0)
+    while mail:
+        message = mail.pop(0)
+        if isinstance(message.body, Award) and isinstance(message.body.task, PlaceQuery):
+            return message
+        mail += agents[message.recipient].handle(message)
+    raise AssertionError("nothing was asked")
+
+
+def test_int8_decides_as_float32_does_for_a_quarter_of_the_bytes(tmp_path: Path) -> None:
+    manifest, sequences = town(3, 24, spacing_m=14.0, drifting=0.03)
+    runs = {code: run(manifest, sequences, with_code(code), tmp_path / code) for code in ("float32", "int8")}
+    assert candidates(tmp_path / "int8") == candidates(tmp_path / "float32")
+    fine, coarse = runs["float32"].traffic["dvpr"], runs["int8"].traffic["dvpr"]
+    queries = fine.messages // 2
+    assert fine.messages == coarse.messages and queries > 0
+    assert fine.payload_bytes == queries * (4 * DIM + 12)
+    assert coarse.payload_bytes == queries * (DIM + 12)
+    assert coarse.wire_bytes < fine.wire_bytes - 2 * DIM * queries
+    assert (runs["int8"].place_code, runs["int8"].place_code_bytes) == ("int8", DIM)
+
+
+@pytest.mark.parametrize("code", ["float32", "int8", "int4", "float32x16", "int8x16"])
+def test_the_answer_is_the_nearest_to_what_was_sent(code: str) -> None:
+    agents = agents_with(code)
+    award = asked(agents)
+    query = award.body.task
+    coder = agents[1].state.profile.coder
+    assert query.vector.nbytes == coder.bytes and query.code == code
+    sent = coder.decode(query.vector.array()[None])[0]
+    own = coder.cut(np.array([k.vector for k in agents[1].state.keyframes]))
+    apart = np.linalg.norm(own - sent, axis=1)
+    (outcome,) = [m.body.outcome for m in agents[1].handle(award) if isinstance(m.body, Result)]
+    assert outcome.keyframe == int(np.argmin(apart))
+    assert outcome.distance == pytest.approx(float(apart.min()), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"model": "ef" * 8}, "descriptors of another model: efef"),
+        ({"code": "float32"}, "place vector in another code: float32, mine is int8"),
+        ({"vector": Tensor.of(np.ones(DIM - 1), "|u1")}, f"int8 has {DIM} bytes, got"),
+        ({"vector": Tensor.of(np.zeros(DIM), "|u1")}, "no direction"),
+    ],
+)
+def test_a_query_that_cannot_be_read_fails_with_its_reason(changes: dict[str, object], reason: str) -> None:
+    agents = agents_with("int8")
+    award = asked(agents)
+    task = award.body.task
+    fields = {name: getattr(task, name) for name in task.__struct_fields__} | changes
+    changed = Message(award.sender, award.recipient, award.contract, Award(PlaceQuery(**fields)))
+    (said,) = [m.body for m in agents[1].handle(changed) if isinstance(m.body, Failure | Result)]
+    assert isinstance(said, Failure) and reason in said.reason
+    assert not agents[1].refused
+
+
+def test_product_codes_use_the_books_beside_the_model(tmp_path: Path) -> None:
+    manifest, sequences = town(2, 20, spacing_m=5.0)
+    model = tmp_path / "made-up.onnx"
+    manifest = manifest.model_copy(update={"settings": {"model": str(model)}})
+    with pytest.raises(MasError, match=r"pq32 needs codebooks.*maslam netvlad codes .*made-up\.onnx, or choose"):
+        run(manifest, sequences, with_code("pq32"), tmp_path / "run")
+    rng = np.random.default_rng(0)
+    vectors = np.concatenate([s.places.vectors for s in sequences])
+    more = np.concatenate([vectors + 0.1 * rng.normal(size=vectors.shape) for _ in range(10)])
+    more = (more / np.linalg.norm(more, axis=1, keepdims=True)).astype(np.float32)
+    train_codebooks(more, SHA256, "made up").save(model.with_suffix(".codes.npz"))
+    summary = run(manifest, sequences, with_code("pq32"), tmp_path / "run")
+    assert summary.place_code.startswith("pq32-") and summary.place_code_bytes == 32
+    assert summary.groups == [[0, 1]] and summary.matches.false_accepted == 0
+    dvpr = summary.traffic["dvpr"]
+    assert dvpr.payload_bytes == dvpr.messages // 2 * (32 + 12)
+
+
+def test_an_unknown_code_is_one_line(tmp_path: Path) -> None:
+    manifest, sequences = town(2, 4)
+    with pytest.raises(MasError, match=r"no place code 'zip'; there are float32, "):
+        run(manifest, sequences, with_code("zip"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_thesis_system_sends_what_the_thesis_counts() -> None:
+    assert preset("default").places.code == "float32"
+    assert preset("maslam").places.code == "int8"
