@@ -56,11 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """Do the action asked for."""
-    from tools.netvlad_use import run_describe, run_info
+    from tools.netvlad_use import run_card, run_describe, run_info
 
     run = {
         "train": _train, "export": _export, "calibrate": _calibrate, "eval": netvlad_evaluate.main, "info": run_info,
-        "describe": run_describe,
+        "card": run_card, "describe": run_describe,
     }  # fmt: skip
     run[arguments.action](arguments)
 

@@ -52,9 +52,10 @@ def held_out_benchmarks(
 
 
 def own_benchmarks(
-    folders: Sequence[Path], settings: RevisitSettings, progress: Progress
+    folders: Sequence[Path], settings: RevisitSettings, colour: bool, progress: Progress
 ) -> tuple[list[PlaceBenchmark], str]:
-    """A user's own data sets with ground truth, and what was measured on, in words for the card."""
+    """A user's own data sets with ground truth, in ``colour`` for a colour network, and what was measured on, in
+    words for the card."""
     sets: list[PlaceBenchmark] = []
     for folder in folders:
         tasks: list[int] = []
@@ -64,7 +65,7 @@ def own_benchmarks(
                 tasks.append(progress.start(f"reading {name}", total))
             progress.advance(tasks[0], done)
 
-        sets.append(posed_benchmark(folder, settings, advance))
+        sets.append(posed_benchmark(folder, settings, advance, colour))
     names = [one.name for one in sets]
     if len(set(names)) < len(names):
         raise UsageError(f"--sequence: two data sets have one name: {', '.join(sorted(names))}")

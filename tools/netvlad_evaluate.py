@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 from tools.errors import ToolError, UsageError
 from tools.netvlad_options import (
     add_held_out_options,
+    add_input_options,
     add_revisit_options,
     add_world_options,
+    input_form_of,
     kinds_of,
     needing_torch,
     revisits_of,
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
 
     from tools.netvlad_data import PlaceBenchmark
     from tools.netvlad_eval import Evaluation
-    from tools.netvlad_foreign import InputForm
     from tools.netvlad_methods import Method
     from tools.progress import Progress
 
@@ -61,11 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vocabulary", type=Path, metavar="FILE", help="of bag-of-words (default: the shipped one)")
     parser.add_argument("--json", action="store_true", help="records instead of a table")
     parser.add_argument("--out", type=Path, metavar="DIR", help="pictures: curves, hits and misses, recall over bytes")
-    bare = parser.add_argument_group("an ONNX file without a card")
-    bare.add_argument("--input-pixels", type=int, metavar="N", help="resize images to about so many (default: 76800)")
-    bare.add_argument("--input-size", metavar="WxH", help="resize to exactly this (default: what the file fixes)")
-    bare.add_argument("--input-mean", metavar="LIST", help="grey levels taken off each channel (default: none)")
-    bare.add_argument("--input-std", metavar="LIST", help="grey levels each channel is divided by (default: 1)")
+    add_input_options(parser)
     add_world_options(parser)
     add_held_out_options(parser)
     add_revisit_options(parser)
@@ -143,7 +140,7 @@ def _methods(arguments: argparse.Namespace, names: tuple[str, ...], progress: Pr
 
     made: list[Method] = []
     if "netvlad" in names:
-        form = _input_form(arguments)
+        form = input_form_of(arguments)
         made += [netvlad_method(load_model(model, form)) for model in arguments.model or ["default"]]
     photos, views = _fit_images(arguments, progress) if {"rootsift-vlad", "random-weights"} & set(names) else ([], [])
     if "rootsift-vlad" in names:
@@ -181,26 +178,6 @@ def _fit_images(
         )
     progress.say(f"baselines are fitted on {len(photos)} photographs and {len(views)} views of training worlds")
     return photos, views
-
-
-def _input_form(arguments: argparse.Namespace) -> InputForm:
-    from tools.netvlad_foreign import InputForm
-
-    size = None
-    if arguments.input_size is not None:
-        words = arguments.input_size.lower().split("x")
-        if len(words) != 2 or not all(word.isdigit() and int(word) > 0 for word in words):
-            raise UsageError(f"--input-size {arguments.input_size}: expected WIDTHxHEIGHT in pixels, such as 320x240")
-        size = (int(words[1]), int(words[0]))
-    mean, std = (_numbers(f"--input-{name}", getattr(arguments, f"input_{name}")) for name in ("mean", "std"))
-    return InputForm(arguments.input_pixels, size, mean, std)
-
-
-def _numbers(option: str, text: str | None) -> tuple[float, ...]:
-    try:
-        return tuple(float(word) for word in text.split(",")) if text else ()
-    except ValueError:
-        raise UsageError(f"{option} {text}: expected numbers with commas between them") from None
 
 
 def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -41,11 +41,11 @@ def load_model(model: str, form: InputForm | None = None) -> NetVlad:
         return NetVlad.load(model)
     if not path.is_file():
         raise ToolError(f"{path}: no such file")
-    card = _card(path, form)
+    card = card_for(path, form)
     return NetVlad(Session.open(path, card, 1, CPU), card)
 
 
-def _card(path: Path, form: InputForm) -> ModelCard:
+def card_for(path: Path, form: InputForm) -> ModelCard:
     """A card for a bare file, from its input's shape and one blank image sent through it."""
     import onnxruntime
 

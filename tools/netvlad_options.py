@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from tools.errors import ToolError, UsageError
 
 if TYPE_CHECKING:
+    from tools.netvlad_foreign import InputForm
     from tools.netvlad_posed import RevisitSettings
 
 CACHE = Path("worlds_cache")
@@ -58,6 +59,36 @@ def revisits_of(arguments: argparse.Namespace) -> RevisitSettings:
     from tools.netvlad_posed import RevisitSettings
 
     return RevisitSettings(arguments.radius, arguments.angle, arguments.apart, arguments.spacing)
+
+
+def add_input_options(parser: argparse.ArgumentParser) -> None:
+    """What an ONNX file without a card is given (``InputForm``), in a group of their own."""
+    bare = parser.add_argument_group("an ONNX file without a card")
+    bare.add_argument("--input-pixels", type=int, metavar="N", help="resize images to about so many (default: 76800)")
+    bare.add_argument("--input-size", metavar="WxH", help="resize to exactly this (default: what the file fixes)")
+    bare.add_argument("--input-mean", metavar="LIST", help="grey levels taken off each channel (default: none)")
+    bare.add_argument("--input-std", metavar="LIST", help="grey levels each channel is divided by (default: 1)")
+
+
+def input_form_of(arguments: argparse.Namespace) -> InputForm:
+    """What :func:`add_input_options` was given."""
+    from tools.netvlad_foreign import InputForm
+
+    size = None
+    if arguments.input_size is not None:
+        words = arguments.input_size.lower().split("x")
+        if len(words) != 2 or not all(word.isdigit() and int(word) > 0 for word in words):
+            raise UsageError(f"--input-size {arguments.input_size}: expected WIDTHxHEIGHT in pixels, such as 320x240")
+        size = (int(words[1]), int(words[0]))
+    mean, std = (_numbers(f"--input-{name}", getattr(arguments, f"input_{name}")) for name in ("mean", "std"))
+    return InputForm(arguments.input_pixels, size, mean, std)
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise UsageError(f"{option} {text}: expected numbers with commas between them") from None
 
 
 def kinds_of(arguments: argparse.Namespace) -> tuple[str, ...]:

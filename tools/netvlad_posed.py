@@ -48,15 +48,19 @@ class _Visits:
 
 
 def posed_benchmark(
-    folder: Path, settings: RevisitSettings, advance: Callable[[int, int], None] = lambda done, total: None
+    folder: Path,
+    settings: RevisitSettings,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+    colour: bool = False,
 ) -> PlaceBenchmark:
     """Every frame taken against all that came before it, in the order of agents (sequences) and of time.
 
-    Frames of several agents share one world in their poses. ``advance(done, total)`` counts decoded frames.
+    ``colour``: the images for colour networks. Frames of several agents share one world in their poses.
+    ``advance(done, total)`` counts decoded frames.
     ``ToolError`` where the folder has no ground truth, or nothing in it is visited twice.
     """
     dataset = open_dataset(folder, rig=None)
-    visits = _gather(folder, dataset.sequences, settings, advance)
+    visits = _gather(folder, dataset.sequences, settings, advance, colour)
     centres, forward = visits.poses[:, :3, 3], visits.poses[:, :3, 2]
     apart_m = np.linalg.norm(centres[:, None] - centres[None], axis=2)
     alike = forward @ forward.T >= np.cos(np.radians(settings.angle_deg))
@@ -84,7 +88,11 @@ def posed_benchmark(
 
 
 def _gather(
-    folder: Path, sequences: list[ImageSequence], settings: RevisitSettings, advance: Callable[[int, int], None]
+    folder: Path,
+    sequences: list[ImageSequence],
+    settings: RevisitSettings,
+    advance: Callable[[int, int], None],
+    colour: bool,
 ) -> _Visits:
     taken = [_spread(sequence, settings.spacing_m) for sequence in sequences]
     if not any(len(frames) for frames, _ in taken):
@@ -93,7 +101,7 @@ def _gather(
     images: list[NDArray[np.uint8]] = []
     for sequence, (frames, _) in zip(sequences, taken, strict=True):
         for frame in frames:
-            images.append(sequence.read(int(frame)).image)
+            images.append(sequence.read_colour(int(frame)) if colour else sequence.read_image(int(frame)))
             done += 1
             advance(done, total)
     number = np.concatenate([np.full(len(frames), k) for k, (frames, _) in enumerate(taken)])

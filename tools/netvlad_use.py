@@ -1,4 +1,4 @@
-"""``maslam netvlad info``, ``describe`` and ``calibrate``: what users of a model do with it."""
+"""``maslam netvlad info``, ``card``, ``describe`` and ``calibrate``: what users of a model do with it."""
 
 from __future__ import annotations
 
@@ -6,17 +6,26 @@ import argparse
 import json
 from pathlib import Path
 
-from tools.netvlad_options import add_revisit_options, revisits_of
+from tools.netvlad_options import add_input_options, add_revisit_options, input_form_of, revisits_of
 
 SHIPPED = "default"
 
 
 def add_use_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """``info`` and ``describe``."""
+    """``info``, ``card`` and ``describe``."""
     info = actions.add_parser("info", help="what a model is, its thresholds, figures and speed on this machine")
     info.add_argument("model", metavar="MODEL", nargs="?", default=SHIPPED, help="name or ONNX file (default: shipped)")
     info.add_argument("--json", action="store_true", help="one JSON object instead of a table")
     _running_arguments(info, threads=1)
+    card = actions.add_parser("card", help="write or complete the card of an ONNX file, so that it can be used here")
+    card.add_argument("model", metavar="FILE.onnx", type=Path)
+    for name, said in (
+        ("name", "of the model"), ("licence", "of its weights"), ("training", "the commands that made them"),
+        ("data", "the images they were trained on"), ("source", "where they come from"),
+    ):  # fmt: skip
+        card.add_argument(f"--{name}", metavar="TEXT", help=said)
+    card.add_argument("--figures", metavar="FILE", type=Path, help="what `maslam netvlad eval --json` printed")
+    add_input_options(card)
     describe = actions.add_parser("describe", help="place vectors of whole sequences or folders of images, to a file")
     describe.add_argument(
         "source", metavar="SRC", type=Path, nargs="+", help="a data set, a folder of images, or image files"
@@ -74,6 +83,15 @@ def run_info(arguments: argparse.Namespace) -> None:
     print(json.dumps(shown, indent=1) if arguments.json else shown)
 
 
+def run_card(arguments: argparse.Namespace) -> None:
+    """Write the card; the line that says where."""
+    from tools.netvlad_card import complete_card
+
+    words = {name: getattr(arguments, name) for name in ("name", "licence", "training", "data", "source")}
+    given = {name: text for name, text in words.items() if text is not None}
+    print(complete_card(arguments.model, input_form_of(arguments), given, arguments.figures))
+
+
 def run_describe(arguments: argparse.Namespace) -> None:
     """Write the vectors of every sequence in the source."""
     from descriptors.inference import NetVlad
@@ -108,7 +126,7 @@ def run_calibration(arguments: argparse.Namespace, kinds: tuple[str, ...]) -> No
     from tools.progress import progress_on
 
     out = target(arguments.model, arguments.out)
-    read_card(arguments.model)  # what is wrong with the model is said before worlds are rendered
+    _, card = read_card(arguments.model)  # what is wrong with the model is said before worlds are rendered
     settings = CalibrationSettings(
         arguments.worlds,
         arguments.places,
@@ -118,7 +136,7 @@ def run_calibration(arguments: argparse.Namespace, kinds: tuple[str, ...]) -> No
     )
     with progress_on(quiet=arguments.quiet) as progress:
         if arguments.sequence:
-            benchmarks, data = own_benchmarks(arguments.sequence, revisits_of(arguments), progress)
+            benchmarks, data = own_benchmarks(arguments.sequence, revisits_of(arguments), card.colour, progress)
         else:
             benchmarks, data = world_benchmarks(settings, arguments.cache, arguments.workers, progress)
         path, card = calibrate_model(arguments.model, benchmarks, data, settings, progress, out)

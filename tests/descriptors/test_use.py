@@ -156,6 +156,40 @@ def test_info_says_what_the_card_says(model: Path, capsys: pytest.CaptureFixture
     assert json.loads(capsys.readouterr().out)["card"]["name"] == read_card("default")[1].name
 
 
+def test_a_bare_file_gets_a_card_that_works(
+    model: Path, tmp_path: Path, pictures: tuple[Path, list[NDArray[np.uint8]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, images = pictures
+    model.with_suffix(".json").unlink()
+    words = ["netvlad", "card", str(model)]
+    assert main([*words, "--input-pixels", "432", "--name", "mine", "--data", "my photographs"]) == 0
+    assert "mine, 3 numbers; thresholds not calibrated" in capsys.readouterr().out
+    _, card = read_card(model)
+    assert (card.name, card.dim, card.colour, card.licence) == ("mine", 3, True, "not stated")
+    assert card.data == "my photographs"
+    out = tmp_path / "v.npz"
+    assert main(["netvlad", "describe", str(folder), "-o", str(out), "--model", str(model), "--quiet"]) == 0
+    np.testing.assert_allclose(PlaceVectors.load(out).vectors, _means(images), atol=1e-5)
+    row = {"dataset": "town_1", "code": "float32", "bytes": 12, "queries": 9, "recall_at_1": 0.75, "recall_at_5": 1.0}
+    rows = [row | {"method": method, "ap": 0.5, "ms": 1.0} for method in ("netvlad:mine", "thumbnail")]
+    (tmp_path / "e.json").write_text(json.dumps(rows))
+    assert main([*words, "--figures", str(tmp_path / "e.json"), "--licence", "MIT"]) == 0
+    _, card = read_card(model)
+    assert (card.name, card.data, card.licence) == ("mine", "my photographs", "MIT")
+    assert [(f.dataset, f.bytes, f.recall_at_1) for f in card.figures] == [("town_1", 12, 0.75)]
+    capsys.readouterr()
+    assert main(["netvlad", "info", str(model)]) == 0
+    assert "town_1" in capsys.readouterr().out
+    for wrong, said in (
+        (["--input-pixels", "9"], "has a card that says what it takes"),
+        (["--figures", str(model)], "not what `maslam netvlad eval --json` prints"),
+        (["--figures", str(tmp_path / "none.json")], "No such file"),
+        (["--figures", str(tmp_path / "e.json"), "--name", "other"], "no row about netvlad:other"),
+    ):
+        assert main([*words, *wrong]) == 1
+        assert said in capsys.readouterr().err
+
+
 def _round_trip(folder: Path, places: int = 40, laps: int = 2) -> Path:
     """A drive around a block whose every place is another picture, so often; metres, ten images a second."""
     (folder / "image_0").mkdir(parents=True)
