@@ -83,9 +83,11 @@ def model_checks() -> list[Check]:
 
     def place_model() -> str:
         from descriptors.inference import NetVlad
+        from descriptors.session import available_providers
 
         model = NetVlad.load("default")
-        return f"{model.name}, {model.dim} numbers, threshold {model.threshold:.3f}"
+        runs_on = ", ".join(name.removesuffix("ExecutionProvider") for name in available_providers())
+        return f"{model.name} ({model.sha256[:12]}), {model.dim} numbers; onnxruntime runs it on {runs_on}"
 
     def vocabulary() -> str:
         from frontend.vocabulary import Vocabulary
