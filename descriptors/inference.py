@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -100,7 +100,7 @@ class NetVlad:
         ``images``: N images ``(H, W)`` grey or ``(H, W, 3)`` BGR, uint8, each of any size, or one such stack ``(N,
         H, W)``. An image without texture still gets a vector, a meaningless one: see :meth:`textured`.
         """
-        return self._run([self._prepare(image) for image in images])
+        return self._run(self._prepare(image) for image in images)
 
     def textured(self, images: Images) -> NDArray[np.bool_]:
         """Whether each image has texture to be recognised by (``descriptors.texture``), ``(N,)`` bool."""
@@ -108,8 +108,16 @@ class NetVlad:
 
     def look(self, images: Images) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """:meth:`describe` and :meth:`textured` of images that are brought to size once."""
-        prepared = [self._prepare(image) for image in images]
-        return self._run(prepared), np.array([self._has_texture(image) for image in prepared], dtype=bool)
+        flags: list[bool] = []
+
+        def gated() -> Iterator[NDArray[np.uint8]]:
+            for image in images:
+                prepared = self._prepare(image)
+                flags.append(self._has_texture(prepared))
+                yield prepared
+
+        vectors = self._run(gated())
+        return vectors, np.array(flags, dtype=bool)
 
     def place_vectors(self, images: Images, stamps_ns: NDArray[np.int64] | Sequence[int]) -> PlaceVectors:
         """Vectors, texture flags and time stamps (nanoseconds, one an image) in the container that is written to
@@ -131,13 +139,17 @@ class NetVlad:
         grey = prepared[0] if len(prepared) == 1 else cv2.cvtColor(prepared.transpose(1, 2, 0), cv2.COLOR_RGB2GRAY)
         return has_texture(np.asarray(grey, dtype=np.uint8), self.min_std)
 
-    def _run(self, prepared: list[NDArray[np.uint8]]) -> NDArray[np.float32]:
-        """Neighbours of one size go together, at most ``batch`` of them."""
-        rows, start = [], 0
-        for k in range(1, len(prepared) + 1):
-            if k == len(prepared) or k - start == self._batch or prepared[k].shape != prepared[start].shape:
-                rows.append(self._session.run(np.stack(prepared[start:k])))
-                start = k
+    def _run(self, prepared: Iterable[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        """Neighbours of one size go together, at most ``batch`` of them; no more than these are held."""
+        rows: list[NDArray[np.float32]] = []
+        waiting: list[NDArray[np.uint8]] = []
+        for image in prepared:
+            if waiting and (len(waiting) == self._batch or image.shape != waiting[0].shape):
+                rows.append(self._session.run(np.stack(waiting)))
+                waiting = []
+            waiting.append(image)
+        if waiting:
+            rows.append(self._session.run(np.stack(waiting)))
         return np.concatenate(rows) if rows else np.zeros((0, self.dim), dtype=np.float32)
 
 
