@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from descriptors.inference import NetVlad
     from tools.netvlad_data import PlaceBenchmark
     from tools.netvlad_eval import Evaluation
     from tools.netvlad_methods import Method
@@ -78,7 +79,8 @@ def main(arguments: argparse.Namespace) -> None:
         names = (*names, "random-weights")
     with progress_on(quiet=arguments.quiet) as progress, _one_thread():
         benchmarks, coloured = _benchmarks(arguments, progress), {}
-        methods = _methods(arguments, names, progress)
+        nets = _nets(arguments) if "netvlad" in names else []
+        methods = _methods(arguments, nets, names, progress)
         if any(method.colour for method in methods):
             coloured = {one.name: one for one in _real_sets(arguments, colour=True)}
         task = progress.start("evaluating", len(methods) * len(benchmarks))
@@ -91,8 +93,10 @@ def main(arguments: argparse.Namespace) -> None:
         scores = [evaluation.score for of_set in results for evaluation in of_set]
         if arguments.out is not None:
             from tools.netvlad_eval_picture import draw_evaluation
+            from tools.netvlad_picture import draw_calibrations
 
-            for path in draw_evaluation(benchmarks, results, arguments.out):
+            paths = draw_evaluation(benchmarks, results, arguments.out)
+            for path in paths + draw_calibrations([net.card for net in nets], arguments.out):
                 progress.say(f"wrote {path}")
     print(json.dumps(as_records(scores), indent=1) if arguments.json else table(scores))
 
@@ -132,16 +136,21 @@ def _benchmarks(arguments: argparse.Namespace, progress: Progress) -> list[Place
     return made
 
 
-def _methods(arguments: argparse.Namespace, names: tuple[str, ...], progress: Progress) -> list[Method]:
-    from frontend.vocabulary import Vocabulary
+def _nets(arguments: argparse.Namespace) -> list[NetVlad]:
     from tools.netvlad_foreign import load_model
+
+    form = input_form_of(arguments)
+    return [load_model(model, form) for model in arguments.model or ["default"]]
+
+
+def _methods(
+    arguments: argparse.Namespace, nets: list[NetVlad], names: tuple[str, ...], progress: Progress
+) -> list[Method]:
+    from frontend.vocabulary import Vocabulary
     from tools.netvlad_methods import netvlad_method, random_method, sift_method, thumbnail_method, words_method
     from tools.netvlad_sift import fitted
 
-    made: list[Method] = []
-    if "netvlad" in names:
-        form = input_form_of(arguments)
-        made += [netvlad_method(load_model(model, form)) for model in arguments.model or ["default"]]
+    made = [netvlad_method(net) for net in nets]
     photos, views = _fit_images(arguments, progress) if {"rootsift-vlad", "random-weights"} & set(names) else ([], [])
     if "rootsift-vlad" in names:
         # The codebook from real images where there are any: one half made of rendered walls finds fewer real places.

@@ -58,6 +58,7 @@ def add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the right matches that the candidate threshold keeps (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="the calibration as one JSON object")
+    parser.add_argument("--plot", metavar="FILE", type=Path, help="the curves behind the thresholds: .png, .svg, .pdf")
     add_revisit_options(parser)
 
 
@@ -141,6 +142,10 @@ def run_calibration(arguments: argparse.Namespace, kinds: tuple[str, ...]) -> No
             benchmarks, data = world_benchmarks(settings, arguments.cache, arguments.workers, progress)
         path, card = calibrate_model(arguments.model, benchmarks, data, settings, progress, out)
     assert card.calibration is not None
+    if arguments.plot is not None:
+        from tools.netvlad_picture import calibration_picture
+
+        calibration_picture(card.calibration, card.name, arguments.plot)
     if arguments.json:
         print(card.calibration.model_dump_json(indent=1))
     else:
