@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from descriptors.codebooks import codebooks_path
+from descriptors.codes import PRODUCT_CODES, Coder
 from descriptors.inference import NetVlad, to_working_size
 from frontend.vocabulary import BagOfWords, Vocabulary, WordIndex
-from tools.netvlad_sift import SiftVlad, unit_rows
+from tools.netvlad_sift import SiftVlad
 
 Vectors = NDArray[np.float32]
 _THUMBNAIL = (16, 12)
@@ -47,11 +48,16 @@ class Method:
 def netvlad_method(model: str | Path | NetVlad = "default", name: str = "") -> Method:
     """A shipped or a user's ONNX model, with each code there is for it."""
     net = model if isinstance(model, NetVlad) else NetVlad.load(model)
-    codes = [vector_code("float32", net.dim)]
-    if net.dim >= 256:
-        codes.append(vector_code(f"float32x{net.dim // 2}", net.dim // 2))
-    codes.append(int8_code("int8", net.dim))
-    return Method(name or f"netvlad:{net.name}", lambda image: net.describe([image])[0], tuple(codes), net.colour)
+    codes = tuple(coded(Coder.of(net, code)) for code in codes_of(net))
+    return Method(name or f"netvlad:{net.name}", lambda image: net.describe([image])[0], codes, net.colour)
+
+
+def codes_of(net: NetVlad) -> list[str]:
+    """The codes there are for a model's vectors: shorter prefixes where there is more to shorten, product codes where
+    their codebooks lie beside the model."""
+    prefixes = [f"x{dim}" for dim in (256, 128) if dim < net.dim]
+    names = [f"{kind}{prefix}" for kind in ("float32", "int8") for prefix in ("", *prefixes)] + ["int4"]
+    return names + (list(PRODUCT_CODES) if codebooks_path(net.path).is_file() else [])
 
 
 def thumbnail_method() -> Method:
@@ -63,15 +69,15 @@ def thumbnail_method() -> Method:
         centred = small - small.mean()
         return np.asarray(centred / max(float(np.linalg.norm(centred)), 1e-6), dtype=np.float32)
 
-    return Method("thumbnail", describe, (vector_code("float32", _THUMBNAIL[0] * _THUMBNAIL[1]),))
+    return Method("thumbnail", describe, (coded(Coder.make("float32", _THUMBNAIL[0] * _THUMBNAIL[1], "", None)),))
 
 
 def sift_method(model: SiftVlad) -> Method:
     """Dense RootSIFT-VLAD: raw, and whitened to as many numbers and bytes as our codes have."""
     raw, dim = len(model.vlad_mean), len(model.vlad_axes)
-    codes = [vector_code("float32", raw), vector_code(f"pca{dim}", dim, model.whiten)]
-    codes += [int8_code(f"pca{d}-int8", d, partial(model.whiten, dim=d)) for d in (dim, dim // 2)]
-    return Method("rootsift-vlad", model.describe, tuple(codes))
+    coders = {code: Coder.make(code, dim, "", None) for code in ("float32", "int8", f"int8x{dim // 2}", "int4")}
+    codes = [coded(coder, f"pca{dim}-{code}", model.whiten) for code, coder in coders.items()]
+    return Method("rootsift-vlad", model.describe, (coded(Coder.make("float32", raw, "", None)), *codes))
 
 
 def words_method(vocabulary: Vocabulary) -> Method:
@@ -120,35 +126,23 @@ def random_method(images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Method:
         with torch.no_grad():
             return np.asarray(network(torch.from_numpy(to_working_size(image, pixels))[None, None])[0].numpy())
 
-    return Method("random-weights", describe, (vector_code("float32", config.dim), int8_code("int8", config.dim)))
+    codes = tuple(coded(Coder.make(code, config.dim, "", None)) for code in ("float32", "int8"))
+    return Method("random-weights", describe, codes)
 
 
-def vector_code(name: str, dim: int, prepare: Callable[[Vectors], Vectors] | None = None) -> Code:
-    """The first ``dim`` numbers of a vector as float32, made of unit length again; ``prepare`` is done to the rows
-    before that."""
-
-    def distances(queries: Sequence[Any], references: Sequence[Any]) -> NDArray[np.float32]:
-        return euclidean(*(_cut(side, dim, prepare) for side in (queries, references)))
-
-    return Code(name, lambda _: 4 * dim, distances)
-
-
-def int8_code(name: str, dim: int, prepare: Callable[[Vectors], Vectors] | None = None) -> Code:
-    """The first ``dim`` numbers in a byte each, in 127ths of the largest of them; only the references are rounded."""
+def coded(coder: Coder, name: str = "", prepare: Callable[[Vectors], Vectors] | None = None) -> Code:
+    """Vectors as ``coder`` sends them: references decoded, compared with whole queries. ``prepare`` is done to the rows
+    of both before."""
 
     def distances(queries: Sequence[Any], references: Sequence[Any]) -> NDArray[np.float32]:
-        sent = _cut(references, dim, prepare)
-        largest = np.maximum(np.abs(sent).max(axis=1, keepdims=True), 1e-12)
-        return euclidean(_cut(queries, dim, prepare), unit_rows(np.rint(127.0 * sent / largest)))
+        asked, known = (np.stack(side) for side in (queries, references))
+        if prepare is not None:
+            asked, known = prepare(asked), prepare(known)
+        return euclidean(coder.cut(asked), coder.decode(coder.encode(known)))
 
-    return Code(name, lambda _: dim, distances)
+    return Code(name or coder.code, lambda _: coder.bytes, distances)
 
 
 def euclidean(queries: Vectors, references: Vectors) -> NDArray[np.float32]:
     """Distances ``(Q, R)`` between unit rows."""
     return np.asarray(np.sqrt(np.maximum(2.0 - 2.0 * (queries @ references.T), 0.0)), dtype=np.float32)
-
-
-def _cut(rows: Sequence[Any], dim: int, prepare: Callable[[Vectors], Vectors] | None) -> Vectors:
-    vectors = np.stack(rows) if prepare is None else prepare(np.stack(rows))
-    return unit_rows(vectors[:, :dim])

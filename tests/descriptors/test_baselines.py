@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from descriptors.codes import Coder
+from descriptors.inference import NetVlad
 from frontend.vocabulary import BagOfWords, Vocabulary
 from tests.descriptors.conftest import textured_image
 from tools.errors import ToolError
-from tools.netvlad_methods import int8_code, sift_method, vector_code, word_distances, words_method
+from tools.netvlad_methods import coded, netvlad_method, sift_method, word_distances, words_method
 from tools.netvlad_sift import SIZE_PX, STEP_PX, SiftVlad, fitted, root_sift, whitening
 
 IMAGES = [textured_image(seed, 48, 64) for seed in range(258)]
@@ -70,7 +72,9 @@ def test_whitening_is_principal_axes_over_a_power_of_their_variance(count: int, 
 def test_a_place_is_found_with_every_code(model: SiftVlad) -> None:
     method = sift_method(model)
     sizes = {code.name: code.bytes_each([]) for code in method.codes}
-    assert sizes == {"float32": 16384, "pca256": 1024, "pca256-int8": 256, "pca128-int8": 128}
+    assert sizes == {
+        "float32": 16384, "pca256-float32": 1024, "pca256-int8": 256, "pca256-int8x128": 128, "pca256-int4": 128,
+    }  # fmt: skip
     references = [method.describe(textured_image(seed)) for seed in range(6)]
     dimmed = [method.describe((0.6 * textured_image(seed) + 30).astype(np.uint8)) for seed in range(6)]
     for code in method.codes:
@@ -119,15 +123,21 @@ def _unit(count: int, dim: int) -> list[NDArray[np.float32]]:
     return list(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
-def test_codes_of_vectors_by_hand() -> None:
+def test_codes_are_compared_as_they_go_over_the_wire() -> None:
     queries, references = _unit(5, 16), _unit(7, 16)
-    code = vector_code("half", 8)
-    assert code.bytes_each(references) == 32
-    got = code.distances(queries, references)
+    half = coded(Coder.make("float32x8", 16, "", None))
+    assert half.bytes_each(references) == 32
     a, b = queries[2][:8], references[4][:8]
-    assert got[2, 4] == pytest.approx(np.linalg.norm(a / np.linalg.norm(a) - b / np.linalg.norm(b)), abs=1e-5)
-    coarse = int8_code("int8", 16)
-    assert coarse.bytes_each(references) == 16
-    np.testing.assert_allclose(
-        coarse.distances(queries, references), vector_code("all", 16).distances(queries, references), atol=0.02
-    )
+    expected = np.linalg.norm(a / np.linalg.norm(a) - b / np.linalg.norm(b))
+    assert half.distances(queries, references)[2, 4] == pytest.approx(expected, abs=1e-5)
+    coder = Coder.make("int4", 16, "", None)
+    sent = coder.encode(np.stack(references))
+    expected_rows = np.stack([coder.distances(query, sent) for query in queries])  # what an agent would do
+    np.testing.assert_allclose(coded(coder).distances(queries, references), expected_rows, atol=1e-5)
+
+
+def test_a_model_is_tried_with_each_of_its_codes() -> None:
+    sizes = {code.name: code.bytes_each([]) for code in netvlad_method().codes}
+    dim = NetVlad.load().dim
+    assert sizes["float32"] == 4 * dim and sizes["int8"] == dim and sizes["int4"] == dim // 2
+    assert sizes["int8x128"] == 128 and sizes.get("pq32", 32) == 32 and sizes.get("pq16", 16) == 16

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from backend.geometry import se3, so3_exp
+from descriptors.codes import Coder
 from descriptors.inference import NetVlad
 from frontend.cameras import PinholeCamera
 from tests.descriptors.conftest import textured_image
@@ -18,7 +19,7 @@ from tools.errors import ToolError
 from tools.netvlad_calibrate import random_pairs_distance
 from tools.netvlad_data import PlaceBenchmark, corridor, fill, gardenspoint
 from tools.netvlad_eval import evaluate, table
-from tools.netvlad_methods import Method, netvlad_method, thumbnail_method, vector_code
+from tools.netvlad_methods import Method, coded, netvlad_method, thumbnail_method
 from tools.netvlad_worlds import INDOORS, STREETS, Visit, benchmark, conflicts, load_places, overlap, save_places
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -108,7 +109,7 @@ def _mean_method() -> Method:
         angle = np.pi * float(image.mean()) / 255
         return np.array([np.cos(angle), np.sin(angle)], dtype=np.float32)
 
-    return Method("mean", describe, (vector_code("float32x2", 2),))
+    return Method("mean", describe, (coded(Coder.make("float32", 2, "", None)),))
 
 
 def test_scores_of_a_descriptor_whose_answers_are_known() -> None:
@@ -121,7 +122,7 @@ def test_scores_of_a_descriptor_whose_answers_are_known() -> None:
     assert (score.dataset, score.method, score.code, score.bytes, score.queries) == (
         "levels",
         "mean",
-        "float32x2",
+        "float32",
         8,
         4,
     )

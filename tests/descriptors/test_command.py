@@ -72,6 +72,7 @@ def test_train_export_calibrate_and_evaluate(tmp_path: Path, photos: Path, capsy
     assert [(r["dataset"], r["method"], r["bytes"], r.keys() == keys) for r in records] == [
         ("town_9500", "netvlad:tiny", 64, True),
         ("town_9500", "netvlad:tiny", 16, True),
+        ("town_9500", "netvlad:tiny", 8, True),
         ("town_9500", "thumbnail", 768, True),
     ]
     # The wall's views of one place are the same picture: nothing may come out but full marks.

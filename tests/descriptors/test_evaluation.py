@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from descriptors.card import Calibration, OperatingPoint, SetCurve
+from descriptors.codes import Coder
 from tests.descriptors.test_benchmarks import _street
 from tests.descriptors.test_posed import LAP, _drive
 from tools.cli import main
@@ -20,7 +21,7 @@ from tools.netvlad_data import PlaceBenchmark
 from tools.netvlad_eval import evaluate
 from tools.netvlad_eval_picture import draw_evaluation, examples
 from tools.netvlad_foreign import InputForm, load_model
-from tools.netvlad_methods import Method, netvlad_method, vector_code
+from tools.netvlad_methods import Method, coded, netvlad_method
 from tools.netvlad_picture import calibration_picture, training_picture
 from tools.netvlad_worlds import HELD_OUT_SEEDS, cache_path, config_for, save_places
 
@@ -145,7 +146,8 @@ def _by_number() -> tuple[Method, PlaceBenchmark]:
     references, queries = ([np.full((8, 8), n, dtype=np.uint8) for n in side] for side in levels)
     truth = np.eye(5, dtype=bool)
     truth[3], truth[4] = np.arange(5) == 4, False  # 180 answers 160 and is 210's place; 130 has no place to find
-    return Method("levels", describe, (vector_code("float32", 2),)), PlaceBenchmark("line", queries, references, truth)
+    method = Method("levels", describe, (coded(Coder.make("float32", 2, "", None)),))
+    return method, PlaceBenchmark("line", queries, references, truth)
 
 
 def test_hits_and_misses_are_told_apart() -> None:
