@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.descriptors import matlab_file
+
 Array = NDArray[np.float64]
 BLOCKS = ((4, 2), (6, 2), (8, 3), (8, 3), (8, 3))
 """Width and number of convolutions; the real ones: 64, 128, 256, 512, 512."""
@@ -157,6 +159,25 @@ def save_matconvnet(path: Path, net: dict[str, Any], compress: bool = True) -> P
 
     savemat(path, {"net": net}, do_compression=compress)
     return path
+
+
+def save_with_objects(
+    path: Path, network: Network, has_saveobj: bool, version: int = 1, described: bool = True
+) -> Path:
+    """The same network as the authors saved it: VLAD and L2 layers are objects of classes."""
+    net = matconvnet_net(network, version)
+    name = "layerVLAD" if version == 1 else "layerVLADv2"
+    l2 = {"type": "custom", "name": "wholeL2", "precious": False}
+    vlad = {"type": "custom", "name": "VLAD", "K": np.zeros((0, 0)), "weights": np.zeros((0, 0)), "precious": False}
+    classes = [(name, vlad), ("layerWholeL2Normalize", l2)]
+    arrays = vlad_arrays(network, version)
+    own = {"type": "custom", "name": "vlad:core", "K": np.array([[5.0]]), "weights": arrays}
+    objects = [(1, own, has_saveobj), (2, {"name": "postL2"}, False), (2, {"name": "finalL2"}, False)]
+    layers = net["layers"]
+    layers[0, 30] = matlab_file.Object(name, 1, 1)
+    layers[0, 32] = matlab_file.Object("layerWholeL2Normalize", 2, 2)
+    layers[0, 34] = matlab_file.Object("layerWholeL2Normalize", 3, 2)
+    return matlab_file.save(path, "net", net, matlab_file.workspace(classes, objects) if described else None)
 
 
 def torch_state(network: Network, version: int = 1, whitened: bool = True, module: str = "") -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import json
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from descriptors.inference import NetVlad
 from descriptors.matconvnet import read_matconvnet
 from descriptors.matlab_objects import WORKSPACE, MatlabObjects
 from descriptors.vgg_export import export_vgg
-from descriptors.vgg_weights import VggWeights
-from tests.descriptors import matlab_file, published
+from tests.descriptors import published
 from tests.descriptors.conftest import textured_image
 from tests.descriptors.published import CENTRES, CHANNELS, DIM, MEAN
+from tests.descriptors.test_benchmarks import _street
 from tools.cli import main
+from tools.netvlad_worlds import HELD_OUT_SEEDS, cache_path, config_for, save_places
 
 pytest.importorskip("onnx")
 
@@ -64,6 +65,21 @@ def test_matconvnet_file_is_the_network_it_describes(tmp_path: Path, version: in
     assert_equal_to_numpy(tmp_path / "net.onnx", MEAN, np.ones(3), version == 2, dim)
 
 
+def test_files_of_older_versions_and_without_whitening_are_read(tmp_path: Path) -> None:
+    net = published.matconvnet_net(NETWORK)
+    net["layers"] = net["layers"][:, :33]
+    net["normalization"] = net.pop("meta")["normalization"]
+    net["normalization"]["averageImage"] = np.tile(published.single(MEAN), (224, 224, 1))
+    for layer in net["layers"].ravel():
+        if layer["type"] == "conv":
+            (layer["filters"], layer["biases"]), _ = layer["weights"].ravel(), layer.pop("weights")
+    source = published.save_matconvnet(tmp_path / "old.mat", net, compress=False)
+    assert export_weights(source, tmp_path / "old.onnx") == 0
+    assert_equal_to_numpy(tmp_path / "old.onnx", MEAN, np.ones(3), False, 0)
+    with pytest.raises(DescriptorError, match="--dim 5: the file has no whitening"):
+        read_matconvnet(source, 5)
+
+
 def test_the_first_numbers_are_the_whole_vectors_first_scaled(tmp_path: Path) -> None:
     source = published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK))
     for dim in (DIM, 7):
@@ -74,27 +90,10 @@ def test_the_first_numbers_are_the_whole_vectors_first_scaled(tmp_path: Path) ->
     np.testing.assert_allclose(run(tmp_path / "7.onnx", images), expected, atol=1e-6)
 
 
-def with_objects(path: Path, has_saveobj: bool, version: int = 1, described: bool = True) -> Path:
-    """The same network as the authors saved it: VLAD and L2 layers are objects of classes."""
-    net = published.matconvnet_net(NETWORK, version)
-    name = "layerVLAD" if version == 1 else "layerVLADv2"
-    l2 = {"type": "custom", "name": "wholeL2", "precious": False}
-    vlad = {"type": "custom", "name": "VLAD", "K": np.zeros((0, 0)), "weights": np.zeros((0, 0)), "precious": False}
-    classes = [(name, vlad), ("layerWholeL2Normalize", l2)]
-    arrays = published.vlad_arrays(NETWORK, version)
-    own = {"type": "custom", "name": "vlad:core", "K": np.array([[5.0]]), "weights": arrays}
-    objects = [(1, own, has_saveobj), (2, {"name": "postL2"}, False), (2, {"name": "finalL2"}, False)]
-    layers = net["layers"]
-    layers[0, 30] = matlab_file.Object(name, 1, 1)
-    layers[0, 32] = matlab_file.Object("layerWholeL2Normalize", 2, 2)
-    layers[0, 34] = matlab_file.Object("layerWholeL2Normalize", 3, 2)
-    return matlab_file.save(path, "net", net, matlab_file.workspace(classes, objects) if described else None)
-
-
 @pytest.mark.parametrize("has_saveobj", [False, True])
 @pytest.mark.parametrize("version", [1, 2])
 def test_layers_saved_as_objects_are_read(tmp_path: Path, has_saveobj: bool, version: int) -> None:
-    source = with_objects(tmp_path / "objects.mat", has_saveobj, version)
+    source = published.save_with_objects(tmp_path / "objects.mat", NETWORK, has_saveobj, version)
     assert export_weights(source, tmp_path / "net.onnx") == 0
     assert_equal_to_numpy(tmp_path / "net.onnx", MEAN, np.ones(3), version == 2, None)
 
@@ -187,105 +186,25 @@ def test_agents_describe_with_it_colours_in_the_right_order(tmp_path: Path) -> N
     np.testing.assert_allclose(np.linalg.norm(net.describe([np.full((480, 640), 90, dtype=np.uint8)])), 1, atol=1e-5)
 
 
+def test_it_is_calibrated_and_evaluated_like_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK))
+    model = tmp_path / "vgg.onnx"
+    assert export_weights(source, model, "--name", "vgg", "--pixels", "3072") == 0
+    config = config_for("town").model_copy(update={"places": 12})
+    save_places(cache_path(tmp_path, "town", HELD_OUT_SEEDS, config), _street(12))
+    options = ["--cache", str(tmp_path), "--worlds", "1", "--places", "12", "--kinds", "town", "--quiet"]
+    assert main(["netvlad", "calibrate", str(model), *options]) == 0
+    card = read_card(model)[1]
+    assert card.calibration is not None and card.threshold == card.calibration.strict.distance < 2.0
+    capsys.readouterr()
+    assert main(["netvlad", "eval", "--model", str(model), "--data", str(tmp_path), "--json", *options]) == 0
+    records = [r for r in json.loads(capsys.readouterr().out) if "vgg" in r["method"]]
+    # The two views of a place are the same picture.
+    assert records and all(r["dataset"] == "town_9500" and r["recall_at_1"] == 1.0 for r in records)
+
+
 def test_a_file_gives_the_same_bytes_each_time(tmp_path: Path) -> None:
     source = published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK))
     for name in ("a.onnx", "b.onnx"):
         assert export_weights(source, tmp_path / name) == 0
     assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
-
-
-def _without(net: dict[str, Any], number: int) -> None:
-    net["layers"] = net["layers"][:, [k for k in range(net["layers"].size) if k != number]]
-
-
-def _set(net: dict[str, Any], number: int, **fields: Any) -> None:
-    net["layers"][0, number].update(fields)
-
-
-def _spoil(net: dict[str, Any], number: int) -> None:
-    net["layers"][0, number]["weights"][0, 0].flat[3] = np.nan
-
-
-def _narrow(net: dict[str, Any], number: int) -> None:
-    weights = net["layers"][0, number]["weights"]
-    weights[0, 0] = weights[0, 0][:, :, :-1]
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda net: _without(net, 1), "layer 2 'conv1_2' is a convolution, where VGG16-NetVLAD has a ReLU"),
-        (lambda net: _without(net, 29), "is the VLAD layer, where VGG16-NetVLAD has a normalisation over channels"),
-        (lambda net: _without(net, 34), "ends after 34 layers, where the L2 normalisation of the whole vector was"),
-        (lambda net: _set(net, 0, stride=np.array([[2.0, 2.0]])), r"'conv1_1' has stride \[2.0, 2.0\], VGG16 1"),
-        (lambda net: _set(net, 3, method="avg"), "pools by 'avg', VGG16 by the maximum"),
-        (lambda net: _set(net, 29, param=np.array([[5.0, 2.0, 1e-4, 0.75]])), r"'preL2': its param is \[5"),
-        (lambda net: _spoil(net, 2), "weight of conv1_2: holds numbers that are not finite"),
-        (lambda net: _spoil(net, 33), "weight of the whitening: holds numbers that are not finite"),
-        (lambda net: _narrow(net, 7), "weight of conv2_2: expected 6x6x3x3, found 6x5x3x3"),
-        (lambda net: _narrow(net, 33), "'WPCA': expected 40 numbers in and a bias for each out, found 39x12 and 12"),
-        (lambda net: net["meta"].update(normalization=0), "holds no averageImage"),
-        (lambda net: net.pop("layers"), "holds no variable 'net' with layers"),
-    ],
-)
-def test_what_is_wrong_with_a_matconvnet_file_is_said(tmp_path: Path, change: Any, said: str) -> None:
-    net = published.matconvnet_net(NETWORK)
-    change(net)
-    source = published.save_matconvnet(tmp_path / "bad.mat", net)
-    with pytest.raises(DescriptorError, match=rf"bad\.mat: .*{said}"):
-        read_matconvnet(source)
-
-
-def test_damaged_and_foreign_files_are_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    torch = pytest.importorskip("torch")
-    good = published.save_matconvnet(tmp_path / "good.mat", published.matconvnet_net(NETWORK)).read_bytes()
-    alone = with_objects(tmp_path / "alone.mat", True, described=False).read_bytes()
-    uncompressed = bytearray(
-        published.save_matconvnet(tmp_path / "plain.mat", published.matconvnet_net(NETWORK), False).read_bytes()
-    )
-    uncompressed[132:136] = (3_000_000_000).to_bytes(4, "little")
-    state = {name: torch.tensor(a) for name, a in published.torch_state(NETWORK).items()}
-    partial = {name: value for name, value in state.items() if "24" not in name}
-    narrow = {**state, "pool.centroids": torch.zeros(5, 7)}
-    files: dict[str, tuple[Any, str]] = {
-        "cut.mat": (good[: len(good) // 2], "cut.mat: damaged or cut short"),
-        "bent.mat": (good[:500] + bytes(80) + good[580:], "bent.mat: scipy cannot read it"),
-        "huge.mat": (bytes(uncompressed), "huge.mat: damaged or cut short"),
-        "new.mat": (b"MATLAB 7.3 MAT-file" + bytes(200), "save it with -v7"),
-        "old.mat": (b"MATLAB 5.0 MAT-file".ljust(126) + b"MI", "not a little-endian MATLAB 5 file"),
-        "alone.mat": (alone, "alone.mat: layer 31 is an object, and the file does not say what is in it"),
-        "text.pt": (b"hello", "text.pt: not a checkpoint"),
-        "list.pt": ([1, 2], "holds a list, not a dictionary"),
-        "other.pt": ({"weights": torch.zeros(3)}, "a PyTorch file with weights in it; expected"),
-        "part.pt": ({"state_dict": partial}, "part.pt: encoder.24.weight is missing (and 1 more of"),
-        "narrow.pt": ({"state_dict": narrow}, "narrow.pt: centres: expected 5x8, found 5x7"),
-        "code.pt": ({"state_dict": state, "code": os.system}, "code.pt: not a checkpoint"),
-    }
-    for name, (content, said) in files.items():
-        if isinstance(content, bytes):
-            (tmp_path / name).write_bytes(content)
-        else:
-            torch.save(content, tmp_path / name)
-        assert export_weights(tmp_path / name, tmp_path / "never.onnx") == 1, name
-        error = capsys.readouterr().err
-        assert said in error and "unexpected" not in error and error.count("\n") == 1, error
-    assert not (tmp_path / "never.onnx").exists()
-    for options, said in (
-        (["--dim", "13"], "--dim 13: the whitening of the file gives 12 numbers"),
-        (["--dim", "0"], "--dim 0: the whitening"),
-        (["--pixels", "0"], "--pixels must be at least 1"),
-    ):
-        assert export_weights(tmp_path / "good.mat", tmp_path / "never.onnx", *options) == 1
-        assert said in capsys.readouterr().err
-    assert export_weights(tmp_path / "good.mat", tmp_path / "never.txt") == 1
-    assert export_weights(tmp_path / "none.mat", tmp_path / "never.onnx") == 1
-
-
-def test_weights_too_many_for_one_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    weights = read_matconvnet(published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK)))
-    assert isinstance(weights, VggWeights)
-    monkeypatch.setattr("descriptors.vgg_export.MAX_BYTES", 1000)
-    with pytest.raises(DescriptorError, match="do not fit into one ONNX file; keep fewer with --dim"):
-        export_vgg(weights, tmp_path / "net.onnx")
