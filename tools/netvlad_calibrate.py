@@ -11,6 +11,7 @@ import numpy as np
 
 from descriptors.calibration import Retrieval, accepted, calibrate, retrieve
 from descriptors.card import MODELS, Calibration, ModelCard, read_card, write_card
+from descriptors.codebooks import codebooks_path
 from descriptors.inference import NetVlad
 from tools.columns import aligned
 from tools.errors import UsageError
@@ -123,10 +124,18 @@ def calibrate_model(
     }
     written = card.model_copy(update=changed)
     if out is not None and out.resolve() != path.resolve():
-        shutil.copyfile(path, out)
+        _copy(path, out)
         path = out
     write_card(path, written)
     return path.with_suffix(".json"), written
+
+
+def _copy(model: Path, out: Path) -> None:
+    """A model with its codebooks, which are those of its weights."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(model, out)
+    if codebooks_path(model).is_file():
+        shutil.copyfile(codebooks_path(model), codebooks_path(out))
 
 
 def retrieval(net: NetVlad, benchmark: PlaceBenchmark) -> Retrieval:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.card import ModelCard, read_card
+from descriptors.codebooks import codebooks_path
 from descriptors.session import find_provider
 from tools.columns import aligned
 
@@ -76,6 +78,7 @@ def as_text(model: str, speed: Speed) -> str:
     facts = {
         "name": card.name,
         "file": f"{path} ({path.stat().st_size / 1e6:.1f} MB)",
+        "codebooks": _codebooks(path),
         "SHA-256": card.sha256,
         "vector": f"{card.dim} numbers of unit length, {4 * card.dim} bytes as float32",
         "input": f"{'colour' if card.colour else 'grey'}, {shape}",
@@ -92,6 +95,14 @@ def as_text(model: str, speed: Speed) -> str:
     if card.figures:
         lines += ["", *aligned(_figures(card))]
     return "\n".join([*lines, "", _speed_line(speed)])
+
+
+def _codebooks(model: Path) -> str:
+    """The file of product codes, or how to come by it."""
+    books = codebooks_path(model)
+    if books.is_file():
+        return f"{books} ({books.stat().st_size / 1e6:.1f} MB)"
+    return "none: no product codes of its vectors on the air"
 
 
 def _thresholds(card: ModelCard) -> list[list[str]]:

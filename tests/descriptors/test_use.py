@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from descriptors.card import MODELS, ModelCard, read_card
+from descriptors.codebooks import codebooks_path
 from descriptors.container import PlaceVectors
 from descriptors.inference import NetVlad
 from frontend.trajectory import write_kitti_poses
@@ -216,6 +217,7 @@ def test_thresholds_come_from_ones_own_drive(tmp_path: Path, capsys: pytest.Capt
     assert (MODELS / "default.json").read_bytes() == before
     _, card = read_card(out)
     assert card.sha256 == read_card("default")[1].sha256, "vectors of both may be compared"
+    assert codebooks_path(out).is_file() == codebooks_path(MODELS / "default.onnx").is_file()
     assert card.calibration is not None and "own sequences block" in card.calibration.data
     # Every place is another picture: all revisits are found, and nothing else is taken for one.
     assert card.calibration.strict.precision == card.calibration.strict.recall == 1.0
