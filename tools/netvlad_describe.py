@@ -80,10 +80,10 @@ def find_images(sources: Sequence[Path], every: int, colour: bool, say: Callable
 def describe_file(images: Images, model: NetVlad, out: Path, settings: DescribeSettings, progress: Progress) -> str:
     """Write ``out``, the container of all vectors; a line that says what is in it.
 
-    What is done so far stands in ``out.part`` and is taken up again as long as images and model are the same. Images
+    What is done so far stands in ``out.unfinished`` and is taken up again as long as images and model are the same. Images
     that cannot be read are left out and said; ``ToolError`` where they are too many.
     """
-    part = out.with_name(out.name + ".part")
+    part = out.with_name(out.name + ".unfinished")
     fingerprint, total = _fingerprint(images, model), len(images.files)
     parts = [_load_part(part, fingerprint, model.dim)]
     task, kept_s = progress.start(images.name, total), time.monotonic()

@@ -90,14 +90,14 @@ def test_interrupted_work_is_taken_up_again(
     with monkeypatch.context() as patch:
         patch.setattr(NetVlad, "look", until_the_tenth)
         assert main(words) == 130
-    assert not out.exists() and (tmp_path / "v.npz.part").is_file()
+    assert not out.exists() and (tmp_path / "v.npz.unfinished").is_file()
     again: list[NDArray[np.uint8]] = []
     with monkeypatch.context() as patch:
         patch.setattr(NetVlad, "look", lambda self, given: again.extend(given) or look(self, given))
         assert main(words) == 0
     assert len(looked) + len(again) == 23
     np.testing.assert_allclose(PlaceVectors.load(out).vectors, _means(images), atol=1e-5)
-    assert not (tmp_path / "v.npz.part").exists()
+    assert not (tmp_path / "v.npz.unfinished").exists()
 
 
 def test_unfinished_work_on_other_images_is_not_taken_up(
