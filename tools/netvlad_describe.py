@@ -80,8 +80,8 @@ def find_images(sources: Sequence[Path], every: int, colour: bool, say: Callable
 def describe_file(images: Images, model: NetVlad, out: Path, settings: DescribeSettings, progress: Progress) -> str:
     """Write ``out``, the container of all vectors; a line that says what is in it.
 
-    What is done so far stands in ``out.unfinished`` and is taken up again as long as images and model are the same. Images
-    that cannot be read are left out and said; ``ToolError`` where they are too many.
+    What is done so far stands in ``out.unfinished`` and is taken up again as long as images and model are the same.
+    Images that cannot be read are left out and said; ``ToolError`` where they are too many.
     """
     part = out.with_name(out.name + ".unfinished")
     fingerprint, total = _fingerprint(images, model), len(images.files)
