@@ -47,13 +47,9 @@ class Evaluation:
     distances: NDArray[np.float32]
 
 
-def public_benchmarks(root: Path, names: Sequence[str] | None = None, colour: bool = False) -> list[PlaceBenchmark]:
-    """The real sets that are present under the data folder, of these ``names`` where any are given."""
-    return [
-        read(root, colour=colour)
-        for name, read in sorted(PUBLIC_SETS.items())
-        if (root / name).is_dir() and (names is None or name in names)
-    ]
+def public_benchmarks(root: Path, colour: bool = False) -> list[PlaceBenchmark]:
+    """The real sets that are present under the data folder."""
+    return [read(root, colour=colour) for name, read in sorted(PUBLIC_SETS.items()) if (root / name).is_dir()]
 
 
 def evaluate(method: Method, benchmark: PlaceBenchmark) -> list[Evaluation]:

@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """Evaluate; print the table or the records; draw."""
-    from tools.netvlad_eval import as_records, table
+    from tools.netvlad_eval import as_records, evaluate, table
     from tools.progress import progress_on
 
     names = _names("--methods", arguments.methods, METHODS)
@@ -82,13 +82,13 @@ def main(arguments: argparse.Namespace) -> None:
         nets = _nets(arguments) if "netvlad" in names else []
         methods = _methods(arguments, nets, names, progress)
         if any(method.colour for method in methods):
-            coloured = {one.name: one for one in _real_sets(arguments, colour=True)}
+            coloured = {one.name: one for one in _photographed(arguments, progress, colour=True)}
         task = progress.start("evaluating", len(methods) * len(benchmarks))
         results: list[list[Evaluation]] = []
         for one in benchmarks:
             results.append([])
             for method in methods:
-                results[-1] += _evaluate(method, coloured.get(one.name, one) if method.colour else one)
+                results[-1] += evaluate(method, coloured.get(one.name, one) if method.colour else one)
                 progress.advance(task, len(methods) * (len(results) - 1) + methods.index(method) + 1)
         scores = [evaluation.score for of_set in results for evaluation in of_set]
         if arguments.out is not None:
@@ -101,33 +101,23 @@ def main(arguments: argparse.Namespace) -> None:
     print(json.dumps(as_records(scores), indent=1) if arguments.json else table(scores))
 
 
-def _evaluate(method: Method, benchmark: PlaceBenchmark) -> list[Evaluation]:
-    from tools.netvlad_eval import evaluate
-
-    return evaluate(method, benchmark)
-
-
 def _benchmarks(arguments: argparse.Namespace, progress: Progress) -> list[PlaceBenchmark]:
-    """Real sets, rendered held-out worlds and the user's sequences, in this order."""
-    from tools.netvlad_posed import posed_benchmark
+    """Real sets, the user's sequences among them, and rendered held-out worlds."""
     from tools.netvlad_train import render_worlds
     from tools.netvlad_worlds import HELD_OUT_SEEDS, benchmark, config_for
-    from tools.progress import counter
 
     worlds = {
         f"{kind}_{HELD_OUT_SEEDS + k}": (kind, HELD_OUT_SEEDS + k)
         for kind in kinds_of(arguments)
         for k in range(arguments.worlds)
     }
-    made = _real_sets(arguments)
+    made = _photographed(arguments, progress)
     if arguments.sets is not None:
         chosen = _names("--sets", arguments.sets, (*(one.name for one in made), *worlds))
         made = [one for one in made if one.name in chosen]
         worlds = {name: world for name, world in worlds.items() if name in chosen}
     rendered = render_worlds(list(worlds.values()), arguments.places, arguments.cache, arguments.workers, progress)
     made += [benchmark(f"{kind}_{seed}", places, config_for(kind), 0.0) for (kind, seed), places in rendered.items()]
-    for folder in arguments.sequence:
-        made.append(posed_benchmark(folder, revisits_of(arguments), counter(progress, f"reading {folder}")))
     if not made:
         raise ToolError(
             f"{_data(arguments)}: holds no place-recognition set, and neither a rendered world (--worlds) nor a "
@@ -147,10 +137,10 @@ def _methods(
     arguments: argparse.Namespace, nets: list[NetVlad], names: tuple[str, ...], progress: Progress
 ) -> list[Method]:
     from frontend.vocabulary import Vocabulary
-    from tools.netvlad_methods import netvlad_method, random_method, sift_method, thumbnail_method, words_method
+    from tools.netvlad_methods import netvlad_methods, random_method, sift_method, thumbnail_method, words_method
     from tools.netvlad_sift import fitted
 
-    made = [netvlad_method(net) for net in nets]
+    made = netvlad_methods(nets)
     photos, views = _fit_images(arguments, progress) if {"rootsift-vlad", "random-weights"} & set(names) else ([], [])
     if "rootsift-vlad" in names:
         # The codebook from real images where there are any: one half made of rendered walls finds fewer real places.
@@ -197,10 +187,19 @@ def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in known if name in chosen)
 
 
-def _real_sets(arguments: argparse.Namespace, colour: bool = False) -> list[PlaceBenchmark]:
+def _photographed(arguments: argparse.Namespace, progress: Progress, colour: bool = False) -> list[PlaceBenchmark]:
+    """Public sets and the user's sequences; ``colour``: the images as colour networks see them."""
     from tools.netvlad_eval import public_benchmarks
+    from tools.netvlad_posed import posed_benchmark
+    from tools.progress import counter
 
-    return public_benchmarks(_data(arguments), colour=colour)
+    made = public_benchmarks(_data(arguments), colour=colour)
+    for folder in arguments.sequence:
+        tick = counter(progress, f"reading {folder}{' in colour' if colour else ''}")
+        made.append(posed_benchmark(folder, revisits_of(arguments), tick, colour))
+        if made[-1].name in [one.name for one in made[:-1]]:
+            raise UsageError(f"--sequence {folder}: another set has the name {made[-1].name}, too")
+    return made
 
 
 def _data(arguments: argparse.Namespace) -> Path:

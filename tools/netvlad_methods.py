@@ -45,6 +45,14 @@ class Method:
     colour: bool = False
 
 
+def netvlad_methods(nets: Sequence[NetVlad]) -> list[Method]:
+    """Shipped and users' models, named by their cards (``netvlad:...``) or files (``onnx:...``); of equal names by
+    their weights, too."""
+    names = [f"{'netvlad' if net.path.with_suffix('.json').is_file() else 'onnx'}:{net.name}" for net in nets]
+    weights = [f"@{net.sha256[:6]}" if names.count(name) > 1 else "" for name, net in zip(names, nets, strict=True)]
+    return [netvlad_method(net, name + more) for net, name, more in zip(nets, names, weights, strict=True)]
+
+
 def netvlad_method(model: str | Path | NetVlad = "default", name: str = "") -> Method:
     """A shipped or a user's ONNX model, with each code there is for it."""
     net = model if isinstance(model, NetVlad) else NetVlad.load(model)

@@ -21,7 +21,7 @@ from tools.netvlad_data import PlaceBenchmark
 from tools.netvlad_eval import evaluate
 from tools.netvlad_eval_picture import draw_evaluation, examples
 from tools.netvlad_foreign import InputForm, load_model
-from tools.netvlad_methods import Method, coded, netvlad_method
+from tools.netvlad_methods import Method, coded, netvlad_methods
 from tools.netvlad_picture import calibration_picture, training_picture
 from tools.netvlad_worlds import HELD_OUT_SEEDS, cache_path, config_for, save_places
 
@@ -107,9 +107,9 @@ def test_the_command_ranks_a_bare_network_beside_ours(cache: Path, capsys: pytes
     keys = ["dataset", "method", "code", "bytes", "queries", "recall_at_1", "recall_at_5", "ap", "ms"]
     assert all(list(record) == keys for record in records)
     assert json.loads((cache / "pictures" / "scores.json").read_text()) == records
-    assert list(dict.fromkeys(r["dataset"] for r in records)) == ["town_9500", "street"]
+    assert list(dict.fromkeys(r["dataset"] for r in records)) == ["street", "town_9500"]
     methods = list(dict.fromkeys(r["method"] for r in records))
-    assert methods[0].startswith("netvlad:") and methods[1:] == ["netvlad:mine", "bag-of-words"]
+    assert methods[0].startswith("netvlad:") and methods[1:] == ["onnx:mine", "bag-of-words"]
     ours = [r for r in records if r["method"] == methods[0]]
     assert all(r["recall_at_1"] == 1.0 for r in ours if r["code"] in ("float32", "int8"))  # the pictures are the same
     assert {r["queries"] for r in records if r["dataset"] == "street"} == {LAP}
@@ -185,7 +185,9 @@ def test_a_colour_network_sees_colours_of_real_sets(tmp_path: Path, capsys: pyte
     wanted = ["--model", str(path), "--methods", "netvlad", "--worlds", "0", "--data", str(tmp_path)]
     assert main(["netvlad", "eval", *wanted, "--json", "--quiet"]) == 0
     assert {r["recall_at_1"] for r in json.loads(capsys.readouterr().out)} == {1.0}
-    assert netvlad_method(load_model(str(path))).colour
+    first, second = netvlad_methods([load_model(str(path)), load_model(str(path))])
+    assert first.colour and first.name == second.name  # the same weights have the same name
+    assert first.name.startswith("onnx:colours@")
 
 
 def _point(distance: float, precision: float, recall: float) -> OperatingPoint:
