@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tools import netvlad_evaluate
+from tools import netvlad_codes, netvlad_evaluate
 from tools.netvlad_options import add_held_out_options, add_world_options, kinds_of, needing_torch
 
 
@@ -51,6 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_calibration_arguments(calibrate)
     evaluate = actions.add_parser("eval", help="recall and precision on real sets and held-out rendered worlds")
     netvlad_evaluate.add_arguments(evaluate)
+    codes = actions.add_parser("codes", help="make a model's codebooks, and measure what vectors in few bytes cost")
+    netvlad_codes.add_arguments(codes)
     add_use_actions(actions)
 
 
@@ -60,7 +62,7 @@ def main(arguments: argparse.Namespace) -> None:
 
     run = {
         "train": _train, "export": _export, "calibrate": _calibrate, "eval": netvlad_evaluate.main, "info": run_info,
-        "card": run_card, "describe": run_describe,
+        "card": run_card, "describe": run_describe, "codes": netvlad_codes.main,
     }  # fmt: skip
     run[arguments.action](arguments)
 

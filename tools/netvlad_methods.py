@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.codebooks import codebooks_path
+from descriptors.codebooks import Codebooks, codebooks_path
 from descriptors.codes import PRODUCT_CODES, Coder
 from descriptors.inference import NetVlad, to_working_size
 from frontend.vocabulary import BagOfWords, Vocabulary, WordIndex
@@ -65,7 +65,9 @@ def codes_of(net: NetVlad) -> list[str]:
     their codebooks lie beside the model."""
     prefixes = [f"x{dim}" for dim in (256, 128) if dim < net.dim]
     names = [f"{kind}{prefix}" for kind in ("float32", "int8") for prefix in ("", *prefixes)] + ["int4"]
-    return names + (list(PRODUCT_CODES) if codebooks_path(net.path).is_file() else [])
+    books = codebooks_path(net.path)
+    known = Codebooks.load(books).books if books.is_file() else {}
+    return names + [code for code in PRODUCT_CODES if code in known]
 
 
 def thumbnail_method() -> Method:
