@@ -1,4 +1,5 @@
-"""``maslam bench``: what the odometry costs and how good it is (``vo``), and what it keeps in memory (``memory``)."""
+"""``maslam bench``: what the odometry costs and how good it is (``vo``), what it keeps in memory (``memory``), and
+what the search of place vectors costs (``search``)."""
 
 from __future__ import annotations
 
@@ -86,9 +87,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_options(memory, OdometryConfig(), SECTION)
 
 
+    search = actions.add_parser(
+        "search",
+        help="exact search of place vectors: time of a query and memory, by number of key-frames",
+        allow_abbrev=False,
+        usage="maslam bench search [options]",
+    )
+    search.add_argument(
+        "--sizes", default="1000,10000,100000", metavar="LIST", help="key-frames searched (default: %(default)s)"
+    )
+    search.add_argument("--dim", type=int, default=256, metavar="N", help="numbers of a vector (default: %(default)s)")
+    search.add_argument("--seed", type=int, default=0, help="of the vectors (default: %(default)s)")
+    search.add_argument("--json", action="store_true", help="one JSON list instead of a table")
+    search.add_argument("--quiet", action="store_true", help="no progress")
+
+
 def main(arguments: argparse.Namespace) -> int:
     """Do the action asked for."""
-    return {"vo": _vo, "memory": _memory}[arguments.action](arguments)
+    return {"vo": _vo, "memory": _memory, "search": _search}[arguments.action](arguments)
+
+
+def _search(arguments: argparse.Namespace) -> int:
+    from tools.bench_search import as_json, as_text, bench_search
+    from tools.progress import progress_on
+
+    sizes = tuple(int(part) if part.strip().isdigit() else 0 for part in arguments.sizes.split(","))
+    if min(sizes) < 1 or arguments.dim < 1:
+        raise UsageError(f"--sizes {arguments.sizes} --dim {arguments.dim}: numbers of at least 1 are meant")
+    with progress_on(quiet=arguments.quiet) as progress:
+        results = bench_search(sizes, arguments.dim, arguments.seed, progress)
+    print(as_json(results) if arguments.json else as_text(results))
+    return 0
 
 
 def _memory(arguments: argparse.Namespace) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from descriptors.errors import DescriptorError
 from descriptors.search import NearestIndex
+from tools.cli import main
 
 
 def unit(rows: NDArray) -> NDArray[np.float32]:
@@ -85,6 +88,15 @@ def test_any_vectors(seed: int, dim: int, count: int, spread: float) -> None:
     index = filled(vectors)
     query = unit(rng.normal(size=(1, dim)) if seed % 2 else vectors[:1] + spread * rng.normal(size=(1, dim)))[0]
     assert index.nearest(query) == brute(vectors, query)
+
+
+def test_the_benchmark_prints_a_line_for_each_size(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "search", "--sizes", "10,5000", "--dim", "32", "--json", "--quiet"]) == 0
+    records = json.loads(capsys.readouterr().out)
+    assert [r["vectors"] for r in records] == [10, 5000]
+    # The room of a block, and twice that: float32, int8 and four figures for each of 4096 vectors.
+    assert records[1]["megabytes"] == pytest.approx(2 * 4096 * (5 * 32 + 4 * 8) / 1e6, rel=0.15)
+    assert main(["bench", "search", "--sizes", "10,many", "--quiet"]) == 2
 
 
 def test_what_does_not_belong_is_refused() -> None:
