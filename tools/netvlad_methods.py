@@ -21,6 +21,7 @@ from tools.netvlad_sift import SiftVlad
 Vectors = NDArray[np.float32]
 _THUMBNAIL = (16, 12)
 _ORB_PIXELS, _ORB_FEATURES = 76_800, 1000  # chosen on rendered held-out worlds
+_RANDOM_IMAGES = 1000
 _WORD_BYTES = 8  # a word's number and its weight, as DBoW2 keeps them, in four bytes each
 
 
@@ -117,20 +118,22 @@ def word_distances(queries: Sequence[BagOfWords], references: Sequence[BagOfWord
 
 
 def random_method(images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Method:
-    """Our architecture before any training (centres and principal axes from ``images``): what training must add to.
-    Needs torch."""
+    """Our architecture before any training (centres and principal axes from a thousand of ``images``, spread out): what
+    training must add to. Needs torch."""
     import torch
 
     from descriptors.config import NetVladConfig
-    from descriptors.initialisation import initialise
+    from descriptors.initialisation import fit_projection, initialise
     from descriptors.netvlad import build_network
 
     config, pixels = NetVladConfig(), NetVlad.load().card.input_pixels
     network = build_network(config, seed)
     height = round((pixels * 3 / 4) ** 0.5)
     shape = (round(pixels / height), height)
-    stack = np.stack([cv2.resize(image, shape, interpolation=cv2.INTER_AREA) for image in images])
+    chosen = images[:: max(1, len(images) // _RANDOM_IMAGES)]
+    stack = np.stack([cv2.resize(image, shape, interpolation=cv2.INTER_AREA) for image in chosen])
     initialise(network, stack, np.random.default_rng(seed))
+    fit_projection(network, stack)
 
     def describe(image: NDArray[np.uint8]) -> Vectors:
         with torch.no_grad():
