@@ -59,7 +59,8 @@ def draw_set(benchmark: PlaceBenchmark, evaluations: Sequence[Evaluation], path:
 
 
 def draw_bytes(results: Sequence[Sequence[Evaluation]], path: Path) -> None:
-    """Recall@1 over the bytes of one description, a panel for each set, a line for each method."""
+    """Recall@1 over the bytes of one description, a panel for each set; a dot for each code of a method, a line along
+    the best in so many bytes."""
     columns = min(3, len(results))
     rows = -(-len(results) // columns)
     with saved_figure(path, (3.9 * columns, 3.1 * rows + 0.4)) as figure:
@@ -67,8 +68,9 @@ def draw_bytes(results: Sequence[Sequence[Evaluation]], path: Path) -> None:
         for axes, evaluations in zip(grid.flat, results, strict=False):
             for number, method in enumerate(_methods(evaluations)):
                 points = sorted((e.score.bytes, e.score.recall_at_1) for e in evaluations if e.score.method == method)
-                xs, ys = zip(*points, strict=True)
-                axes.plot(xs, ys, "o-", color=colour_of(number), linewidth=1.4, markersize=5, label=method)
+                xs, ys = (np.array(column) for column in zip(*points, strict=True))
+                axes.plot(xs, ys, "o", color=colour_of(number), markersize=4.5, label=method)
+                axes.plot(xs, np.maximum.accumulate(ys), color=colour_of(number), linewidth=1.4)
             axes.set_xscale("log", base=2)
             ticks = [2**k for k in range(4, 16, 2)]
             axes.set_xticks(ticks, [f"{t}" if t < 1024 else f"{t // 1024}k" for t in ticks])
