@@ -38,7 +38,8 @@ class SearchResult:
 def bench_search(sizes: tuple[int, ...], dim: int, seed: int, progress: Progress) -> list[SearchResult]:
     """Made-up unit vectors of any direction: nothing tells them apart early, so no search has it harder."""
     # Compiling is not measured.
-    _filled(_unit(np.random.default_rng(0).standard_normal((2, dim), dtype=np.float32))).nearest(np.ones(dim, dtype=np.float32))
+    two = _unit(np.random.default_rng(0).standard_normal((2, dim), dtype=np.float32))
+    _filled(two).nearest(np.ones(dim, dtype=np.float32))
     task, results = progress.start("searching", len(sizes)), []
     for done, size in enumerate(sizes, 1):
         results.append(_measure(size, dim, np.random.default_rng([seed, size])))
