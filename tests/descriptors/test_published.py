@@ -197,7 +197,8 @@ def test_it_is_calibrated_and_evaluated_like_ours(tmp_path: Path, capsys: pytest
     card = read_card(model)[1]
     assert card.calibration is not None and card.threshold == card.calibration.strict.distance < 2.0
     capsys.readouterr()
-    assert main(["netvlad", "eval", "--model", str(model), "--data", str(tmp_path), "--json", *options]) == 0
+    wanted = ["--data", str(tmp_path), "--json", "--methods", "netvlad"]
+    assert main(["netvlad", "eval", "--model", str(model), *wanted, *options]) == 0
     records = [r for r in json.loads(capsys.readouterr().out) if r["method"] == "netvlad:vgg"]
     # The two views of a place are the same picture: numbers that nothing was taken from must tell.
     assert [(r["dataset"], r["recall_at_1"]) for r in records if r["code"] == "float32"] == [("town_9500", 1.0)]
