@@ -12,8 +12,15 @@ class NetVladConfig(BaseModel):
 
     channels: tuple[int, ...] = Field((32, 64, 96, 128, 128), description="of the 3x3 convolutions")
     strides: tuple[int, ...] = Field((2, 2, 2, 1, 1), description="of the 3x3 convolutions")
-    local_dim: int = Field(64, gt=0, description="dimensions of a local feature")
-    clusters: int = Field(64, gt=1, description="VLAD centres")
+    context: tuple[int, ...] = Field(
+        (192, 256), description="channels of further 3x3 convolutions at half that size, added back to the last of them"
+    )
+    gradient_levels: tuple[int, ...] = Field(
+        (1, 2), description="shrink factors at which gradient histograms are taken; none: convolutions alone"
+    )
+    gradient_share: float = Field(0.5, gt=0, lt=1, description="of the squared length of the VLAD vector")
+    local_dim: int = Field(64, gt=0, description="dimensions of a local feature, of either kind")
+    clusters: int = Field(64, gt=1, description="VLAD centres, of either kind")
     dim: int = Field(256, gt=0, description="dimensions of the place vector")
 
 
@@ -29,6 +36,7 @@ class TrainingConfig(BaseModel):
     height: int = Field(120, ge=32, description="of a training image, pixels")
     learning_rate: float = Field(2e-3, gt=0, description="at its peak; falls to zero on a half cosine")
     warmup_steps: int = Field(100, ge=0)
+    gradient_thinning: int = Field(3, gt=0, description="every so many gradient histograms are learned from in a step")
     weight_decay: float = Field(1e-4, ge=0)
     start_scale: float = Field(12.0, gt=0, description="inverse temperature at the start; learned")
     seed: int = Field(0, ge=0)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import scipy.linalg
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from descriptors.netvlad import NetVladNetwork, assignment_alpha
+from descriptors.netvlad import NetVladNetwork, VladLayer, assignment_alpha, standardise
 
 _BATCH = 32
 _FEATURES_PER_IMAGE = 60
 _KMEANS_ROUNDS = 25
-_WHITENING = 0.375
+WHITENING = 0.375
 """Power of an axis' variance that it is divided by: 0 is plain PCA, 0.5 full whitening; chosen on held-out worlds."""
 
 
@@ -33,39 +36,80 @@ def kmeans(features: NDArray[np.float32], clusters: int, rng: np.random.Generato
 
 @torch.no_grad()
 def initialise(network: NetVladNetwork, images: NDArray[np.uint8], rng: np.random.Generator) -> None:
-    """Set batch-norm statistics, VLAD centres and projection from ``images`` ``(n, H, W)``; n at least the output
-    dimension."""
-    if len(images) < network.config.dim:
-        raise ValueError(f"initialisation needs at least {network.config.dim} images, got {len(images)}")
+    """Set batch-norm statistics, principal axes of gradient histograms and all VLAD centres from ``images`` ``(n, H, W)``;
+    the projection is :func:`fit_projection`'s."""
     settle_batch_norms(network, images)
-    features = _sample_features(network, images, rng)
-    centres = torch.from_numpy(kmeans(features, network.config.clusters, rng))
-    nearest = torch.topk(torch.cdist(torch.from_numpy(features), centres).square(), 2, dim=1, largest=False).values
-    network.vlad.set_centres(centres, assignment_alpha(nearest[:, 0], nearest[:, 1]))
-    fit_projection(network, images)
+    _start_vlad(network.vlad, _sample_features(network.local_features, images, rng), rng)
+    initialise_gradients(network, images, rng)
+
+
+@torch.no_grad()
+def initialise_gradients(network: NetVladNetwork, images: NDArray[np.uint8], rng: np.random.Generator) -> None:
+    """Set what follows the gradient histograms: their principal axes, and VLAD centres among the reduced ones."""
+    if not network.config.gradient_levels:
+        return
+
+    def histograms(batch: Tensor) -> Tensor:
+        return network.gradients(standardise(batch))
+
+    sample = _sample_features(histograms, images, rng).astype(np.float64)
+    mean = sample.mean(axis=0)
+    _, axes = np.linalg.eigh((sample - mean).T @ (sample - mean) / len(sample))
+    weight = _fix_signs(axes[:, ::-1].T[: network.config.local_dim])
+    network.gradient_reduce.weight.copy_(torch.from_numpy(weight)[:, :, None, None])
+    network.gradient_reduce.bias.copy_(torch.from_numpy(-weight @ mean))
+    _start_vlad(network.gradient_vlad, _sample_features(network.gradient_features, images, rng), rng)
 
 
 @torch.no_grad()
 def fit_projection(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Set the projection to the principal axes of the VLAD vectors of ``images``, partly whitened, strongest first.
+    """Set the projection to the principal axes of the VLAD vectors of ``images`` ``(n, H, W)``, partly whitened,
+    strongest first; n at least the output dimension.
 
     Returns the share of the variance along each kept axis, ``(dim,)``. Partial whitening lies between plain PCA, where
     a few axes drown the rest, and full whitening, which lifts the noise of the last axes to the strength of the
     first; docs/netvlad.md has the figures.
     """
+    if len(images) < network.config.dim:
+        raise ValueError(f"the projection needs at least {network.config.dim} images, got {len(images)}")
     network.eval()
-    vlads = torch.cat([network.aggregate(batch) for batch in batches(images)]).double()
-    mean = vlads.mean(dim=0)
-    variances, axes = torch.linalg.eigh((vlads - mean).T @ (vlads - mean) / len(vlads))
-    variances, axes = variances.flip(0).clamp(min=0.0), axes.flip(1).T
-    kept, shares = axes[: network.config.dim], variances / variances.sum()
-    # An axis' sign is free: fix it, so that the same training gives the same file on every machine.
-    kept = kept * kept.gather(1, kept.abs().argmax(dim=1, keepdim=True)).sign()
-    scale = (variances[: network.config.dim] / variances[0]).clamp(min=1e-6) ** -_WHITENING
-    weight = kept * scale[:, None]
-    network.project.weight.copy_(weight.float())
-    network.project.bias.copy_((-weight @ mean).float())
-    return np.asarray(shares[: network.config.dim].numpy())
+    vlads = torch.cat([network.aggregate(batch) for batch in batches(images)]).numpy()
+    weight, bias, shares = whitening(vlads, network.config.dim)
+    # To half precision, which is how export keeps it.
+    network.project.weight.copy_(torch.from_numpy(weight).half())
+    network.project.bias.copy_(torch.from_numpy(bias))
+    return shares
+
+
+def whitening(
+    vlads: NDArray[np.float32], dim: int, power: float = WHITENING
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Weight ``(dim, D)``, bias ``(dim,)`` and share of the variance ``(dim,)`` of the partly whitened principal axes
+    of ``(n, D)`` vectors; n and D at least ``dim``."""
+    mean = vlads.mean(axis=0, dtype=np.float64)
+    centred = vlads - mean.astype(np.float32)
+    n, width = centred.shape
+    # The smaller of the two Gram matrices: fewer images than numbers in a vector is the usual case.
+    gram = centred @ centred.T if n < width else centred.T @ centred
+    last = len(gram) - 1
+    variances, vectors = scipy.linalg.eigh(gram.astype(np.float64) / n, subset_by_index=[last + 1 - dim, last])
+    variances, vectors = np.maximum(variances[::-1], 0.0), vectors[:, ::-1]
+    axes = centred.T.astype(np.float64) @ vectors if n < width else vectors
+    axes = _fix_signs((axes / np.maximum(np.linalg.norm(axes, axis=0), 1e-12)).T)
+    weight = axes * (np.maximum(variances / variances[0], 1e-6) ** -power)[:, None]
+    return weight, -weight @ mean, variances / (np.square(centred, dtype=np.float64).sum() / n)
+
+
+def _fix_signs(axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows with their largest entry positive: an axis' sign is free, and the same training must give the same file."""
+    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(axes * np.sign(largest))
+
+
+def _start_vlad(layer: VladLayer, features: NDArray[np.float32], rng: np.random.Generator) -> None:
+    centres = torch.from_numpy(kmeans(features, len(layer.centres), rng))
+    nearest = torch.topk(torch.cdist(torch.from_numpy(features), centres).square(), 2, dim=1, largest=False).values
+    layer.set_centres(centres, assignment_alpha(nearest[:, 0], nearest[:, 1]))
 
 
 @torch.no_grad()
@@ -90,12 +134,12 @@ def batches(images: NDArray[np.uint8]) -> list[Tensor]:
 
 
 def _sample_features(
-    network: NetVladNetwork, images: NDArray[np.uint8], rng: np.random.Generator
+    describe: Callable[[Tensor], Tensor], images: NDArray[np.uint8], rng: np.random.Generator
 ) -> NDArray[np.float32]:
+    """Up to 60 of the local features ``(N, D, ...)`` that ``describe`` finds in each image, ``(n, D)``."""
     samples = []
     for batch in batches(images):
-        features = network.local_features(batch).flatten(2).transpose(1, 2).numpy()
-        for one in features:
+        for one in describe(batch).flatten(2).transpose(1, 2).numpy():
             chosen = rng.choice(len(one), min(_FEATURES_PER_IMAGE, len(one)), replace=False)
             samples.append(one[chosen])
     return np.ascontiguousarray(np.concatenate(samples))

@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from descriptors.config import NetVladConfig
+from descriptors.gradients import CHANNELS, GradientDescriptors
 
 STD_FLOOR = 1.0
 """Grey levels added (in quadrature) to an image's own deviation, so that a constant image divides by something."""
@@ -49,7 +50,9 @@ class VladLayer(nn.Module):
 class NetVladNetwork(nn.Module):
     """Grey images ``(N, 1, H, W)``, 0 to 255, any type and size, to unit place vectors ``(N, dim)`` float32.
 
-    Plain 3x3 convolutions; a batch norm before the VLAD layer keeps the unit features spread out. The projection is
+    Two kinds of local features, each with a VLAD layer of its own: what plain 3x3 convolutions learn, which hold up
+    when light and viewpoint change, and gradient histograms (``gradients.py``), which tell look-alike places apart by
+    their fine layout. A batch norm before the learned VLAD layer keeps its unit features spread out. The projection is
     fitted after the rest (``initialisation.fit_projection``), strongest axis first, so that a prefix is usable alone.
     """
 
@@ -58,34 +61,64 @@ class NetVladNetwork(nn.Module):
         if len(config.channels) != len(config.strides):
             raise ValueError(f"{len(config.channels)} channel counts but {len(config.strides)} strides")
         self.config = config
-        layers: list[nn.Module] = []
-        previous = 1
-        for width, stride in zip(config.channels, config.strides, strict=True):
-            layers.append(nn.Conv2d(previous, width, 3, stride, 1, bias=False))
-            layers.append(nn.BatchNorm2d(width))
-            layers.append(nn.ReLU(inplace=True))
-            previous = width
-        self.backbone = nn.Sequential(*layers)
-        self.reduce = nn.Sequential(
-            nn.Conv2d(previous, config.local_dim, 1, bias=False), nn.BatchNorm2d(config.local_dim)
-        )
+        last = config.channels[-1]
+        self.backbone = nn.Sequential(*_convolutions((1, *config.channels), config.strides))
+        if config.context:
+            strides = (2, *(1 for _ in config.context[1:]))
+            back = nn.BatchNorm2d(last)
+            nn.init.zeros_(back.weight)  # adds nothing until it has learned something
+            widen = nn.Conv2d(config.context[-1], last, 1, bias=False)
+            self.context = nn.Sequential(*_convolutions((last, *config.context), strides), widen, back)
+        self.reduce = nn.Sequential(nn.Conv2d(last, config.local_dim, 1, bias=False), nn.BatchNorm2d(config.local_dim))
         self.vlad = VladLayer(config.clusters, config.local_dim)
-        self.project = nn.Linear(config.clusters * config.local_dim, config.dim)
+        if config.gradient_levels:
+            self.gradients = GradientDescriptors(config.gradient_levels)
+            self.gradient_reduce = nn.Conv2d(CHANNELS, config.local_dim, 1)
+            self.gradient_vlad = VladLayer(config.clusters, config.local_dim)
+        self.project = nn.Linear(self.vlad_dim, config.dim)
+
+    @property
+    def vlad_dim(self) -> int:
+        """Length of the vector before the projection."""
+        return (2 if self.config.gradient_levels else 1) * self.config.clusters * self.config.local_dim
 
     def local_features(self, images: Tensor) -> Tensor:
-        """Unit local features ``(N, D, h, w)``."""
-        x = images.float()
-        centred = x - x.mean(dim=(1, 2, 3), keepdim=True)
-        deviation = (centred.square().mean(dim=(1, 2, 3), keepdim=True) + STD_FLOOR**2).sqrt()
-        x = (centred / deviation).contiguous(memory_format=torch.channels_last)
-        return F.normalize(self.reduce(self.backbone(x)), dim=1)
+        """Unit learned features ``(N, D, h, w)``."""
+        x = self.backbone(standardise(images).contiguous(memory_format=torch.channels_last))
+        if self.config.context:
+            x = F.relu(x + F.interpolate(self.context(x), size=x.shape[2:], mode="nearest"))
+        return F.normalize(self.reduce(x), dim=1)
 
-    def aggregate(self, images: Tensor) -> Tensor:
-        """VLAD vectors before the projection, ``(N, K * D)``."""
-        return self.vlad(self.local_features(images))
+    def gradient_features(self, images: Tensor, thin: int = 1, offset: int = 0) -> Tensor:
+        """Unit features from gradient histograms of all levels, ``(N, D, 1, n)``; ``thin`` as for the histograms."""
+        return F.normalize(self.gradient_reduce(self.gradients(standardise(images), thin, offset)[:, :, None]), dim=1)
+
+    def aggregate(self, images: Tensor, thin: int = 1, offset: int = 0) -> Tensor:
+        """VLAD vectors before the projection, ``(N, vlad_dim)``, unit rows."""
+        learned = self.vlad(self.local_features(images))
+        if not self.config.gradient_levels:
+            return learned
+        share = self.config.gradient_share
+        fixed = self.gradient_vlad(self.gradient_features(images, thin, offset))
+        return torch.cat([math.sqrt(1.0 - share) * learned, math.sqrt(share) * fixed], dim=1)
 
     def forward(self, images: Tensor) -> Tensor:
         return F.normalize(self.project(self.aggregate(images)), dim=1)
+
+
+def standardise(images: Tensor) -> Tensor:
+    """Mean 0 and deviation 1 for each image, float32."""
+    x = images.float()
+    centred = x - x.mean(dim=(1, 2, 3), keepdim=True)
+    return centred / (centred.square().mean(dim=(1, 2, 3), keepdim=True) + STD_FLOOR**2).sqrt()
+
+
+def _convolutions(channels: tuple[int, ...], strides: tuple[int, ...]) -> list[nn.Module]:
+    """3x3 convolutions, each with batch norm and ReLU."""
+    layers: list[nn.Module] = []
+    for before, after, stride in zip(channels[:-1], channels[1:], strides, strict=True):
+        layers += [nn.Conv2d(before, after, 3, stride, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU(inplace=True)]
+    return layers
 
 
 def build_network(config: NetVladConfig, seed: int) -> NetVladNetwork:

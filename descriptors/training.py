@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,14 +34,16 @@ class PlaceSet:
     """Places seen V times each: ``views`` ``(P, V, h, w)`` uint8; V = 1 for photographs, whose second view is made.
 
     ``conflicts`` ``(P, P)`` bool: pairs of places that see each other and so must not be told apart (None: no such
-    pairs). ``weight``: this set's share of the batches, relative to the others'. ``strips``: share of neighbours in
-    a batch that are made look-alikes by a common strip.
+    pairs). ``group``: sets of one group take turns, one in each batch, so that a batch holds many places of one world:
+    its look-alikes are the negatives that teach most. ``weight``: the group's share of the batches, relative to the
+    others'. ``strips``: share of neighbours in a batch that are made look-alikes by a common strip.
     """
 
     name: str
     views: NDArray[np.uint8]
     conflicts: NDArray[np.bool_] | None = None
     weight: float = 1.0
+    group: str = ""
     augmentation: Augmentation = PHOTOS
     strips: float = 0.0
 
@@ -112,13 +115,24 @@ class Trainer:
         rng = np.random.default_rng([self.config.seed, 0, 1])
         initialise(self.network, self.sample_images(self.config.initial_images, rng), rng)
 
+    def start_from(self, path: Path) -> list[str]:
+        """Start, but with all weights of a checkpoint that this network has too; names of the layers that it lacks."""
+        self.start()
+        weights = read_checkpoint(path)["network"]
+        own = self.network.state_dict()
+        taken = {name: value for name, value in weights.items() if name in own and value.shape == own[name].shape}
+        if not any(name.startswith("backbone") for name in taken):
+            raise DescriptorError(f"{path}: none of its layers fits this network")
+        self.network.load_state_dict(taken, strict=False)
+        return sorted({name.rsplit(".", 1)[0] for name in own if name not in taken and not name.startswith("project")})
+
     def run(
         self, validate: Callable[[NetVladNetwork], dict[str, float]] | None = None, every: int = 50
     ) -> Iterator[Progress]:
         """Train up to the configured number of steps; yields the averages of every ``every`` steps."""
         loss_sum = accuracy_sum = count = 0.0
-        while self.step < self.config.steps:
-            loss, accuracy = self._train_step()
+        for batch in self._batches():
+            loss, accuracy = self._train_step(batch)
             loss_sum, accuracy_sum, count = loss_sum + loss, accuracy_sum + accuracy, count + 1
             if self.step % every == 0 or self.step == self.config.steps:
                 figures = {}
@@ -174,13 +188,17 @@ class Trainer:
         self.step = int(state["step"])
 
     def _draw_batch(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-        """Both views of a batch, ``(n, 1, H, W)`` each. Every batch mixes all sets: batch norms see in training
+        """Both views of a batch, ``(n, 1, H, W)`` each. Every batch mixes all groups: batch norms see in training
         what they see later, and no batch can be told from another by its style."""
-        weights = np.array([s.weight for s in self.sets])
+        groups: dict[str, list[PlaceSet]] = {}
+        for one in self.sets:
+            groups.setdefault(one.group or one.name, []).append(one)
+        taken = [members[int(rng.integers(len(members)))] for _, members in sorted(groups.items())]
+        weights = np.array([one.weight for one in taken])
         counts = rng.multinomial(self.config.pairs, weights / weights.sum())
         size = (self.config.height, self.config.width)
         parts = []
-        for chosen, count in zip(self.sets, counts, strict=True):
+        for chosen, count in zip(taken, counts, strict=True):
             if count:
                 first, second = chosen.draw(int(count), rng)
                 strip_seed = int(rng.integers(2**32))  # the same strips in both views
@@ -190,16 +208,28 @@ class Trainer:
                 parts.append(augment_pair(first, second, size, chosen.augmentation, rng))
         return torch.cat([a for a, _ in parts]), torch.cat([b for _, b in parts])
 
-    def _train_step(self) -> tuple[float, float]:
-        rng = np.random.default_rng([self.config.seed, 1, self.step])
-        first, second = self._draw_batch(rng)
+    def _batches(self) -> Iterator[tuple[Tensor, Tensor]]:
+        """The batches of all steps to go; the next one is made in the background while one is learned from."""
+        with ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,)) as background:
+            coming = None
+            for step in range(self.step, self.config.steps):
+                batch = (coming or background.submit(self._batch, step)).result()
+                coming = background.submit(self._batch, step + 1) if step + 1 < self.config.steps else None
+                yield batch
+
+    def _batch(self, step: int) -> tuple[Tensor, Tensor]:
+        with torch.no_grad():
+            return self._draw_batch(np.random.default_rng([self.config.seed, 1, step]))
+
+    def _train_step(self, batch: tuple[Tensor, Tensor]) -> tuple[float, float]:
+        first, second = batch
         self.network.train()
         rate = self.config.learning_rate * _schedule(self.step, self.config)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training images by
         # heart, and tells places of another world apart far worse than the vector it is given (docs/netvlad.md).
-        vlad = self.network.aggregate(torch.cat([first, second]))
+        vlad = self.network.aggregate(torch.cat([first, second]), self.config.gradient_thinning, self.step)
         scale = self.log_scale.exp().clamp(max=_MAX_SCALE)
         loss, accuracy = info_nce(vlad[: len(first)], vlad[len(first) :], scale)
         self.optimiser.zero_grad(set_to_none=True)

@@ -118,15 +118,16 @@ def word_distances(queries: Sequence[BagOfWords], references: Sequence[BagOfWord
 
 
 def random_method(images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Method:
-    """Our architecture before any training (centres and principal axes from a thousand of ``images``, spread out): what
-    training must add to. Needs torch."""
+    """The learned half of our architecture before any training (centres and principal axes from a thousand of
+    ``images``, spread out): what training must add to. Its other half, gradient histograms, is the RootSIFT-VLAD
+    baseline's matter. Needs torch."""
     import torch
 
     from descriptors.config import NetVladConfig
     from descriptors.initialisation import fit_projection, initialise
     from descriptors.netvlad import build_network
 
-    config, pixels = NetVladConfig(), NetVlad.load().card.input_pixels
+    config, pixels = NetVladConfig(gradient_levels=()), NetVlad.load().card.input_pixels
     network = build_network(config, seed)
     height = round((pixels * 3 / 4) ** 0.5)
     shape = (round(pixels / height), height)

@@ -69,7 +69,7 @@ def train(job: TrainJob, config: TrainingConfig, material: MaterialConfig, progr
 
     Writes ``log.jsonl`` (one line for each 50 steps) beside the checkpoint.
     """
-    from descriptors.training import Trainer, load_network
+    from descriptors.training import Trainer
 
     job.out.mkdir(parents=True, exist_ok=True)
     done, unfinished, log = job.out / "checkpoint.pt", job.out / "unfinished.pt", job.out / "log.jsonl"
@@ -79,10 +79,8 @@ def train(job: TrainJob, config: TrainingConfig, material: MaterialConfig, progr
         trainer.resume(unfinished)
         progress.say(f"goes on at step {trainer.step}")
     elif job.start is not None:
-        started = load_network(job.start)
-        if started.config != config.network:
-            raise ToolError(f"{job.start}: weights of another network: {started.config}")
-        trainer.network.load_state_dict(started.state_dict())
+        fresh = trainer.start_from(job.start)
+        progress.say(f"weights of {job.start}" + (f"; new: {', '.join(fresh)}" if fresh else ""))
     else:
         trainer.start()
     task = progress.start("training", config.steps)
@@ -121,9 +119,9 @@ def gather(job: TrainJob, material: MaterialConfig, progress: Progress) -> list[
     wanted = [(kind, TRAINING_SEEDS + k) for kind in KINDS for k in range(counts[kind][0]) if counts[kind][1] > 0]
     rendered = render_worlds(wanted, material.places, job.cache, job.workers, progress)
     for (kind, seed), places in rendered.items():
-        count, weight = counts[kind]
+        weight = counts[kind][1]
         views = np.stack([np.stack([visit.image for visit in visits]) for visits in places])
-        sets.append(PlaceSet(f"{kind}_{seed}", views, conflicts(places, config_for(kind)), weight / count, RENDERED))
+        sets.append(PlaceSet(f"{kind}_{seed}", views, conflicts(places, config_for(kind)), weight, kind, RENDERED))
     if not sets:
         raise ToolError("nothing to train on: neither photographs nor rendered worlds are wanted")
     return sets

@@ -19,7 +19,8 @@ from descriptors.netvlad import VladLayer, build_network  # noqa: E402
 from descriptors.training import PlaceSet, Trainer, load_network, read_checkpoint  # noqa: E402
 from tests.descriptors.conftest import textured_image  # noqa: E402
 
-TINY = NetVladConfig(channels=(8, 16, 16), strides=(2, 2, 2), local_dim=16, clusters=8, dim=32)
+TINY = NetVladConfig(channels=(8, 16, 16), strides=(2, 2, 2), context=(24,), local_dim=16, clusters=8, dim=32)
+PLAIN = TINY.model_copy(update={"context": (), "gradient_levels": ()})
 SMALL = TrainingConfig(
     network=TINY,
     steps=25,
@@ -64,16 +65,21 @@ def test_light_that_scales_and_shifts_changes_nothing() -> None:
     assert float(difference) < 0.01
 
 
-def test_exported_graph_equals_torch(tmp_path: Path) -> None:
+@pytest.mark.parametrize("config", [TINY, PLAIN, TINY.model_copy(update={"gradient_levels": (4,)})])
+def test_exported_graph_equals_torch(tmp_path: Path, config: NetVladConfig) -> None:
     ort = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    network = build_network(TINY, 4)
-    initialise(network, np.stack([textured_image(seed, 48, 64) for seed in range(48)]), np.random.default_rng(1))
+    network = build_network(config, 4)
+    images = np.stack([textured_image(seed, 80, 96) for seed in range(48)])
+    initialise(network, images, np.random.default_rng(1))
+    fit_projection(network, images)
+    if config.context:  # it starts as nothing
+        torch.nn.init.ones_(network.context[-1].weight)
     for name in ("a.onnx", "b.onnx"):
         export_onnx(network, tmp_path / name)
     assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
     session = ort.InferenceSession(str(tmp_path / "a.onnx"), providers=["CPUExecutionProvider"])
-    for count, height, width in ((1, 48, 64), (3, 120, 160), (2, 33, 97)):
+    for count, height, width in ((1, 80, 96), (3, 120, 160), (2, 77, 99)):
         batch = np.stack([textured_image(seed, height, width) for seed in range(count)])[:, None]
         with torch.no_grad():
             expected = network(torch.from_numpy(batch)).numpy()
