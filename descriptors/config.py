@@ -24,6 +24,19 @@ class NetVladConfig(BaseModel):
     dim: int = Field(256, gt=0, description="dimensions of the place vector")
 
 
+class ProjectionConfig(BaseModel):
+    """How the projection is fitted when the rest is trained."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    axes: int = Field(1024, gt=0, description="principal axes that are mixed down, where the views give as many")
+    power: float = Field(0.5, ge=0, le=0.5, description="of an axis' variance that it is divided by")
+    steps: int = Field(300, ge=0)
+    pairs: int = Field(768, gt=1, description="places in a batch")
+    learning_rate: float = Field(1e-3, gt=0, description="at the start; falls to zero on a line")
+    scale: float = Field(20.0, gt=0, description="inverse temperature")
+
+
 class TrainingConfig(BaseModel):
     """How to train. The same configuration, images, seed and thread count give the same weights."""
 
@@ -39,7 +52,8 @@ class TrainingConfig(BaseModel):
     gradient_thinning: int = Field(3, gt=0, description="every so many gradient histograms are learned from in a step")
     weight_decay: float = Field(1e-4, ge=0)
     start_scale: float = Field(12.0, gt=0, description="inverse temperature at the start; learned")
+    projection: ProjectionConfig = ProjectionConfig()
     seed: int = Field(0, ge=0)
     threads: int = Field(1, gt=0)
-    initial_images: int = Field(1024, gt=0, description="images that k-means centres and principal axes come from")
+    initial_images: int = Field(1024, gt=0, description="images that centres and batch-norm statistics come from")
     checkpoint_every: int = Field(250, gt=0, description="steps")

@@ -73,8 +73,8 @@ def _gradient_features(graph: OnnxGraph, network: NetVladNetwork, x: str) -> str
         cells = _cells(graph, network, shrunk, CELL_PX // level)
         maps.append(_columns(graph, cells))
     stacked = maps[0] if len(maps) == 1 else graph.add("Concat", *maps, axis=2)
-    # RootSIFT forgets the length of what it is given, so it is not divided out before the cut, and the sum after it only
-    # behind the reduction, where there is half as much to divide.
+    # RootSIFT forgets the length of what it is given: it need not be divided out before the cut, and the sum after it
+    # only behind the reduction, where there is half as much to divide.
     squares = _channel_sum(graph, graph.add("Mul", stacked, stacked), CHANNELS)
     norm = graph.add("Add", graph.add("Sqrt", squares), graph.scalar(NORM_FLOOR))
     cut = graph.add("Min", stacked, graph.add("Mul", norm, graph.scalar(CLIP)))

@@ -46,15 +46,15 @@ class GradientDescriptors(nn.Module):
     @torch.no_grad()
     def forward(self, x: Tensor, thin: int = 1, offset: int = 0) -> Tensor:
         """All levels' descriptors, ``(N, 128, n)``; ``thin``: every so many of them only, from ``offset`` on."""
-        shrunk = [F.avg_pool2d(x, level) if level > 1 else x for level in self.levels]
-        maps = [self._cells(one, level).flatten(2)[:, :, offset % thin :: thin] for one, level in zip(shrunk, self.levels, strict=True)]
+        maps = [self._cells(x, level).flatten(2)[:, :, offset % thin :: thin] for level in self.levels]
         stacked = torch.cat(maps, dim=2)
         cut = (stacked / (stacked.norm(dim=1, keepdim=True) + NORM_FLOOR)).clamp_(max=CLIP)
         return cut.div_(cut.sum(dim=1, keepdim=True) + ENERGY_FLOOR).sqrt_()
 
     def _cells(self, x: Tensor, level: int) -> Tensor:
         """Sixteen cells of eight directions for each descriptor, ``(N, 128, h, w)``."""
-        gradients = F.conv2d(F.pad(x, (1, 1, 1, 1), mode="replicate"), self.derivative)
+        shrunk = F.avg_pool2d(x, level) if level > 1 else x
+        gradients = F.conv2d(F.pad(shrunk, (1, 1, 1, 1), mode="replicate"), self.derivative)
         energy = gradients[:, :1].square() + gradients[:, 2:3].square() + ENERGY_FLOOR
         # Strength times the fourth power of the cosine to each direction: a smooth share among neighbouring directions.
         shared = gradients.relu_().square_().square_().mul_(energy.pow_(-1.5))

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.linalg
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from descriptors.netvlad import NetVladNetwork, VladLayer, assignment_alpha, standardise
+from descriptors.projection import fix_signs, set_projection, whitening
 
 _BATCH = 32
 _FEATURES_PER_IMAGE = 60
 _KMEANS_ROUNDS = 25
 WHITENING = 0.375
-"""Power of an axis' variance that it is divided by: 0 is plain PCA, 0.5 full whitening; chosen on held-out worlds."""
+"""Power of an axis' variance that it is divided by: 0 leaves a few axes to drown the rest, 0.5 lifts the noise of the
+last to the strength of the first."""
 
 
 def kmeans(features: NDArray[np.float32], clusters: int, rng: np.random.Generator) -> NDArray[np.float32]:
@@ -36,10 +37,10 @@ def kmeans(features: NDArray[np.float32], clusters: int, rng: np.random.Generato
 
 @torch.no_grad()
 def initialise(network: NetVladNetwork, images: NDArray[np.uint8], rng: np.random.Generator) -> None:
-    """Set batch-norm statistics, principal axes of gradient histograms and all VLAD centres from ``images`` ``(n, H, W)``;
-    the projection is :func:`fit_projection`'s."""
+    """Set batch-norm statistics, principal axes of gradient histograms and all VLAD centres from ``images`` ``(n, H,
+    W)``. The projection is set by :func:`fit_projection`."""
     settle_batch_norms(network, images)
-    _start_vlad(network.vlad, _sample_features(network.local_features, images, rng), rng)
+    _start_vlad(network.vlad, _sample_features(network, network.local_features, images, rng), rng)
     initialise_gradients(network, images, rng)
 
 
@@ -52,58 +53,36 @@ def initialise_gradients(network: NetVladNetwork, images: NDArray[np.uint8], rng
     def histograms(batch: Tensor) -> Tensor:
         return network.gradients(standardise(batch))
 
-    sample = _sample_features(histograms, images, rng).astype(np.float64)
+    sample = _sample_features(network, histograms, images, rng).astype(np.float64)
     mean = sample.mean(axis=0)
     _, axes = np.linalg.eigh((sample - mean).T @ (sample - mean) / len(sample))
-    weight = _fix_signs(axes[:, ::-1].T[: network.config.local_dim])
+    weight = fix_signs(axes[:, ::-1].T[: network.config.local_dim])
     network.gradient_reduce.weight.copy_(torch.from_numpy(weight)[:, :, None, None])
     network.gradient_reduce.bias.copy_(torch.from_numpy(-weight @ mean))
-    _start_vlad(network.gradient_vlad, _sample_features(network.gradient_features, images, rng), rng)
+    _start_vlad(network.gradient_vlad, _sample_features(network, network.gradient_features, images, rng), rng)
 
 
 @torch.no_grad()
 def fit_projection(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Set the projection to the principal axes of the VLAD vectors of ``images`` ``(n, H, W)``, partly whitened,
-    strongest first; n at least the output dimension.
+    strongest first; n at least the output dimension. What an untrained network has; training ends with a learned one
+    (``projection.py``).
 
-    Returns the share of the variance along each kept axis, ``(dim,)``. Partial whitening lies between plain PCA, where
-    a few axes drown the rest, and full whitening, which lifts the noise of the last axes to the strength of the
-    first; docs/netvlad.md has the figures.
+    Returns the share of the variance along each kept axis, ``(dim,)``.
     """
     if len(images) < network.config.dim:
         raise ValueError(f"the projection needs at least {network.config.dim} images, got {len(images)}")
-    network.eval()
-    vlads = torch.cat([network.aggregate(batch) for batch in batches(images)]).numpy()
-    weight, bias, shares = whitening(vlads, network.config.dim)
-    # To half precision, which is how export keeps it.
-    network.project.weight.copy_(torch.from_numpy(weight).half())
-    network.project.bias.copy_(torch.from_numpy(bias))
+    weight, bias, shares = whitening(vlads_of(network, images), network.config.dim, WHITENING)
+    set_projection(network, weight, bias)
     return shares
 
 
-def whitening(
-    vlads: NDArray[np.float32], dim: int, power: float = WHITENING
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Weight ``(dim, D)``, bias ``(dim,)`` and share of the variance ``(dim,)`` of the partly whitened principal axes
-    of ``(n, D)`` vectors; n and D at least ``dim``."""
-    mean = vlads.mean(axis=0, dtype=np.float64)
-    centred = vlads - mean.astype(np.float32)
-    n, width = centred.shape
-    # The smaller of the two Gram matrices: fewer images than numbers in a vector is the usual case.
-    gram = centred @ centred.T if n < width else centred.T @ centred
-    last = len(gram) - 1
-    variances, vectors = scipy.linalg.eigh(gram.astype(np.float64) / n, subset_by_index=[last + 1 - dim, last])
-    variances, vectors = np.maximum(variances[::-1], 0.0), vectors[:, ::-1]
-    axes = centred.T.astype(np.float64) @ vectors if n < width else vectors
-    axes = _fix_signs((axes / np.maximum(np.linalg.norm(axes, axis=0), 1e-12)).T)
-    weight = axes * (np.maximum(variances / variances[0], 1e-6) ** -power)[:, None]
-    return weight, -weight @ mean, variances / (np.square(centred, dtype=np.float64).sum() / n)
-
-
-def _fix_signs(axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows with their largest entry positive: an axis' sign is free, and the same training must give the same file."""
-    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
-    return np.asarray(axes * np.sign(largest))
+@torch.no_grad()
+def vlads_of(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """VLAD vectors ``(n, vlad_dim)`` of ``images`` ``(n, H, W)``."""
+    network.eval()
+    device = device_of(network)
+    return np.concatenate([network.aggregate(batch.to(device)).cpu().numpy() for batch in batches(images)])
 
 
 def _start_vlad(layer: VladLayer, features: NDArray[np.float32], rng: np.random.Generator) -> None:
@@ -122,10 +101,15 @@ def settle_batch_norms(network: NetVladNetwork, images: NDArray[np.uint8]) -> No
         norm.momentum = None  # torch's word for a cumulative average
     network.train()
     for batch in batches(images):
-        network.local_features(batch)
+        network.local_features(batch.to(device_of(network)))
     network.eval()
     for norm, momentum in zip(norms, usual, strict=True):
         norm.momentum = momentum
+
+
+def device_of(network: NetVladNetwork) -> torch.device:
+    """Where the network's weights lie."""
+    return network.project.weight.device
 
 
 def batches(images: NDArray[np.uint8]) -> list[Tensor]:
@@ -134,12 +118,12 @@ def batches(images: NDArray[np.uint8]) -> list[Tensor]:
 
 
 def _sample_features(
-    describe: Callable[[Tensor], Tensor], images: NDArray[np.uint8], rng: np.random.Generator
+    network: NetVladNetwork, describe: Callable[[Tensor], Tensor], images: NDArray[np.uint8], rng: np.random.Generator
 ) -> NDArray[np.float32]:
     """Up to 60 of the local features ``(N, D, ...)`` that ``describe`` finds in each image, ``(n, D)``."""
     samples = []
     for batch in batches(images):
-        for one in describe(batch).flatten(2).transpose(1, 2).numpy():
+        for one in describe(batch.to(device_of(network))).flatten(2).transpose(1, 2).cpu().numpy():
             chosen = rng.choice(len(one), min(_FEATURES_PER_IMAGE, len(one)), replace=False)
             samples.append(one[chosen])
     return np.ascontiguousarray(np.concatenate(samples))

@@ -23,8 +23,9 @@ from torch import Tensor, nn
 from descriptors.augmentation import PHOTOS, Augmentation, augment_pair, share_strips
 from descriptors.config import TrainingConfig
 from descriptors.errors import DescriptorError
-from descriptors.initialisation import fit_projection, initialise, settle_batch_norms
+from descriptors.initialisation import initialise, settle_batch_norms, vlads_of
 from descriptors.netvlad import NetVladNetwork, build_network
+from descriptors.projection import learn_projection, set_projection
 
 _MAX_SCALE = 60.0
 
@@ -68,7 +69,13 @@ class PlaceSet:
                     blocked |= self.conflicts[place]
                 if len(chosen) == count:
                     break
-        index, seen = np.array(chosen), self.views.shape[1]
+        return self.pair_of(np.array(chosen), rng)
+
+    def pair_of(
+        self, index: NDArray[np.int_], rng: np.random.Generator
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Two images ``(n, h, w)`` of each of these places; the same one twice where a place has but one."""
+        seen = self.views.shape[1]
         a = rng.integers(seen, size=len(index))
         b = (a + rng.integers(1, seen, size=len(index))) % seen if seen > 1 else a
         return self.views[index, a], self.views[index, b]
@@ -88,14 +95,14 @@ class Progress:
 def info_nce(first: Tensor, second: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
     """Symmetric InfoNCE of paired unit rows ``(n, d)``, and the share of rows whose own pair is the most similar."""
     logits = scale * first @ second.T
-    labels = torch.arange(len(logits))
+    labels = torch.arange(len(logits), device=logits.device)
     loss = 0.5 * (F.cross_entropy(logits, labels) + F.cross_entropy(logits.T, labels))
     return loss, (logits.argmax(dim=1) == labels).float().mean()
 
 
 class Trainer:
-    """The state of a training: network, optimiser, step. ``run`` yields progress; ``save`` and ``resume`` keep all
-    of it."""
+    """The state of a training: network, optimiser, step; on a GPU where there is one. ``run`` yields progress;
+    ``save`` and ``resume`` keep all of it."""
 
     def __init__(self, config: TrainingConfig, sets: Sequence[PlaceSet]) -> None:
         if not sets:
@@ -103,8 +110,9 @@ class Trainer:
         self.config, self.sets, self.step = config, list(sets), 0
         self._previous_threads = torch.get_num_threads()
         torch.set_num_threads(config.threads)
-        self.network: NetVladNetwork = build_network(config.network, config.seed)
-        self.log_scale = nn.Parameter(torch.tensor(math.log(config.start_scale)))
+        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.network: NetVladNetwork = build_network(config.network, config.seed).to(self.device)
+        self.log_scale = nn.Parameter(torch.tensor(math.log(config.start_scale), device=self.device))
         decayed = [p for p in self.network.parameters() if p.ndim > 1]
         plain = [p for p in self.network.parameters() if p.ndim <= 1] + [self.log_scale]
         groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
@@ -146,13 +154,25 @@ class Trainer:
                 )
                 loss_sum = accuracy_sum = count = 0.0
 
-    def finish(self) -> NDArray[np.float64]:
-        """Settle batch norms and fit the projection; returns the share of the variance along each output axis."""
-        images = self.sample_images(self.config.initial_images, np.random.default_rng([self.config.seed, 0, 2]))
-        settle_batch_norms(self.network, images)
-        shares = fit_projection(self.network, images)
+    def finish(self) -> None:
+        """Settle batch norms, and learn the projection from two views of every place."""
+        rng = np.random.default_rng([self.config.seed, 0, 2])
+        settle_batch_norms(self.network, self.sample_images(self.config.initial_images, rng))
+        first, second = (vlads_of(self.network, side) for side in self.every_place(rng))
+        dim, how = self.config.network.dim, self.config.projection
+        set_projection(self.network, *learn_projection(first, second, dim, how, self.config.seed))
         torch.set_num_threads(self._previous_threads)
-        return shares
+
+    def every_place(self, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Two augmented views ``(P, H, W)`` of every place of every set."""
+        size = (self.config.height, self.config.width)
+        sides: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = ([], [])
+        for one in self.sets:
+            for rows in np.array_split(np.arange(len(one.views)), max(1, len(one.views) // self.config.pairs)):
+                pair = augment_pair(*one.pair_of(rows, rng), size, one.augmentation, rng)
+                for side, views in zip(sides, pair, strict=True):
+                    side.append(views[:, 0].numpy().astype(np.uint8))
+        return np.concatenate(sides[0]), np.concatenate(sides[1])
 
     def sample_images(self, count: int, rng: np.random.Generator) -> NDArray[np.uint8]:
         """``(count, H, W)`` augmented training images, from the sets by their weights."""
@@ -222,7 +242,7 @@ class Trainer:
             return self._draw_batch(np.random.default_rng([self.config.seed, 1, step]))
 
     def _train_step(self, batch: tuple[Tensor, Tensor]) -> tuple[float, float]:
-        first, second = batch
+        first, second = (views.to(self.device) for views in batch)
         self.network.train()
         rate = self.config.learning_rate * _schedule(self.step, self.config)
         for group in self.optimiser.param_groups:

@@ -67,9 +67,10 @@ def train(job: TrainJob, config: TrainingConfig, material: MaterialConfig, progr
     """Train to the configured number of steps; the checkpoint's path. An unfinished training in ``job.out`` is
     taken up again.
 
-    Writes ``log.jsonl`` (one line for each 50 steps) beside the checkpoint.
+    Writes ``log.jsonl`` (one line for each 50 steps) and its curves, ``training.png``, beside the checkpoint.
     """
     from descriptors.training import Trainer
+    from tools.netvlad_picture import training_picture
 
     job.out.mkdir(parents=True, exist_ok=True)
     done, unfinished, log = job.out / "checkpoint.pt", job.out / "unfinished.pt", job.out / "log.jsonl"
@@ -99,6 +100,8 @@ def train(job: TrainJob, config: TrainingConfig, material: MaterialConfig, progr
             file.write(json.dumps(figures) + "\n")
         if line.step % config.checkpoint_every == 0:
             trainer.save(unfinished)
+            training_picture(log, job.out / "training.png")
+    progress.say("fitting the projection")
     trainer.finish()
     trainer.save(done)
     unfinished.unlink(missing_ok=True)
@@ -142,10 +145,9 @@ def watcher(
     job: TrainJob, material: MaterialConfig, config: TrainingConfig, progress: Progress
 ) -> Callable[[NetVladNetwork], dict[str, float]] | None:
     """Recall@1 on held-out worlds, for the log; None where none are wanted."""
-    import torch
-
     from descriptors.calibration import retrieve
     from descriptors.inference import to_working_size
+    from descriptors.initialisation import vlads_of
 
     kinds = [kind for kind in KINDS if (material.indoors if kind == "indoor" else material.towns)]
     if not material.held_out_places or not kinds:
@@ -157,8 +159,7 @@ def watcher(
 
     def vlads(network: NetVladNetwork, images: list[NDArray[np.uint8]]) -> NDArray[np.float32]:
         stack = np.stack([to_working_size(image, config.width * config.height) for image in images])
-        with torch.no_grad():
-            return np.concatenate([network.aggregate(x).numpy() for x in torch.from_numpy(stack)[:, None].split(32)])
+        return vlads_of(network, stack)
 
     def watch(network: NetVladNetwork) -> dict[str, float]:
         # The VLAD vector is what is trained; the projection is fitted when training is over.

@@ -11,11 +11,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from descriptors.augmentation import PHOTOS, augment_pair, share_strips  # noqa: E402
-from descriptors.config import NetVladConfig, TrainingConfig  # noqa: E402
+from descriptors.config import NetVladConfig, ProjectionConfig, TrainingConfig  # noqa: E402
 from descriptors.errors import DescriptorError  # noqa: E402
 from descriptors.export import export_onnx  # noqa: E402
 from descriptors.initialisation import fit_projection, initialise, kmeans  # noqa: E402
 from descriptors.netvlad import VladLayer, build_network  # noqa: E402
+from descriptors.projection import learn_projection  # noqa: E402
 from descriptors.training import PlaceSet, Trainer, load_network, read_checkpoint  # noqa: E402
 from tests.descriptors.conftest import textured_image  # noqa: E402
 
@@ -96,9 +97,10 @@ def test_export_of_a_constant_image_is_finite(tmp_path: Path) -> None:
 
 
 def test_training_learns_and_repeats(places: list[PlaceSet]) -> None:
+    # Convolutions alone: with gradient histograms beside them, it starts where these get to in so few steps.
     losses, weights = [], []
     for _ in range(2):
-        trainer = Trainer(SMALL, places)
+        trainer = Trainer(SMALL.model_copy(update={"network": PLAIN}), places)
         trainer.start()
         losses.append([p.loss for p in trainer.run(every=5)])
         weights.append(trainer.network.project.weight.detach().numpy().copy())
@@ -146,6 +148,41 @@ def test_projection_is_partly_whitened_principal_components() -> None:
     np.testing.assert_allclose(np.abs(outputs), np.abs(expected), atol=1e-4)
     np.testing.assert_allclose(shares, singular[:32] ** 2 / (singular**2).sum(), atol=1e-6)
     assert (np.diff(outputs.var(axis=0)) <= 1e-9).all()
+
+
+def test_the_learned_projection_finds_what_principal_axes_of_noise_hide() -> None:
+    # Places differ along 40 weak directions, views along 30 strong ones that say nothing about the place.
+    rng = np.random.default_rng(8)
+    place, noise = rng.normal(size=(500, 40)), [3.0 * rng.normal(size=(500, 30)) for _ in range(2)]
+    basis = np.linalg.qr(rng.normal(size=(100, 70)))[0].T
+    first, second = (np.hstack([place, one]) @ basis + 5.0 for one in noise)
+    config = ProjectionConfig(axes=70, steps=200, pairs=128, learning_rate=1e-2)
+    found = []
+    for train, steps in ((400, 0), (400, 200)):
+        weight, bias = learn_projection(
+            first[:train].astype(np.float32), second[:train].astype(np.float32), 32,
+            config.model_copy(update={"steps": steps}), 0,
+        )  # fmt: skip
+        a, b = ((side @ weight.T + bias) for side in (first[train:], second[train:]))
+        a, b = (side / np.linalg.norm(side, axis=1, keepdims=True) for side in (a, b))
+        found.append(float((np.argmax(a @ b.T, axis=1) == np.arange(len(a))).mean()))
+        spread = (np.concatenate([first[:train], second[:train]]) @ weight.T + bias).var(axis=0)
+        assert (np.diff(spread) < 1e-3).all()  # strongest first
+    # Of 70 directions 32 are kept: principal axes alone keep the strong ones.
+    assert found[0] < 0.5 and found[1] > 0.8
+
+
+def test_a_start_from_smaller_weights_keeps_them(tmp_path: Path, places: list[PlaceSet]) -> None:
+    old = Trainer(SMALL.model_copy(update={"network": PLAIN}), places)
+    old.start()
+    old.save(tmp_path / "plain.pt")
+    grown = Trainer(SMALL, places)
+    fresh = grown.start_from(tmp_path / "plain.pt")
+    assert {name.split(".")[0] for name in fresh} == {"context", "gradient_reduce", "gradient_vlad"}
+    batch = torch.from_numpy(textured_image(3, 48, 64))[None, None]
+    old.network.eval(), grown.network.eval()
+    with torch.no_grad():  # the new layers add nothing yet
+        torch.testing.assert_close(grown.network.local_features(batch), old.network.local_features(batch))
 
 
 def test_kmeans_finds_separate_clusters() -> None:
