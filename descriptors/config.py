@@ -43,7 +43,7 @@ class TrainingConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     network: NetVladConfig = NetVladConfig()
-    steps: int = Field(2500, gt=0)
+    steps: int = Field(2500, ge=0, description="0: only batch norms and the projection are fitted, to given weights")
     pairs: int = Field(48, gt=1, description="places in a batch, two views each")
     width: int = Field(160, ge=32, description="of a training image, pixels")
     height: int = Field(120, ge=32, description="of a training image, pixels")
