@@ -18,7 +18,7 @@ class NetVladConfig(BaseModel):
     gradient_levels: tuple[int, ...] = Field(
         (1, 2), description="shrink factors at which gradient histograms are taken; none: convolutions alone"
     )
-    gradient_share: float = Field(0.5, gt=0, lt=1, description="of the squared length of the VLAD vector")
+    gradient_share: float = Field(0.65, gt=0, lt=1, description="of the squared length of the VLAD vector")
     local_dim: int = Field(64, gt=0, description="dimensions of a local feature, of either kind")
     clusters: int = Field(64, gt=1, description="VLAD centres, of either kind")
     dim: int = Field(256, gt=0, description="dimensions of the place vector")
@@ -31,7 +31,7 @@ class ProjectionConfig(BaseModel):
 
     axes: int = Field(1024, gt=0, description="principal axes that are mixed down, where the views give as many")
     power: float = Field(0.5, ge=0, le=0.5, description="of an axis' variance that it is divided by")
-    steps: int = Field(300, ge=0)
+    steps: int = Field(80, ge=0)
     pairs: int = Field(768, gt=1, description="places in a batch")
     learning_rate: float = Field(1e-3, gt=0, description="at the start; falls to zero on a line")
     scale: float = Field(20.0, gt=0, description="inverse temperature")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from descriptors.config import ProjectionConfig
+from descriptors.errors import DescriptorError
 from descriptors.netvlad import NetVladNetwork
 
 Array = NDArray[np.float32]
@@ -34,6 +35,8 @@ def learn_projection(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weight ``(dim, D)`` and bias ``(dim,)`` from VLAD vectors ``(P, D)`` of two views of each of P places."""
     both = np.concatenate([first, second])
+    if len(both) <= dim:
+        raise DescriptorError(f"a projection to {dim} numbers needs more than {dim} images, got {len(both)}")
     kept = max(dim, min(config.axes, len(both) - 1, both.shape[1]))
     axes, bias, _ = whitening(both, kept, config.power)
     long = (both @ axes.T.astype(np.float32)) + bias.astype(np.float32)

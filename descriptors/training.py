@@ -164,10 +164,12 @@ class Trainer:
         torch.set_num_threads(self._previous_threads)
 
     def every_place(self, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Two augmented views ``(P, H, W)`` of every place of every set."""
+        """Two augmented views ``(P, H, W)`` of every place of every set; again and again where there are too few for as
+        many images as training starts from."""
         size = (self.config.height, self.config.width)
+        rounds = math.ceil(self.config.initial_images / (2 * sum(len(one.views) for one in self.sets)))
         sides: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = ([], [])
-        for one in self.sets:
+        for one in self.sets * rounds:
             for rows in np.array_split(np.arange(len(one.views)), max(1, len(one.views) // self.config.pairs)):
                 pair = augment_pair(*one.pair_of(rows, rng), size, one.augmentation, rng)
                 for side, views in zip(sides, pair, strict=True):

@@ -22,7 +22,10 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     ),
     "tools": ("backend", "frontend", "descriptors", "mas"),
 }  # fmt: skip
-TORCH_SIDE = ("augmentation", "export", "initialisation", "netvlad", "torch_checkpoint", "training", "vgg16")
+TORCH_SIDE = (
+    "augmentation", "export", "gradients", "initialisation", "netvlad", "projection", "torch_checkpoint", "training",
+    "vgg16",
+)  # fmt: skip
 """Modules of ``descriptors`` that only training needs: torch is their subject, so nothing else may import them on
 import."""
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
