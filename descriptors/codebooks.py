@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from descriptors.clusters import k_means
 from descriptors.errors import DescriptorError
 
 Vectors = NDArray[np.float32]
@@ -185,20 +186,6 @@ def balanced_groups(power: NDArray[np.floating], groups: int) -> NDArray[np.int6
         members[chosen].append(int(axis))
         volume[chosen] += np.log(max(float(power[axis]), 1e-12) * len(power))
     return np.concatenate([np.array(one, dtype=np.int64) for one in members])
-
-
-def k_means(rows: Vectors, count: int, iterations: int, rng: np.random.Generator) -> Vectors:
-    """``count`` centres ``(count, d)`` of ``(n, d)`` by Lloyd's iterations; a centre that loses all its rows starts
-    anew at a random one."""
-    centres = rows[rng.choice(len(rows), count, replace=False)]
-    for _ in range(iterations):
-        nearest = (0.5 * (centres**2).sum(axis=1) - rows @ centres.T).argmin(axis=1)
-        members = np.bincount(nearest, minlength=count)
-        sums = np.stack([np.bincount(nearest, weights=column, minlength=count) for column in rows.T], axis=1)
-        centres = (sums / np.maximum(members, 1)[:, None]).astype(np.float32)
-        lost = members == 0
-        centres[lost] = rows[rng.choice(len(rows), int(lost.sum()), replace=False)]
-    return centres
 
 
 def _fidelity(book: ProductBook, rows: Vectors) -> float:

@@ -34,7 +34,7 @@ def export_onnx(network: NetVladNetwork, path: Path) -> None:
         vector = graph.add("Mul", vector, graph.scalar(math.sqrt(1.0 - share)))
         fixed = graph.add("Mul", fixed, graph.scalar(math.sqrt(share)))
         vector = graph.add("Concat", vector, fixed, axis=1)
-    # The largest array by far: fit_projection leaves nothing in it that half precision does not hold.
+    # The largest array by far: set_projection leaves nothing in it that half precision does not hold.
     weight = graph.add("Cast", graph.constant(_array(network.project.weight).T.astype(np.float16)), to=1)
     bias = graph.constant(_array(network.project.bias).astype(np.float32))
     graph.unit(graph.add("Add", graph.add("MatMul", vector, weight), bias), axis=1, output=OUTPUT)
@@ -62,7 +62,7 @@ def _learned_features(graph: OnnxGraph, network: NetVladNetwork, x: str) -> str:
         )  # fmt: skip
         x = graph.add("Relu", graph.add("Add", x, grown))
     x = _convolution(graph, x, network.reduce[0], network.reduce[1])
-    return _unit(graph, _columns(graph, x), network.config.local_dim)
+    return _unit(graph, graph.columns(x), network.config.local_dim)
 
 
 def _gradient_features(graph: OnnxGraph, network: NetVladNetwork, x: str) -> str:
@@ -71,7 +71,7 @@ def _gradient_features(graph: OnnxGraph, network: NetVladNetwork, x: str) -> str
     for level in network.gradients.levels:
         shrunk = x if level == 1 else graph.add("AveragePool", x, kernel_shape=[level] * 2, strides=[level] * 2)
         cells = _cells(graph, network, shrunk, CELL_PX // level)
-        maps.append(_columns(graph, cells))
+        maps.append(graph.columns(cells))
     stacked = maps[0] if len(maps) == 1 else graph.add("Concat", *maps, axis=2)
     # RootSIFT forgets the length of what it is given: it need not be divided out before the cut, and the sum after it
     # only behind the reduction, where there is half as much to divide.
@@ -124,16 +124,10 @@ def _slice(graph: OnnxGraph, x: str, starts: list[int], ends: list[int], axes: l
 
 
 def _vlad(graph: OnnxGraph, layer: VladLayer, features: str) -> str:
-    """Unit VLAD vectors ``(N, K * D)`` of local features ``(N, D, n)``."""
-    weight = _array(layer.assign.weight)[None, :, :, 0, 0].astype(np.float32)
-    bias = _array(layer.assign.bias)[None, :, None].astype(np.float32)
-    scores = graph.add("Add", graph.add("MatMul", graph.constant(weight), features), graph.constant(bias))
-    soft = graph.add("Softmax", scores, axis=1)
-    sums = graph.add("MatMul", soft, graph.add("Transpose", features, perm=[0, 2, 1]))
-    masses = graph.add("ReduceSum", soft, graph.constant(np.array([2], dtype=np.int64)), keepdims=1)
-    centres = graph.constant(_array(layer.centres).astype(np.float32)[None])
-    residuals = graph.unit(graph.add("Sub", sums, graph.add("Mul", masses, centres)), axis=2)
-    return graph.unit(graph.add("Flatten", residuals, axis=1), axis=1)
+    weight, bias, centres = (
+        _array(one).astype(np.float32) for one in (layer.assign.weight[:, :, 0, 0], layer.assign.bias, layer.centres)
+    )
+    return graph.vlad(features, (weight, bias), centres, graph.unit)
 
 
 def _unit(graph: OnnxGraph, features: str, channels: int) -> str:
@@ -145,11 +139,6 @@ def _unit(graph: OnnxGraph, features: str, channels: int) -> str:
 def _channel_sum(graph: OnnxGraph, features: str, channels: int) -> str:
     """Sum of ``(N, channels, n)`` over the channels, as a product: the reduction is several times slower there."""
     return graph.add("MatMul", graph.constant(np.ones((1, 1, channels), dtype=np.float32)), features)
-
-
-def _columns(graph: OnnxGraph, maps: str) -> str:
-    """``(N, C, ...)`` as ``(N, C, n)``."""
-    return graph.add("Reshape", maps, graph.constant(np.array([0, 0, -1], dtype=np.int64)))
 
 
 def _convolutions(graph: OnnxGraph, x: str, layers: list[nn.Module]) -> str:

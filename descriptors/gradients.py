@@ -13,6 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from descriptors.errors import DescriptorError
+
 DIRECTIONS = 8
 CELLS = 4
 """Cells along a side of a descriptor."""
@@ -46,6 +48,11 @@ class GradientDescriptors(nn.Module):
     @torch.no_grad()
     def forward(self, x: Tensor, thin: int = 1, offset: int = 0) -> Tensor:
         """All levels' descriptors, ``(N, 128, n)``; ``thin``: every so many of them only, from ``offset`` on."""
+        height, width = x.shape[2:]
+        if min(height, width) < smallest_side(self.levels):
+            raise DescriptorError(
+                f"an image of {width}x{height} px is too small for gradient histograms: {smallest_side(self.levels)} px"
+            )
         maps = [self._cells(x, level).flatten(2)[:, :, offset % thin :: thin] for level in self.levels]
         stacked = torch.cat(maps, dim=2)
         cut = (stacked / (stacked.norm(dim=1, keepdim=True) + NORM_FLOOR)).clamp_(max=CLIP)

@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from descriptors.clusters import fix_signs, k_means, whitening
 from descriptors.netvlad import NetVladNetwork, VladLayer, assignment_alpha, standardise
-from descriptors.projection import fix_signs, set_projection, whitening
+from descriptors.projection import set_projection
 
 _BATCH = 32
 _FEATURES_PER_IMAGE = 60
@@ -18,21 +19,6 @@ _KMEANS_ROUNDS = 25
 WHITENING = 0.375
 """Power of an axis' variance that it is divided by: 0 leaves a few axes to drown the rest, 0.5 lifts the noise of the
 last to the strength of the first."""
-
-
-def kmeans(features: NDArray[np.float32], clusters: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Centres ``(clusters, D)`` of ``(n, D)`` features by Lloyd's rounds; a centre that loses all its features is
-    drawn anew."""
-    centres = features[np.sort(rng.choice(len(features), clusters, replace=False))].copy()
-    for _ in range(_KMEANS_ROUNDS):
-        labels = np.argmax(features @ centres.T - 0.5 * np.square(centres).sum(axis=1), axis=1)
-        counts = np.bincount(labels, minlength=clusters)
-        for dimension in range(features.shape[1]):
-            sums = np.bincount(labels, weights=features[:, dimension], minlength=clusters)
-            centres[:, dimension] = sums / np.maximum(counts, 1)
-        empty = np.flatnonzero(counts == 0)
-        centres[empty] = features[rng.choice(len(features), len(empty), replace=False)]
-    return centres
 
 
 @torch.no_grad()
@@ -72,8 +58,8 @@ def fit_projection(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArra
     """
     if len(images) < network.config.dim:
         raise ValueError(f"the projection needs at least {network.config.dim} images, got {len(images)}")
-    weight, bias, shares = whitening(vlads_of(network, images), network.config.dim, WHITENING)
-    set_projection(network, weight, bias)
+    mean, weight, shares = whitening(vlads_of(network, images), network.config.dim, WHITENING)
+    set_projection(network, weight, -weight @ mean)
     return shares
 
 
@@ -86,7 +72,7 @@ def vlads_of(network: NetVladNetwork, images: NDArray[np.uint8]) -> NDArray[np.f
 
 
 def _start_vlad(layer: VladLayer, features: NDArray[np.float32], rng: np.random.Generator) -> None:
-    centres = torch.from_numpy(kmeans(features, len(layer.centres), rng))
+    centres = torch.from_numpy(k_means(features, len(layer.centres), _KMEANS_ROUNDS, rng))
     nearest = torch.topk(torch.cdist(torch.from_numpy(features), centres).square(), 2, dim=1, largest=False).values
     layer.set_centres(centres, assignment_alpha(nearest[:, 0], nearest[:, 1]))
 

@@ -4,11 +4,14 @@ on a tracer's version. Needs onnx (``maslam[train]``), not torch.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
 
 OPSET = 17
 IR_VERSION = 8
@@ -49,6 +52,23 @@ class OnnxGraph:
         """``x`` over its Euclidean norm along ``axis``, as ``torch.nn.functional.normalize`` does it."""
         norm = self.add("Max", self.add("ReduceL2", x, axes=[axis], keepdims=1), self.scalar(NORM_FLOOR))
         return self.add("Div", x, norm, output=output)
+
+    def columns(self, maps: str) -> str:
+        """``(N, C, ...)`` as ``(N, C, n)``."""
+        return self.add("Reshape", maps, self.constant(np.array([0, 0, -1], dtype=np.int64)))
+
+    def vlad(
+        self, features: str, assign: tuple[Floats, Floats], centres: Floats, unit: Callable[[str, int], str]
+    ) -> str:
+        """Unit VLAD vectors ``(N, K * D)`` of local features ``(N, D, n)``: ``assign`` weight ``(K, D)`` and bias
+        ``(K,)``, ``centres`` ``(K, D)``; ``unit`` makes the residuals of a centre one long."""
+        weight, bias = assign
+        scores = self.add("MatMul", self.constant(weight[None]), features)
+        soft = self.add("Softmax", self.add("Add", scores, self.constant(bias[None, :, None])), axis=1)
+        sums = self.add("MatMul", soft, self.add("Transpose", features, perm=[0, 2, 1]))
+        masses = self.add("ReduceSum", soft, self.constant(np.array([2], dtype=np.int64)), keepdims=1)
+        residuals = self.add("Sub", sums, self.add("Mul", masses, self.constant(centres[None])))
+        return self.unit(self.add("Flatten", unit(residuals, 2), axis=1), axis=1)
 
     def save(self, path: Path, channels: int, dim: int, name: str = "netvlad") -> None:
         """Check the graph and write it, whole or not at all; equal graphs give equal bytes. Once: the graph is empty

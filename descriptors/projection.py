@@ -9,14 +9,15 @@ vector (distillation), which needs no pairs and keeps the matrix from learning t
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from descriptors.clusters import fix_signs, whitening
 from descriptors.config import ProjectionConfig
 from descriptors.errors import DescriptorError
+from descriptors.losses import info_nce
 from descriptors.netvlad import NetVladNetwork
 
 Array = NDArray[np.float32]
@@ -38,13 +39,14 @@ def learn_projection(
     if len(both) <= dim:
         raise DescriptorError(f"a projection to {dim} numbers needs more than {dim} images, got {len(both)}")
     kept = max(dim, min(config.axes, len(both) - 1, both.shape[1]))
-    axes, bias, _ = whitening(both, kept, config.power)
-    long = (both @ axes.T.astype(np.float32)) + bias.astype(np.float32)
+    mean, axes, _ = whitening(both, kept, config.power)
+    long = (both - mean.astype(np.float32)) @ axes.T.astype(np.float32)
     mix = _learn_mix(long[: len(first)], long[len(first) :], dim, config, seed)
     # Strongest first, so that the first numbers can be used alone; a turn changes no distance.
     spread, turn = np.linalg.eigh(np.cov((long @ mix).T.astype(np.float64)))
     turned = fix_signs((mix.astype(np.float64) @ turn[:, np.argsort(-spread, kind="stable")]).T)
-    return turned @ axes, turned @ bias
+    weight = turned @ axes
+    return weight, -weight @ mean
 
 
 def _learn_mix(first: Array, second: Array, dim: int, config: ProjectionConfig, seed: int) -> Array:
@@ -70,36 +72,9 @@ def _mix_loss(long: Tensor, mix: Tensor, config: ProjectionConfig) -> Tensor:
     count = len(long) // 2
     short = F.normalize(long @ mix, dim=1)
     likeness = config.scale * short @ short.T
-    between, labels = likeness[:count, count:], torch.arange(count)
-    pairs = 0.5 * (F.cross_entropy(between, labels) + F.cross_entropy(between.T, labels))
+    pairs, _ = info_nce(short[:count], short[count:], torch.tensor(config.scale))
     whole = F.normalize(long, dim=1)
     oneself = _SELF * torch.eye(len(long))
     wanted = (config.scale * whole @ whole.T - oneself).softmax(dim=1)
     kept = -(wanted * (likeness - oneself).log_softmax(dim=1)).sum(dim=1).mean()
     return pairs + kept
-
-
-def whitening(
-    vlads: Array, dim: int, power: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Weight ``(dim, D)``, bias ``(dim,)`` and share of the variance ``(dim,)`` of the principal axes of ``(n, D)``
-    vectors, strongest first, each divided by its variance to the ``power`` (0.5: all of one strength); n and D at least
-    ``dim``."""
-    mean = vlads.mean(axis=0, dtype=np.float64)
-    centred = vlads - mean.astype(np.float32)
-    n, width = centred.shape
-    # The smaller of the two Gram matrices.
-    gram = centred @ centred.T if n < width else centred.T @ centred
-    last = len(gram) - 1
-    variances, vectors = scipy.linalg.eigh(gram / n, subset_by_index=[last + 1 - dim, last], overwrite_a=True)
-    variances, vectors = np.maximum(variances[::-1].astype(np.float64), 0.0), vectors[:, ::-1]
-    axes = (centred.T @ vectors if n < width else vectors).astype(np.float64)
-    axes = fix_signs((axes / np.maximum(np.linalg.norm(axes, axis=0), 1e-12)).T)
-    weight = axes * (np.maximum(variances / variances[0], 1e-6) ** -power)[:, None]
-    return weight, -weight @ mean, variances / (np.square(centred, dtype=np.float64).sum() / n)
-
-
-def fix_signs(axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows with their largest entry positive: an axis' sign is free, and the same training must give the same file."""
-    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
-    return np.asarray(axes * np.sign(largest))

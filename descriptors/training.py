@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from torch import Tensor, nn
@@ -24,6 +23,7 @@ from descriptors.augmentation import PHOTOS, Augmentation, augment_pair, share_s
 from descriptors.config import TrainingConfig
 from descriptors.errors import DescriptorError
 from descriptors.initialisation import initialise, settle_batch_norms, vlads_of
+from descriptors.losses import info_nce
 from descriptors.netvlad import NetVladNetwork, build_network
 from descriptors.projection import learn_projection, set_projection
 
@@ -90,14 +90,6 @@ class Progress:
     accuracy: float
     scale: float
     validation: dict[str, float]
-
-
-def info_nce(first: Tensor, second: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
-    """Symmetric InfoNCE of paired unit rows ``(n, d)``, and the share of rows whose own pair is the most similar."""
-    logits = scale * first @ second.T
-    labels = torch.arange(len(logits), device=logits.device)
-    loss = 0.5 * (F.cross_entropy(logits, labels) + F.cross_entropy(logits.T, labels))
-    return loss, (logits.argmax(dim=1) == labels).float().mean()
 
 
 class Trainer:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from descriptors.errors import DescriptorError
 from descriptors.onnx_graph import INPUT, OUTPUT, OnnxGraph
 from descriptors.vgg_weights import NAMES, POOLED, VggWeights
@@ -35,28 +33,14 @@ def export_vgg(weights: VggWeights, path: Path) -> None:
             x = graph.add("Relu", x)
         if name in POOLED:
             x = graph.add("MaxPool", x, kernel_shape=[2, 2], strides=[2, 2])
-    vlad = _vlad(graph, weights, _unit(graph, x, 1, weights.softening))
+    features = graph.columns(_unit(graph, x, 1, weights.softening))
+    assign = (weights.assign, weights.assign_bias)
+    vlad = graph.vlad(features, assign, weights.centres, lambda y, axis: _unit(graph, y, axis, weights.softening))
     if weights.whitening is not None and weights.whitening_bias is not None:
         whitening, bias = graph.constant(weights.whitening), graph.constant(weights.whitening_bias)
         vlad = graph.add("Gemm", vlad, whitening, bias, transB=1)
     graph.unit(vlad, axis=1, output=OUTPUT)
     graph.save(path, channels=3, dim=weights.dim, name="vgg16_netvlad")
-
-
-def _vlad(graph: OnnxGraph, weights: VggWeights, features: str) -> str:
-    """Unit VLAD vectors ``(N, K * D)`` of local features ``(N, D, h, w)``."""
-    clusters, channels = weights.centres.shape
-    scores = graph.add(
-        "Conv", features, graph.constant(weights.assign[:, :, None, None]), graph.constant(weights.assign_bias),
-        kernel_shape=[1, 1],
-    )  # fmt: skip
-    soft = graph.add("Softmax", scores, axis=1)
-    flat = graph.add("Reshape", soft, graph.constant(np.array([0, clusters, -1], dtype=np.int64)))
-    columns = graph.add("Reshape", features, graph.constant(np.array([0, channels, -1], dtype=np.int64)))
-    sums = graph.add("MatMul", flat, graph.add("Transpose", columns, perm=[0, 2, 1]))
-    masses = graph.add("ReduceSum", flat, graph.constant(np.array([2], dtype=np.int64)), keepdims=1)
-    residuals = graph.add("Sub", sums, graph.add("Mul", masses, graph.constant(weights.centres[None])))
-    return graph.unit(graph.add("Flatten", _unit(graph, residuals, 2, weights.softening), axis=1), axis=1)
 
 
 def _unit(graph: OnnxGraph, x: str, axis: int, softening: float) -> str:

@@ -23,8 +23,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "tools": ("backend", "frontend", "descriptors", "mas"),
 }  # fmt: skip
 TORCH_SIDE = (
-    "augmentation", "export", "gradients", "initialisation", "netvlad", "projection", "torch_checkpoint", "training",
-    "vgg16",
+    "augmentation", "export", "gradients", "initialisation", "losses", "netvlad", "projection", "torch_checkpoint",
+    "training", "vgg16",
 )  # fmt: skip
 """Modules of ``descriptors`` that only training needs: torch is their subject, so nothing else may import them on
 import."""

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from descriptors.clusters import k_means, whitening
 from descriptors.inference import to_working_size
 from tools.errors import ToolError
 
@@ -86,33 +87,15 @@ def fit_sift_vlad(
     mean = features.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((features - mean).T))
     axes = np.ascontiguousarray(axes[:, ::-1][:, :LOCAL_DIM].T, dtype=np.float32)
-    centres = _kmeans(unit_rows((features - mean) @ axes.T), rng)
+    centres = k_means(unit_rows((features - mean) @ axes.T), CENTRES, _ROUNDS, rng)
     nothing = np.zeros(0, dtype=np.float32)
     unwhitened = SiftVlad(mean, axes, centres, nothing, nothing)
     vectors = np.empty((len(images), CENTRES * LOCAL_DIM), dtype=np.float32)
     for row, image in enumerate(images):
         vectors[row] = unwhitened.describe(image)
         advance(row + 1)
-    return SiftVlad(mean, axes, centres, *whitening(vectors, WHITENED_DIM, WHITENING))
-
-
-def whitening(
-    vectors: NDArray[np.float32], dim: int, power: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Mean ``(d,)`` and ``dim`` principal axes ``(dim, d)`` of ``(n, d)`` vectors, strongest first, each over its
-    variance to the ``power``: 0 is plain PCA, 0.5 whitens. ``n`` may be less than d, but must be more than ``dim``."""
-    from scipy.linalg import eigh
-
-    mean = vectors.mean(axis=0, dtype=np.float64).astype(np.float32)
-    centred = vectors - mean
-    wide = len(vectors) < vectors.shape[1]  # then the smaller Gram matrix has the same axes, seen from the other side
-    gram = (centred @ centred.T if wide else centred.T @ centred).astype(np.float64)
-    variances, axes = eigh(gram, subset_by_index=[len(gram) - dim, len(gram) - 1])
-    variances, axes = variances[::-1], axes[:, ::-1].T
-    if wide:
-        axes = (axes @ centred) / np.sqrt(np.maximum(variances, 1e-12))[:, None]
-    scale = np.maximum(variances / variances[0], 1e-6) ** -power
-    return mean, (axes * scale[:, None]).astype(np.float32)
+    vlad_mean, vlad_axes, _ = whitening(vectors, WHITENED_DIM, WHITENING)
+    return SiftVlad(mean, axes, centres, vlad_mean.astype(np.float32), vlad_axes.astype(np.float32))
 
 
 def fitted(
@@ -160,17 +143,3 @@ def _grid(height: int, width: int) -> list[Any]:
     """Key-points all over an image, the margin half a step."""
     ys, xs = (np.arange(STEP_PX / 2, side - STEP_PX / 2 + 1e-6, STEP_PX) for side in (height, width))
     return [cv2.KeyPoint(float(x), float(y), SIZE_PX, 0.0, 1.0, 0, -1) for y in ys for x in xs]
-
-
-def _kmeans(points: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Centres ``(CENTRES, d)`` by Lloyd's rounds; one that loses all its points is drawn anew."""
-    centres = points[np.sort(rng.choice(len(points), CENTRES, replace=False))].copy()
-    for _ in range(_ROUNDS):
-        labels = np.argmax(points @ centres.T - 0.5 * np.square(centres).sum(axis=1), axis=1)
-        order, counts = np.argsort(labels, kind="stable"), np.bincount(labels, minlength=CENTRES)
-        full = np.flatnonzero(counts)
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        centres[full] = np.add.reduceat(points[order], starts[full], axis=0) / counts[full, None]
-        empty = np.flatnonzero(counts == 0)
-        centres[empty] = points[rng.choice(len(points), len(empty), replace=False)]
-    return centres

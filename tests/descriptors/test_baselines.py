@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from descriptors.clusters import whitening
 from descriptors.codes import Coder
 from descriptors.inference import NetVlad
 from frontend.vocabulary import BagOfWords, Vocabulary
 from tests.descriptors.conftest import textured_image
 from tools.errors import ToolError
 from tools.netvlad_methods import coded, netvlad_method, sift_method, word_distances, words_method
-from tools.netvlad_sift import SIZE_PX, STEP_PX, SiftVlad, fitted, root_sift, whitening
+from tools.netvlad_sift import SIZE_PX, STEP_PX, SiftVlad, fitted, root_sift
 
 IMAGES = [textured_image(seed, 48, 64) for seed in range(258)]
 
@@ -59,7 +60,7 @@ def test_vlad_is_the_papers_formula(model: SiftVlad) -> None:
 def test_whitening_is_principal_axes_over_a_power_of_their_variance(count: int, size: int) -> None:
     rng = np.random.default_rng(2)
     vectors = (rng.normal(size=(count, size)) * np.linspace(3, 0.5, size)).astype(np.float32)
-    mean, axes = whitening(vectors, 8, 0.5)
+    mean, axes, _ = whitening(vectors, 8, 0.5)
     out = (vectors - mean) @ axes.T
     np.testing.assert_allclose(out.mean(axis=0), 0.0, atol=1e-4)
     cov = np.cov(out.T)

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from descriptors.card import ModelCard, file_sha256, write_card
-from descriptors.codebooks import Codebooks, ProductBook, balanced_groups, codebooks_path, k_means, train_codebooks
+from descriptors.clusters import k_means
+from descriptors.codebooks import Codebooks, ProductBook, balanced_groups, codebooks_path, train_codebooks
 from descriptors.codes import CODES, INT4_STEP, Coder
 from descriptors.errors import DescriptorError
 

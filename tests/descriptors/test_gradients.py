@@ -8,6 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from descriptors.errors import DescriptorError  # noqa: E402
 from descriptors.gradients import CHANNELS, GradientDescriptors, smallest_side  # noqa: E402
 from tests.descriptors.conftest import textured_image  # noqa: E402
 
@@ -88,5 +89,7 @@ def test_every_so_many_descriptors_on_wish() -> None:
 def test_the_smallest_image_has_one_descriptor() -> None:
     side = smallest_side((1, 2))
     assert GradientDescriptors((1, 2))(torch.rand(1, 1, side, side)).shape[2] >= 2
+    with pytest.raises(DescriptorError, match="37x38 px is too small"):
+        GradientDescriptors((1, 2))(torch.rand(1, 1, side, side - 1))
     with pytest.raises(ValueError, match="must divide"):
         GradientDescriptors((3,))
