@@ -112,6 +112,11 @@ class Onlooker:
                 seen |= self._between(owner, int(stamps.min()), int(stamps.max()))
         return 100.0 * len(seen) / len(self._all_frames)
 
+    def share_seen_by(self, agents: Sequence[int]) -> float:
+        """Percent of all tracked frames that these agents have seen together, each counted once."""
+        seen: set[tuple[str, int]] = set().union(*(self._frames[a] for a in agents))
+        return 100.0 * len(seen) / len(self._all_frames) if self._all_frames else 0.0
+
     def _frame_names(self, agent: int) -> set[tuple[str, int]]:
         sequence = self.sequences[agent]
         return {(sequence.source, int(t) + sequence.start_ns) for t in sequence.trajectory.stamps_ns}

@@ -138,6 +138,8 @@ def _value(text: str, annotation: Any) -> object:
     kinds = _kinds(annotation)
     if type(None) in kinds and text.lower() in {"none", "null"}:
         return None
+    if any(typing.get_args(kind)[:1] == (str,) for kind in kinds) and text[:1] not in "[{":
+        return [word.strip() for word in text.split(",")]  # YAML would take 08 for a word and 07 for a number
     if any((typing.get_origin(kind) or kind) in (tuple, list, dict, set, frozenset) for kind in kinds):
         import yaml
 

@@ -31,7 +31,7 @@ DEFAULT_OVERLAP = 3  # key-frames; the predecessor's on KITTI
 @dataclass(frozen=True)
 class PreprocessSettings:
     """What ``maslam preprocess`` is told. ``agents`` None: one agent a sequence; ``overlap`` key-frames of a split
-    sequence's neighbours.
+    sequence's neighbours; ``store``: where the front end's results are kept, OUT/frontend if not told.
     """
 
     odometry: OdometryConfig
@@ -42,6 +42,7 @@ class PreprocessSettings:
     provider: str = "CPU"
     vocabulary: Path | None = None
     workers: int = 0
+    store: Path | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -181,7 +182,7 @@ def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[li
     for sequence in dataset.sequences:
         problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
         if all(problem.severity is not Severity.ERROR for problem in sequence.problems):
-            of = (sequence, settings.odometry, settings.model, settings.vocabulary, out / FRONTEND)
+            of = (sequence, settings.odometry, settings.model, settings.vocabulary, settings.store or out / FRONTEND)
             jobs.append(make_job(*of, settings.provider))
     return jobs, problems
 

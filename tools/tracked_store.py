@@ -15,6 +15,7 @@ import numpy as np
 
 from frontend.trajectory import Trajectory
 from frontend.vofiles import VoTrack
+from tools.digests import code_digest
 from tools.errors import ToolError
 from tools.tracking import Gap, Tracked, track
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from frontend.datasets.base import ImageSequence
 
 TRACK_FIELDS = ("stamps_s", "poses", "points", "observations", "descriptors", "words")
-CODE_FOLDERS = ("frontend", "descriptors", "backend/geometry.py", "tools/tracking.py")  # what decides a tracking result
+CODE_PARTS = ("frontend", "descriptors", "backend/geometry.py", "tools/tracking.py")  # what decides a tracking result
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ def make_job(
     The fingerprint covers the images (names, sizes, times of change), the calibration, the settings, the models and the
     code.
     """
-    digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {provider} {code_digest()}".encode())
+    code = code_digest(*CODE_PARTS)
+    digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {provider} {code}".encode())
     digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
     models = [path for path in (vocabulary, Path(model), Path(model).with_suffix(".json")) if path and path.is_file()]
     for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
@@ -91,18 +93,6 @@ def take_tracked(job: TrackingJob) -> Tracked:
     if tracked is None:
         raise ToolError(f"{job.store}: changed or deleted while it was needed; run the command again")
     return tracked
-
-
-def code_digest() -> str:
-    """Of the sources and shipped models behind a tracking result: another version makes it anew."""
-    root = Path(__file__).parent.parent
-    files = [root / part for part in CODE_FOLDERS if (root / part).is_file()]
-    for part in CODE_FOLDERS:
-        files += [path for path in (root / part).rglob("*") if path.suffix in {".py", ".npz", ".onnx", ".json"}]
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
 
 
 def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:

@@ -92,7 +92,7 @@ def known_front_end(monkeypatch: pytest.MonkeyPatch) -> None:
     calls.clear()
     monkeypatch.setitem(sys.modules, "frontend.odometry", SimpleNamespace(Odometry=KnownOdometry))
     monkeypatch.setattr("descriptors.inference.NetVlad", KnownModel)
-    monkeypatch.setattr("tools.tracked_store.code_digest", lambda: "one version of the code")
+    monkeypatch.setattr("tools.tracked_store.code_digest", lambda *parts: "one version of the code")
 
 
 def write_agent(folder: Path, dark: bool = False) -> Path:

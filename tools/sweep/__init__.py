@@ -1,0 +1,1 @@
+"""Experiments: sequences x agents x presets x seeds, to tables and figures."""

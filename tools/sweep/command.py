@@ -1,0 +1,115 @@
+"""``maslam sweep``: an experiment from images to tables and figures; taken up again where it was interrupted."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tools.errors import ToolError
+from tools.options import add_model_options, build, read_yaml
+from tools.progress import Progress, progress_on
+
+if TYPE_CHECKING:
+    from tools.sweep.execute import Workshop
+    from tools.sweep.plan import SweepPlan
+    from tools.sweep.rows import Row
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``OUT``, the plan, where things come from."""
+    from tools.sweep.plan import SweepPlan
+
+    parser.add_argument("out", metavar="OUT", type=Path, help="folder for images, sequences, runs, tables and figures")
+    parser.add_argument("--experiment", metavar="NAME", help="a plan to start from: thesis, scaling or quick")
+    parser.add_argument("--plan", type=Path, metavar="FILE", help="YAML with the plan's settings; a sweep's plan.yaml")
+    parser.add_argument(
+        "--poses", type=Path, metavar="DIR",
+        help="KITTI pose files to render images along (default: $MASLAM_DATA/kitti_poses)",
+    )  # fmt: skip
+    parser.add_argument("--kitti", type=Path, metavar="DIR", help="your own KITTI images instead of rendered ones")
+    parser.add_argument("--no-reference", action="store_true", help="without the omniscient reference")
+    parser.add_argument("--workers", type=int, default=0, metavar="N", help="processes (default: one a core)")
+    parser.add_argument(
+        "--ray", metavar="ADDRESS", nargs="?", const="", help="runs on a Ray cluster that sees the same folders"
+    )
+    parser.add_argument("--json", action="store_true", help="print the rows as one JSON list")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_model_options(parser, SweepPlan())
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from tools.sweep.execute import Workshop
+    from tools.sweep.plan import SweepPlan, experiment
+
+    base = experiment(arguments.experiment) if arguments.experiment else SweepPlan()
+    plan = build(base, arguments, read_yaml(arguments.plan) if arguments.plan else None, arguments.plan)
+    poses = arguments.poses or Path(os.environ.get("MASLAM_DATA", "../shared/data")) / "kitti_poses"
+    shop = Workshop(arguments.out, poses, arguments.kitti, arguments.workers)
+    with progress_on(quiet=arguments.quiet) as progress:
+        rows, page = sweep(plan, shop, progress, not arguments.no_reference, arguments.ray)
+    if arguments.json:
+        from tools.sweep.rows import as_record
+
+        print(json.dumps([as_record(row) for row in rows], indent=1))
+    else:
+        print(page.read_text(encoding="utf-8"))
+        print(page)
+
+
+def sweep(
+    plan: SweepPlan, shop: Workshop, progress: Progress, with_reference: bool = True, ray: str | None = None
+) -> tuple[list[Row], Path]:
+    """Everything; returns the rows and the page with the tables."""
+    from tools.sweep.execute import execute, prepare, references
+    from tools.sweep.pictures import draw_all
+    from tools.sweep.rows import grouped, row_of
+    from tools.sweep.tables import report
+
+    _claim(shop.out, plan)
+    prepare(plan, shop, progress)
+    known: dict[str, dict[str, Any]] = references(plan, shop, progress) if with_reference else {}
+    summaries = execute(plan, shop, progress, ray)
+    rows = [row_of(cell, summary, known.get(cell.material)) for cell, summary in summaries.items()]
+    groups = grouped(rows)
+    _write_rows(shop.out, rows)
+    page = shop.out / "tables.md"
+    _write(page, report(groups))
+    first = min(plan.seeds)
+    runs = {(c.sequence, c.agents, c.preset): shop.run(c) for c in summaries if c.seed == first}
+    for path in draw_all(groups, runs, shop.out / "figures"):
+        progress.say(f"wrote {path}")
+    return rows, page
+
+
+def _claim(out: Path, plan: SweepPlan) -> None:
+    """The folder, with the plan in it; refused where it holds something else."""
+    import yaml
+
+    path = out / "plan.yaml"
+    if out.exists() and not path.is_file() and (not out.is_dir() or any(out.iterdir())):
+        raise ToolError(f"{out}: exists and is no sweep; choose an empty or new folder")
+    out.mkdir(parents=True, exist_ok=True)
+    _write(path, yaml.safe_dump(plan.model_dump(mode="json"), sort_keys=False))
+
+
+def _write_rows(out: Path, rows: list[Row]) -> None:
+    from tools.sweep.rows import as_record, columns
+
+    _write(out / "results.json", json.dumps([as_record(row) for row in rows], indent=1) + "\n")
+    partial = out / "results.csv.part"
+    with open(partial, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns())
+        writer.writeheader()
+        writer.writerows(as_record(row) for row in rows)
+    os.replace(partial, out / "results.csv")
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)

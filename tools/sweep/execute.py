@@ -1,0 +1,183 @@
+"""The stages of a sweep: images, agent sequences, the omniscient reference, runs. Each is kept and taken again."""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tools.digests import code_digest, sequences_digest
+from tools.errors import ToolError
+from tools.progress import Progress, counter
+from tools.sweep.plan import TOWN, Cell, SweepPlan
+
+SUMMARY = "summary.json"
+STAMP = "cell.json"
+"""In the folder of a run: what it was made from and how."""
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Folders of a sweep under ``out``; ``poses``: KITTI pose files; ``kitti``: the user's own KITTI images, in their
+    place (``sequences/NN`` or ``NN`` under it)."""
+
+    out: Path
+    poses: Path
+    kitti: Path | None = None
+    workers: int = 0
+
+    def images(self, cell: Cell) -> Path:
+        """Where a cell's images lie, or will."""
+        if cell.sequence != TOWN and self.kitti is not None:
+            found = [p for p in (self.kitti / "sequences" / cell.sequence, self.kitti / cell.sequence) if p.is_dir()]
+            if not found:
+                raise ToolError(f"{self.kitti}: no sequence {cell.sequence} (sequences/{cell.sequence}) in it")
+            return found[0]
+        return self.out / "images" / (cell.material if cell.sequence == TOWN else cell.sequence)
+
+    def sequences(self, cell: Cell) -> Path:
+        return self.out / "sequences" / cell.material
+
+    def run(self, cell: Cell) -> Path:
+        return self.out / "runs" / cell.name
+
+
+def prepare(plan: SweepPlan, shop: Workshop, progress: Progress) -> None:
+    """Images and agent sequences of all cells; the front end runs once for each sequence, however it is cut."""
+    from frontend.config import OdometryConfig
+    from tools.preprocess import FRONTEND, PreprocessSettings, preprocess
+    from tools.render import render_dataset
+
+    for cell in _materials(plan):
+        images = shop.images(cell)
+        if shop.kitti is None or cell.sequence == TOWN:
+            config = _rendering(plan, shop, cell)
+            render_dataset(config, images, counter(progress, f"rendering {images.name}"), shop.workers or None)
+        split = None if cell.sequence == TOWN else cell.agents
+        store = shop.out / FRONTEND / images.name
+        settings = PreprocessSettings(
+            OdometryConfig(), agents=split, overlap=plan.overlap, workers=shop.workers, store=store
+        )
+        preprocess(images, shop.sequences(cell), settings, progress)
+
+
+def references(plan: SweepPlan, shop: Workshop, progress: Progress) -> dict[str, dict[str, Any]]:
+    """The omniscient reference of each material, as records."""
+    from dataclasses import asdict
+
+    from tools.reference import reference_of
+
+    return {
+        cell.material: asdict(reference_of(shop.sequences(cell), counter(progress, f"reference {cell.material}")))
+        for cell in _materials(plan)
+    }
+
+
+def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None = None) -> dict[Cell, dict[str, Any]]:
+    """Run every cell that has not been run with these settings; returns the summaries of all.
+
+    A run that fails does not stop the others; the first failure is raised at the end.
+    """
+    jobs = {cell.name: (Job(shop.sequences(cell), shop.run(cell), cell, plan.settings), 100) for cell in plan.cells()}
+    todo = {name: job for name, job in jobs.items() if not job[0].done()}
+    if ray is not None:
+        errors = _on_ray([job for job, _ in todo.values()], ray, progress)
+    else:
+        from tools.workers import core_count, run_jobs
+
+        outcomes = run_jobs(run_cell, todo, shop.workers or core_count(), progress)
+        errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
+    for name, error in errors.items():
+        progress.say(f"{name}: {error}")
+    if errors:
+        raise ToolError(f"{len(errors)} of {len(jobs)} runs failed; the same command tries them again")
+    return {job.cell: json.loads((job.out / SUMMARY).read_text(encoding="utf-8")) for job, _ in jobs.values()}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run, for a worker."""
+
+    sequences: Path
+    out: Path
+    cell: Cell
+    settings: dict[str, Any]
+
+    def stamp(self) -> dict[str, Any]:
+        """What the run depends on: another code, sequence or setting makes it anew."""
+        return {
+            "sequences": sequences_digest(self.sequences),
+            "code": code_digest("mas", "backend", "descriptors"),
+            "settings": self.settings,
+        }
+
+    def done(self) -> bool:
+        """Whether the run is there, made from the same."""
+        stamp = self.out / STAMP
+        return (
+            (self.out / SUMMARY).is_file()
+            and stamp.is_file()
+            and json.loads(stamp.read_text(encoding="utf-8")) == self.stamp()
+        )
+
+
+def run_cell(job: Job, advance: Callable[[int], None]) -> None:
+    """Do it, in whatever process."""
+    from mas.environment import run
+    from mas.policy.presets import preset
+    from mas.sequence import load_sequences
+    from tools.options import build
+
+    config = build(preset(job.cell.preset), Namespace(), {**job.settings, "seed": job.cell.seed})
+    manifest, sequences = load_sequences(job.sequences)
+    (job.out / STAMP).unlink(missing_ok=True)
+    run(manifest, sequences, config, job.out, lambda done, total: advance(100 * done // max(total, 1)))
+    (job.out / STAMP).write_text(json.dumps(job.stamp()) + "\n", encoding="utf-8")
+
+
+def _materials(plan: SweepPlan) -> list[Cell]:
+    """One cell for each material."""
+    return list({cell.material: cell for cell in plan.cells()}.values())
+
+
+def _rendering(plan: SweepPlan, shop: Workshop, cell: Cell) -> Any:
+    from tools.render import RenderConfig
+
+    size = {"width": plan.width, "height": plan.height, "seed": plan.world_seed}
+    if cell.sequence == TOWN:
+        return RenderConfig(world="town", agents=cell.agents, frames=plan.frames or 300, **size)
+    poses = shop.poses / f"{cell.sequence}.txt"
+    if not poses.is_file():
+        raise ToolError(f"{poses}: no such pose file; --poses names the folder of KITTI pose files")
+    frames = plan.frames or 1_000_000
+    return RenderConfig(
+        world="town", agents=1, frames=frames, poses_file=poses, poses_step=plan.step, rate_hz=10.0 / plan.step, **size
+    )
+
+
+def _on_ray(jobs: Sequence[Job], address: str, progress: Progress) -> dict[str, Exception]:
+    """The same on a Ray cluster, whose machines must see the same folders."""
+    try:
+        import ray
+    except ImportError as error:
+        raise ToolError(f"--ray needs the package ray: {error}") from error
+    ray.init(address=address or None, log_to_driver=False)
+    remote = ray.remote(num_cpus=1)(_quietly)
+    waiting = {remote.remote(job): job for job in jobs}
+    task, errors, pending = progress.start("runs on ray", len(jobs)), {}, list(waiting)
+    while pending:
+        finished, pending = ray.wait(pending)
+        for reference in finished:
+            try:
+                ray.get(reference)
+            except Exception as error:  # noqa: BLE001 - whatever ended this run, the others go on
+                errors[waiting[reference].cell.name] = error
+        progress.advance(task, len(jobs) - len(pending))
+    return errors
+
+
+def _quietly(job: Job) -> None:
+    run_cell(job, lambda level: None)

@@ -1,0 +1,90 @@
+"""The tables of a sweep as Markdown: the thesis's chapter 4 beside ours, and each run against its reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from tools.sweep.plan import TOWN
+from tools.sweep.rows import Group, Spread
+from tools.sweep.thesis import TABLES, TOWN_DVPR_MB, TOWN_REST_MB, Printed
+
+_COLUMNS: list[tuple[str, str, str]] = [
+    ("ATE agents, m", "ate_agents", "ate_agents"),
+    ("ATE maps, m", "ate_maps", "ate_maps"),
+    ("DVPR, MB", "payload_dvpr", "dvpr"),
+    ("RelPose, MB", "payload_relpose", "relpose"),
+    ("DOpt, MB", "payload_dopt", "dopt"),
+    ("maps, MB", "payload_mapmerge", "mapmerge"),
+    ("explored, %", "explored", "explored"),
+]
+
+
+def report(groups: Sequence[Group]) -> str:
+    """All tables, one after the other."""
+    parts = ["# Sweep", _HOW]
+    for preset in dict.fromkeys(group.preset for group in groups):
+        number, printed = TABLES.get(preset, ("", {}))
+        title = f"## Preset {preset}" + (f": the thesis's Table {number}" if number else "")
+        chosen = [group for group in groups if group.preset == preset]
+        parts += [title, _thesis_table(chosen, printed), _true_table(chosen)]
+    return "\n\n".join([*parts, *_town(groups)]) + "\n"
+
+
+_HOW = (
+    "Mean over the seeds ± half their range. Bytes in the first table of a preset are payload, as published; in the "
+    "second they are what was sent (wire). In brackets: what the thesis prints. MB = 10^6 bytes."
+)
+
+
+def _thesis_table(groups: Sequence[Group], printed: dict[tuple[str, int], Printed]) -> str:
+    heads = ["sequence", "agents", *(name for name, _, _ in _COLUMNS)]
+    lines = []
+    for group in groups:
+        theirs = printed.get((group.sequence, group.agents))
+        cells = [
+            _text(group[ours]) + (f" ({getattr(theirs, field):g})" if theirs else "") for _, ours, field in _COLUMNS
+        ]
+        lines.append([group.sequence, str(group.agents), *cells])
+    return markdown(heads, lines)
+
+
+def _true_table(groups: Sequence[Group]) -> str:
+    figures: list[tuple[str, Callable[[Group], str]]] = [
+        ("key-frames", lambda g: str(g.rows[0].keyframes)),
+        ("odometry, m", lambda g: _text(g["odometry"], 3)),
+        ("ATE, m", lambda g: _text(g["ate_agents"], 3)),
+        ("reference, m", lambda g: _text(g["reference_ate"], 3)),
+        ("regret", lambda g: _text(g["regret_ate"], 3)),
+        ("wire, MB", lambda g: _text(g["wire_total"])),
+        ("of it maps", lambda g: _text(g["wire_mapmerge"])),
+        ("reference, MB", lambda g: _text(g["reference_mb"])),
+        ("explored of possible, %", lambda g: _text(g["explored_of_possible"], 1)),
+        ("in one frame", lambda g: f"{min(r.largest_group for r in g.rows)} of {g.agents}"),
+        ("matches (false)", lambda g: f"{_text(g['accepted'], 0)} ({_text(g['false_accepted'], 0)})"),
+        ("s", lambda g: _text(g["wall_s"], 1)),
+    ]
+    heads = ["sequence", "agents", *(name for name, _ in figures)]
+    return markdown(heads, [[g.sequence, str(g.agents), *(figure(g) for _, figure in figures)] for g in groups])
+
+
+def _town(groups: Sequence[Group]) -> list[str]:
+    chosen = [group for group in groups if group.sequence == TOWN]
+    if not chosen:
+        return []
+    lines = [
+        [g.preset, str(g.agents), _text(g["payload_dvpr"]), _text(g["wire_total"]), _text(g["regret_ate"], 3)]
+        for g in chosen
+    ]
+    heads = ["preset", "agents", f"DVPR, MB ({TOWN_DVPR_MB:g})", "all, MB on the wire", "ATE regret"]
+    said = f"Thesis, section 4.6: {TOWN_DVPR_MB:g} MB for place recognition, {TOWN_REST_MB:g} for RelPose and DOpt."
+    return ["## The town", said, markdown(heads, lines)]
+
+
+def markdown(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """A table."""
+    rows = [heads, ["---"] * len(heads), *lines]
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+
+
+def _text(value: Spread | None, digits: int = 2) -> str:
+    return "-" if value is None else value.text(digits)
