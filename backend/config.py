@@ -41,7 +41,10 @@ class SolverConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    method: Literal["dgs", "jor", "sor"] = Field("sor", description="order and relaxation of the distributed sweeps")
+    method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async"] = Field(
+        "sor",
+        description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), or block-coordinate descent to the optimum",
+    )
     relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor takes at most 1 of it")
     start: Literal["flagged", "warm"] = Field(
         "flagged", description="flagged: no initial guess needed; warm: from the poses, which share a frame already"
@@ -58,6 +61,16 @@ class SolverConfig(BaseModel):
     change: Literal["norm", "rms"] = Field(
         "norm", description="what thresholds of sweeps are about: a robot's whole change (published), or that of a pose"
     )
+
+    descent_sweeps: int = Field(200, ge=1, description="sweeps of block descent at most")
+    descent_relaxation: float = Field(1.4, gt=0, lt=2, description="over-relaxation of block descent")
+    cost_tolerance: float = Field(1e-6, ge=0, description="block descent ends when the cost falls by less, as a share")
+    cost_window: int = Field(5, ge=1, description="in so many sweeps")
+    mixed_sweeps: int = Field(4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain")
+    robust: Literal["none", "gnc"] = Field("none", description="graduated non-convexity on loops and separators (rbcd)")
+    gnc_confidence: float = Field(0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps")
+    gnc_sweeps: int = Field(3, ge=1, description="sweeps between two changes of weights")
+    gnc_steps: int = Field(60, ge=1, description="changes of weights at most")
 
     @classmethod
     def quick(cls) -> SolverConfig:
