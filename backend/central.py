@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from backend.chordal import first_of_parts, two_stage_poses
 from backend.config import CentralConfig
 from backend.costs import cost
-from backend.distributed.gauss_seidel import Relaxation
-from backend.geometry import Array, project_to_so3, se3, so3_exp
-from backend.graph import EdgeArrays, PoseGraph
-from backend.linear import isotropic_weights, pose_blocks, rotation_blocks
+from backend.geometry import Array
+from backend.graph import PoseGraph
+from backend.linear import isotropic_weights
 
 # A tight prior makes Levenberg-Marquardt stop at its start; the gauge needs no more than this.
 _PRIOR_SIGMA = 1e-3
@@ -67,37 +64,8 @@ def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 
     kappa, tau = isotropic_weights(a.information, graph.dimension)
     if unit_weights:
         kappa, tau = np.ones_like(kappa), np.ones_like(tau)
-    n, anchors = len(a.nodes), _anchors(a)
-    values = np.full((n, 3, 3), np.nan)
-    values[anchors] = np.swapaxes(a.poses[anchors, :3, :3], 1, 2)
-    stage = Relaxation(a.ends, rotation_blocks(a.measured[:, :3, :3], kappa), values, n, anchors)
-    stage.sweep(1.0)
-    poses = a.poses.copy()
-    free = np.setdiff1d(np.arange(n), anchors)
-    poses[free, :3, :3] = project_to_so3(np.swapaxes(stage.values[free], 1, 2))
-    for _ in range(newton_steps):
-        poses[free] = _newton_step(a, poses, kappa, tau, anchors)[free]
+    poses = two_stage_poses(a.ends, a.measured, (kappa, tau), a.poses, newton_steps)
     return graph.with_poses(dict(zip(a.nodes, poses, strict=True)))
-
-
-def _newton_step(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, anchors: list[int]) -> Array:
-    R = poses[:, :3, :3]
-    i, j = a.ends.T
-    values = np.full((len(poses), 6, 1), np.nan)
-    values[anchors] = 0.0
-    values[anchors, :3, 0] = poses[anchors, :3, 3]
-    stage = Relaxation(a.ends, pose_blocks(R[i], R[j], a.measured, kappa, tau), values, len(poses), anchors)
-    stage.sweep(1.0)
-    return se3(R @ so3_exp(stage.values[:, 3:, 0]), stage.values[:, :3, 0])
-
-
-def _anchors(a: EdgeArrays) -> list[int]:
-    """The first node of each connected part."""
-    n = len(a.nodes)
-    joined = coo_array((np.ones(len(a.ends)), (a.ends[:, 0], a.ends[:, 1])), shape=(n, n))
-    part = connected_components(joined, directed=False)[1]
-    first: NDArray[np.intp] = np.unique(part, return_index=True)[1]
-    return sorted(first.tolist())
 
 
 def _levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
@@ -108,7 +76,7 @@ def _levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseG
     for k, T in enumerate(a.poses):
         values.insert(k, gtsam.Pose3(T))
     tight = gtsam.noiseModel.Isotropic.Sigma(6, _PRIOR_SIGMA)
-    for k in _anchors(a):
+    for k in first_of_parts(a.ends, len(a.nodes)):
         factors.add(gtsam.PriorFactorPose3(k, gtsam.Pose3(a.poses[k]), tight))
     kappa, tau = isotropic_weights(a.information, graph.dimension)
     if config.cost == "U":

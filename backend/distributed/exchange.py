@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from backend.config import SolverConfig
-from backend.distributed.messages import Message, Stage, Values, decode, encode
-from backend.distributed.node import Node
+from backend.distributed.messages import Deltas, Message, Stage, Values, decode, encode
+from backend.distributed.methods import node_for
 from backend.distributed.share import Outcome, Share, shares
 from backend.errors import BackendError
 from backend.graph import PoseGraph
@@ -16,8 +16,9 @@ from backend.graph import PoseGraph
 
 @dataclass(frozen=True)
 class Traffic:
-    """``payload_bytes``: rotations and poses of separators, 8 bytes a number, as published tables count;
-    ``wire_bytes``: all of it.
+    """``payload_bytes``: rotations and poses of separators as they were sent: 8 bytes a number in the two-stage sweeps
+    (as published tables count, which leave the exchange of starting poses out), all separators that block descent
+    sends, of which most numbers take one byte. ``wire_bytes``: all of it.
     """
 
     messages: int
@@ -36,7 +37,8 @@ class GroupResult:
 
 def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[int, Outcome], Traffic]:
     """Run one node a share until all have ended; first sent, first delivered, so the same every time."""
-    nodes = {robot: Node(group[robot], config) for robot in sorted(group)}
+    nodes = {robot: node_for(group[robot], config) for robot in sorted(group)}
+    descends = config.method.startswith("rbcd")
     queue: deque[bytes] = deque()
     count = payload = wire = 0
 
@@ -46,7 +48,8 @@ def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[
             data = encode(message)
             queue.append(data)
             count, wire = count + 1, wire + len(data)
-            if isinstance(message, Values) and message.round.stage in (Stage.ROTATION, Stage.POSE):
+            counted = descends or message.round.stage in (Stage.ROTATION, Stage.POSE)
+            if counted and isinstance(message, Values | Deltas):
                 payload += message.payload_bytes
 
     for node in nodes.values():

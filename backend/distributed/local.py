@@ -32,7 +32,7 @@ class LocalProblem:
         weights = np.array([e.weight for e in edges])
         self.kappa, self.tau = self.kappa * weights, self.tau * weights
         # An edge between two robots stands in both shares and is counted by the lower one.
-        self._counted = np.array([min(e.i.robot, e.j.robot) == share.robot for e in edges], dtype=bool)
+        self.counted = np.array([min(e.i.robot, e.j.robot) == share.robot for e in edges], dtype=bool)
         self.poses = np.full((len(self.nodes), 4, 4), np.nan)
         self.poses[: self.own_count] = [share.poses[n] for n in own]
         self.sent_rows: dict[int, list[int]] = {}
@@ -54,9 +54,9 @@ class LocalProblem:
 
     def cost(self) -> float:
         """F over the edges this robot counts; edges to nodes without a pose are left out."""
-        i, j = self.ends[self._counted].T
-        costs = edge_costs(self.poses[i], self.poses[j], self.measured[self._counted],
-                           self.kappa[self._counted], self.tau[self._counted])  # fmt: skip
+        i, j = self.ends[self.counted].T
+        costs = edge_costs(self.poses[i], self.poses[j], self.measured[self.counted],
+                           self.kappa[self.counted], self.tau[self.counted])  # fmt: skip
         return float(costs[np.isfinite(costs)].sum())
 
     def rotation_stage(self, warm: bool) -> Relaxation:

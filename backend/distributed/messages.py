@@ -1,16 +1,18 @@
 """Everything that solver nodes say to each other: plain values with a sender and a receiver, and their encoding.
 
-``payload_bytes`` is what the published tables count: 8 bytes a number of a separator pose. The true length on the
-wire is that of :func:`encode`.
+``payload_bytes`` is what the published tables count: the numbers of separator poses, 8 bytes each where they travel in
+double precision, else what they take. The true length on the wire is that of :func:`encode`.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.errors import BackendError
 from backend.geometry import Array
@@ -23,16 +25,17 @@ class Stage(IntEnum):
     START = 1
     ROTATION = 2
     POSE = 3
-    COST = 4
+    DESCENT = 4
+    COST = 5
 
 
 # Numbers that one separator pose (one robot, for SCALE) costs each sweep.
-WIDTH = {Stage.SCALE: 1, Stage.START: 6, Stage.ROTATION: 9, Stage.POSE: 6, Stage.COST: 0}
+WIDTH = {Stage.SCALE: 1, Stage.START: 6, Stage.ROTATION: 9, Stage.POSE: 6, Stage.DESCENT: 6, Stage.COST: 0}
 
 
 @dataclass(frozen=True, order=True)
 class Round:
-    """One synchronous round: a sweep of a stage; ``step`` counts Gauss-Newton steps."""
+    """One synchronous round: a sweep of a stage; ``step`` counts Gauss-Newton steps, or changes of weights."""
 
     stage: Stage
     step: int = 0
@@ -55,7 +58,26 @@ class Values:
 
     @property
     def payload_bytes(self) -> int:
-        return 8 * int(self.values.size)
+        return np.dtype(number_type(self.round.stage)).itemsize * int(self.values.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Deltas:
+    """How one robot's separators moved in a sweep, coarsely: ``steps`` ``(k, 6)`` int8, translation then turn.
+
+    ``scales`` (float32 exactly): a step of translation in metres and of the turn ``R exp(delta)`` in radians. Both
+    sides go on from the pose that these steps lead to, so what rounding left out is in the next message.
+    """
+
+    sender: int
+    receiver: int
+    round: Round
+    scales: tuple[float, float]
+    steps: NDArray[np.int8]
+
+    @property
+    def payload_bytes(self) -> int:
+        return 8 + int(self.steps.size)
 
 
 @dataclass(frozen=True)
@@ -63,7 +85,7 @@ class Report:
     """What a robot and those below it in the tree of members found in a round: up the tree.
 
     ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum
-    over their edges.
+    over their edges; ``numbers``: further sums, 4 bytes each.
     """
 
     sender: int
@@ -71,17 +93,19 @@ class Report:
     round: Round
     change: float
     cost: float
+    numbers: tuple[float, ...] = ()
 
     @property
     def payload_bytes(self) -> int:
-        return 16
+        return 16 + 4 * len(self.numbers)
 
 
 @dataclass(frozen=True)
 class Decision:
     """What follows for everyone: down the tree. The same at every member, so all end at the same sweep.
 
-    ``go_on``: one more sweep of this stage, else the next stage; ``cost``: the group's sum.
+    ``go_on``: one more sweep of this stage, else the next stage; ``cost``: the group's sum; ``numbers``: what the
+    method makes of the further sums, 4 bytes each.
     """
 
     sender: int
@@ -89,32 +113,47 @@ class Decision:
     round: Round
     go_on: bool
     cost: float
+    numbers: tuple[float, ...] = ()
 
     @property
     def payload_bytes(self) -> int:
-        return 9
+        return 9 + 4 * len(self.numbers)
 
 
-Message = Values | Report | Decision
+Message = Values | Report | Decision | Deltas
+
+
+def number_type(stage: Stage) -> str:
+    """How the numbers of :class:`Values` travel: block descent starts from single precision and sends steps after."""
+    return "<f4" if stage is Stage.DESCENT else "<f8"
+
+
+def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
+    """``numbers`` as the other side will read them: single precision."""
+    return tuple(float(np.float32(x)) for x in numbers)
+
 
 # kind, stage, step, sweep, sender, receiver
 _HEADER = struct.Struct("<BBHHHH")
 _REPORT = struct.Struct("<dd")
 _DECISION = struct.Struct("<?d")
+_SCALES = struct.Struct("<ff")
 
 
 def encode(message: Message) -> bytes:
-    """The message as bytes: a header of 10, then 8 for each number, little endian."""
+    """The message as bytes, little endian: a header of 10, then its numbers."""
     r = message.round
-    kind = (Values, Report, Decision).index(type(message))
+    kind = (Values, Report, Decision, Deltas).index(type(message))
     head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
     match message:
         case Values():
-            return head + np.ascontiguousarray(message.values, dtype="<f8").tobytes()
+            return head + np.ascontiguousarray(message.values, dtype=number_type(r.stage)).tobytes()
+        case Deltas():
+            return head + _SCALES.pack(*message.scales) + np.ascontiguousarray(message.steps, dtype="<i1").tobytes()
         case Report():
-            return head + _REPORT.pack(message.change, message.cost)
+            return head + _REPORT.pack(message.change, message.cost) + _pack(message.numbers)
         case Decision():
-            return head + _DECISION.pack(message.go_on, message.cost)
+            return head + _DECISION.pack(message.go_on, message.cost) + _pack(message.numbers)
 
 
 def decode(data: bytes) -> Message:
@@ -122,14 +161,27 @@ def decode(data: bytes) -> Message:
     try:
         kind, stage, step, sweep, sender, receiver = _HEADER.unpack_from(data)
         body, round_ = data[_HEADER.size :], Round(Stage(stage), step, sweep)
+        width = max(WIDTH[round_.stage], 1)
         if kind == 0:
-            width = max(WIDTH[round_.stage], 1)
-            values = np.frombuffer(body, dtype="<f8").reshape(-1, width).astype(np.float64)
+            values = np.frombuffer(body, dtype=number_type(round_.stage)).reshape(-1, width).astype(np.float64)
             return Values(sender, receiver, round_, values)
         if kind == 1:
-            return Report(sender, receiver, round_, *_REPORT.unpack(body))
+            change, cost = _REPORT.unpack_from(body)
+            return Report(sender, receiver, round_, change, cost, _unpack(body[_REPORT.size :]))
         if kind == 2:
-            return Decision(sender, receiver, round_, *_DECISION.unpack(body))
+            go_on, cost = _DECISION.unpack_from(body)
+            return Decision(sender, receiver, round_, go_on, cost, _unpack(body[_DECISION.size :]))
+        if kind == 3:
+            steps = np.frombuffer(body[_SCALES.size :], dtype="<i1").reshape(-1, width)
+            return Deltas(sender, receiver, round_, _SCALES.unpack_from(body), steps)
     except (struct.error, ValueError) as error:
         raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
     raise BackendError(f"not a solver message: unknown kind {kind}")
+
+
+def _pack(numbers: tuple[float, ...]) -> bytes:
+    return np.array(numbers, dtype="<f4").tobytes()
+
+
+def _unpack(data: bytes) -> tuple[float, ...]:
+    return tuple(np.frombuffer(data, dtype="<f4").astype(np.float64).tolist())

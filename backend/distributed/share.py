@@ -63,6 +63,22 @@ class Share:
         return sorted(n for n in nodes if n.robot == self.robot), sorted(n for n in nodes if n.robot == neighbour)
 
 
+@dataclass(frozen=True)
+class JudgedEdge:
+    """What robust selection made of an edge: ``weight`` 0 (rejected) to 1, ``residual`` in standard deviations (the
+    square root of its share of F at the end), the same at both owners.
+    """
+
+    i: NodeId
+    j: NodeId
+    weight: float
+    residual: float
+
+    @property
+    def rejected(self) -> bool:
+        return self.weight < 0.5
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """What a node ends with; acceptance, reason, costs and sweep counts are the same at every member.
@@ -70,7 +86,9 @@ class Outcome:
     ``poses`` of its own nodes in the anchor's frame and unit; where ``accepted`` is False, or in ``unreached``, the
     old ones. ``scales``: for this robot and its neighbours, the factor from their unit to the common one (all 1
     without monocular members); a robot that adopts the result passes it to :meth:`PoseGraph.rescaled` before the next
-    run. Costs: F over the group's edges. ``unreached``: own nodes that no chain of edges joins to the anchor.
+    run. Costs: F over the group's edges; with robust selection each judged edge counts up to its bound only.
+    ``unreached``: own nodes that no chain of edges joins to the anchor. ``judged``: every edge of its share that robust
+    selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
     """
 
     robot: int
@@ -83,6 +101,7 @@ class Outcome:
     rotation_sweeps: int
     pose_sweeps: int
     unreached: tuple[NodeId, ...]
+    judged: tuple[JudgedEdge, ...] = ()
 
 
 def shares(graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset()) -> dict[int, Share]:

@@ -13,7 +13,19 @@ from backend.central import optimise, two_stage
 from backend.config import CentralConfig, SolverConfig
 from backend.costs import cost
 from backend.distributed.exchange import optimise_distributed, solve_group
-from backend.distributed.messages import Decision, Report, Round, Stage, Values, decode, encode
+from backend.distributed.messages import (
+    WIDTH,
+    Decision,
+    Deltas,
+    Report,
+    Round,
+    Stage,
+    Values,
+    as_sent,
+    decode,
+    encode,
+    number_type,
+)
 from backend.distributed.node import Node
 from backend.distributed.share import shares
 from backend.errors import BackendError
@@ -199,22 +211,37 @@ def test_shares_that_contradict_each_other_are_an_error():
     st.integers(0, 100),
     st.integers(0, 60_000),
     st.integers(0, 4),
-    st.floats(allow_nan=False),
+    st.floats(allow_nan=False, width=32),
 )
 def test_messages_survive_their_encoding(stage, sweep, robot, rows, number):
     round_ = Round(stage, 1, sweep)
-    width = {Stage.SCALE: 1, Stage.START: 6, Stage.ROTATION: 9, Stage.POSE: 6, Stage.COST: 1}[stage]
-    values = Values(robot, 7, round_, np.arange(rows * width, dtype=np.float64).reshape(rows, width) + number)
+    width = max(WIDTH[stage], 1)
+    sent = (np.arange(rows * width, dtype=np.float64).reshape(rows, width) + number).astype(number_type(stage))
+    values = Values(robot, 7, round_, sent.astype(np.float64))
     data = encode(values)
     back = decode(data)
     assert isinstance(back, Values) and back.round == round_ and np.array_equal(back.values, values.values)
     assert len(data) == 10 + values.payload_bytes
-    for message in (Report(1, robot, round_, abs(number), 2.0), Decision(robot, 3, round_, True, number)):
+    for message in (
+        Report(1, robot, round_, abs(number), 2.0, as_sent([0.1, sweep])),
+        Decision(robot, 3, round_, True, number),
+    ):
         assert decode(encode(message)) == message
+        assert len(encode(message)) == 10 + message.payload_bytes
     with pytest.raises(BackendError, match="not a solver message"):
         decode(encode(Report(0, 1, round_, 1.0, 2.0))[:-3])
     with pytest.raises(BackendError, match="not a solver message"):
         decode(b"\x09" + data[1:10])
+
+
+def test_steps_survive_their_encoding():
+    steps = np.arange(-12, 12, dtype=np.int8).reshape(4, 6)
+    message = Deltas(3, 4, Round(Stage.DESCENT, 2, 7), as_sent([0.1, 1e-9]), steps)
+    back = decode(encode(message))
+    assert isinstance(back, Deltas) and back.round == message.round and back.scales == message.scales
+    assert np.array_equal(back.steps, steps) and len(encode(message)) == 10 + message.payload_bytes == 42
+    with pytest.raises(BackendError, match="not a solver message"):
+        decode(encode(message)[:-3])
 
 
 def test_the_same_graph_gives_the_same_bytes():

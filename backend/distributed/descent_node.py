@@ -1,0 +1,221 @@
+"""Block-coordinate descent in agreed rounds, accelerated, with or without graduated non-convexity.
+
+A round is one sweep: every robot takes a block step with its neighbours' separators held, lower robots first, and sends
+six bytes a separator. The cost comes down the tree every round, so every member applies the same stop rule to the same
+numbers. The best sweep's poses are kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from backend.config import SolverConfig
+from backend.distributed.descent import BlockDescent, stepped
+from backend.distributed.messages import Decision, Deltas, Round, Stage, Values, number_type
+from backend.distributed.mixing import Mixer, MixingRule
+from backend.distributed.rounds import Separators
+from backend.distributed.selection import Selection
+from backend.distributed.share import Outcome, Share
+from backend.distributed.staged import StagedNode
+from backend.errors import BackendError
+from backend.geometry import Array, se3, so3_exp
+from backend.robust.schedule import settled
+
+
+class DescentNode(StagedNode):
+    """Riemannian block-coordinate descent to the optimum of F; see :class:`Rounds` for its use.
+
+    With ``robust="gnc"``: step 0 of the rounds places the robots, every further step begins with a round that judges
+    edges (its sweep 0) and goes on with a few sweeps under the new weights.
+    """
+
+    _descent: BlockDescent
+
+    def __init__(self, share: Share, config: SolverConfig) -> None:
+        super().__init__(share, config)
+        self._selection = Selection(self._problem, config.gnc_confidence) if config.robust == "gnc" else None
+        self._mixer = Mixer(config.mixed_sweeps, np.zeros((self._problem.own_count, 6)))
+        self._rule = MixingRule()
+        self._costs: list[float] = []
+        self._best: tuple[float, Array] | None = None
+        self._final = self._selection is None
+        self._told = self._warm
+        self._message: Values | Deltas | None = None
+
+    def _after_start(self) -> Round:
+        trusted = np.ones(len(self._problem.ends), dtype=bool) if self._selection is None else self._selection.odometry
+        bound = None if self._selection is None else self._selection.bound
+        self._elsewhere = self._problem.poses.copy()
+        self._descent = BlockDescent(self._problem, self._warm, trusted, bound)
+        self._mixer = Mixer(self._config.mixed_sweeps, self._descent.metric())
+        if self._warm:
+            self._descent.round_to_numbers(number_type(Stage.START))
+        return Round(Stage.DESCENT, 1 if self._warm and self._selection is not None else 0)
+
+    def _enter(self) -> None:
+        if self._round.stage is not Stage.DESCENT:
+            super()._enter()
+            return
+        self._costs.clear()
+        self._best = None
+        self._mixer.restart()
+        self._mixer.begin(self._problem.poses)
+
+    @property
+    def _judging(self) -> bool:
+        return self._round.stage is Stage.DESCENT and self._round.step > 0 and self._round.sweep == 0
+
+    @property
+    def _placing(self) -> bool:
+        """Robust: no solving before edges are judged."""
+        return self._selection is not None and self._round.step == 0
+
+    def _waits_for_lower(self) -> bool:
+        return self._round.stage is Stage.SCALE or (self._round.stage is Stage.DESCENT and not self._judging)
+
+    def _receivers(self) -> list[int]:
+        return [] if self._judging else super()._receivers()
+
+    def _awaited(self) -> list[int]:
+        return [] if self._judging else super()._awaited()
+
+    # -- one sweep ---------------------------------------------------------------------------------------------------
+
+    def _work(self) -> float:
+        if self._round.stage is not Stage.DESCENT:
+            return super()._work()
+        if self._judging:
+            return self._judge()
+        descent, shared = self._descent, self._descent.shared
+        public = self._problem.poses[shared].copy()
+        new = descent.place()
+        change = 0.0 if self._placing else descent.sweep(self._config.descent_relaxation if self._costs else 1.0)
+        me, at = self.share.robot, self._round
+        if new or not self._told:
+            self._told = bool(descent.placed[: self._problem.own_count].any())
+            self._message = Values(me, me, at, descent.round_to_numbers(number_type(Stage.DESCENT)))
+        elif self._placing or not self._told:
+            self._message = Values(me, me, at, np.zeros((0, 6)))
+        else:
+            self._message = Deltas(me, me, at, *descent.round_to_steps(public))
+        return float("inf") if new else change
+
+    def _judge(self) -> float:
+        assert self._selection is not None
+        if self._round.step == 1:
+            return self._selection.largest()
+        return self._selection.sharpen()
+
+    def _say(self, neighbour: int) -> Separators:
+        message = self._message
+        if self._round.stage is not Stage.DESCENT or message is None:
+            return super()._say(neighbour)
+        rows = np.searchsorted(self._descent.shared, self._problem.sent_rows[neighbour])
+        if isinstance(message, Deltas):
+            return replace(message, receiver=neighbour, steps=message.steps[rows])
+        known = len(message.values) and np.isfinite(message.values[rows]).any()
+        return replace(message, receiver=neighbour, values=message.values[rows] if known else np.zeros((0, 6)))
+
+    def _hear(self, neighbour: int, message: Separators) -> None:
+        if self._round.stage is not Stage.DESCENT:
+            super()._hear(neighbour, message)
+            return
+        rows = np.array(self._problem.heard_rows[neighbour], dtype=np.intp)
+        poses = self._problem.poses
+        if isinstance(message, Deltas):
+            poses[rows] = stepped(poses[rows], message.scales, message.steps)
+        elif len(message.values):
+            known = np.isfinite(message.values).all(axis=1)
+            poses[rows[known]] = se3(so3_exp(message.values[known, 3:]), message.values[known, :3])
+            self._descent.placed[rows[known]] = True
+
+    def _found(self) -> tuple[float, tuple[float, ...]]:
+        if self._round.stage is not Stage.DESCENT:
+            return super()._found()
+        if self._judging:
+            return 0.0, ()
+        return self._descent.cost(), self._mixer.end(self._problem.poses)
+
+    def _cost(self) -> float:
+        return super()._cost() if self._selection is None else self._selection.cost()
+
+    # -- what follows ------------------------------------------------------------------------------------------------
+
+    def _decide(self, change: float, cost: float, numbers: tuple[float, ...]) -> Decision:
+        if self._round.stage is not Stage.DESCENT:
+            return super()._decide(change, cost, numbers)
+        if self._judging:
+            return self._decision(True, change)
+        if np.isinf(change):
+            return self._decision(self._round.sweep < self._config.descent_sweeps + len(self.share.members), change)
+        return self._decision(self._another_sweep([*self._costs, cost]), cost, self._rule.weights(numbers))
+
+    def _another_sweep(self, costs: list[float]) -> bool:
+        """The stop rule; ``costs`` of this step's sweeps since all were placed."""
+        if self._placing:
+            return False
+        if not self._final:
+            return self._round.sweep < self._config.gnc_sweeps
+        window, limit = self._config.cost_window, self._config.descent_sweeps
+        if len(costs) <= window:
+            return len(costs) < limit
+        fall = min(costs[:-window]) - min(costs)
+        return len(costs) < limit and fall > self._config.cost_tolerance * min(costs) + 1e-14 * costs[0]
+
+    def _stay(self, decision: Decision) -> None:
+        if self._round.stage is not Stage.DESCENT:
+            return
+        if self._judging:
+            self._take_weights(decision.cost)
+            return
+        self._take_cost(decision.cost)
+        poses = self._problem.poses
+        if np.isinf(decision.cost) or (len(self._costs) > 1 and decision.cost > self._costs[-2]):
+            self._mixer.restart()
+        elif decision.numbers:
+            free = np.isfinite(poses).all(axis=(1, 2))
+            poses[free] = self._mixer.mix(decision.numbers)[free]
+        self._mixer.begin(poses)
+
+    def _take_weights(self, found: float) -> None:
+        """``found``: the group's largest squared residual, or how undecided its least decided edge is."""
+        assert self._selection is not None
+        if self._round.step == 1:
+            self._selection.begin(found)
+        self._final = self._round.step > 1 and (settled([found]) or self._round.step >= self._config.gnc_steps)
+        if self._final:
+            self._selection.decide()
+        self._descent.edge_weights = self._selection.weights
+
+    def _take_cost(self, cost: float) -> None:
+        self._sweeps[Stage.POSE] += 1
+        if np.isinf(cost):
+            self._costs.clear()
+            return
+        self._costs.append(cost)
+        if self._best is None or cost < self._best[0]:
+            self._best = (cost, self._problem.poses.copy())
+
+    def _leave(self, decision: Decision) -> None:
+        if self._round.stage is not Stage.DESCENT:
+            super()._leave(decision)
+            return
+        self._take_cost(decision.cost)
+        if self._best is not None:
+            self._problem.poses[:] = self._best[1]
+        if not self._final:
+            self._round = Round(Stage.DESCENT, self._round.step + 1)
+            return
+        # What found no place stays where it was, at its neighbours' side too.
+        lost = ~self._descent.placed
+        self._problem.poses[lost] = self._elsewhere[lost]
+        self._reached = self._descent.placed
+        self._round = Round(Stage.COST)
+
+    def _finish(self, cost_after: float) -> Outcome:
+        if not np.isfinite(cost_after):
+            raise BackendError("the cost after block descent is not finite")
+        outcome = super()._finish(cost_after)
+        return outcome if self._selection is None else replace(outcome, judged=self._selection.judged())

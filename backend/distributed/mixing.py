@@ -1,0 +1,101 @@
+"""Anderson acceleration of block descent: the next point is a mix of the last sweeps' results (Walker & Ni, 2011).
+
+A sweep over all robots is a fixed-point map x -> g(x). The mix that would have made the last residuals g(x) - x
+smallest is found from a few inner products, which go up the tree of members with the cost; the few weights come down
+with the decision. Every robot mixes its own poses and, from what it has heard, its neighbours' separators: nothing
+more is sent.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from backend.distributed.messages import as_sent
+from backend.geometry import Array, se3, so3_exp, so3_log
+
+# Inner products travel in single precision: what they cannot tell apart is not to be mixed.
+_REGULARISATION = 1e-6
+
+
+def moved(T_from: Array, T_to: Array) -> Array:
+    """Translation and turn ``(n, 6)`` from poses ``T_from`` to ``T_to`` ``(n, 4, 4)``; the turn acts from the right."""
+    turn = so3_log(np.swapaxes(T_from[:, :3, :3], 1, 2) @ T_to[:, :3, :3])
+    return np.concatenate([T_to[:, :3, 3] - T_from[:, :3, 3], turn], axis=1)
+
+
+def move(T_from: Array, delta: Array) -> Array:
+    """Inverse of :func:`moved`."""
+    return se3(T_from[:, :3, :3] @ so3_exp(delta[:, 3:]), T_from[:, :3, 3] + delta[:, :3])
+
+
+class Mixer:
+    """One robot's part: the last sweeps' starts and results ``(n, 6)`` as moves from a common base."""
+
+    def __init__(self, depth: int, metric: Array) -> None:
+        """``depth``: sweeps mixed, besides the last; ``metric`` ``(own, 6)``: square roots of weights of own rows."""
+        self._depth, self._metric = depth, metric
+        self._base: Array | None = None
+        self._started: list[Array] = []
+        self._ended: list[Array] = []
+
+    def begin(self, poses: Array) -> None:
+        """Note where a sweep starts."""
+        if self._base is None:
+            self._base = poses.copy()
+        self._started.append(moved(self._base, poses))
+
+    def end(self, poses: Array) -> tuple[float, ...]:
+        """Note where it ended; returns this robot's part of the sums that the group needs."""
+        assert self._base is not None
+        self._ended.append(moved(self._base, poses))
+        del self._started[: -self._depth - 1], self._ended[: -self._depth - 1]
+        residuals = [self._residual(k) for k in range(len(self._ended))]
+        steps = [b - a for a, b in itertools.pairwise(residuals)]
+        if not steps:
+            return ()
+        return as_sent([float(steps[-1] @ s) for s in steps] + [float(s @ residuals[-1]) for s in steps])
+
+    def restart(self) -> None:
+        """Forget all sweeps."""
+        self._base = None
+        self._started.clear()
+        self._ended.clear()
+
+    def mix(self, weights: tuple[float, ...]) -> Array:
+        """The mixed poses ``(n, 4, 4)``; sums run in one order, so both owners of a separator get the same bits."""
+        assert self._base is not None
+        result = self._ended[-1].copy()
+        first = len(self._ended) - 1 - len(weights)
+        for k, weight in enumerate(weights, start=first):
+            result -= weight * (self._ended[k + 1] - self._ended[k])
+        return move(self._base, result)
+
+    def _residual(self, k: int) -> Array:
+        n = len(self._metric)
+        residual = (self._ended[k][:n] - self._started[k][:n]) * self._metric
+        return np.nan_to_num(residual.ravel())
+
+
+class MixingRule:
+    """The root's part: weights from the group's sums."""
+
+    def __init__(self) -> None:
+        self._products = np.zeros((0, 0))
+
+    def weights(self, sums: tuple[float, ...]) -> tuple[float, ...]:
+        """One weight for each step between sweeps, oldest first."""
+        n = len(sums) // 2
+        if not n:
+            self._products = np.zeros((0, 0))
+            return ()
+        kept = self._products[-(n - 1) :, -(n - 1) :] if n > 1 else np.zeros((0, 0))
+        matrix = np.zeros((n, n))
+        matrix[: n - 1, : n - 1] = kept
+        matrix[n - 1, :] = matrix[:, n - 1] = sums[:n]
+        self._products = matrix
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        scaled = matrix / np.outer(size, size) + _REGULARISATION * np.eye(n)
+        solution = np.linalg.lstsq(scaled, np.array(sums[n:]) / size, rcond=None)[0] / size
+        return as_sent(solution)

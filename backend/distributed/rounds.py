@@ -1,0 +1,213 @@
+"""Rounds that a whole group agrees on: the part of a solver node that knows messages and nothing of poses.
+
+A round is: hear what the work needs (Gauss-Seidel: this round's values of lower robots; Jacobi: none), work, send the
+separators, hear all neighbours, report up a binary tree over the members, get the decision down the same tree. So
+every member knows at the same round what all of them found, and no member decides for others by looking into them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from backend.distributed.messages import WIDTH, Decision, Deltas, Message, Report, Round, Stage, Values
+from backend.distributed.share import Outcome, Share
+from backend.errors import BackendError
+
+Separators = Values | Deltas
+
+
+class Rounds(ABC):
+    """``start()`` once, then ``handle`` every message addressed to it, in any order; what these return is to be sent.
+
+    ``outcome`` is None while it works. Messages that come twice or too early do no harm; one that contradicts its
+    graph raises :class:`BackendError`. ``tick()`` gives again what others may have missed: for transports that lose
+    messages, also after the end.
+    """
+
+    def __init__(self, share: Share, first: Round) -> None:
+        self.share = share
+        self.outcome: Outcome | None = None
+        self._round = first
+        self._solved = self._reported = False
+        self._change = 0.0
+        self._heard: dict[Round, dict[int, Separators]] = {}
+        self._reports: dict[Round, dict[int, Report]] = {}
+        self._decisions: dict[Round, Decision] = {}
+        self._recent: dict[Round, list[Message]] = {}
+        self._expected = {n: len(share.separators_with(n)[1]) for n in share.neighbours}
+        rank = share.members.index(share.robot)
+        self._parent = share.members[(rank - 1) // 2] if rank else None
+        self._children = [share.members[c] for c in (2 * rank + 1, 2 * rank + 2) if c < len(share.members)]
+
+    # -- what a method says ------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _enter(self) -> None:
+        """Set up the stage that the current round begins."""
+
+    @abstractmethod
+    def _work(self) -> float:
+        """This round's work; returns by how much things changed, infinite if a pose got its first estimate."""
+
+    @abstractmethod
+    def _say(self, neighbour: int) -> Separators:
+        """The separators for this neighbour after the work."""
+
+    @abstractmethod
+    def _hear(self, neighbour: int, message: Separators) -> None:
+        """Inverse of :meth:`_say` at the other side."""
+
+    @abstractmethod
+    def _found(self) -> tuple[float, tuple[float, ...]]:
+        """This robot's part of the group's cost and of its sums, once all neighbours are heard."""
+
+    @abstractmethod
+    def _decide(self, change: float, cost: float, numbers: tuple[float, ...]) -> Decision:
+        """At the root only: what follows from the group's largest change, its cost and its sums."""
+
+    @abstractmethod
+    def _leave(self, decision: Decision) -> None:
+        """Act on a decision that ends the stage, and name the next round (or set the outcome)."""
+
+    def _stay(self, decision: Decision) -> None:  # noqa: B027  # most stages have nothing to do
+        """Act on a decision that goes on with the stage."""
+
+    def _waits_for_lower(self) -> bool:
+        """Whether the work needs this round's values of lower neighbours."""
+        return False
+
+    def _receivers(self) -> list[int]:
+        """Neighbours that get this round's separators."""
+        return self.share.neighbours
+
+    def _awaited(self) -> list[int]:
+        """Neighbours whose separators complete the round."""
+        return self.share.neighbours
+
+    # -- what happens to it ------------------------------------------------------------------------------------------
+
+    def start(self) -> list[Message]:
+        """The first messages."""
+        self._enter()
+        return self._advance()
+
+    def handle(self, message: Message) -> list[Message]:
+        """Take a message in; returns what is to be sent because of it."""
+        if message.receiver != self.share.robot:
+            raise BackendError(f"robot {self.share.robot} was handed a message for robot {message.receiver}")
+        if self.outcome is not None or message.round < self._round:
+            return []
+        match message:
+            case Values() | Deltas():
+                self._check(message)
+                self._heard.setdefault(message.round, {})[message.sender] = message
+            case Report():
+                self._check_tree(message.sender, self._children)
+                self._reports.setdefault(message.round, {})[message.sender] = message
+            case Decision():
+                self._check_tree(message.sender, [self._parent])
+                self._decisions[message.round] = message
+        return self._advance()
+
+    def tick(self) -> list[Message]:
+        """The messages of the last two rounds once more."""
+        return [m for r in sorted(self._recent) for m in self._recent[r]]
+
+    def _check_tree(self, sender: int, allowed: Sequence[int | None]) -> None:
+        if sender not in allowed:
+            raise BackendError(f"robot {sender} is not next to robot {self.share.robot} in the tree of members")
+
+    def _check(self, message: Separators) -> None:
+        if message.sender not in self._expected:
+            raise BackendError(
+                f"robot {self.share.robot} shares no edge with robot {message.sender}, which sent it poses"
+            )
+        stage, rows = message.round.stage, self._expected[message.sender]
+        values = message.values if isinstance(message, Values) else message.steps
+        expected = (1 if stage is Stage.SCALE else rows, WIDTH[stage])
+        if values.shape != expected and len(values):
+            raise BackendError(
+                f"robot {message.sender} sent {values.shape} values to robot {self.share.robot}, "
+                f"which expected {expected}: the two hold different edges between them"
+            )
+
+    # -- one round ---------------------------------------------------------------------------------------------------
+
+    def _advance(self) -> list[Message]:
+        """Do everything that can be done with what has been heard."""
+        out: list[Message] = []
+        while self.outcome is None:
+            progress = self._try_work()
+            if progress is None:
+                progress = self._try_report()
+            if progress is None:
+                progress = self._try_decide()
+            if progress is None:
+                break
+            out += progress
+        return out
+
+    def _emit(self, messages: Sequence[Message]) -> list[Message]:
+        for message in messages:
+            self._recent.setdefault(message.round, []).append(message)
+        for old in sorted(self._recent)[:-2]:
+            del self._recent[old]
+        return list(messages)
+
+    def _try_work(self) -> list[Message] | None:
+        """The work itself, once what it needs is there; sends the separators."""
+        if self._solved:
+            return None
+        if self._waits_for_lower():
+            heard = self._heard.get(self._round, {})
+            lower = [n for n in self.share.neighbours if n < self.share.robot]
+            if any(n not in heard for n in lower):
+                return None
+            for neighbour in lower:
+                self._hear(neighbour, heard[neighbour])
+        self._change = self._work()
+        self._solved = True
+        return self._emit([self._say(n) for n in self._receivers()])
+
+    def _try_report(self) -> list[Message] | None:
+        """Once the work is done here, at every neighbour and below in the tree: pass the sums up."""
+        heard, below = self._heard.get(self._round, {}), self._reports.get(self._round, {})
+        if not self._solved or self._reported:
+            return None
+        if any(n not in heard for n in self._awaited()) or any(c not in below for c in self._children):
+            return None
+        for neighbour in self._awaited():
+            if not (self._waits_for_lower() and neighbour < self.share.robot):
+                self._hear(neighbour, heard[neighbour])
+        self._reported = True
+        cost, numbers = self._found()
+        reports = [below[c] for c in self._children]
+        change = max([self._change, *(r.change for r in reports)])
+        cost += sum(r.cost for r in reports)
+        numbers = tuple(sum(column) for column in zip(numbers, *(r.numbers for r in reports), strict=True))
+        if self._parent is not None:
+            return self._emit([Report(self.share.robot, self._parent, self._round, change, cost, numbers)])
+        self._decisions[self._round] = self._decide(change, cost, numbers)
+        return []
+
+    def _try_decide(self) -> list[Message] | None:
+        """Pass the decision down and go to the next round."""
+        decision = self._decisions.get(self._round)
+        if decision is None or not self._reported:
+            return None
+        me = self.share.robot
+        passed = (decision.round, decision.go_on, decision.cost, decision.numbers)
+        out = self._emit([Decision(me, c, *passed) for c in self._children])
+        if decision.go_on:
+            self._stay(decision)
+            self._round = Round(self._round.stage, self._round.step, self._round.sweep + 1)
+        else:
+            self._leave(decision)
+            self._enter()
+        self._solved = self._reported = False
+        self._change = 0.0
+        self._heard.pop(decision.round, None)
+        self._reports.pop(decision.round, None)
+        self._decisions.pop(decision.round, None)
+        return out

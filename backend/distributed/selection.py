@@ -1,0 +1,74 @@
+"""Graduated non-convexity at one robot: weights of its loops and separators, in step with the whole group.
+
+Both owners of a separator edge know both its poses from what was exchanged, bit for bit, so both find the same weight
+and none needs to be sent. The schedule of ``mu`` starts from the group's largest residual, which comes down the tree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.distributed.local import LocalProblem
+from backend.distributed.share import JudgedEdge
+from backend.geometry import Array
+from backend.graph import EdgeKind
+from backend.linear import edge_costs
+from backend.robust.schedule import first_mu, next_mu, tls_weight, truncation
+
+
+class Selection:
+    """``weights`` ``(m,)`` of the robot's edges; odometry always 1."""
+
+    def __init__(self, problem: LocalProblem, confidence: float) -> None:
+        self._problem = problem
+        self.bound = truncation(confidence, 6 if problem.share.dimension == 3 else 3)
+        self.odometry = np.array([e.kind is EdgeKind.ODOMETRY for e in problem.share.edges], dtype=bool)
+        self.weights = np.ones(len(self.odometry))
+        self._mu: float | None = None
+
+    def squared(self) -> Array:
+        """Squared residuals ``(m,)`` in standard deviations; NaN where an end has no pose yet."""
+        p = self._problem
+        return edge_costs(p.poses[p.ends[:, 0]], p.poses[p.ends[:, 1]], p.measured, p.kappa, p.tau)
+
+    def largest(self) -> float:
+        """The largest squared residual of a judged edge."""
+        return float(np.nan_to_num(self.squared()[~self.odometry]).max(initial=0.0))
+
+    def begin(self, largest: float) -> None:
+        """Start the schedule from the group's ``largest`` squared residual."""
+        self._mu = first_mu(largest, self.bound)
+        self._weigh()
+
+    def sharpen(self) -> float:
+        """The schedule's next step; returns how undecided the least decided edge is (0 to 1/2)."""
+        if self._mu is None:
+            return 0.0
+        self._mu = next_mu(self._mu)
+        self._weigh()
+        judged = self.weights[~self.odometry]
+        return float(np.minimum(judged, 1.0 - judged).max(initial=0.0))
+
+    def decide(self) -> None:
+        """End the schedule: every edge is in or out."""
+        self.weights = np.where(self.weights < 0.5, 0.0, 1.0)
+
+    def cost(self) -> float:
+        """The truncated cost of the edges this robot counts; what cannot be computed is left out."""
+        squared = self.squared()
+        squared = np.where(self.odometry, squared, np.minimum(squared, self.bound))[self._problem.counted]
+        return float(squared[np.isfinite(squared)].sum())
+
+    def judged(self) -> tuple[JudgedEdge, ...]:
+        """The verdicts, in the order of the share's edges."""
+        squared, edges = self.squared(), self._problem.share.edges
+        return tuple(
+            JudgedEdge(edges[k].i, edges[k].j, float(self.weights[k]), float(np.sqrt(squared[k])))
+            for k in np.flatnonzero(~self.odometry)
+        )
+
+    def _weigh(self) -> None:
+        if self._mu is None:
+            return
+        squared = np.nan_to_num(self.squared())
+        self.weights = np.where(self.odometry, 1.0, tls_weight(squared, self.bound, self._mu))
