@@ -146,8 +146,9 @@ class PoseGraph:
         row = {n: k for k, n in enumerate(nodes)}
         poses = [self.poses[n] for n in nodes] + [np.eye(4)] * bool(self.priors)
         ends = [(row[e.i], row[e.j]) for e in self.edges] + [(len(nodes), row[p.node]) for p in self.priors]
-        weight = np.array([e.weight for e in (*self.edges, *self.priors)], dtype=np.float64)
-        information = np.array([e.information for e in (*self.edges, *self.priors)]).reshape(-1, 6, 6)
+        measurements: list[Edge | Prior] = [*self.edges, *self.priors]
+        weight = np.array([e.weight for e in measurements], dtype=np.float64)
+        information = np.array([e.information for e in measurements]).reshape(-1, 6, 6)
         return EdgeArrays(
             nodes=nodes,
             poses=np.array(poses).reshape(-1, 4, 4),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
+from scipy.sparse.linalg import splu
 
 from backend.geometry import Array
 
@@ -56,3 +57,18 @@ def rotation_diagonal(blocks: Array) -> csr_array:
     rows, columns = np.broadcast_to(at[:, :, None], blocks.shape), np.broadcast_to(at[:, None, :], blocks.shape)
     size = n * (d + 1)
     return coo_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size)).tocsr()
+
+
+def best_translations(poses: Array, M: csr_array, held: list[int], d: int) -> Array:
+    """``poses`` ``(n, 4, 4)`` with the translations that cost least under their rotations; ``held``: one node of each
+    connected part, which stays.
+    """
+    n, w = len(poses), d + 1
+    free = np.setdiff1d(np.arange(n), held)
+    out = poses.copy()
+    if not len(free):
+        return out
+    factor = splu(M[free * w][:, free * w].tocsc(), permc_spec="MMD_AT_PLUS_A")
+    gradient = by_node((M @ stacked(poses, d).T).T, d)[free, :, 0]
+    out[free, :d, 3] -= factor.solve(np.ascontiguousarray(gradient))
+    return out

@@ -67,12 +67,12 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
         model = _Model(a, poses, kappa, tau)
     except BackendError:
         return Refined(poses, 0, False)
-    now, radius = model.cost(poses), np.inf
-    first = None
+    now, radius = model.cost(poses), float("inf")
+    first = 0.0
     for taken in range(steps):
         gradient, hessian = model.derivatives(poses)
-        size = float(np.sqrt(max(np.vdot(gradient, model.precondition(gradient)), 0.0)))
-        first = first or size
+        size = max(float(np.vdot(gradient, model.precondition(gradient))), 0.0) ** 0.5
+        first = max(first, size)
         tolerance = min(0.1, size / first) if first else 0.1
         step, gain, length = _conjugate_gradients(gradient, hessian, model.precondition, tolerance, radius)
         if gain <= _ROUNDING * now:
@@ -83,7 +83,7 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
         if quality < 0.25:
             radius = 0.25 * length
         elif quality > 0.75 and length > 0.99 * radius:
-            radius *= 2.0
+            radius = 2.0 * radius
         if cost < now:
             poses, now = after, cost
         elif model.size(step) < _SMALL_STEP:
@@ -162,7 +162,7 @@ def _conjugate_gradients(
     # Inner products in the preconditioner's norm, by recurrence: step.P.step, step.P.direction, direction.P.direction.
     ss, sd, dd = 0.0, 0.0, rz
     for _ in range(_CONJUGATE_STEPS):
-        if rz <= max(tolerance**2 * first, 0.0) and ss > 0.0 or dd <= 0.0:
+        if (rz <= max(tolerance**2 * first, 0.0) and ss > 0.0) or dd <= 0.0:
             break
         product = hessian(direction)
         curvature = float(np.vdot(direction, product))
