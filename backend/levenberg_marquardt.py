@@ -54,7 +54,7 @@ def _factors(graph: PoseGraph, a: EdgeArrays, config: CentralConfig) -> Any:
     factor = gtsam.BetweenFactorPose3 if geodesic else gtsam.FrobeniusBetweenFactorPose3
     for k in range(len(a.ends)):
         if geodesic:
-            information = _positive(a.information[k])[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)]
+            information = _definite(a.information[k])[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)]
             model = gtsam.noiseModel.Gaussian.Information(information)
         else:
             model = _frobenius_model(float(kappa[k]), float(tau[k]))
@@ -64,14 +64,11 @@ def _factors(graph: PoseGraph, a: EdgeArrays, config: CentralConfig) -> Any:
     return factors
 
 
-def _positive(information: Array) -> Array:
-    """The nearest positive definite matrix: some public files hold indefinite ones, which no least-squares solver can
-    use.
-    """
+def _definite(information: Array) -> Array:
+    """Directions of no information get next to none: gtsam takes the matrix's root and cannot do without."""
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    if values[0] > 0:
-        return information
-    return (vectors * np.maximum(values, 1e-9 * max(values[-1], 1e-9))) @ vectors.T
+    floor = 1e-9 * max(values[-1], 1e-9)
+    return information if values[0] > 0 else (vectors * np.maximum(values, floor)) @ vectors.T
 
 
 def _frobenius_model(kappa: float, tau: float) -> Any:
