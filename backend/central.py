@@ -1,27 +1,18 @@
-"""Central optimisation of a whole graph: chordal start, then Levenberg-Marquardt by gtsam. The one file that knows
-gtsam.
-"""
+"""Central optimisation of a whole graph: chordal start, Levenberg-Marquardt, and Newton's method to the last digit."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backend.chordal import first_of_parts, two_stage_poses
+from backend.chordal import two_stage_poses
 from backend.config import CentralConfig
-from backend.costs import cost
-from backend.geometry import Array
-from backend.graph import PoseGraph
-from backend.linear import isotropic_weights
-
-# A tight prior makes Levenberg-Marquardt stop at its start; the gauge needs no more than this.
-_PRIOR_SIGMA = 1e-3
-# gtsam puts rotation first in tangents.
-_ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
-# Entries of a 4x4 matrix, column by column.
-_ROTATION_ENTRIES, _TRANSLATION_ENTRIES = [0, 1, 2, 4, 5, 6, 8, 9, 10], [12, 13, 14]
+from backend.costs import cost, frobenius_weights
+from backend.geometry import Array, se3_inverse, umeyama
+from backend.graph import EdgeArrays, PoseGraph, Prior
+from backend.levenberg_marquardt import levenberg_marquardt
+from backend.newton import newton, parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,94 +30,75 @@ class OptimisationResult:
 
 
 def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
-    """Optimise all poses; in each connected part the first node stays where it is. Never ends higher than it began."""
+    """Optimise all poses. Never ends higher than it began.
+
+    In each connected part the first node stays where it is, unless priors say where the part lies.
+    """
     before = cost(graph, config.cost)
-    if not graph.edges:
+    if not graph.edges and not graph.priors:
         return OptimisationResult(graph, before, before, 0, False)
-    unit = config.cost == "U"
-    start = two_stage(graph, unit) if config.start == "chordal" else graph
-    solved, iterations = _levenberg_marquardt(start, config)
+    start = two_stage(graph, config.cost == "U") if config.start == "chordal" else graph
+    solved, iterations = _descend(start, config)
     if config.start == "chordal" and cost(solved, config.cost) > before:
-        solved, iterations = _levenberg_marquardt(graph, config)
+        solved, iterations = _descend(graph, config)
     after = cost(solved, config.cost)
     if after > before:
         return OptimisationResult(graph, before, before, iterations, False)
     return OptimisationResult(solved, before, after, iterations, True)
 
 
+def _descend(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
+    """To the optimum of the basin the graph lies in."""
+    if config.cost == "E" or config.loss != "none":
+        return levenberg_marquardt(graph, config)
+    refined, steps, converged = polished(graph, config.cost == "U", config.iterations)
+    if converged:
+        return refined, steps
+    solved, iterations = levenberg_marquardt(refined, config)
+    return solved, steps + iterations
+
+
+def polished(graph: PoseGraph, unit_weights: bool = False, steps: int = 100) -> tuple[PoseGraph, int, bool]:
+    """The graph after Newton steps of F (U with ``unit_weights``), their number, and whether only rounding is left."""
+    a = graph.arrays()
+    kappa, tau = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
+    refined = newton(a, a.poses, kappa, tau, steps)
+    return graph.with_poses(a.named(refined.poses)), refined.steps, refined.converged
+
+
 def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 1) -> PoseGraph:
     """Chordal rotations, then Gauss-Newton steps of F (U with ``unit_weights``): needs no initial guess (Carlone et
     al., ICRA 2015).
 
-    One step is what distributed Gauss-Seidel converges to.
+    One step is what distributed Gauss-Seidel converges to. Priors place each connected part as a whole.
     """
-    a = graph.arrays()
-    kappa, tau = isotropic_weights(a.information, graph.dimension)
-    if unit_weights:
-        kappa, tau = np.ones_like(kappa), np.ones_like(tau)
-    poses = two_stage_poses(a.ends, a.measured, (kappa, tau), a.poses, newton_steps)
-    return graph.with_poses(dict(zip(a.nodes, poses, strict=True)))
+    free = replace(graph, priors=())
+    a = free.arrays()
+    kappa, tau = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
+    used = a.weight > 0
+    poses = two_stage_poses(a.ends[used], a.measured[used], (kappa[used], tau[used]), a.poses, newton_steps)
+    if graph.priors:
+        poses = _placed(a, poses, graph)
+    return graph.with_poses(a.named(poses))
 
 
-def _levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
-    import gtsam
-
-    a = graph.arrays()
-    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for k, T in enumerate(a.poses):
-        values.insert(k, gtsam.Pose3(T))
-    tight = gtsam.noiseModel.Isotropic.Sigma(6, _PRIOR_SIGMA)
-    for k in first_of_parts(a.ends, len(a.nodes)):
-        factors.add(gtsam.PriorFactorPose3(k, gtsam.Pose3(a.poses[k]), tight))
-    kappa, tau = isotropic_weights(a.information, graph.dimension)
-    if config.cost == "U":
-        kappa, tau = np.full_like(kappa, 0.5), np.full_like(tau, 0.5)
-    for k, edge in enumerate(graph.edges):
-        if config.cost == "E":
-            model = gtsam.noiseModel.Gaussian.Information(
-                _positive(a.information[k])[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)]
-            )
-        else:
-            model = _frobenius_model(float(kappa[k]), float(tau[k]))
-        if edge.is_separator or edge.kind != "odometry":
-            model = _with_loss(model, config)
-        factor = gtsam.BetweenFactorPose3 if config.cost == "E" else gtsam.FrobeniusBetweenFactorPose3
-        factors.add(factor(int(a.ends[k, 0]), int(a.ends[k, 1]), gtsam.Pose3(a.measured[k]), model))
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(config.iterations)
-    parameters.setRelativeErrorTol(config.tolerance)
-    parameters.setAbsoluteErrorTol(0.0)
-    parameters.setlambdaInitial(1e-4)
-    optimiser = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters)
-    solved = optimiser.optimize()
-    poses = {node: solved.atPose3(k).matrix() for k, node in enumerate(a.nodes)}
-    return graph.with_poses(poses), optimiser.iterations()
-
-
-def _positive(information: Array) -> Array:
-    """The nearest positive definite matrix: some public files hold indefinite ones, which no least-squares solver can
-    use.
+def _placed(a: EdgeArrays, poses: Array, graph: PoseGraph) -> Array:
+    """Each connected part moved rigidly to where its priors want it: the best of what one prior alone or all their
+    positions together say.
     """
-    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    if values[0] > 0:
-        return information
-    return (vectors * np.maximum(values, 1e-9 * max(values[-1], 1e-9))) @ vectors.T
+    row, part, poses = {n: k for k, n in enumerate(a.nodes)}, parts(a), poses.copy()
+    for label in sorted({int(part[row[p.node]]) for p in graph.priors}):
+        priors = [p for p in graph.priors if part[row[p.node]] == label]
+        estimates = poses[[row[p.node] for p in priors]]
+        wanted = np.array([p.T_O_i for p in priors])
+        step = max(1, len(priors) // 8)
+        moves = [*(wanted @ se3_inverse(estimates))[::step]]
+        moves.append(umeyama(wanted[:, :3, 3], estimates[:, :3, 3], with_scale=False).se3())
+        best = min(moves, key=lambda T: _prior_cost(priors, T @ estimates, graph.dimension))
+        poses[part == label] = best @ poses[part == label]
+    return poses
 
 
-def _frobenius_model(kappa: float, tau: float) -> Any:
-    """Noise of the 16 entries of a pose matrix such that half the squared norm is F's share."""
-    import gtsam
-
-    precisions = np.ones(16)
-    precisions[_ROTATION_ENTRIES], precisions[_TRANSLATION_ENTRIES] = 2.0 * kappa, 2.0 * tau
-    return gtsam.noiseModel.Diagonal.Precisions(np.maximum(precisions, 1e-12))
-
-
-def _with_loss(model: Any, config: CentralConfig) -> Any:
-    import gtsam
-
-    if config.loss == "none":
-        return model
-    estimators = gtsam.noiseModel.mEstimator
-    estimator = (estimators.Huber if config.loss == "huber" else estimators.Cauchy).Create(config.loss_scale)
-    return gtsam.noiseModel.Robust.Create(estimator, model)
+def _prior_cost(priors: list[Prior], estimates: Array, dimension: int) -> float:
+    poses = {p.node: T for p, T in zip(priors, estimates, strict=True)}
+    return cost(PoseGraph(poses, (), dimension, tuple(priors)), "F")

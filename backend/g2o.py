@@ -1,77 +1,132 @@
 """g2o files: one file for a graph, or one a robot, in 3-D and 2-D.
 
-Ids are plain numbers, or gtsam symbols (a letter in the top byte says which robot). Planar graphs are held in 3-D,
-``dimension`` 2.
+Ids are plain numbers of any size, or gtsam symbols (a letter in the top byte says which robot). In a set of files with
+plain ids each file is a robot. Planar graphs are held in 3-D, ``dimension`` 2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from backend.errors import BackendError
+from backend.g2o_ids import Ids, symbol
 from backend.geometry import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, se3, so3_exp, so3_log
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior, spread_poses
 
-_SYMBOL_SHIFT = 56
-_LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
-_IGNORED = ("FIX", "PARAMS")
+_IGNORED = ("#", "FIX", "PARAMS_")
+_NO_OFFSET = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 _UPPER = np.triu_indices(6)
 # Rows of a planar measurement (x, y, angle) in the tangent of SE(3), translation first.
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-_FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30, "VERTEX_SE2": 4, "EDGE_SE2": 11}
+# Numbers after the name; the second is that of ids among them.
+_FIELDS = {
+    "VERTEX_SE3:QUAT": (8, 1),
+    "EDGE_SE3:QUAT": (30, 2),
+    "EDGE_SE3_PRIOR": (30, 1),
+    "VERTEX_SE2": (4, 1),
+    "EDGE_SE2": (11, 2),
+    "EDGE_PRIOR_SE2": (10, 1),
+}
+
+
+class _Line(NamedTuple):
+    """A line that makes sense by itself: ids as written, and the other numbers."""
+
+    file: int
+    where: str
+    tag: str
+    ids: tuple[int, ...]
+    values: Array
 
 
 def read_g2o(paths: Path | Sequence[Path], skipped: list[str] | None = None) -> PoseGraph:
     """One graph from one file, or from a set with one file a robot.
 
-    Edges between robots that stand in both robots' files count once. Nodes without a VERTEX line get their pose from
-    the edges, odometry first. A line that makes no sense raises :class:`BackendError` with its number; where
-    ``skipped`` is given, it is left out and the message is appended there.
+    Edges between robots that stand in both robots' files count once; what stands twice in one file counts twice. Nodes
+    without a VERTEX line get their pose from the edges, odometry first. A line that makes no sense raises
+    :class:`BackendError` with its number; where ``skipped`` is given, it is left out and the message is appended there.
     """
     files = [paths] if isinstance(paths, Path) else list(paths)
     if not files:
         raise BackendError("no g2o file given")
-    reading = _Reading()
-    for path in files:
-        for number, tag, fields in _lines(path):
-            try:
-                reading.take(path, f"{path}:{number}", tag, fields)
-            except BackendError as error:
-                if skipped is None:
-                    raise
-                skipped.append(str(error))
+    errors: list[BackendError] = []
+    lines = [line for k, path in enumerate(files) for line in _lines(k, path, errors)]
+    reading = _Reading(Ids([(line.file, line.tag.startswith("VERTEX"), line.ids) for line in lines]))
+    for line in lines:
+        try:
+            reading.take(line)
+        except BackendError as error:
+            errors.append(error)
+    if errors and skipped is None:
+        raise errors[0]
+    if skipped is not None:
+        skipped += map(str, errors)
     return reading.graph(files[0])
 
 
 class _Reading:
     """What has been read so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, ids: Ids) -> None:
+        self.ids = ids
         self.poses: dict[NodeId, Array] = {}
         self.edges: list[Edge] = []
-        self.shared: dict[tuple[NodeId, NodeId, bytes], Path] = {}
+        self.priors: list[Prior] = []
+        self.shared: dict[tuple[NodeId, NodeId, bytes], int] = {}
         self.dimensions: set[int] = set()
 
-    def take(self, path: Path, where: str, tag: str, fields: list[str]) -> None:
-        values = _numbers(tag, fields, where)
-        self.dimensions.add(2 if tag.endswith("SE2") else 3)
-        if tag.startswith("VERTEX"):
-            self.poses[_node(fields[0], where)] = _pose(values[1:], where)
+    def take(self, line: _Line) -> None:
+        nodes = [self.ids.node(line.file, i, line.where) for i in line.ids]
+        dimension = 2 if line.tag.endswith("SE2") else 3
+        if line.tag.startswith("VERTEX"):
+            self.poses[nodes[0]] = _pose(line.values, line.where)
+        elif len(nodes) == 1:
+            T, information = _measurement(line.values, line.where)
+            self.priors.append(Prior(nodes[0], T, information))
+        else:
+            self._take_edge(line, *nodes)
+        self.dimensions.add(dimension)
+
+    def _take_edge(self, line: _Line, i: NodeId, j: NodeId) -> None:
+        if i == j:
+            raise BackendError(f"{line.where}: an edge from node {i} to itself")
+        T_i_j, information = _measurement(line.values, line.where)
+        between = i.robot != j.robot
+        if between and self.shared.setdefault((i, j, line.values.tobytes()), line.file) != line.file:
             return
-        edge = _edge(_node(fields[0], where), _node(fields[1], where), values[2:], where)
-        if edge.is_separator and self.shared.setdefault((edge.i, edge.j, values.tobytes()), path) != path:
-            return
-        self.edges.append(edge)
+        self.edges.append(Edge(i, j, T_i_j, information, EdgeKind.SEPARATOR if between else EdgeKind.LOOP))
 
     def graph(self, first: Path) -> PoseGraph:
         if not self.poses and not self.edges:
             raise BackendError(f"{first}: no vertex and no edge in this graph")
         if len(self.dimensions) > 1:
             raise BackendError(f"{first}: 2-D and 3-D lines in one graph")
-        return PoseGraph(spread_poses(self.poses, self.edges), tuple(self.edges), self.dimensions.pop())
+        lonely = sorted({p.node for p in self.priors} - set(self.poses) - {n for e in self.edges for n in (e.i, e.j)})
+        known = self.poses | {p.node: p.T_O_i for p in self.priors if p.node in lonely}
+        edges = _with_odometry(self.edges, known)
+        return PoseGraph(spread_poses(known, edges), tuple(edges), self.dimensions.pop(), tuple(self.priors))
+
+
+def _with_odometry(edges: list[Edge], poses: dict[NodeId, Array]) -> list[Edge]:
+    """Name as odometry the first edge between two nodes of a robot that follow each other (its indices may have
+    gaps).
+    """
+    nodes = sorted(set(poses) | {n for e in edges for n in (e.i, e.j)})
+    rank = {n: k for k, n in enumerate(nodes)}
+    seen: set[int] = set()
+    out = []
+    for e in edges:
+        low, high = sorted((rank[e.i], rank[e.j]))
+        if e.kind is EdgeKind.LOOP and high - low == 1 and low not in seen:
+            seen.add(low)
+            e = replace(e, kind=EdgeKind.ODOMETRY)
+        out.append(e)
+    return out
 
 
 def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
@@ -86,12 +141,17 @@ def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
             tag = "VERTEX_SE2" if flat else "VERTEX_SE3:QUAT"
             out.write(f"{tag} {_id(node, plain_ids)} {_pose_text(graph.poses[node], flat)}\n")
         for e in graph.edges:
-            tag, information = ("EDGE_SE2", e.information[_PLANAR]) if flat else ("EDGE_SE3:QUAT", e.information)
-            upper = " ".join(f"{v:.12g}" for v in information[np.triu_indices(len(information))])
-            out.write(f"{tag} {_id(e.i, plain_ids)} {_id(e.j, plain_ids)} {_pose_text(e.T_i_j, flat)} {upper}\n")
+            tag, pair = "EDGE_SE2" if flat else "EDGE_SE3:QUAT", f"{_id(e.i, plain_ids)} {_id(e.j, plain_ids)}"
+            out.write(f"{tag} {pair} {_pose_text(e.T_i_j, flat)} {_upper_text(e.information, flat)}\n")
+        if graph.priors and not flat:
+            out.write("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n")
+        for p in graph.priors:
+            tag, which = ("EDGE_PRIOR_SE2", "") if flat else ("EDGE_SE3_PRIOR", "0 ")
+            pose = _pose_text(p.T_O_i, flat)
+            out.write(f"{tag} {_id(p.node, plain_ids)} {which}{pose} {_upper_text(p.information, flat)}\n")
 
 
-def _lines(path: Path) -> list[tuple[int, str, list[str]]]:
+def _lines(file: int, path: Path, errors: list[BackendError]) -> list[_Line]:
     try:
         text = path.read_text(encoding="ascii", errors="replace")
     except OSError as error:
@@ -99,45 +159,40 @@ def _lines(path: Path) -> list[tuple[int, str, list[str]]]:
     out = []
     for number, line in enumerate(text.splitlines(), 1):
         tag, *fields = line.split() or ["#"]
-        if not tag.startswith(("#", *_IGNORED)):
-            out.append((number, tag, fields))
+        where = f"{path}:{number}"
+        if tag == "PARAMS_SE3OFFSET" and [float(v) for v in fields[1:]] != _NO_OFFSET:
+            errors.append(BackendError(f"{where}: a sensor's offset from the node's frame is not supported"))
+        if tag.startswith(_IGNORED):
+            continue
+        try:
+            out.append(_parsed(file, where, tag, fields))
+        except BackendError as error:
+            errors.append(error)
     return out
 
 
-def _numbers(tag: str, fields: list[str], where: str) -> Array:
+def _parsed(file: int, where: str, tag: str, fields: list[str]) -> _Line:
     if tag not in _FIELDS:
         raise BackendError(f"{where}: unknown line {tag!r}; known are {', '.join(_FIELDS)}")
-    if len(fields) != _FIELDS[tag]:
-        raise BackendError(f"{where}: {tag} has {_FIELDS[tag]} fields after its name, found {len(fields)}")
+    count, ids = _FIELDS[tag]
+    if len(fields) != count:
+        raise BackendError(f"{where}: {tag} has {count} fields after its name, found {len(fields)}")
+    for text in fields[:ids]:
+        if not text.isdigit():
+            raise BackendError(f"{where}: {text!r} is not a node id (a whole number from 0)")
+    # g2o's 3-D prior names the sensor's offset after the node; only the node's own frame is known here.
+    first = ids + 1 if tag == "EDGE_SE3_PRIOR" else ids
     try:
-        values = np.array(fields, dtype=np.float64)
+        values = np.array(fields[first:], dtype=np.float64)
     except ValueError as error:
         raise BackendError(f"{where}: not a number: {error}") from error
     if not np.isfinite(values).all():
         raise BackendError(f"{where}: NaN or infinity in the line")
-    return values
-
-
-def _node(text: str, where: str) -> NodeId:
-    if not text.isdigit():
-        raise BackendError(f"{where}: {text!r} is not a node id (a whole number from 0)")
-    number = int(text)
-    letter, index = number >> _SYMBOL_SHIFT, number & ((1 << _SYMBOL_SHIFT) - 1)
-    if letter == 0:
-        return NodeId(0, index)
-    # Robots are counted a to z, then A to Z; in ASCII upper case would come first.
-    robot = _LETTERS.find(chr(letter)) if letter < 128 else -1
-    if robot < 0:
-        raise BackendError(f"{where}: id {text} is neither a plain number nor a symbol of a letter and an index")
-    return NodeId(robot, index)
+    return _Line(file, where, tag, tuple(int(text) for text in fields[:ids]), values)
 
 
 def _id(node: NodeId, plain: bool) -> int:
-    if plain:
-        return node.index
-    if node.robot >= len(_LETTERS):
-        raise BackendError(f"g2o symbols can name {len(_LETTERS)} robots, not robot {node.robot}")
-    return (ord(_LETTERS[node.robot]) << _SYMBOL_SHIFT) | node.index
+    return node.index if plain else symbol(node)
 
 
 def _pose(values: Array, where: str) -> Array:
@@ -150,23 +205,20 @@ def _pose(values: Array, where: str) -> Array:
     return se3(rotation_from_quat_wxyz(values[[6, 3, 4, 5]]), values[:3])
 
 
-def _edge(i: NodeId, j: NodeId, values: Array, where: str) -> Edge:
-    if i == j:
-        raise BackendError(f"{where}: an edge from node {i} to itself")
+def _measurement(values: Array, where: str) -> tuple[Array, Array]:
+    """A relative pose and its information, from the numbers after the ids."""
     information = np.eye(6)
     if len(values) == 9:
-        T_i_j = _pose(values[:3], where)
         a, b, c, d, e, f = values[3:]
         information[_PLANAR] = [[a, b, c], [b, d, e], [c, e, f]]
-    else:
-        T_i_j = _pose(values[:7], where)
-        information[_UPPER] = values[7:]
-        information = np.triu(information) + np.triu(information, 1).T
-    if i.robot != j.robot:
-        kind = EdgeKind.SEPARATOR
-    else:
-        kind = EdgeKind.ODOMETRY if abs(i.index - j.index) == 1 else EdgeKind.LOOP
-    return Edge(i, j, T_i_j, information, kind)
+        return _pose(values[:3], where), information
+    information[_UPPER] = values[7:]
+    return _pose(values[:7], where), np.triu(information) + np.triu(information, 1).T
+
+
+def _upper_text(information: Array, flat: bool) -> str:
+    shown = information[_PLANAR] if flat else information
+    return " ".join(f"{v:.12g}" for v in shown[np.triu_indices(len(shown))])
 
 
 def _pose_text(T: Array, flat: bool) -> str:

@@ -78,9 +78,33 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
+class Prior:
+    """A pose measured against the origin frame itself: an anchor, or GPS (whose information on rotation is 0).
+
+    ``T_O_i`` ``(4, 4)`` rigid; ``information`` ``(6, 6)`` as an edge's; ``weight`` in [0, 1] multiplies it.
+    """
+
+    node: NodeId
+    T_O_i: Array
+    information: Array = field(default_factory=default_information)
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not is_se3(self.T_O_i):
+            raise BackendError(f"prior on {self.node}: the pose is not a rigid transform")
+        if self.information.shape != (6, 6) or not np.isfinite(self.information).all():
+            raise BackendError(f"prior on {self.node}: the information must be 6x6 and finite")
+        if not 0.0 <= self.weight <= 1.0:
+            raise BackendError(f"prior on {self.node}: weight {self.weight} is outside 0 to 1")
+
+
+@dataclass(frozen=True, eq=False)
 class EdgeArrays:
     """A graph as arrays: ``poses`` ``(n, 4, 4)``; for each edge ``ends`` ``(m, 2)`` rows into them, ``measured``
-    ``(m, 4, 4)`` and weighted ``information`` ``(m, 6, 6)``.
+    ``(m, 4, 4)``, weighted ``information`` ``(m, 6, 6)`` and the ``weight`` ``(m,)`` itself.
+
+    Priors are edges from the origin frame, after the others; the origin is then a node of its own: the identity in
+    row ``origin``, the last one, which has no name in ``nodes``.
     """
 
     nodes: list[NodeId]
@@ -88,35 +112,51 @@ class EdgeArrays:
     ends: NDArray[np.intp]
     measured: Array
     information: Array
+    weight: Array
+    origin: int | None = None
+
+    def named(self, poses: Array) -> dict[NodeId, Array]:
+        """Rows of ``poses`` by node, the origin left out."""
+        return dict(zip(self.nodes, poses[: len(self.nodes)], strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
-    """Poses ``T_O_i`` ``(4, 4)`` by node, and edges. ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch
-    zero).
+    """Poses ``T_O_i`` ``(4, 4)`` by node, edges, and priors (which fix the frame O: without any it is free).
+    ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero).
     """
 
     poses: Mapping[NodeId, Array]
     edges: tuple[Edge, ...]
     dimension: int = 3
+    priors: tuple[Prior, ...] = ()
 
     def __post_init__(self) -> None:
         for edge in self.edges:
             for node in (edge.i, edge.j):
                 if node not in self.poses:
                     raise BackendError(f"edge {edge.i} - {edge.j}: there is no pose for node {node}")
+        for prior in self.priors:
+            if prior.node not in self.poses:
+                raise BackendError(f"prior on {prior.node}: there is no pose for this node")
 
     def arrays(self) -> EdgeArrays:
         """Edges and poses as arrays, nodes in sorted order."""
         nodes = self.nodes
         row = {n: k for k, n in enumerate(nodes)}
-        m = len(self.edges)
+        poses = [self.poses[n] for n in nodes] + [np.eye(4)] * bool(self.priors)
+        ends = [(row[e.i], row[e.j]) for e in self.edges] + [(len(nodes), row[p.node]) for p in self.priors]
+        measurements: list[Edge | Prior] = [*self.edges, *self.priors]
+        weight = np.array([e.weight for e in measurements], dtype=np.float64)
+        information = np.array([e.information for e in measurements]).reshape(-1, 6, 6)
         return EdgeArrays(
             nodes=nodes,
-            poses=np.array([self.poses[n] for n in nodes]).reshape(-1, 4, 4),
-            ends=np.array([(row[e.i], row[e.j]) for e in self.edges], dtype=np.intp).reshape(m, 2),
-            measured=np.array([e.T_i_j for e in self.edges]).reshape(m, 4, 4),
-            information=np.array([e.weight * e.information for e in self.edges]).reshape(m, 6, 6),
+            poses=np.array(poses).reshape(-1, 4, 4),
+            ends=np.array(ends, dtype=np.intp).reshape(-1, 2),
+            measured=np.array([e.T_i_j for e in self.edges] + [p.T_O_i for p in self.priors]).reshape(-1, 4, 4),
+            information=weight[:, None, None] * information,
+            weight=weight,
+            origin=len(nodes) if self.priors else None,
         )
 
     @property
@@ -141,13 +181,18 @@ class PoseGraph:
         """The same graph with information that makes both isotropic weights 1: cost F is then twice cost U."""
         rotation = 2.0 if self.dimension == 3 else 1.0
         information = np.diag([1.0, 1.0, 1.0, rotation, rotation, rotation])
-        return replace(self, edges=tuple(replace(e, information=information) for e in self.edges))
+        return replace(
+            self,
+            edges=tuple(replace(e, information=information) for e in self.edges),
+            priors=tuple(replace(p, information=information) for p in self.priors),
+        )
 
     def of_robot(self, robot: int) -> PoseGraph:
         """A robot's own poses and every edge it takes part in; the other ends' poses are kept too."""
         edges = tuple(e for e in self.edges if robot in (e.i.robot, e.j.robot))
         kept = {n for e in edges for n in (e.i, e.j)} | {n for n in self.poses if n.robot == robot}
-        return replace(self, poses={n: self.poses[n] for n in sorted(kept)}, edges=edges)
+        priors = tuple(p for p in self.priors if p.node.robot == robot)
+        return replace(self, poses={n: self.poses[n] for n in sorted(kept)}, edges=edges, priors=priors)
 
     def partitioned(self, robots: int) -> PoseGraph:
         """A graph of one robot cut into ``robots`` blocks of consecutive nodes, equally long (the last may be
@@ -162,7 +207,8 @@ class PoseGraph:
         for e in self.edges:
             i, j = new[e.i], new[e.j]
             edges.append(replace(e, i=i, j=j, kind=EdgeKind.SEPARATOR if i.robot != j.robot else e.kind))
-        return replace(self, poses={new[n]: T for n, T in self.poses.items()}, edges=tuple(edges))
+        priors = tuple(replace(p, node=new[p.node]) for p in self.priors)
+        return replace(self, poses={new[n]: T for n, T in self.poses.items()}, edges=tuple(edges), priors=priors)
 
     def rescaled(self, scales: Mapping[int, float]) -> PoseGraph:
         """Robots' units of length multiplied out: translations of robot r times ``scales[r]`` (1 where not named).
@@ -173,11 +219,14 @@ class PoseGraph:
         edges = []
         for e in self.edges:
             s_i, s_j = scales.get(e.i.robot, 1.0), scales.get(e.j.robot, 1.0)
-            information = e.information.copy()
-            information[:3] /= s_i
-            information[:, :3] /= s_i
-            edges.append(replace(e, T_i_j=_stretched(e.T_i_j, s_i), information=information, scale=e.scale * s_i / s_j))
-        return replace(self, poses=poses, edges=tuple(edges))
+            stretched, information = _stretched(e.T_i_j, s_i), _of_longer_unit(e.information, s_i)
+            edges.append(replace(e, T_i_j=stretched, information=information, scale=e.scale * s_i / s_j))
+        priors = []
+        for p in self.priors:
+            s_p = scales.get(p.node.robot, 1.0)
+            stretched, information = _stretched(p.T_O_i, s_p), _of_longer_unit(p.information, s_p)
+            priors.append(replace(p, T_O_i=stretched, information=information))
+        return replace(self, poses=poses, edges=tuple(edges), priors=tuple(priors))
 
 
 def relative_edges(poses: Mapping[NodeId, Array], information: Array) -> list[Edge]:
@@ -209,6 +258,13 @@ def carry_along(
         leader = max((n for n in same if n <= node), default=same[0])
         moved[node] = after[leader] @ se3_inverse(before[leader]) @ later[node]
     return moved
+
+
+def _of_longer_unit(information: Array, scale: float) -> Array:
+    out = information.copy()
+    out[:3] /= scale
+    out[:, :3] /= scale
+    return out
 
 
 def _stretched(transform: Array, scale: float) -> Array:

@@ -9,6 +9,7 @@ which the two-stage method uses (Carlone et al., ICRA 2015; distributed: Choudha
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
@@ -17,6 +18,8 @@ from backend.geometry import Array, skew
 
 # d/d(delta_k) of [delta]_x: the generators of SO(3), (3, 3, 3).
 _GENERATORS = skew(np.eye(3))
+# Eigenvalues below this share of the largest are rounding (files hold about 6 digits, conditions of 1e11 occur).
+_ROUNDING = 1e-12
 
 
 def isotropic_weights(information: Array, dimension: int = 3) -> tuple[Array, Array]:
@@ -34,10 +37,34 @@ def isotropic_weights(information: Array, dimension: int = 3) -> tuple[Array, Ar
     return 1.5 / _trace_of_inverse(information[:, 3:, 3:]), tau
 
 
+def indefinite(information: Array) -> NDArray[np.bool_]:
+    """Which of the symmetric matrices ``(m, k, k)`` have a negative eigenvalue beyond rounding: no measurement has."""
+    values = _eigenvalues(information)
+    return np.asarray(values[:, 0] < -_ROUNDING * np.abs(values).max(axis=1))
+
+
+def positive_information(information: Array) -> Array:
+    """``(m, 6, 6)`` with negative eigenvalues raised to 0, the nearest matrices that a cost can use; the others are
+    returned as they are.
+    """
+    broken = indefinite(information)
+    if not broken.any():
+        return information
+    out = information.copy()
+    values, vectors = np.linalg.eigh(0.5 * (information[broken] + np.swapaxes(information[broken], -1, -2)))
+    out[broken] = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, -1, -2)
+    return out
+
+
 def _trace_of_inverse(blocks: Array) -> Array:
-    values = np.linalg.eigvalsh(0.5 * (blocks + np.swapaxes(blocks, -1, -2)))
+    values = _eigenvalues(blocks)
     floor = np.maximum(values[:, -1:] * 1e-12, 1e-300)
-    return (1.0 / np.maximum(values, floor)).sum(axis=1)
+    total: Array = (1.0 / np.maximum(values, floor)).sum(axis=1)
+    return total
+
+
+def _eigenvalues(matrices: Array) -> Array:
+    return np.asarray(np.linalg.eigvalsh(0.5 * (matrices + np.swapaxes(matrices, -1, -2))), dtype=np.float64)
 
 
 def edge_costs(T_i: Array, T_j: Array, T_ij: Array, kappa: Array, tau: Array) -> Array:
@@ -152,4 +179,11 @@ class BlockSystem:
         rhs = self._constant.copy()
         np.subtract.at(rhs, ours, blocks @ values[theirs])
         flat = self._factor.solve(rhs.reshape(len(self.solved) * self.width, -1))  # type: ignore[attr-defined]
+        return flat.reshape(rhs.shape)
+
+    def solve_for(self, rhs: Array) -> Array:
+        """The matrix's inverse times ``rhs`` ``(k, w)``, whatever the edges' own right-hand sides."""
+        if not len(self.solved):
+            return np.zeros_like(rhs)
+        flat: Array = self._factor.solve(rhs.reshape(-1))  # type: ignore[attr-defined]
         return flat.reshape(rhs.shape)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from backend.central import optimise, two_stage
+from backend.certificate import certify
 from backend.config import CentralConfig, SolverConfig
 from backend.costs import cost
 from backend.distributed.exchange import optimise_distributed
@@ -33,18 +34,29 @@ def robots(count):
 @pytest.mark.parametrize(
     ("name", "convention", "optimum", "digits"),
     [
-        ("smallGrid3D", "F", 1025.39806, 1e-7),
+        ("smallGrid3D", "F", 1025.39806, 1e-8),
         ("smallGrid3D", "E", 517.92533, 1e-7),
         ("smallGrid3D", "U", 23.65878, 1e-6),
-        ("kitti_07", "F", 23.9338, 5e-6),
-        ("kitti_07", "E", 6.3305, 1e-5),
+        ("kitti_00", "F", 125.6807, 1e-6),
+        ("kitti_00", "E", 49.1534, 1e-6),
+        ("kitti_05", "F", 276.5144, 1e-6),
         ("kitti_05", "E", 78.5519, 1e-6),
-        pytest.param("parking-garage", "E", 0.6341924, 1e-6, marks=pytest.mark.slow),
-        pytest.param("sphere2500", "F", 1687.00581, 1e-6, marks=pytest.mark.slow),
+        ("kitti_07", "F", 23.9338, 5e-6),
+        ("kitti_07", "E", 6.3305, 5e-6),
+        ("parking-garage", "F", 1.2625244, 1e-6),
+        ("parking-garage", "U", 0.6333017, 1e-6),
+        ("parking-garage", "E", 0.6341924, 1e-6),
+        ("sphere2500", "F", 1687.00581, 1e-8),
+        ("sphere2500", "U", 27.88708, 1e-6),
+        ("sphere2500", "E", 675.70096, 1e-7),
     ],
 )
 def test_central_optima(name, convention, optimum, digits):
-    assert optimise(single(name), CentralConfig(cost=convention)).cost_after == pytest.approx(optimum, rel=digits)
+    result = optimise(single(name), CentralConfig(cost=convention))
+    assert result.cost_after == pytest.approx(optimum, rel=digits)
+    if convention != "E":
+        found = certify(result.graph, convention)
+        assert found.certified and found.gap < 1e-6 and found.smallest_eigenvalue > -1e-10
 
 
 @pytest.mark.parametrize(
@@ -63,7 +75,9 @@ def test_sets_of_robots(count, poses, intra, inter, u_best, u_staged, e_best, e_
     assert len(graph.edges) == intra + inter
     assert cost(graph, "E") == pytest.approx(e_file, rel=2e-3)
     assert cost(two_stage(graph, unit_weights=True), "U") == pytest.approx(u_staged, rel=1e-6)
-    assert optimise(graph, CentralConfig(cost="U")).cost_after == pytest.approx(u_best, rel=1e-6)
+    best = optimise(graph, CentralConfig(cost="U"))
+    assert best.cost_after == pytest.approx(u_best, rel=1e-6)
+    assert certify(best.graph, "U").certified and certify(optimise(graph, CentralConfig()).graph).certified
     assert optimise(graph, CentralConfig(cost="E")).cost_after == pytest.approx(e_best, rel=1e-6)
 
 
