@@ -27,7 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "eval": ("tools.evaluate", "error, exploration and bytes of a run, against ground truth where there is any"),
     "report": ("tools.report", "one self-contained HTML page of a run; optionally a recording for rerun"),
     "sweep": ("tools.sweep.command", "sequences x agents x presets x seeds, to tables and figures"),
-    "pgo": ("tools.pgo", "pose-graph optimisation of g2o files, central or distributed"),
+    "pgo": ("tools.pgo.command", "pose-graph optimisation of g2o files, central or distributed"),
     "bench": ("tools.bench", "accuracy, time and memory of the odometry; time of the place search"),
     "netvlad": ("tools.netvlad", "train, export, calibrate and evaluate the place descriptor"),
     "vocabulary": ("tools.vocabulary", "train or show the vocabulary of ORB words"),

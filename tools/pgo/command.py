@@ -1,0 +1,185 @@
+"""``maslam pgo``: optimise pose graphs from g2o files, centrally or by robots that exchange what they must."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tools.errors import ToolError, UsageError
+from tools.options import DEST, add_model_options, build, option_name
+from tools.pgo.report import PgoReport
+
+if TYPE_CHECKING:
+    from backend.graph import PoseGraph
+    from tools.pgo.methods import Request, Solution
+
+_METHODS = """\
+methods
+  central      one computer: chordal start, then Newton's method (F, U) or Levenberg-Marquardt (E)
+  dgs jor sor  two-stage distributed Gauss-Seidel, Jacobi, over-relaxed; what is minimised is 0.2 to 0.6 % off
+  quick        sor with the schedule that ends within 1 % in the fewest bytes
+  rbcd         block-coordinate descent to the optimum, in agreed rounds; rbcd-async: late, lost, repeated messages
+  elected      one robot gathers the condensed graph, solves it, and sends poses back
+robust
+  pcm          pairwise consistency: the largest set of loops and separators that agree with each other
+  gnc          graduated non-convexity: weights found along with the solution; pcm+gnc: one after the other
+  huber cauchy losses, central only
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``FILES… OUT``, the method, and everything its solver can be told."""
+    from backend.config import CentralConfig, RobustConfig, SolverConfig
+    from tools.pgo.methods import METHODS, ROBUST
+
+    parser.epilog = _METHODS
+    parser.add_argument(
+        "files", metavar="FILES", type=Path, nargs="+", help="a g2o file, one file a robot, or a folder of them"
+    )
+    parser.add_argument("out", metavar="OUT", type=Path, help="a .g2o file, or a folder for one file a robot")
+    parser.add_argument("--method", choices=METHODS, default="rbcd", help="see below (default: %(default)s)")
+    parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
+    parser.add_argument(
+        "--weights", choices=("auto", "information", "unit"), default="auto",
+        help="of edges: the files' information (cost F), 1 (cost U), or auto: 1 where every matrix is the identity",
+    )  # fmt: skip
+    parser.add_argument("--agents", type=int, metavar="N", help="cut a single graph into N robots of consecutive poses")
+    parser.add_argument(
+        "--skip-broken-lines", action="store_true", help="name broken lines and go on, instead of failing"
+    )
+    parser.add_argument("--no-certificate", action="store_true", help="without the proof of global optimality")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="cost against bytes, all methods (.png, .svg, .pdf)")
+    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_model_options(parser, SolverConfig(), "solver")
+    add_model_options(parser, CentralConfig(), "central")
+    add_model_options(parser, RobustConfig(), "robust")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from backend.g2o import read_g2o
+    from tools.pgo.files import expand, write
+    from tools.pgo.methods import check
+
+    check(arguments.method, arguments.robust)
+    for path, instead in (("solver.method", "--method"), ("solver.robust", "--robust"), ("central.loss", "--robust")):
+        if hasattr(arguments, DEST + path):
+            raise UsageError(f"{option_name(path)} is chosen by {instead}")
+    skipped: list[str] | None = [] if arguments.skip_broken_lines else None
+    graph = read_g2o(expand(arguments.files), skipped)
+    for line in skipped or []:
+        print(f"maslam: skipped: {line}", file=sys.stderr)
+    if arguments.agents is not None:
+        graph = graph.partitioned(arguments.agents)
+    solved, report = optimise_graph(graph, arguments)
+    write(arguments.out, solved, report)
+    if arguments.plot is not None:
+        plot(graph, arguments)
+    print(json.dumps(asdict(report)) if arguments.json else "\n".join([*report.lines(), f"  {arguments.out}"]))
+
+
+def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
+    """What the command line asks for, of this graph."""
+    from backend.config import CentralConfig, RobustConfig, SolverConfig
+    from tools.pgo.methods import LOSSES, Request
+
+    unit = arguments.weights == "unit" or (arguments.weights == "auto" and _is_unweighted(graph))
+    loss = arguments.robust if arguments.robust in LOSSES else "none"
+    central = build(CentralConfig(cost="U" if unit else "F", loss=loss), arguments, prefix="central")
+    if arguments.method == "quick":
+        base = SolverConfig.quick()
+    elif arguments.method == "central":
+        base = SolverConfig()
+    else:
+        base = SolverConfig(method=arguments.method)
+    solver = build(base, arguments, prefix="solver")
+    selection = build(RobustConfig(), arguments, prefix="robust")
+    return Request(arguments.method, arguments.robust, unit, central, solver, selection)
+
+
+def optimise_graph(graph: PoseGraph, arguments: argparse.Namespace) -> tuple[PoseGraph, PgoReport]:
+    """Run the method that ``arguments`` name; returns the graph with its own information and the report."""
+    from backend.graph_report import report as look_at
+    from tools.pgo.methods import solve
+
+    request = request_of(graph, arguments)
+    start = time.perf_counter()
+    found = solve(graph, request)
+    seconds = time.perf_counter() - start
+    solved = graph.with_poses(found.poses)
+    believed = solved.with_weights(found.weights)
+    certified, gap = (None, None) if arguments.no_certificate else _proof(believed, found)
+    report = PgoReport(
+        method=arguments.method,
+        robust=arguments.robust,
+        minimised=found.minimised,
+        cost=_costs(believed),
+        initial_cost=_costs(graph.with_weights(found.weights)),
+        certified=certified,
+        gap=gap,
+        iterations=found.iterations,
+        rotation_sweeps=found.rotation_sweeps,
+        pose_sweeps=found.pose_sweeps,
+        payload_bytes=found.payload_bytes,
+        wire_bytes=found.wire_bytes,
+        messages=found.messages,
+        seconds=round(seconds, 3),
+        robots=len(graph.robots),
+        poses=len(graph.poses),
+        edges=len(graph.edges),
+        separator_edges=sum(e.is_separator for e in graph.edges),
+        rejected_edges=len(found.rejected),
+        unreached_poses=found.unreached_poses,
+        rejected=found.rejected,
+        warnings=look_at(graph).lines(),
+    )
+    if not all(map(math.isfinite, report.cost.values())):
+        raise ToolError("the optimised graph's cost is not finite")
+    return solved, report
+
+
+def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:
+    """Cost against bytes for all methods, without robust selection."""
+    from dataclasses import replace
+
+    from backend.central import optimise
+    from backend.config import CentralConfig
+    from tools.pgo.curves import curves
+    from tools.pgo.picture import draw_convergence
+    from tools.progress import counter, progress_on
+
+    request = replace(request_of(graph, arguments), robust="none")
+    optimum = optimise(graph, CentralConfig(cost="U" if request.unit else "F")).cost_after
+    with progress_on(quiet=arguments.quiet) as progress:
+        made = curves(graph, request, optimum, tick=counter(progress, "methods"))
+        title = f"{len(graph.robots)} robots, {len(graph.poses)} poses, {len(graph.edges)} edges"
+        draw_convergence(made, title, arguments.plot)
+        progress.say(f"wrote {arguments.plot}")
+
+
+def _proof(graph: PoseGraph, found: Solution) -> tuple[bool | None, float | None]:
+    from backend.certificate import certify
+
+    if found.minimised == "E":
+        return None, None
+    certificate = certify(graph, found.minimised)  # type: ignore[arg-type]
+    return certificate.certified, certificate.gap if math.isfinite(certificate.gap) else None
+
+
+def _is_unweighted(graph: PoseGraph) -> bool:
+    import numpy as np
+
+    return all(np.array_equal(e.information, np.eye(6)) for e in graph.edges)
+
+
+def _costs(graph: PoseGraph) -> dict[str, float]:
+    from backend.costs import cost
+
+    return {"F": cost(graph, "F"), "U": cost(graph, "U"), "E": cost(graph, "E")}

@@ -1,0 +1,53 @@
+"""Graphs from files and folders, and results to them: a file appears only when it is whole."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tools.errors import ToolError
+from tools.pgo.report import PgoReport
+
+if TYPE_CHECKING:
+    from backend.graph import PoseGraph
+
+SUMMARY = "summary.json"
+
+
+def expand(paths: Sequence[Path]) -> list[Path]:
+    """Files as given; a folder stands for its g2o files, by number."""
+    out: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(path.glob("*.g2o"), key=lambda p: (len(p.stem), p.stem))
+            if not inside:
+                raise ToolError(f"{path}: no .g2o file in this folder")
+            out += inside
+        else:
+            out.append(path)
+    return out
+
+
+def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:
+    """One file, or a folder with one file a robot and the report."""
+    from backend.g2o import write_g2o
+
+    alone = len(graph.robots) == 1
+    if out.suffix == ".g2o":
+        out.parent.mkdir(parents=True, exist_ok=True)
+        parts = {out: graph}
+    else:
+        out.mkdir(parents=True, exist_ok=True)
+        parts = {out / f"{r}.g2o": graph if alone else graph.of_robot(r) for r in graph.robots}
+    for path, part in parts.items():
+        temporary = path.with_name(path.name + ".part")
+        write_g2o(temporary, part, plain_ids=alone)
+        os.replace(temporary, path)
+    if out.suffix != ".g2o":
+        temporary = out / (SUMMARY + ".part")
+        temporary.write_text(json.dumps(asdict(report), indent=2) + "\n", encoding="utf-8")
+        os.replace(temporary, out / SUMMARY)

@@ -1,0 +1,125 @@
+"""One method on one graph: central or by message, with or without robust selection, and what it took."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from backend.robust.pcm import consistent_edges
+from backend.robust.select import optimise_robustly
+
+from backend.central import optimise
+from backend.config import CentralConfig, RobustConfig, SolverConfig
+from backend.distributed.exchange import optimise_distributed
+from backend.geometry import Array
+from backend.graph import NodeId, PoseGraph
+from tools.errors import UsageError
+
+CENTRAL = "central"
+TWO_STAGE = ("dgs", "jor", "sor")
+TO_THE_OPTIMUM = ("rbcd", "rbcd-async", "elected")
+METHODS = (CENTRAL, *TWO_STAGE, "quick", *TO_THE_OPTIMUM)
+LOSSES = ("huber", "cauchy")
+SELECTIONS = ("pcm", "gnc", "pcm+gnc")
+ROBUST = ("none", *LOSSES, *SELECTIONS)
+
+
+@dataclass(frozen=True)
+class Request:
+    """``unit``: minimise U instead of what ``central.cost`` or F says."""
+
+    method: str
+    robust: str
+    unit: bool
+    central: CentralConfig
+    solver: SolverConfig
+    selection: RobustConfig
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """``weights`` ``(m,)``: of the edges, 0 where rejected; ``rejected``: records of those."""
+
+    poses: Mapping[NodeId, Array]
+    weights: Array
+    rejected: list[dict[str, object]]
+    minimised: str
+    iterations: int
+    rotation_sweeps: int | None = None
+    pose_sweeps: int | None = None
+    payload_bytes: int = 0
+    wire_bytes: int = 0
+    messages: int = 0
+    unreached_poses: int = 0
+
+
+def check(method: str, robust: str) -> None:
+    """Refuse what does not go together."""
+    if robust in LOSSES and method != CENTRAL:
+        raise UsageError(f"--robust {robust} works with --method central, not {method}")
+    if "gnc" in robust and method in (*TWO_STAGE, "quick"):
+        raise UsageError(
+            f"--robust {robust} works with --method central, {' or '.join(TO_THE_OPTIMUM)}; "
+            f"the two stages of {method} are not solved again for other weights"
+        )
+
+
+def solve(graph: PoseGraph, request: Request) -> Solution:
+    """Run the method."""
+    check(request.method, request.robust)
+    return (_central if request.method == CENTRAL else _distributed)(graph, request)
+
+
+def _central(graph: PoseGraph, request: Request) -> Solution:
+    config = request.central
+    if request.robust in SELECTIONS:
+        found = optimise_robustly(graph, request.robust, config, request.selection)  # type: ignore[arg-type]
+        rejected = [_record(e.i, e.j, e.residual, e.reason) for e in found.rejected]
+        return Solution(found.graph.poses, found.weights, rejected, config.cost, found.iterations)
+    result = optimise(graph, config)
+    return Solution(result.graph.poses, np.ones(len(graph.edges)), [], config.cost, result.iterations)
+
+
+def _distributed(graph: PoseGraph, request: Request) -> Solution:
+    weights, rejected = np.ones(len(graph.edges)), []
+    if "pcm" in request.robust:
+        # From odometry alone, which two robots tell each other once; these bytes are not counted.
+        consistent = consistent_edges(graph, request.selection)
+        weights = consistent.accepted.astype(np.float64)
+        rejected = [
+            _record(e.i, e.j, None, f"agrees with {consistent.agreeing[k]} of {consistent.tested[k]} others")
+            for k, e in enumerate(graph.edges)
+            if not consistent.accepted[k]
+        ]
+    config = request.solver
+    if "gnc" in request.robust:
+        config = config.model_copy(update={"robust": "gnc"})
+    kept = [k for k, weight in enumerate(weights) if weight > 0]
+    working = replace(graph, edges=tuple(graph.edges[k] for k in kept))
+    result = optimise_distributed(working.with_unit_weights() if request.unit else working, config)
+    judged = {(e.i, e.j): e for outcome in result.outcomes.values() for e in outcome.judged}
+    for k in kept:
+        verdict = judged.get((graph.edges[k].i, graph.edges[k].j))
+        if verdict is not None and verdict.rejected:
+            weights[k] = 0.0
+            sigmas = f"residual {verdict.residual:.1f} standard deviations"
+            rejected.append(_record(verdict.i, verdict.j, verdict.residual, sigmas))
+    outcome, traffic = result.outcomes[min(result.outcomes)], result.traffic
+    return Solution(
+        poses=result.graph.poses,
+        weights=weights,
+        rejected=rejected,
+        minimised="U" if request.unit else "F",
+        iterations=outcome.rotation_sweeps + outcome.pose_sweeps,
+        rotation_sweeps=outcome.rotation_sweeps,
+        pose_sweeps=outcome.pose_sweeps,
+        payload_bytes=traffic.payload_bytes,
+        wire_bytes=traffic.wire_bytes,
+        messages=traffic.messages,
+        unreached_poses=sum(len(o.unreached) for o in result.outcomes.values()),
+    )
+
+
+def _record(i: NodeId, j: NodeId, residual: float | None, reason: str) -> dict[str, object]:
+    return {"i": str(i), "j": str(j), "residual": residual, "reason": reason}

@@ -1,0 +1,73 @@
+"""What an optimisation did, for people and as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class PgoReport:
+    """Costs by convention (docs/backend.md), of all edges but the rejected ones; bytes are 0 for the central method.
+
+    ``certified``: whether the minimised cost is proven to be the global optimum's; ``gap``: the share by which it may
+    be above it at most; both None where they were not asked for, or there is no proof (cost E). ``rotation_sweeps`` and
+    ``pose_sweeps`` are None for methods without sweeps; ``iterations`` is their sum, or the solver's own.
+    ``rejected``: each edge that robust selection turned down, and why. ``warnings``: what is odd about the graph.
+    """
+
+    method: str
+    robust: str
+    minimised: str
+    cost: dict[str, float]
+    initial_cost: dict[str, float]
+    certified: bool | None
+    gap: float | None
+    iterations: int
+    rotation_sweeps: int | None
+    pose_sweeps: int | None
+    payload_bytes: int
+    wire_bytes: int
+    messages: int
+    seconds: float
+    robots: int
+    poses: int
+    edges: int
+    separator_edges: int
+    rejected_edges: int
+    unreached_poses: int
+    rejected: list[dict[str, object]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """For people."""
+        head = f"{self.method}: {self.robots} robots, {self.poses} poses, {self.edges} edges"
+        out = [f"{head}, {self.separator_edges} between robots"]
+        out += [f"  note: {warning}" for warning in self.warnings]
+        for name in self.cost:
+            mark = "  (minimised)" if name == self.minimised else ""
+            out.append(f"  {name}  {self.initial_cost[name]:.6g} -> {self.cost[name]:.9g}{mark}")
+        out += self._proof() + self._effort()
+        if self.robust != "none" and self.robust not in ("huber", "cauchy"):
+            out.append(f"  {self.rejected_edges} edges rejected by {self.robust}; --json lists them")
+        if self.unreached_poses:
+            out.append(f"  {self.unreached_poses} poses are joined to the anchor by no edge and stay")
+        return out
+
+    def _proof(self) -> list[str]:
+        if self.certified:
+            return ["  globally optimal: certified"]
+        if self.gap is not None:
+            return [f"  at most {100 * self.gap:.3g} % above the global optimum"]
+        return [] if self.certified is None else ["  not certified as the global optimum"]
+
+    def _effort(self) -> list[str]:
+        if not self.messages:
+            return [f"  {self.iterations} iterations, {self.seconds:.2f} s"]
+        if self.rotation_sweeps is None:
+            how = f"{self.iterations} iterations"
+        elif self.rotation_sweeps:
+            how = f"{self.rotation_sweeps} rotation and {self.pose_sweeps} pose sweeps"
+        else:
+            how = f"{self.pose_sweeps} sweeps"
+        traffic = f"{self.payload_bytes} bytes of poses, {self.wire_bytes} in {self.messages} messages"
+        return [f"  {how}, {traffic}, {self.seconds:.2f} s"]
