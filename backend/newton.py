@@ -26,6 +26,8 @@ _ROUNDING = 1e-14
 # A step below this size (rad, or share of the graph's extent) that gains nothing is rounding too.
 _SMALL_STEP = 1e-6
 _CONJUGATE_STEPS = 200
+# With more conjugate steps than this the preconditioner is worth making anew where the poses are now.
+_TOO_MANY = 20
 
 Hessian = Callable[[Array], Array]
 
@@ -74,7 +76,7 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
         size = max(float(np.vdot(gradient, model.precondition(gradient))), 0.0) ** 0.5
         first = max(first, size)
         tolerance = min(0.1, size / first) if first else 0.1
-        step, gain, length = _conjugate_gradients(gradient, hessian, model.precondition, tolerance, radius)
+        step, gain, length, inner = _conjugate_gradients(gradient, hessian, model.precondition, tolerance, radius)
         if gain <= _ROUNDING * now:
             return Refined(poses, taken, True)
         after = model.moved(poses, step)
@@ -86,6 +88,8 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
             radius = 2.0 * radius
         if cost < now:
             poses, now = after, cost
+            if inner > _TOO_MANY:
+                model.factorise(poses)
         elif model.size(step) < _SMALL_STEP:
             return Refined(poses, taken, True)
     return Refined(poses, steps, False)
@@ -100,6 +104,11 @@ class _Model:
         self._free = np.setdiff1d(np.arange(n), anchors(a))
         self._matrix = connection_laplacian(a.ends, a.measured, kappa, tau, n, 3)
         self._extent = max(float(np.ptp(poses[:, :3, 3], axis=0).max(initial=0.0)), 1e-9)
+        self.factorise(poses)
+
+    def factorise(self, poses: Array) -> None:
+        """Make the preconditioner: the Gauss-Newton matrix at ``poses``."""
+        a, (kappa, tau) = self._a, self._weights
         i, j = a.ends.T
         R = poses[:, :3, :3]
         blocks = pose_blocks(R[i], R[j], a.measured, kappa, tau)
@@ -150,9 +159,9 @@ def _tangent(blocks: Array, R_T: Array) -> Array:
 
 def _conjugate_gradients(
     gradient: Array, hessian: Hessian, precondition: Hessian, tolerance: float, radius: float
-) -> tuple[Array, float, float]:
+) -> tuple[Array, float, float, int]:
     """Steihaug's truncated conjugate gradients: a step within ``radius`` (in the preconditioner's norm), how much it
-    lowers the model, and its length.
+    lowers the model, its length, and the iterations it took.
     """
     step, change = np.zeros_like(gradient), np.zeros_like(gradient)
     residual = gradient.copy()
@@ -161,7 +170,9 @@ def _conjugate_gradients(
     direction = -z
     # Inner products in the preconditioner's norm, by recurrence: step.P.step, step.P.direction, direction.P.direction.
     ss, sd, dd = 0.0, 0.0, rz
-    for _ in range(_CONJUGATE_STEPS):
+    taken = 0
+    while taken < _CONJUGATE_STEPS:
+        taken += 1
         if (rz <= max(tolerance**2 * first, 0.0) and ss > 0.0) or dd <= 0.0:
             break
         product = hessian(direction)
@@ -184,4 +195,4 @@ def _conjugate_gradients(
         sd, dd = beta * (sd + alpha * dd), rz_next + beta**2 * dd
         direction, rz = beta * direction - z, rz_next
     gain = -2.0 * float(np.vdot(gradient, step)) - float(np.vdot(step, change))
-    return step, gain, float(np.sqrt(ss))
+    return step, gain, float(np.sqrt(ss)), taken

@@ -1,0 +1,1 @@
+"""Which measurements to believe: pairwise consistency (PCM) and graduated non-convexity (GNC)."""
