@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from backend.chordal import two_stage_poses
 from backend.config import CentralConfig
 from backend.costs import cost, frobenius_weights
-from backend.distributed.gauss_seidel import Relaxation
-from backend.geometry import Array, project_to_so3, se3, se3_inverse, so3_exp, umeyama
+from backend.geometry import Array, se3_inverse, umeyama
 from backend.graph import EdgeArrays, PoseGraph, Prior
 from backend.levenberg_marquardt import levenberg_marquardt
-from backend.linear import pose_blocks, rotation_blocks
-from backend.newton import anchors, newton, parts
+from backend.newton import anchors, named_parts, newton
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,38 +74,18 @@ def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 
     """
     free = replace(graph, priors=())
     a = free.arrays()
-    kappa, tau = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
-    n, held = len(a.nodes), anchors(a)
-    values = np.full((n, 3, 3), np.nan)
-    values[held] = np.swapaxes(a.poses[held, :3, :3], 1, 2)
-    stage = Relaxation(a.ends, rotation_blocks(a.measured[:, :3, :3], kappa), values, n, held)
-    stage.sweep(1.0)
-    poses = a.poses.copy()
-    moved = np.setdiff1d(np.arange(n), held)
-    poses[moved, :3, :3] = project_to_so3(np.swapaxes(stage.values[moved], 1, 2))
-    for _ in range(newton_steps):
-        poses[moved] = _newton_step(a, poses, kappa, tau, held)[moved]
+    weights = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
+    poses = two_stage_poses(a.ends, a.measured, weights, a.poses, newton_steps, anchors(a))
     if graph.priors:
         poses = _placed(a, poses, graph)
     return graph.with_poses(a.named(poses))
-
-
-def _newton_step(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, held: list[int]) -> Array:
-    R = poses[:, :3, :3]
-    i, j = a.ends.T
-    values = np.full((len(poses), 6, 1), np.nan)
-    values[held] = 0.0
-    values[held, :3, 0] = poses[held, :3, 3]
-    stage = Relaxation(a.ends, pose_blocks(R[i], R[j], a.measured, kappa, tau), values, len(poses), held)
-    stage.sweep(1.0)
-    return se3(R @ so3_exp(stage.values[:, 3:, 0]), stage.values[:, :3, 0])
 
 
 def _placed(a: EdgeArrays, poses: Array, graph: PoseGraph) -> Array:
     """Each connected part moved rigidly to where its priors want it: the best of what one prior alone or all their
     positions together say.
     """
-    row, part, poses = {n: k for k, n in enumerate(a.nodes)}, parts(a), poses.copy()
+    row, part, poses = {n: k for k, n in enumerate(a.nodes)}, named_parts(a), poses.copy()
     for label in sorted({int(part[row[p.node]]) for p in graph.priors}):
         priors = [p for p in graph.priors if part[row[p.node]] == label]
         estimates = poses[[row[p.node] for p in priors]]

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from backend.chordal import parts
 from backend.errors import BackendError
 from backend.geometry import Array, project_to_so3, se3, skew, so3_exp
 from backend.graph import EdgeArrays
@@ -32,19 +31,16 @@ _TOO_MANY = 20
 Hessian = Callable[[Array], Array]
 
 
-def parts(a: EdgeArrays) -> NDArray[np.intp]:
+def named_parts(a: EdgeArrays) -> NDArray[np.intp]:
     """Which connected part each row of ``poses`` belongs to, ``(n,)``; edges of weight 0 join nothing."""
-    n, ends = len(a.poses), a.ends[a.weight > 0]
-    joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    labels: NDArray[np.intp] = connected_components(joined, directed=False)[1]
-    return labels
+    return parts(a.ends[a.weight > 0], len(a.poses))
 
 
 def anchors(a: EdgeArrays) -> list[int]:
     """The first node of each connected part, or the origin where priors tie it: what is held so that the others have
     a place.
     """
-    part = parts(a)
+    part = named_parts(a)
     first: NDArray[np.intp] = np.unique(part, return_index=True)[1]
     if a.origin is not None:
         first[part[a.origin]] = a.origin
@@ -60,13 +56,15 @@ class Refined:
     converged: bool
 
 
-def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 100) -> Refined:
+def newton(
+    a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 100, held: list[int] | None = None
+) -> Refined:
     """At most ``steps`` trust-region steps on F from ``poses`` ``(n, 4, 4)``; ``kappa``, ``tau`` ``(m,)`` weights.
 
-    The anchors stay. Never ends higher than it began.
+    The nodes ``held`` (the anchors, if not given) stay. Never ends higher than it began.
     """
     try:
-        model = _Model(a, poses, kappa, tau)
+        model = _Model(a, poses, (kappa, tau), anchors(a) if held is None else held)
     except BackendError:
         return Refined(poses, 0, False)
     now, radius = model.cost(poses), float("inf")
@@ -98,20 +96,20 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
 class _Model:
     """F and its derivatives in steps ``(k, 6)`` of the free nodes: shift in the common frame, turn in the node's."""
 
-    def __init__(self, a: EdgeArrays, poses: Array, kappa: Array, tau: Array) -> None:
+    def __init__(self, a: EdgeArrays, poses: Array, weights: tuple[Array, Array], held: list[int]) -> None:
         n = len(poses)
-        self._a, self._weights = a, (kappa, tau)
-        self._free = np.setdiff1d(np.arange(n), anchors(a))
-        self._matrix = connection_laplacian(a.ends, a.measured, kappa, tau, n, 3)
+        self._a, self._weights = a, weights
+        self._free = np.setdiff1d(np.arange(n), held)
+        self._matrix = connection_laplacian(a.ends, a.measured, *weights, n, 3)
         self._extent = max(float(np.ptp(poses[:, :3, 3], axis=0).max(initial=0.0)), 1e-9)
         self.factorise(poses)
 
     def factorise(self, poses: Array) -> None:
         """Make the preconditioner: the Gauss-Newton matrix at ``poses``."""
-        a, (kappa, tau) = self._a, self._weights
+        a = self._a
         i, j = a.ends.T
         R = poses[:, :3, :3]
-        blocks = pose_blocks(R[i], R[j], a.measured, kappa, tau)
+        blocks = pose_blocks(R[i], R[j], a.measured, *self._weights)
         self._gauss_newton = BlockSystem(a.ends, *blocks, self._free, np.ones(len(i), dtype=bool))
 
     def cost(self, poses: Array) -> float:

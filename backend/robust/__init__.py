@@ -1,1 +1,1 @@
-"""Which measurements to believe: pairwise consistency (PCM) and graduated non-convexity (GNC)."""
+"""Which edges to believe: robust selection of loops and separators."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from backend.central import polished, two_stage
 from backend.config import CentralConfig, RobustConfig
@@ -22,7 +21,7 @@ from backend.levenberg_marquardt import levenberg_marquardt
 from backend.newton import anchors
 from backend.robust.noise import SETTLED, degrees_of_freedom, grown
 from backend.robust.prediction import predicted_distances
-from backend.robust.schedule import initial_mu, next_mu, tls_weights
+from backend.robust.schedule import first_mu, next_mu, tls_weight, truncation
 
 _ROUNDS = 50
 
@@ -53,9 +52,9 @@ def graduate(
     weights = np.where(known | candidates, 1.0, 0.0)
     search.solve(weights)
     open_ = candidates & ~known
-    mu = initial_mu(float(search.squared[open_].max(initial=0.0)), search.threshold)
-    while np.isfinite(mu) and search.iterations < config.iterations:
-        weights[open_] = tls_weights(search.squared[open_], search.threshold, mu)
+    mu = first_mu(float(search.squared[open_].max(initial=0.0)), search.threshold)
+    while mu is not None and search.iterations < config.iterations:
+        weights[open_] = tls_weight(search.squared[open_], search.threshold, mu)
         search.solve(weights)
         if np.isin(weights, (0.0, 1.0)).all():
             break
@@ -64,7 +63,7 @@ def graduate(
     for _ in range(_ROUNDS):
         search.learn_noise(weights)
         before = weights
-        weights = np.where(known, 1.0, tls_weights(search.squared, search.threshold, float("inf")))
+        weights = np.where(known | (search.squared <= search.threshold), 1.0, 0.0)
         weights[before < 0.5] = 0.0
         out = np.flatnonzero(weights < 0.5)
         back = out[predicted_distances(search.graph.with_weights(weights), out, central) <= search.threshold]
@@ -90,7 +89,7 @@ class _Search:
     @property
     def threshold(self) -> float:
         """Squared residual, in stated standard deviations, up to which an edge is believed."""
-        return self.squared_noise * float(chi2.ppf(self._config.confidence, self._dof))
+        return self.squared_noise * truncation(self._config.confidence, self._dof)
 
     def solve(self, weights: Array) -> None:
         """Optimise with these weights, from where it is or the chordal solution, which wrong edges mislead less the

@@ -11,7 +11,7 @@ from backend.errors import BackendError
 from backend.geometry import Array, se3_inverse, se3_log
 from backend.graph import EdgeArrays, PoseGraph
 from backend.linear import BlockSystem, pose_blocks
-from backend.newton import anchors, parts
+from backend.newton import anchors, named_parts
 from backend.robust.chains import adjoint
 
 # Edges looked at together, which bounds the memory.
@@ -27,7 +27,7 @@ def predicted_distances(graph: PoseGraph, rows: NDArray[np.intp], central: Centr
     """
     out = np.full(len(rows), np.inf)
     a = graph.arrays()
-    part = parts(a)
+    part = named_parts(a)
     i, j = a.ends.T
     whole = graph.with_weights(np.ones(len(graph.edges))).arrays()
     own_kappa, own_tau = _weights(whole, central, graph.dimension)

@@ -1,34 +1,46 @@
-"""The schedule of graduated non-convexity with truncated least squares (Yang et al., RA-L 2020, section IV).
+"""The schedule of graduated non-convexity with truncated least squares (Yang et al., RA-L 2020), for every solver.
 
-``mu`` begins near 0, where the problem is convex, and grows to infinity, where it is truncated least squares: residuals
-up to the threshold cost their square, others a constant. Shared by the central and the distributed solver.
+The truncated cost ``min(r^2, bound)`` of an edge is approached through surrogates: ``mu`` near 0 is convex, growing
+``mu`` is ever closer to the truncation. Between solves each edge gets the weight that its residual deserves.
+Residuals ``squared`` are Mahalanobis distances, in standard deviations squared, as ``bound`` is.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
 
 from backend.geometry import Array
 
-# Growth of mu in each step, as published.
-_GROWTH = 1.4
+# How fast the surrogate sharpens, as published.
+GROWTH = 1.4
 
 
-def initial_mu(max_squared_residual: float, threshold_squared: float) -> float:
-    """The largest mu at which all residuals still are in the convex part; infinite where nothing is to be decided."""
-    excess = 2.0 * max_squared_residual - threshold_squared
-    return threshold_squared / excess if excess > 0.0 else float("inf")
+def truncation(confidence: float, degrees_of_freedom: int = 6) -> float:
+    """``bound``: the squared residual that a right edge stays below with probability ``confidence``."""
+    return float(chi2.ppf(confidence, degrees_of_freedom))
+
+
+def first_mu(largest_squared: float, bound: float) -> float | None:
+    """Where to begin, given the largest squared residual; None: all are so small that no edge can be turned down."""
+    excess = 2.0 * largest_squared - bound
+    return None if excess <= 0.0 else bound / excess
 
 
 def next_mu(mu: float) -> float:
-    """One step less convex."""
-    return _GROWTH * mu
+    """The next, sharper surrogate."""
+    return GROWTH * mu
 
 
-def tls_weights(squared_residuals: Array, threshold_squared: float, mu: float) -> Array:
-    """Weights in [0, 1] of the edges ``(m,)``: 1 well below the threshold, 0 well above, in between continuous."""
-    squared = np.asarray(squared_residuals, dtype=np.float64)
-    if np.isinf(mu):
-        return (squared <= threshold_squared).astype(np.float64)
-    ratio = threshold_squared / np.maximum(squared, 1e-300)
-    return np.clip(np.sqrt(ratio * mu * (mu + 1.0)) - mu, 0.0, 1.0)
+def tls_weight(squared: ArrayLike, bound: float, mu: float) -> Array:
+    """Weights in [0, 1], of the shape of ``squared``: 1 well inside the bound, 0 well outside, falling between."""
+    r = np.sqrt(np.asarray(squared, dtype=np.float64))
+    between = np.sqrt(bound * mu * (mu + 1.0)) / np.maximum(r, 1e-300) - mu
+    return np.asarray(np.clip(between, 0.0, 1.0))
+
+
+def settled(weights: ArrayLike, tolerance: float = 1e-3) -> bool:
+    """Whether every edge has been decided: its weight is 0 or 1."""
+    w = np.asarray(weights, dtype=np.float64)
+    return bool((np.minimum(w, 1.0 - w) <= tolerance).all())

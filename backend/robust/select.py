@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from backend.central import optimise
 from backend.config import CentralConfig, RobustConfig
@@ -20,6 +19,7 @@ from backend.robust.gnc import graduate, squared_residuals
 from backend.robust.noise import degrees_of_freedom
 from backend.robust.pcm import Consistency, consistent_edges
 from backend.robust.prediction import predicted_distances
+from backend.robust.schedule import truncation
 
 Method = Literal["pcm", "gnc", "pcm+gnc"]
 
@@ -104,7 +104,7 @@ def _contradicted(
     if len(rows):
         solution = optimise(graph.with_weights(found.accepted & ~lone), central).graph
         distances = predicted_distances(solution, rows, central)
-        limit = found.noise**2 * float(chi2.ppf(config.confidence, degrees_of_freedom(graph.dimension)))
+        limit = found.noise**2 * truncation(config.confidence, degrees_of_freedom(graph.dimension))
         out[rows] = np.isfinite(distances) & (distances > limit)
     return out
 

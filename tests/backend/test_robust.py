@@ -21,7 +21,7 @@ from backend.robust.chains import adjoint, chains
 from backend.robust.clique import largest_clique
 from backend.robust.pcm import consistent_edges
 from backend.robust.prediction import predicted_distances
-from backend.robust.schedule import initial_mu, next_mu, tls_weights
+from backend.robust.schedule import first_mu, next_mu, tls_weight
 from backend.robust.select import optimise_robustly
 from backend.trajectory_error import trajectory_error
 
@@ -46,18 +46,18 @@ def spoiled(rng, wrong=10, **kwargs):
 
 def test_the_schedule():
     # At the first mu the largest residual is at the end of the convex part, (mu + 1) / mu = 2 r^2 / c^2.
-    mu = initial_mu(50.0, 4.0)
+    mu = first_mu(50.0, 4.0)
     assert (mu + 1) / mu == pytest.approx(2 * 50 / 4)
-    assert initial_mu(2.0, 4.0) == np.inf and next_mu(0.5) == pytest.approx(0.7)
+    assert first_mu(2.0, 4.0) is None and next_mu(0.5) == pytest.approx(0.7)
     c, mu = 4.0, 0.25
     low, high = mu / (mu + 1) * c, (mu + 1) / mu * c
-    weights = tls_weights(np.array([0.0, low, 4.0, high, 2 * high]), c, mu)
+    weights = tls_weight(np.array([0.0, low, 4.0, high, 2 * high]), c, mu)
     np.testing.assert_allclose(weights, [1, 1, np.sqrt(mu * (mu + 1)) - mu, 0, 0], atol=1e-12)
-    np.testing.assert_array_equal(tls_weights(np.array([3.9, 4.1]), c, np.inf), [1, 0])
+    np.testing.assert_array_equal(tls_weight(np.array([3.9, 4.1]), c, 100.0), [1, 0])
     # In between, the weight is what minimises w r^2 + the penalty mu (1 - w) / (mu + w) c^2 (Black and Rangarajan).
     grid = np.linspace(0, 1, 100_001)
     best = grid[np.argmin(grid * 7.0 + mu * (1 - grid) / (mu + grid) * c)]
-    assert tls_weights(np.array([7.0]), c, mu)[0] == pytest.approx(best, abs=1e-4)
+    assert tls_weight(np.array([7.0]), c, mu)[0] == pytest.approx(best, abs=1e-4)
 
 
 def test_the_largest_clique_is_the_largest():
