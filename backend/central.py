@@ -12,7 +12,7 @@ from backend.costs import cost, frobenius_weights
 from backend.geometry import Array, se3_inverse, umeyama
 from backend.graph import EdgeArrays, PoseGraph, Prior
 from backend.levenberg_marquardt import levenberg_marquardt
-from backend.newton import newton, parts
+from backend.newton import anchors, named_parts, newton
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +74,8 @@ def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 
     """
     free = replace(graph, priors=())
     a = free.arrays()
-    kappa, tau = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
-    used = a.weight > 0
-    poses = two_stage_poses(a.ends[used], a.measured[used], (kappa[used], tau[used]), a.poses, newton_steps)
+    weights = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
+    poses = two_stage_poses(a.ends, a.measured, weights, a.poses, newton_steps, anchors(a))
     if graph.priors:
         poses = _placed(a, poses, graph)
     return graph.with_poses(a.named(poses))
@@ -86,7 +85,7 @@ def _placed(a: EdgeArrays, poses: Array, graph: PoseGraph) -> Array:
     """Each connected part moved rigidly to where its priors want it: the best of what one prior alone or all their
     positions together say.
     """
-    row, part, poses = {n: k for k, n in enumerate(a.nodes)}, parts(a), poses.copy()
+    row, part, poses = {n: k for k, n in enumerate(a.nodes)}, named_parts(a), poses.copy()
     for label in sorted({int(part[row[p.node]]) for p in graph.priors}):
         priors = [p for p in graph.priors if part[row[p.node]] == label]
         estimates = poses[[row[p.node] for p in priors]]

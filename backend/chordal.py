@@ -5,6 +5,8 @@ Needs no initial guess; the start of every solver that needs one (Carlone et al.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -16,22 +18,29 @@ from backend.linear import pose_blocks, rotation_blocks
 
 
 def two_stage_poses(
-    ends: NDArray[np.intp], measured: Array, weights: tuple[Array, Array], poses: Array, newton_steps: int = 1
+    ends: NDArray[np.intp],
+    measured: Array,
+    weights: tuple[Array, Array],
+    poses: Array,
+    newton_steps: int = 1,
+    held: Sequence[int] | None = None,
 ) -> Array:
-    """Poses ``(n, 4, 4)`` that (nearly) minimise F; the first node of each connected part stays as in ``poses``.
+    """Poses ``(n, 4, 4)`` that (nearly) minimise F; the nodes ``held`` (the first of each connected part, if not given)
+    stay as in ``poses``.
 
     ``ends`` ``(m, 2)`` rows of the nodes, ``measured`` ``(m, 4, 4)``, ``weights`` kappa and tau ``(m,)``.
     """
-    n, anchors = len(poses), first_of_parts(ends, len(poses))
+    n = len(poses)
+    held = list(first_of_parts(ends, n) if held is None else held)
     values = np.full((n, 3, 3), np.nan)
-    values[anchors] = np.swapaxes(poses[anchors, :3, :3], 1, 2)
-    stage = Relaxation(ends, rotation_blocks(measured[:, :3, :3], weights[0]), values, n, anchors)
+    values[held] = np.swapaxes(poses[held, :3, :3], 1, 2)
+    stage = Relaxation(ends, rotation_blocks(measured[:, :3, :3], weights[0]), values, n, held)
     stage.sweep(1.0)
     poses = poses.copy()
-    free = np.setdiff1d(np.arange(n), anchors)
+    free = np.setdiff1d(np.arange(n), held)
     poses[free, :3, :3] = project_to_so3(np.swapaxes(stage.values[free], 1, 2))
     for _ in range(newton_steps):
-        poses[free] = _newton_step(ends, measured, weights, poses, anchors)[free]
+        poses[free] = _newton_step(ends, measured, weights, poses, held)[free]
     return poses
 
 
@@ -48,13 +57,13 @@ def parts(ends: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 def _newton_step(
-    ends: NDArray[np.intp], measured: Array, weights: tuple[Array, Array], poses: Array, anchors: list[int]
+    ends: NDArray[np.intp], measured: Array, weights: tuple[Array, Array], poses: Array, held: list[int]
 ) -> Array:
     R = poses[:, :3, :3]
     i, j = ends.T
     values = np.full((len(poses), 6, 1), np.nan)
-    values[anchors] = 0.0
-    values[anchors, :3, 0] = poses[anchors, :3, 3]
-    stage = Relaxation(ends, pose_blocks(R[i], R[j], measured, *weights), values, len(poses), anchors)
+    values[held] = 0.0
+    values[held, :3, 0] = poses[held, :3, 3]
+    stage = Relaxation(ends, pose_blocks(R[i], R[j], measured, *weights), values, len(poses), held)
     stage.sweep(1.0)
     return se3(R @ so3_exp(stage.values[:, 3:, 0]), stage.values[:, :3, 0])

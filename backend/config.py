@@ -93,3 +93,21 @@ class CentralConfig(BaseModel):
     loss_scale: float = Field(3.0, gt=0, description="its scale, standard deviations")
     iterations: int = Field(100, ge=1, description="iterations at most")
     tolerance: float = Field(1e-10, gt=0, description="ends when the cost falls by less than this share")
+
+
+class RobustConfig(BaseModel):
+    """Which loops and separators to believe: pairwise consistency (PCM) and graduated non-convexity (GNC)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    confidence: float = Field(
+        0.99, gt=0, lt=1, description="share of right edges (PCM: of right pairs) that pass, by the chi-square law"
+    )
+    noise: Literal["estimated", "stated"] = Field(
+        "estimated",
+        description="stated: the edges' information is believed; estimated: it may be too high by one factor for all",
+    )
+    max_noise: float = Field(10.0, ge=1, description="standard deviations are at most this many times the stated ones")
+    clique_work: int = Field(5_000_000, ge=1, description="bound of the search for the largest consistent set, nodes")
+    iterations: int = Field(100, ge=1, description="GNC steps at most")
+    newton_steps: int = Field(10, ge=1, description="steps of the optimiser in each GNC step, at most")

@@ -9,7 +9,7 @@ import numpy as np
 
 from backend.graph import NodeId, PoseGraph
 from backend.linear import indefinite
-from backend.newton import parts
+from backend.newton import named_parts
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def report(graph: PoseGraph) -> GraphReport:
     firsts = {min(n for n in graph.poses if n.robot == r) for r in graph.robots}
     pairs = Counter((min(e.i, e.j), max(e.i, e.j)) for e in graph.edges)
     return GraphReport(
-        parts=len(np.unique(parts(a))),
+        parts=len(np.unique(named_parts(a))),
         indefinite=tuple(np.flatnonzero(indefinite(a.information)).tolist()) if len(a.ends) else (),
         weightless=tuple(np.flatnonzero(_weightless(a.information, d)).tolist()) if len(a.ends) else (),
         without_odometry=tuple(n for n in graph.nodes if n not in odometry and n not in firsts),

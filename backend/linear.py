@@ -182,8 +182,8 @@ class BlockSystem:
         return flat.reshape(rhs.shape)
 
     def solve_for(self, rhs: Array) -> Array:
-        """The matrix's inverse times ``rhs`` ``(k, w)``, whatever the edges' own right-hand sides."""
+        """The matrix's inverse times ``rhs`` ``(k, w)`` or ``(k, w, c)``, whatever the edges' own right-hand sides."""
         if not len(self.solved):
             return np.zeros_like(rhs)
-        flat: Array = self._factor.solve(rhs.reshape(-1))  # type: ignore[attr-defined]
+        flat: Array = self._factor.solve(rhs.reshape(len(self.solved) * self.width, -1))  # type: ignore[attr-defined]
         return flat.reshape(rhs.shape)

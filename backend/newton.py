@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend import chordal
+from backend.chordal import parts
 from backend.errors import BackendError
 from backend.geometry import Array, project_to_so3, se3, skew, so3_exp
 from backend.graph import EdgeArrays
@@ -25,20 +25,22 @@ _ROUNDING = 1e-14
 # A step below this size (rad, or share of the graph's extent) that gains nothing is rounding too.
 _SMALL_STEP = 1e-6
 _CONJUGATE_STEPS = 200
+# With more conjugate steps than this the preconditioner is worth making anew where the poses are now.
+_TOO_MANY = 20
 
 Hessian = Callable[[Array], Array]
 
 
-def parts(a: EdgeArrays) -> NDArray[np.intp]:
+def named_parts(a: EdgeArrays) -> NDArray[np.intp]:
     """Which connected part each row of ``poses`` belongs to, ``(n,)``; edges of weight 0 join nothing."""
-    return chordal.parts(a.ends[a.weight > 0], len(a.poses))
+    return parts(a.ends[a.weight > 0], len(a.poses))
 
 
 def anchors(a: EdgeArrays) -> list[int]:
     """The first node of each connected part, or the origin where priors tie it: what is held so that the others have
     a place.
     """
-    part = parts(a)
+    part = named_parts(a)
     first: NDArray[np.intp] = np.unique(part, return_index=True)[1]
     if a.origin is not None:
         first[part[a.origin]] = a.origin
@@ -54,13 +56,15 @@ class Refined:
     converged: bool
 
 
-def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 100) -> Refined:
+def newton(
+    a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 100, held: list[int] | None = None
+) -> Refined:
     """At most ``steps`` trust-region steps on F from ``poses`` ``(n, 4, 4)``; ``kappa``, ``tau`` ``(m,)`` weights.
 
-    The anchors stay. Never ends higher than it began.
+    The nodes ``held`` (the anchors, if not given) stay. Never ends higher than it began.
     """
     try:
-        model = _Model(a, poses, kappa, tau)
+        model = _Model(a, poses, (kappa, tau), anchors(a) if held is None else held)
     except BackendError:
         return Refined(poses, 0, False)
     now, radius = model.cost(poses), float("inf")
@@ -70,7 +74,7 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
         size = max(float(np.vdot(gradient, model.precondition(gradient))), 0.0) ** 0.5
         first = max(first, size)
         tolerance = min(0.1, size / first) if first else 0.1
-        step, gain, length = _conjugate_gradients(gradient, hessian, model.precondition, tolerance, radius)
+        step, gain, length, inner = _conjugate_gradients(gradient, hessian, model.precondition, tolerance, radius)
         if gain <= _ROUNDING * now:
             return Refined(poses, taken, True)
         after = model.moved(poses, step)
@@ -82,6 +86,8 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
             radius = 2.0 * radius
         if cost < now:
             poses, now = after, cost
+            if inner > _TOO_MANY:
+                model.factorise(poses)
         elif model.size(step) < _SMALL_STEP:
             return Refined(poses, taken, True)
     return Refined(poses, steps, False)
@@ -90,15 +96,20 @@ def newton(a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 1
 class _Model:
     """F and its derivatives in steps ``(k, 6)`` of the free nodes: shift in the common frame, turn in the node's."""
 
-    def __init__(self, a: EdgeArrays, poses: Array, kappa: Array, tau: Array) -> None:
+    def __init__(self, a: EdgeArrays, poses: Array, weights: tuple[Array, Array], held: list[int]) -> None:
         n = len(poses)
-        self._a, self._weights = a, (kappa, tau)
-        self._free = np.setdiff1d(np.arange(n), anchors(a))
-        self._matrix = connection_laplacian(a.ends, a.measured, kappa, tau, n, 3)
+        self._a, self._weights = a, weights
+        self._free = np.setdiff1d(np.arange(n), held)
+        self._matrix = connection_laplacian(a.ends, a.measured, *weights, n, 3)
         self._extent = max(float(np.ptp(poses[:, :3, 3], axis=0).max(initial=0.0)), 1e-9)
+        self.factorise(poses)
+
+    def factorise(self, poses: Array) -> None:
+        """Make the preconditioner: the Gauss-Newton matrix at ``poses``."""
+        a = self._a
         i, j = a.ends.T
         R = poses[:, :3, :3]
-        blocks = pose_blocks(R[i], R[j], a.measured, kappa, tau)
+        blocks = pose_blocks(R[i], R[j], a.measured, *self._weights)
         self._gauss_newton = BlockSystem(a.ends, *blocks, self._free, np.ones(len(i), dtype=bool))
 
     def cost(self, poses: Array) -> float:
@@ -146,9 +157,9 @@ def _tangent(blocks: Array, R_T: Array) -> Array:
 
 def _conjugate_gradients(
     gradient: Array, hessian: Hessian, precondition: Hessian, tolerance: float, radius: float
-) -> tuple[Array, float, float]:
+) -> tuple[Array, float, float, int]:
     """Steihaug's truncated conjugate gradients: a step within ``radius`` (in the preconditioner's norm), how much it
-    lowers the model, and its length.
+    lowers the model, its length, and the iterations it took.
     """
     step, change = np.zeros_like(gradient), np.zeros_like(gradient)
     residual = gradient.copy()
@@ -157,7 +168,9 @@ def _conjugate_gradients(
     direction = -z
     # Inner products in the preconditioner's norm, by recurrence: step.P.step, step.P.direction, direction.P.direction.
     ss, sd, dd = 0.0, 0.0, rz
-    for _ in range(_CONJUGATE_STEPS):
+    taken = 0
+    while taken < _CONJUGATE_STEPS:
+        taken += 1
         if (rz <= max(tolerance**2 * first, 0.0) and ss > 0.0) or dd <= 0.0:
             break
         product = hessian(direction)
@@ -180,4 +193,4 @@ def _conjugate_gradients(
         sd, dd = beta * (sd + alpha * dd), rz_next + beta**2 * dd
         direction, rz = beta * direction - z, rz_next
     gain = -2.0 * float(np.vdot(gradient, step)) - float(np.vdot(step, change))
-    return step, gain, float(np.sqrt(ss))
+    return step, gain, float(np.sqrt(ss)), taken

@@ -1,0 +1,123 @@
+"""Graduated non-convexity with truncated least squares around the central solver (Yang et al., RA-L 2020).
+
+Odometry is known to be right. The other edges begin with full weight in a problem that is convex, and are turned down
+step by step as it becomes truncated least squares. Then every edge is looked at again, also those that never took part:
+what agrees with the solution comes back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.central import polished, two_stage
+from backend.config import CentralConfig, RobustConfig
+from backend.costs import cost, edge_cost
+from backend.geometry import Array
+from backend.graph import EdgeKind, PoseGraph
+from backend.levenberg_marquardt import levenberg_marquardt
+from backend.newton import anchors
+from backend.robust.noise import SETTLED, degrees_of_freedom, grown
+from backend.robust.prediction import predicted_distances
+from backend.robust.schedule import first_mu, next_mu, tls_weight, truncation
+
+_ROUNDS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Graduated:
+    """``graph``: the solution, its edges with their weights. ``squared_residuals`` ``(m,)`` of the edges, in stated
+    standard deviations; ``threshold_squared`` of the same kind; ``noise``: factor on standard deviations.
+    """
+
+    graph: PoseGraph
+    weights: Array
+    squared_residuals: Array
+    threshold_squared: float
+    noise: float
+    iterations: int
+
+
+def graduate(
+    graph: PoseGraph, candidates: NDArray[np.bool_], noise: float, central: CentralConfig, config: RobustConfig
+) -> Graduated:
+    """Select among the edges that ``candidates`` ``(m,)`` names, then let the others come back.
+
+    ``graph``: with the poses to start from. ``noise``: the factor known so far, at least 1.
+    """
+    search = _Search(graph, noise**2, central, config)
+    known = np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges], dtype=bool)
+    weights = np.where(known | candidates, 1.0, 0.0)
+    search.solve(weights)
+    open_ = candidates & ~known
+    mu = first_mu(float(search.squared[open_].max(initial=0.0)), search.threshold)
+    while mu is not None and search.iterations < config.iterations:
+        weights[open_] = tls_weight(search.squared[open_], search.threshold, mu)
+        search.solve(weights)
+        if np.isin(weights, (0.0, 1.0)).all():
+            break
+        mu = next_mu(mu)
+    seen: set[bytes] = set()
+    for _ in range(_ROUNDS):
+        search.learn_noise(weights)
+        before = weights
+        weights = np.where(known | (search.squared <= search.threshold), 1.0, 0.0)
+        weights[before < 0.5] = 0.0
+        out = np.flatnonzero(weights < 0.5)
+        back = out[predicted_distances(search.graph.with_weights(weights), out, central) <= search.threshold]
+        weights[back] = 1.0
+        if np.array_equal(before, weights) or weights.tobytes() in seen:
+            break
+        seen.add(weights.tobytes())
+        search.solve(weights)
+    return Graduated(
+        search.graph, weights, search.squared, search.threshold, search.squared_noise**0.5, search.iterations
+    )
+
+
+class _Search:
+    """The current solution, its residuals, and the noise they speak of."""
+
+    def __init__(self, graph: PoseGraph, squared_noise: float, central: CentralConfig, config: RobustConfig) -> None:
+        self.graph, self.squared_noise, self.iterations = graph, squared_noise, 0
+        self._central, self._config = central.model_copy(update={"start": "given", "loss": "none"}), config
+        self._dof = degrees_of_freedom(graph.dimension)
+        self.squared = squared_residuals(graph, central)
+
+    @property
+    def threshold(self) -> float:
+        """Squared residual, in stated standard deviations, up to which an edge is believed."""
+        return self.squared_noise * truncation(self._config.confidence, self._dof)
+
+    def solve(self, weights: Array) -> None:
+        """Optimise with these weights, from where it is or the chordal solution, which wrong edges mislead less the
+        less they weigh.
+        """
+        self.iterations += 1
+        graph = self.graph.with_weights(weights)
+        chordal = two_stage(graph, self._central.cost == "U")
+        if cost(chordal, self._central.cost) < cost(graph, self._central.cost):
+            graph = chordal
+        if self._central.cost == "E":
+            self.graph, _ = levenberg_marquardt(graph, self._central)
+        else:
+            self.graph, _, _ = polished(graph, self._central.cost == "U", self._config.newton_steps)
+        self.squared = squared_residuals(self.graph, self._central)
+
+    def learn_noise(self, weights: Array) -> None:
+        """From what the believed edges' residuals sum to, beside the freedom they have."""
+        a = self.graph.arrays()
+        free = len(a.poses) - len(anchors(a))
+        freedom = self._dof * (int((weights > 0.5).sum()) + len(self.graph.priors) - free)
+        after = grown(self.squared_noise, float(weights @ self.squared), freedom, self._config)
+        if after > self.squared_noise * (1.0 + SETTLED):
+            self.squared_noise = after
+
+
+def squared_residuals(graph: PoseGraph, central: CentralConfig) -> Array:
+    """Of each edge at full weight ``(m,)``, in standard deviations (units, for cost U), as the cost measures them."""
+    whole = graph.with_weights(np.ones(len(graph.edges)))
+    per_edge = edge_cost(whole, central.cost)[: len(graph.edges)]
+    return per_edge if central.cost == "F" else 2.0 * per_edge

@@ -1,0 +1,153 @@
+"""Pairwise consistency maximisation (Mangelson et al., ICRA 2018), between robots and within one.
+
+Two edges between the same two odometry chains close a cycle with the odometry between their ends; if both are right,
+the cycle's error is what the noise makes it. The largest set of edges that agree pair by pair is kept. Unlike residuals
+of a solution, this needs no start and bears any share of wrong edges, as long as these do not agree with each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from backend.config import RobustConfig
+from backend.geometry import Array, se3_inverse, se3_log
+from backend.graph import Edge, EdgeKind, PoseGraph
+from backend.robust.chains import Chain, adjoint, chains, covariances
+from backend.robust.clique import Clique, largest_clique
+from backend.robust.noise import SETTLED, degrees_of_freedom, grown
+
+_ROUNDS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """What PCM found.
+
+    ``accepted`` ``(m,)``: odometry, and the edges of the largest consistent sets; ``agreeing`` ``(m,)``: with how many
+    others of its kind an edge agrees; ``tested`` ``(m,)``: how many others there were. An edge with none is accepted:
+    nothing speaks for it or against. ``noise``: factor by which standard deviations exceed the stated ones.
+    ``exact``: every set is known to be the largest.
+    """
+
+    accepted: NDArray[np.bool_]
+    agreeing: NDArray[np.intp]
+    tested: NDArray[np.intp]
+    noise: float
+    exact: bool
+
+
+def consistent_edges(graph: PoseGraph, config: RobustConfig) -> Consistency:
+    """Find the consistent loops and separators of ``graph``; odometry is believed."""
+    groups = _groups(graph)
+    dof = degrees_of_freedom(graph.dimension)
+    # An edge must agree with all others of its set, so each pair has only a share of the edge's allowance to fail.
+    share = [(1.0 - config.confidence) / max(len(rows) - 1, 1) for rows in groups]
+    limits = [float(chi2.isf(p, dof)) for p in share]
+    highest = config.max_noise**2 if config.noise == "estimated" else 1.0
+    distances = [_squared_distances(*g, highest * c) for g, c in zip(groups.values(), limits, strict=True)]
+    squared_noise, cliques = 1.0, []
+    for _ in range(_ROUNDS):
+        cliques = [
+            largest_clique(d <= squared_noise * c, config.clique_work) for d, c in zip(distances, limits, strict=True)
+        ]
+        samples = [_near(d, c, squared_noise * limit) for d, c, limit in zip(distances, cliques, limits, strict=True)]
+        total, count = sum(float(d.sum()) for d in samples), sum(len(d) for d in samples)
+        before, squared_noise = squared_noise, grown(squared_noise, total, dof * count, config)
+        if squared_noise <= before * (1.0 + SETTLED):
+            squared_noise = before
+            break
+    m = len(graph.edges)
+    accepted = np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges], dtype=bool)
+    agreeing, tested = np.zeros(m, dtype=np.intp), np.zeros(m, dtype=np.intp)
+    for rows, distance, clique, limit in zip(groups, distances, cliques, limits, strict=True):
+        at = np.array(rows, dtype=np.intp)
+        agreeing[at] = (distance <= squared_noise * limit).sum(axis=1) - 1
+        tested[at] = len(at) - 1
+        # Two edges or more of which no two agree: neither is better than the other.
+        if len(clique.members) > 1 or len(at) == 1:
+            accepted[at[list(clique.members)]] = True
+    return Consistency(accepted, agreeing, tested, squared_noise**0.5, all(c.exact for c in cliques))
+
+
+def _near(distance: Array, clique: Clique, limit: float) -> Array:
+    """Distances of all pairs of edges of which each is, in the median, near the consistent set's members.
+
+    Not of the set alone: it is chosen for its small distances.
+    """
+    members = list(clique.members)
+    if len(members) < 2:
+        return np.zeros(0)
+    near = np.median(distance[:, members], axis=1) <= limit
+    inside = distance[np.ix_(near, near)]
+    pairs = inside[np.triu_indices(len(inside), 1)]
+    return np.asarray(pairs[np.isfinite(pairs)])
+
+
+def _groups(graph: PoseGraph) -> Mapping[tuple[int, ...], tuple[list[Edge], Chain, Chain]]:
+    """Edges to test against each other, by their positions in ``graph.edges``: those between the same two chains, each
+    edge from the first chain to the second (within one chain: forward).
+    """
+    found = chains(graph.poses, graph.edges)
+    of_node = {n: k for k, chain in enumerate(found) for n in chain.row}
+    rows: dict[tuple[int, int], list[int]] = {}
+    edges: dict[tuple[int, int], list[Edge]] = {}
+    for k, e in enumerate(graph.edges):
+        if e.kind is EdgeKind.ODOMETRY:
+            continue
+        if (of_node[e.i], e.i) > (of_node[e.j], e.j):
+            e = _turned(e)
+        pair = of_node[e.i], of_node[e.j]
+        rows.setdefault(pair, []).append(k)
+        edges.setdefault(pair, []).append(e)
+    return {tuple(rows[p]): (edges[p], found[p[0]], found[p[1]]) for p in sorted(rows)}
+
+
+def _turned(e: Edge) -> Edge:
+    """The same measurement from j to i."""
+    A = adjoint(se3_inverse(e.T_i_j))
+    information = A.T @ e.information @ A
+    return Edge(e.j, e.i, se3_inverse(e.T_i_j), 0.5 * (information + information.T), e.kind)
+
+
+def _squared_distances(edges: list[Edge], first: Chain, second: Chain, highest: float) -> Array:
+    """Squared Mahalanobis distances ``(n, n)`` from consistency of all pairs; where they surely exceed ``highest``,
+    infinite.
+
+    Everything is in the first chain's frame: ``Z_k`` is where edge k puts the second chain's frame, and the cycle of k
+    and l closes where ``Z_k = Z_l``.
+    """
+    n = len(edges)
+    i = np.array([first.row[e.i] for e in edges])
+    j = np.array([second.row[e.j] for e in edges])
+    through = first.poses[i] @ np.array([e.T_i_j for e in edges])
+    Z = through @ se3_inverse(second.poses[j])
+    A = adjoint(through)
+    own = A @ covariances(edges) @ np.swapaxes(A, 1, 2)
+    # Traces of the turns' part do not depend on the frame: a cheap bound from below that spares most wrong pairs.
+    turn = [np.trace(c[:, 3:, 3:], axis1=1, axis2=2) for c in (own, first.covariance[i], second.covariance[j])]
+    out = np.zeros((n, n))
+    for k in range(n - 1):
+        rest = np.arange(k + 1, n)
+        error = se3_log(Z[k] @ se3_inverse(Z[rest]))
+        spread = turn[0][k] + turn[0][rest] + np.abs(turn[1][k] - turn[1][rest]) + np.abs(turn[2][k] - turn[2][rest])
+        near = (error[:, 3:] ** 2).sum(axis=1) <= highest * spread
+        out[k, rest] = np.inf
+        if near.any():
+            close, B = rest[near], adjoint(Z[k])
+            S = own[k] + own[close] + _between(first.covariance, i[k], i[close])
+            S += B @ _between(second.covariance, j[k], j[close]) @ B.T
+            solved = np.linalg.solve(S, error[near][:, :, None])[:, :, 0]
+            out[k, close] = (error[near] * solved).sum(axis=1)
+        out[rest, k] = out[k, rest]
+    return out
+
+
+def _between(covariance: Array, a: int, b: NDArray[np.intp]) -> Array:
+    """Covariance of the relative poses of a and each of b."""
+    difference: Array = (covariance[b] - covariance[a]) * np.where(b >= a, 1.0, -1.0)[:, None, None]
+    return difference

@@ -1,0 +1,124 @@
+"""One door to robust optimisation: choose the edges to believe, optimise with them, and say what was left out and
+why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.central import optimise
+from backend.config import CentralConfig, RobustConfig
+from backend.costs import cost
+from backend.geometry import Array
+from backend.graph import EdgeKind, NodeId, PoseGraph
+from backend.robust.gnc import graduate, squared_residuals
+from backend.robust.noise import degrees_of_freedom
+from backend.robust.pcm import Consistency, consistent_edges
+from backend.robust.prediction import predicted_distances
+from backend.robust.schedule import truncation
+
+Method = Literal["pcm", "gnc", "pcm+gnc"]
+
+
+@dataclass(frozen=True)
+class RejectedEdge:
+    """``index`` in the graph's edges; ``residual`` against the solution, in standard deviations, the noise factor
+    taken into account.
+    """
+
+    index: int
+    i: NodeId
+    j: NodeId
+    residual: float
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class RobustResult:
+    """``graph``: optimised, its edges carrying ``weights`` ``(m,)``, which may be given a later run to begin anew.
+
+    ``cost_before`` and ``cost_after`` of the edges that are believed. ``noise``: factor by which standard deviations
+    exceed the stated ones. ``exact``: PCM's sets are known to be the largest (True where PCM took no part).
+    """
+
+    graph: PoseGraph
+    weights: Array
+    rejected: tuple[RejectedEdge, ...]
+    noise: float
+    cost_before: float
+    cost_after: float
+    iterations: int
+    exact: bool
+
+
+def optimise_robustly(
+    graph: PoseGraph, method: Method, central: CentralConfig | None = None, config: RobustConfig | None = None
+) -> RobustResult:
+    """Optimise with the edges worth believing. Odometry always is; weights that ``graph`` has already are not used:
+    every edge can come back.
+    """
+    central, config = central or CentralConfig(), config or RobustConfig()
+    whole = graph.with_weights(np.ones(len(graph.edges)))
+    # The cycles also tell the noise, which GNC by itself finds less well: it sees residuals only of what it believes.
+    cycles = consistent_edges(whole, config)
+    found = cycles if "pcm" in method else None
+    accepted = found.accepted if found else np.ones(len(graph.edges), dtype=bool)
+    noise = cycles.noise
+    if found is not None:
+        accepted = accepted & ~_contradicted(whole, found, central, config)
+    start = optimise(whole.with_weights(accepted), central).graph
+    weights, iterations = accepted.astype(np.float64), 1
+    if "gnc" in method:
+        graduated = graduate(start, accepted, noise, central, config)
+        weights, noise, iterations = graduated.weights, graduated.noise, iterations + graduated.iterations
+        start = graduated.graph
+    believed = start.with_weights(weights)
+    result = optimise(believed, central.model_copy(update={"start": "given"}))
+    if central.start == "chordal":
+        other = optimise(believed, central)
+        result = other if other.cost_after < result.cost_after else result
+    residuals = np.sqrt(squared_residuals(result.graph, central)) / noise
+    return RobustResult(
+        graph=result.graph,
+        weights=weights,
+        rejected=_rejected(result.graph, weights, residuals, found, method),
+        noise=noise,
+        cost_before=cost(replace(result.graph, poses=graph.poses), central.cost),
+        cost_after=result.cost_after,
+        iterations=iterations,
+        exact=found is None or found.exact,
+    )
+
+
+def _contradicted(
+    graph: PoseGraph, found: Consistency, central: CentralConfig, config: RobustConfig
+) -> NDArray[np.bool_]:
+    """Which edges ``(m,)`` that PCM had nothing to test by are wrong by what the others say, if they say anything."""
+    lone = np.array([e.kind is not EdgeKind.ODOMETRY for e in graph.edges], dtype=bool) & (found.tested == 0)
+    out = np.zeros(len(graph.edges), dtype=bool)
+    rows = np.flatnonzero(lone)
+    if len(rows):
+        solution = optimise(graph.with_weights(found.accepted & ~lone), central).graph
+        distances = predicted_distances(solution, rows, central)
+        limit = found.noise**2 * truncation(config.confidence, degrees_of_freedom(graph.dimension))
+        out[rows] = np.isfinite(distances) & (distances > limit)
+    return out
+
+
+def _rejected(
+    graph: PoseGraph, weights: Array, residuals: Array, found: Consistency | None, method: Method
+) -> tuple[RejectedEdge, ...]:
+    out = []
+    for k, (e, residual) in enumerate(zip(graph.edges, residuals.tolist(), strict=True)):
+        if weights[k] > 0.5 or e.kind is EdgeKind.ODOMETRY:
+            continue
+        reason = f"residual {residual:.1f} standard deviations"
+        if found is not None and not found.accepted[k]:
+            agrees = f"agrees with {found.agreeing[k]} of {found.tested[k]} others"
+            reason = agrees if method == "pcm" else f"{agrees}, {reason}"
+        out.append(RejectedEdge(k, e.i, e.j, residual, reason))
+    return tuple(out)

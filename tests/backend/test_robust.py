@@ -1,0 +1,287 @@
+"""Robust selection: against brute force, closed forms, simulated noise, and public sets whose wrong edges are known by
+their geometry.
+"""
+
+import itertools
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graphs import loops, measured
+
+from backend.central import optimise
+from backend.config import CentralConfig, RobustConfig
+from backend.costs import cost
+from backend.g2o import read_g2o
+from backend.geometry import rotation_angle_deg, se3, se3_exp, se3_inverse, se3_log, so3_exp, so3_log
+from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from backend.robust.chains import adjoint, chains
+from backend.robust.clique import largest_clique
+from backend.robust.pcm import consistent_edges
+from backend.robust.prediction import predicted_distances
+from backend.robust.schedule import first_mu, next_mu, tls_weight
+from backend.robust.select import optimise_robustly
+from backend.trajectory_error import trajectory_error
+
+DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "posegraphs"
+
+
+def spoiled(rng, wrong=10, **kwargs):
+    """Robots on loops with ``wrong`` separators of random poses; the graph, which edges are right, and the truth."""
+    graph, truth = loops(rng, **kwargs)
+    nodes, edges = graph.nodes, list(graph.edges)
+    information = edges[0].information
+    while len(edges) < len(graph.edges) + wrong:
+        i, j = sorted(nodes[k] for k in rng.choice(len(nodes), 2, replace=False))
+        if i.robot != j.robot or j.index - i.index > 5:
+            T = se3(so3_exp(np.pi * rng.uniform(-0.5, 0.5, 3)), rng.uniform(-8, 8, 3))
+            kind = EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP
+            edges.append(Edge(i, j, T, information, kind))
+    right = np.arange(len(edges)) < len(graph.edges)
+    order = rng.permutation(len(edges))
+    return replace(graph, edges=tuple(edges[k] for k in order)), right[order], truth
+
+
+def test_the_schedule():
+    # At the first mu the largest residual is at the end of the convex part, (mu + 1) / mu = 2 r^2 / c^2.
+    mu = first_mu(50.0, 4.0)
+    assert (mu + 1) / mu == pytest.approx(2 * 50 / 4)
+    assert first_mu(2.0, 4.0) is None and next_mu(0.5) == pytest.approx(0.7)
+    c, mu = 4.0, 0.25
+    low, high = mu / (mu + 1) * c, (mu + 1) / mu * c
+    weights = tls_weight(np.array([0.0, low, 4.0, high, 2 * high]), c, mu)
+    np.testing.assert_allclose(weights, [1, 1, np.sqrt(mu * (mu + 1)) - mu, 0, 0], atol=1e-12)
+    np.testing.assert_array_equal(tls_weight(np.array([3.9, 4.1]), c, 100.0), [1, 0])
+    # In between, the weight is what minimises w r^2 + the penalty mu (1 - w) / (mu + w) c^2 (Black and Rangarajan).
+    grid = np.linspace(0, 1, 100_001)
+    best = grid[np.argmin(grid * 7.0 + mu * (1 - grid) / (mu + grid) * c)]
+    assert tls_weight(np.array([7.0]), c, mu)[0] == pytest.approx(best, abs=1e-4)
+
+
+def test_the_largest_clique_is_the_largest():
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        n = int(rng.integers(1, 11))
+        joined = rng.random((n, n)) < rng.random()
+        joined |= joined.T
+        found = largest_clique(joined)
+        assert found.exact and all(joined[p] for p in itertools.combinations(found.members, 2))
+        size = len(found.members) + 1
+        bigger = itertools.combinations(range(n), size)
+        assert not any(all(joined[p] for p in itertools.combinations(c, 2)) for c in bigger)
+    assert largest_clique(np.zeros((0, 0), dtype=bool)).members == ()
+
+
+def test_a_hidden_clique_among_thousands_and_a_bound_on_the_work():
+    rng = np.random.default_rng(1)
+    joined = np.triu(rng.random((2000, 2000)) < 0.2, 1)
+    joined |= joined.T
+    inside = np.sort(rng.choice(2000, 300, replace=False))
+    joined[np.ix_(inside, inside)] = True
+    found = largest_clique(joined)
+    assert found.exact and set(inside) <= set(found.members)
+    dense = np.triu(rng.random((300, 300)) < 0.9, 1)
+    dense |= dense.T
+    found = largest_clique(dense, work=20_000)
+    assert not found.exact and all(dense[p] for p in itertools.combinations(found.members, 2))
+    assert len(found.members) > 15
+
+
+def test_the_uncertainty_of_a_chain_is_that_of_simulated_ones():
+    rng = np.random.default_rng(2)
+    sigma = np.array([0.05, 0.02, 0.02, 0.01, 0.005, 0.02])
+    truth = {NodeId(0, k): se3(so3_exp([0.0, 0.3 * k, 0.1 * k]), [2.0 * k, np.sin(k), 0.0]) for k in range(12)}
+    pairs = list(itertools.pairwise(sorted(truth)))
+    exact = [measured(truth, a, b, EdgeKind.ODOMETRY, np.zeros(6), np.diag(sigma**-2.0), rng) for a, b in pairs]
+    # One edge the other way round means the same.
+    exact[4] = measured(truth, pairs[4][1], pairs[4][0], EdgeKind.ODOMETRY, np.zeros(6), np.diag(sigma**-2.0), rng)
+    (chain,) = chains(truth, exact)
+    errors = []
+    for _ in range(2000):
+        noisy = np.eye(4)
+        for e in exact[3:10]:
+            T = e.T_i_j @ se3_exp(sigma * rng.normal(size=6))
+            noisy = noisy @ (T if e.i < e.j else se3_inverse(T))
+        # The relative pose of nodes 3 and 10, its error brought into the chain's frame.
+        true = se3_inverse(chain.poses[3]) @ chain.poses[10]
+        errors.append(adjoint(chain.poses[3]) @ se3_log(noisy @ se3_inverse(true)))
+    predicted = chain.covariance[10] - chain.covariance[3]
+    root = np.linalg.inv(np.linalg.cholesky(predicted))
+    np.testing.assert_allclose(root @ np.cov(np.array(errors).T) @ root.T, np.eye(6), atol=0.15)
+
+
+def test_chains_end_where_odometry_is_missing():
+    graph, _ = loops(np.random.default_rng(3), robots=2, length=10, separators=2)
+    cut = [e for e in graph.edges if (e.i, e.j) != (NodeId(1, 4), NodeId(1, 5))]
+    assert [(c.robot, len(c.row)) for c in chains(graph.poses, cut)] == [(0, 10), (1, 5), (1, 5)]
+
+
+def test_a_right_edge_is_as_far_from_the_prediction_as_chi_square_says():
+    distances = []
+    for seed in range(40):
+        graph, _ = loops(np.random.default_rng(seed), robots=2, length=25, separators=5)
+        rows = np.array([k for k, e in enumerate(graph.edges) if e.is_separator][2:4])
+        weights = np.ones(len(graph.edges))
+        weights[rows] = 0.0
+        solution = optimise(graph.with_weights(weights), CentralConfig()).graph
+        distances += predicted_distances(solution, rows, CentralConfig()).tolist()
+    # Mean of chi-square with 6 degrees is 6, its deviation sqrt(12); 80 samples, in pairs that are not independent.
+    assert np.mean(distances) == pytest.approx(6.0, abs=3 * np.sqrt(12 / 40))
+    graph, _ = loops(np.random.default_rng(0), robots=2, length=10, separators=2)
+    apart = graph.with_weights([0.0 if e.is_separator else 1.0 for e in graph.edges])
+    rows = np.array([k for k, e in enumerate(graph.edges) if e.is_separator])
+    assert np.isinf(predicted_distances(apart, rows, CentralConfig())).all()
+
+
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+def test_pcm_finds_right_edges_and_the_noise(noise):
+    rng = np.random.default_rng(5)
+    sigma = {"sigma_t": 0.02 * noise, "sigma_deg": 0.1 * noise}
+    graph, right, _ = spoiled(rng, wrong=40, robots=3, length=60, separators=12, **sigma)
+    stated = np.diag([0.02**-2.0] * 3 + [np.radians(0.1) ** -2.0] * 3)
+    graph = replace(graph, edges=tuple(replace(e, information=stated) for e in graph.edges))
+    found = consistent_edges(graph, RobustConfig())
+    between = np.array([e.kind is not EdgeKind.ODOMETRY for e in graph.edges])
+    alone = found.tested == 0
+    assert not (found.accepted & ~right & ~alone).any()
+    assert (found.accepted & right & between).sum() >= 0.95 * (right & between).sum()
+    assert found.accepted[~between].all() and found.exact
+    assert found.noise == pytest.approx(noise, rel=0.25)
+
+
+def test_pcm_judges_loops_of_one_robot_whichever_way_they_point():
+    rng = np.random.default_rng(6)
+    truth = {NodeId(0, k): se3(so3_exp([0, 0.2 * k, 0]), [5 * np.sin(0.2 * k), 0.0, 5 * np.cos(0.2 * k)])
+             for k in range(70)}  # fmt: skip
+    sigma, information = np.array([0.01] * 3 + [0.002] * 3), np.diag([0.01**-2.0] * 3 + [0.002**-2.0] * 3)
+    nodes = sorted(truth)
+    edges = [measured(truth, a, b, EdgeKind.ODOMETRY, sigma, information, rng) for a, b in itertools.pairwise(nodes)]
+    for k in range(0, 30, 5):
+        a, b = nodes[k], nodes[k + 31]
+        edges.append(measured(truth, *((b, a) if k % 2 else (a, b)), EdgeKind.LOOP, sigma, information, rng))
+    right = len(edges)
+    for k in range(4):
+        T = edges[right - 1 - k].T_i_j @ se3_exp(rng.uniform(-3, 3, 6))
+        edges.append(Edge(nodes[3 * k], nodes[40 + 4 * k], T, information, EdgeKind.LOOP))
+    found = consistent_edges(PoseGraph(truth, tuple(edges)), RobustConfig())
+    assert found.accepted[:right].all() and not found.accepted[right:].any()
+    assert (found.agreeing[right - 6 : right] >= 5).all() and (found.tested[-10:] == 9).all()
+
+
+@pytest.mark.parametrize(("method", "convention"), [("gnc", "F"), ("pcm+gnc", "F"), ("pcm+gnc", "E"), ("pcm", "E")])
+def test_wrong_edges_are_rejected_with_a_reason_and_the_truth_is_found(method, convention):
+    rng = np.random.default_rng(8)
+    graph, right, _ = spoiled(rng, wrong=30, robots=3, length=40, separators=12, sigma_t=0.02, sigma_deg=0.1)
+    central = CentralConfig(cost=convention)
+    result = optimise_robustly(graph, method, central)
+    wrong = set(np.flatnonzero(~right))
+    # Also two that are alone between their chains, where PCM has nothing to test them by.
+    assert wrong <= {r.index for r in result.rejected} and len(result.rejected) - len(wrong) <= 1
+    assert all("standard deviations" in r.reason or "agrees with" in r.reason for r in result.rejected)
+    best = optimise(graph.with_weights(right), central)
+    assert cost(result.graph.with_weights(right), convention) == pytest.approx(best.cost_after, rel=0.02)
+    assert result.cost_after <= result.cost_before
+
+
+def test_rejected_edges_come_back_when_the_evidence_changes():
+    rng = np.random.default_rng(9)
+    graph, right, _ = spoiled(rng, wrong=6, robots=2, length=40, separators=10)
+    first = optimise_robustly(graph, "pcm+gnc")
+    # What was decided before does not bind: wrong verdicts in the weights are revised, both ways.
+    wrongly = first.graph.with_weights(~right | np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges]))
+    again = optimise_robustly(wrongly, "pcm+gnc")
+    np.testing.assert_array_equal(again.weights, first.weights)
+
+
+def test_without_wrong_edges_nearly_all_stay():
+    kept = []
+    for seed in range(3):
+        graph, _ = loops(np.random.default_rng(seed), robots=3, length=40, separators=10)
+        kept.append(np.mean([optimise_robustly(graph, "pcm+gnc").weights.mean()]))
+    assert np.mean(kept) > 0.99
+
+
+def test_a_planar_graph_has_three_degrees_of_freedom():
+    rng = np.random.default_rng(10)
+    truth = {NodeId(r, k): se3(so3_exp([0, 0, 0.15 * k]), [6 * np.sin(0.15 * k), 6 - 6 * np.cos(0.15 * k), 0])
+             for r in range(2) for k in range(40)}  # fmt: skip
+    sigma = np.array([0.02, 0.02, 0, 0, 0, 0.004])
+    information = np.diag([0.02**-2.0, 0.02**-2.0, 1, 1, 1, 0.004**-2.0])
+    pairs = [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(39)]
+    edges = [measured(truth, *p, EdgeKind.ODOMETRY, sigma, information, rng) for p in pairs]
+    for k in range(0, 40, 4):
+        edges.append(measured(truth, NodeId(0, k), NodeId(1, k), EdgeKind.SEPARATOR, sigma, information, rng))
+    right = len(edges)
+    for k in range(8):
+        T = se3(so3_exp([0, 0, rng.uniform(-3, 3)]), [*rng.uniform(-5, 5, 2), 0.0])
+        edges.append(Edge(NodeId(0, 3 * k), NodeId(1, 39 - 2 * k), T, information, EdgeKind.SEPARATOR))
+    result = optimise_robustly(PoseGraph(truth, tuple(edges), 2), "pcm+gnc")
+    assert result.weights[:right].all() and not result.weights[right:].any()
+    assert result.noise == pytest.approx(1.0, abs=0.25)
+
+
+def planar(e):
+    """Argos robots drive on a floor: what is right has no height and no tilt, up to its noise (0.1 m, 0.6 degrees)."""
+    return abs(e.T_i_j[2, 3]) < 0.6 and np.degrees(np.abs(so3_log(e.T_i_j[:3, :3])[:2])).max() < 4.0
+
+
+def agree_on_frames(graph):
+    """Grid robots' wrong edges are random poses. A right one puts the other robot's frame where another one puts it,
+    within 1.2 m and 20 degrees, by dead reckoning; and in the files each pair's right edges come first, half of all.
+    """
+    dead = {}
+    for r in graph.robots:
+        dead |= spread_poses({NodeId(r, 0): np.eye(4)}, [e for e in graph.edges if e.i.robot == e.j.robot == r])
+    frames = [dead[e.i] @ e.T_i_j @ se3_inverse(dead[e.j]) for e in graph.edges]
+    right = []
+    for k, e in enumerate(graph.edges):
+        others = [
+            frames[m]
+            for m, o in enumerate(graph.edges)
+            if m != k and (o.i.robot, o.j.robot) == (e.i.robot, e.j.robot) and e.is_separator
+        ]
+        near = [
+            T
+            for T in others
+            if np.linalg.norm((T - frames[k])[:3, 3]) < 1.2 and rotation_angle_deg(T[:3, :3].T @ frames[k][:3, :3]) < 20
+        ]
+        right.append(not e.is_separator or bool(near))
+    return np.array(right)
+
+
+@pytest.mark.realdata
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"no pose graphs at {DATA} (MASLAM_DATA)")
+@pytest.mark.parametrize(
+    ("name", "method", "wrong", "among"),
+    [
+        ("argos_2robots_spoiled", "pcm", 2, 31),
+        ("argos_2robots_spoiled", "gnc", 2, 31),
+        ("argos_2robots_spoiled", "pcm+gnc", 2, 31),
+        ("argos_4robots_spoiled", "pcm", 6, 45),
+        ("argos_4robots_spoiled", "pcm+gnc", 6, 45),
+        ("grid_2robots_spoiled", "gnc", 10, 20),
+        ("grid_2robots_spoiled", "pcm+gnc", 10, 20),
+        ("grid_4robots_spoiled", "pcm", 24, 48),
+        ("grid_4robots_spoiled", "gnc", 24, 48),
+        ("grid_4robots_spoiled", "pcm+gnc", 24, 48),
+        ("argos_2robots_clean", "pcm+gnc", 0, 34),
+        ("argos_4robots_clean", "pcm+gnc", 0, 87),
+    ],
+)
+def test_public_sets(name, method, wrong, among):
+    graph = read_g2o(sorted((DATA / "multi_outliers" / name).glob("*.g2o")), [])
+    between = np.array([e.is_separator for e in graph.edges])
+    right = np.array([not e.is_separator or planar(e) for e in graph.edges]) if "argos" in name else None
+    right = agree_on_frames(graph) if right is None else right
+    assert (between.sum(), (~right).sum()) == (among, wrong)
+    result = optimise_robustly(graph, method)
+    kept = result.weights > 0.5
+    assert not (kept & ~right).any()
+    assert (kept & right & between).sum() >= 0.95 * (right & between).sum()
+    best = optimise(graph.with_weights(right), CentralConfig()).graph
+    if wrong:
+        assert cost(result.graph.with_weights(right), "F") <= 1.05 * cost(best, "F")
+    estimate, truth = (np.array([g.poses[n][:3, 3] for n in graph.nodes]) for g in (result.graph, best))
+    assert trajectory_error(estimate, truth, False).rmse_m < 0.05 * np.ptp(truth, axis=0).max()
