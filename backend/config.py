@@ -69,6 +69,9 @@ class SolverConfig(BaseModel):
     mixed_sweeps: int = Field(4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain")
     robust: Literal["none", "gnc"] = Field("none", description="graduated non-convexity on loops and separators (rbcd)")
     gnc_confidence: float = Field(0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps")
+    gnc_noise: float = Field(
+        1.0, gt=0, description="true standard deviations over those that the information states; above 1: it boasts"
+    )
     gnc_sweeps: int = Field(3, ge=1, description="sweeps between two changes of weights")
     gnc_steps: int = Field(60, ge=1, description="changes of weights at most")
 

@@ -35,7 +35,8 @@ class DescentNode(StagedNode):
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
         super().__init__(share, config)
-        self._selection = Selection(self._problem, config.gnc_confidence) if config.robust == "gnc" else None
+        robust = config.robust == "gnc"
+        self._selection = Selection(self._problem, config.gnc_confidence, config.gnc_noise) if robust else None
         self._mixer = Mixer(config.mixed_sweeps, np.zeros((self._problem.own_count, 6)))
         self._rule = MixingRule()
         self._costs: list[float] = []
@@ -172,7 +173,11 @@ class DescentNode(StagedNode):
             return
         self._take_cost(decision.cost)
         poses = self._problem.poses
-        if np.isinf(decision.cost) or (len(self._costs) > 1 and decision.cost > self._costs[-2]):
+        if np.isinf(decision.cost):
+            self._mixer.restart()
+        elif self._best is not None and decision.cost > self._best[0]:
+            # A mix that led uphill: back to the best sweep, which every member remembers alike.
+            poses[:] = self._best[1]
             self._mixer.restart()
         elif decision.numbers:
             free = np.isfinite(poses).all(axis=(1, 2))

@@ -19,9 +19,10 @@ from backend.robust.schedule import first_mu, next_mu, tls_weight, truncation
 class Selection:
     """``weights`` ``(m,)`` of the robot's edges; odometry always 1."""
 
-    def __init__(self, problem: LocalProblem, confidence: float) -> None:
+    def __init__(self, problem: LocalProblem, confidence: float, noise: float) -> None:
+        """``noise``: how many of the stated standard deviations one true one is."""
         self._problem = problem
-        self.bound = truncation(confidence, 6 if problem.share.dimension == 3 else 3)
+        self.bound = noise**2 * truncation(confidence, 6 if problem.share.dimension == 3 else 3)
         self.odometry = np.array([e.kind is EdgeKind.ODOMETRY for e in problem.share.edges], dtype=bool)
         self.weights = np.ones(len(self.odometry))
         self._mu: float | None = None
