@@ -1,5 +1,5 @@
 """``maslam bench``: what the odometry costs and how good it is (``vo``), what it keeps in memory (``memory``), and
-what the search of place vectors costs (``search``)."""
+what the search of place vectors (``search``) and distributed optimisation (``pgo``) cost."""
 
 from __future__ import annotations
 
@@ -100,11 +100,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     search.add_argument("--seed", type=int, default=0, help="of the vectors (default: %(default)s)")
     search.add_argument("--json", action="store_true", help="one JSON list instead of a table")
     search.add_argument("--quiet", action="store_true", help="no progress")
+    pgo = actions.add_parser(
+        "pgo",
+        help="distributed optimisation: bytes, time and gap to the optimum, by number of robots",
+        allow_abbrev=False,
+        usage="maslam bench pgo [options]",
+    )
+    pgo.add_argument("--robots", default="10,25,50,100", metavar="LIST", help="(default: %(default)s)")
+    pgo.add_argument("--poses", type=int, default=200, metavar="N", help="of each robot (default: %(default)s)")
+    pgo.add_argument("--methods", default="quick,rbcd,elected", metavar="LIST", help="(default: %(default)s)")
+    pgo.add_argument("--seed", type=int, default=0, help="of the city (default: %(default)s)")
+    pgo.add_argument("--json", action="store_true", help="one JSON list instead of a table")
+    pgo.add_argument("--plot", type=Path, metavar="FILE", help="draw bytes, time and gap over robots")
+    pgo.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Do the action asked for."""
-    return {"vo": _vo, "memory": _memory, "search": _search}[arguments.action](arguments)
+    return {"vo": _vo, "memory": _memory, "search": _search, "pgo": _pgo}[arguments.action](arguments)
 
 
 def _search(arguments: argparse.Namespace) -> int:
@@ -117,6 +130,27 @@ def _search(arguments: argparse.Namespace) -> int:
     with progress_on(quiet=arguments.quiet) as progress:
         results = bench_search(sizes, arguments.dim, arguments.seed, progress)
     print(as_json(results) if arguments.json else as_text(results))
+    return 0
+
+
+def _pgo(arguments: argparse.Namespace) -> int:
+    from tools.bench_pgo import as_json, draw, measure, table
+    from tools.pgo.methods import CENTRAL, METHODS
+    from tools.progress import counter, progress_on
+
+    sizes = tuple(int(part) if part.strip().isdigit() else 0 for part in arguments.robots.split(","))
+    methods = tuple(arguments.methods.split(","))
+    if min(sizes) < 2 or arguments.poses < 2:
+        raise UsageError(f"--robots {arguments.robots} --poses {arguments.poses}: numbers of at least 2 are meant")
+    for method in methods:
+        if method not in METHODS or method == CENTRAL:
+            raise UsageError(f"--methods {method}: there are {', '.join(m for m in METHODS if m != CENTRAL)}")
+    _check_picture(arguments.plot)
+    with progress_on(quiet=arguments.quiet) as progress:
+        results = measure(sizes, arguments.poses, methods, arguments.seed, counter(progress, "solving"))
+    if arguments.plot is not None:
+        draw(results, arguments.plot)
+    print(as_json(results) if arguments.json else table(results))
     return 0
 
 

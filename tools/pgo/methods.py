@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from backend.robust.pcm import consistent_edges
-from backend.robust.select import optimise_robustly
 
 from backend.central import optimise
 from backend.config import CentralConfig, RobustConfig, SolverConfig
 from backend.distributed.exchange import optimise_distributed
 from backend.geometry import Array
 from backend.graph import NodeId, PoseGraph
+from backend.robust.pcm import consistent_edges
+from backend.robust.select import optimise_robustly
 from tools.errors import UsageError
 
 CENTRAL = "central"
@@ -83,18 +83,20 @@ def _central(graph: PoseGraph, request: Request) -> Solution:
 
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
     weights, rejected = np.ones(len(graph.edges)), []
-    if "pcm" in request.robust:
+    config = request.solver
+    if request.robust != "none":
         # From odometry alone, which two robots tell each other once; these bytes are not counted.
         consistent = consistent_edges(graph, request.selection)
+    if "gnc" in request.robust:
+        noise = max(consistent.noise, config.gnc_noise)
+        config = config.model_copy(update={"robust": "gnc", "gnc_noise": noise})
+    if "pcm" in request.robust:
         weights = consistent.accepted.astype(np.float64)
         rejected = [
             _record(e.i, e.j, None, f"agrees with {consistent.agreeing[k]} of {consistent.tested[k]} others")
             for k, e in enumerate(graph.edges)
             if not consistent.accepted[k]
         ]
-    config = request.solver
-    if "gnc" in request.robust:
-        config = config.model_copy(update={"robust": "gnc"})
     kept = [k for k, weight in enumerate(weights) if weight > 0]
     working = replace(graph, edges=tuple(graph.edges[k] for k in kept))
     result = optimise_distributed(working.with_unit_weights() if request.unit else working, config)
