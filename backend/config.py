@@ -41,7 +41,9 @@ class SolverConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    method: Literal["dgs", "jor", "sor"] = Field("sor", description="order and relaxation of the distributed sweeps")
+    method: Literal["dgs", "jor", "sor", "elected"] = Field(
+        "sor", description="order and relaxation of the distributed sweeps; elected: one robot solves for all"
+    )
     relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor takes at most 1 of it")
     start: Literal["flagged", "warm"] = Field(
         "flagged", description="flagged: no initial guess needed; warm: from the poses, which share a frame already"
@@ -55,6 +57,13 @@ class SolverConfig(BaseModel):
     pose_threshold: float = Field(0.01, ge=0, description="quiet when a robot's poses change less, 2-norm of m and rad")
     scale_threshold: float = Field(1e-5, ge=0, description="quiet when a robot's log scale changes by less")
     newton_steps: int = Field(1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
+    elected_longest: int = Field(
+        1, ge=1, description="elected: odometry edges that are sent as one, at most; 1: all as they are"
+    )
+    elected_fineness: float = Field(
+        512.0, gt=0, description="elected: steps that the residuals' standard deviation has in numbers sent"
+    )
+    elected_patience: int = Field(10, ge=1, description="elected: ticks in silence after which a robot counts as lost")
 
 
 class CentralConfig(BaseModel):
