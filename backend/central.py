@@ -61,8 +61,8 @@ def _descend(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
 def polished(graph: PoseGraph, unit_weights: bool = False, steps: int = 100) -> tuple[PoseGraph, int, bool]:
     """The graph after Newton steps of F (U with ``unit_weights``), their number, and whether only rounding is left."""
     a = graph.arrays()
-    kappa, tau = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
-    refined = newton(a, a.poses, kappa, tau, steps)
+    weights = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
+    refined = newton(a.ends, a.measured, weights, a.poses, anchors(a), steps)
     return graph.with_poses(a.named(refined.poses)), refined.steps, refined.converged
 
 

@@ -72,7 +72,9 @@ def certify(graph: PoseGraph, convention: Literal["F", "U"] = "F", tolerance: fl
     if not len(a.ends) or cost <= rounding:
         return Certificate(convention, True, cost, max(cost - rounding, 0.0), 0.0, 0.0)
     M = connection_laplacian(a.ends, a.measured, kappa, tau, len(a.poses), d)
-    poses = best_translations(newton(a, a.poses, kappa, tau).poses, M, anchors(a), d)
+    held = anchors(a)
+    near = newton(a.ends, a.measured, (kappa, tau), a.poses, held).poses
+    poses = best_translations(near, M, held, d)
     turn = multipliers(poses, (M @ stacked(poses, d).T).T, d)
     dual = _Dual(a, M - rotation_diagonal(turn), d)
     bound = float(np.trace(turn, axis1=1, axis2=2).sum())

@@ -41,9 +41,10 @@ class SolverConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async"] = Field(
+    method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "elected"] = Field(
         "sor",
-        description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), or block-coordinate descent to the optimum",
+        description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, or "
+        "one elected robot that solves for all",
     )
     relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor takes at most 1 of it")
     start: Literal["flagged", "warm"] = Field(
@@ -74,6 +75,14 @@ class SolverConfig(BaseModel):
     )
     gnc_sweeps: int = Field(3, ge=1, description="sweeps between two changes of weights")
     gnc_steps: int = Field(60, ge=1, description="changes of weights at most")
+
+    elected_longest: int = Field(
+        1, ge=1, description="elected: odometry edges that are sent as one, at most; 1: all as they are"
+    )
+    elected_fineness: float = Field(
+        512.0, gt=0, description="elected: steps that the residuals' standard deviation has in numbers sent"
+    )
+    elected_patience: int = Field(10, ge=1, description="elected: ticks in silence after which a robot counts as lost")
 
     @classmethod
     def quick(cls) -> SolverConfig:

@@ -7,7 +7,7 @@ gains a factor a step on graphs with large residuals; here the digits double.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,14 +57,20 @@ class Refined:
 
 
 def newton(
-    a: EdgeArrays, poses: Array, kappa: Array, tau: Array, steps: int = 100, held: list[int] | None = None
+    ends: NDArray[np.intp],
+    measured: Array,
+    weights: tuple[Array, Array],
+    poses: Array,
+    held: Sequence[int],
+    steps: int = 100,
 ) -> Refined:
-    """At most ``steps`` trust-region steps on F from ``poses`` ``(n, 4, 4)``; ``kappa``, ``tau`` ``(m,)`` weights.
+    """At most ``steps`` trust-region steps on F from ``poses`` ``(n, 4, 4)``; the nodes ``held`` stay.
 
-    The nodes ``held`` (the anchors, if not given) stay. Never ends higher than it began.
+    ``ends`` ``(m, 2)`` rows of the nodes, ``measured`` ``(m, 4, 4)``, ``weights`` kappa and tau ``(m,)``. Never ends
+    higher than it began.
     """
     try:
-        model = _Model(a, poses, (kappa, tau), anchors(a) if held is None else held)
+        model = _Model(ends, measured, weights, poses, held)
     except BackendError:
         return Refined(poses, 0, False)
     now, radius = model.cost(poses), float("inf")
@@ -96,25 +102,26 @@ def newton(
 class _Model:
     """F and its derivatives in steps ``(k, 6)`` of the free nodes: shift in the common frame, turn in the node's."""
 
-    def __init__(self, a: EdgeArrays, poses: Array, weights: tuple[Array, Array], held: list[int]) -> None:
+    def __init__(
+        self, ends: NDArray[np.intp], measured: Array, weights: tuple[Array, Array], poses: Array, held: Sequence[int]
+    ) -> None:
         n = len(poses)
-        self._a, self._weights = a, weights
+        self._ends, self._measured, self._weights = ends, measured, weights
         self._free = np.setdiff1d(np.arange(n), held)
-        self._matrix = connection_laplacian(a.ends, a.measured, *weights, n, 3)
+        self._matrix = connection_laplacian(ends, measured, *weights, n, 3)
         self._extent = max(float(np.ptp(poses[:, :3, 3], axis=0).max(initial=0.0)), 1e-9)
         self.factorise(poses)
 
     def factorise(self, poses: Array) -> None:
         """Make the preconditioner: the Gauss-Newton matrix at ``poses``."""
-        a = self._a
-        i, j = a.ends.T
+        i, j = self._ends.T
         R = poses[:, :3, :3]
-        blocks = pose_blocks(R[i], R[j], a.measured, *self._weights)
-        self._gauss_newton = BlockSystem(a.ends, *blocks, self._free, np.ones(len(i), dtype=bool))
+        blocks = pose_blocks(R[i], R[j], self._measured, *self._weights)
+        self._gauss_newton = BlockSystem(self._ends, *blocks, self._free, np.ones(len(i), dtype=bool))
 
     def cost(self, poses: Array) -> float:
-        i, j = self._a.ends.T
-        return float(edge_costs(poses[i], poses[j], self._a.measured, *self._weights).sum())
+        i, j = self._ends.T
+        return float(edge_costs(poses[i], poses[j], self._measured, *self._weights).sum())
 
     def size(self, step: Array) -> float:
         shift, turn = np.abs(step[:, :3]).max(initial=0.0), np.abs(step[:, 3:]).max(initial=0.0)

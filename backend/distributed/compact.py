@@ -1,0 +1,130 @@
+"""Numbers in few bytes: whole numbers of variable length, and poses as whole steps from what both sides can predict."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+import numpy as np
+
+from backend.errors import BackendError
+from backend.geometry import Array, se3, se3_inverse, so3_exp, so3_log
+
+_POSE = struct.Struct("<6d")
+_WEIGHTS = struct.Struct("<ff")
+_START = struct.Struct("<6f")
+
+
+class Writer:
+    """Appends to a message."""
+
+    def __init__(self) -> None:
+        self._out = bytearray()
+
+    def bytes(self) -> bytes:
+        return bytes(self._out)
+
+    def count(self, value: int) -> None:
+        """A whole number from 0: 7 bits a byte."""
+        while value > 0x7F:
+            self._out.append(value & 0x7F | 0x80)
+            value >>= 7
+        self._out.append(value)
+
+    def signed(self, value: int) -> None:
+        """A whole number: small ones of either sign are short."""
+        self.count(2 * value if value >= 0 else -2 * value - 1)
+
+    def number(self, value: float) -> None:
+        self._out += struct.pack("<d", value)
+
+    def rough(self, value: float) -> None:
+        """In single precision."""
+        self._out += struct.pack("<f", value)
+
+    def pose(self, T: Array) -> None:
+        """In full."""
+        self._out += _POSE.pack(*T[:3, 3], *so3_log(T[:3, :3]))
+
+    def rough_pose(self, T: Array) -> None:
+        """In single precision."""
+        self._out += _START.pack(*T[:3, 3], *so3_log(T[:3, :3]))
+
+    def weights(self, kappa: float, tau: float) -> None:
+        self._out += _WEIGHTS.pack(kappa, tau)
+
+    def steps(self, values: Iterable[int]) -> None:
+        for value in values:
+            self.signed(value)
+
+
+class Reader:
+    """Takes the same from a message; one that ends too early raises :class:`BackendError`."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+
+    @property
+    def empty(self) -> bool:
+        return self._at >= len(self._data)
+
+    def count(self) -> int:
+        value = shift = 0
+        while True:
+            byte = self._take(1)[0]
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if not byte & 0x80:
+                return value
+
+    def signed(self) -> int:
+        value = self.count()
+        return -(value + 1) // 2 if value & 1 else value // 2
+
+    def number(self) -> float:
+        return float(struct.unpack("<d", self._take(8))[0])
+
+    def rough(self) -> float:
+        return float(struct.unpack("<f", self._take(4))[0])
+
+    def pose(self) -> Array:
+        return _matrix(_POSE.unpack(self._take(_POSE.size)))
+
+    def rough_pose(self) -> Array:
+        return _matrix(_START.unpack(self._take(_START.size)))
+
+    def weights(self) -> tuple[float, float]:
+        kappa, tau = _WEIGHTS.unpack(self._take(_WEIGHTS.size))
+        return kappa, tau
+
+    def steps(self) -> list[int]:
+        return [self.signed() for _ in range(6)]
+
+    def _take(self, size: int) -> bytes:
+        part = self._data[self._at : self._at + size]
+        if len(part) != size:
+            raise BackendError(f"a message of {len(self._data)} bytes ends too early")
+        self._at += size
+        return part
+
+
+def step_sizes(kappa: float, tau: float, fineness: float) -> Array:
+    """Steps ``(6,)`` in metres and radians: ``fineness`` of them are one standard deviation of F's noise."""
+    shift, turn = 1.0 / (np.sqrt(tau) * fineness), 1.0 / (np.sqrt(2.0 * kappa) * fineness)
+    return np.array([shift] * 3 + [turn] * 3)
+
+
+def to_steps(T: Array, predicted: Array, sizes: Array) -> list[int]:
+    """Whole steps ``(6,)`` from ``predicted`` to ``T`` (both ``(4, 4)``)."""
+    moved = se3_inverse(predicted) @ T
+    return [int(v) for v in np.rint(np.concatenate([moved[:3, 3], so3_log(moved[:3, :3])]) / sizes)]
+
+
+def from_steps(steps: list[int], predicted: Array, sizes: Array) -> Array:
+    """Inverse of :func:`to_steps`, up to half a step."""
+    return np.asarray(predicted @ _matrix(np.array(steps, dtype=np.float64) * sizes))
+
+
+def _matrix(values: Iterable[float]) -> Array:
+    v = np.array(list(values))
+    return se3(so3_exp(v[3:]), v[:3])

@@ -1,0 +1,205 @@
+"""What a member gives to the elected robot, and how the solution comes back: contents and bytes."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.distributed.compact import Reader, Writer, from_steps, step_sizes, to_steps
+from backend.distributed.condense import Condensed, OwnGraph, weights_of
+from backend.distributed.share import Share
+from backend.geometry import Array, se3_inverse
+from backend.graph import NodeId
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """An edge to another robot, as it travels; ``off``: how far rounding may have moved it, in deviations, at most."""
+
+    i: NodeId
+    j: NodeId
+    T_i_j: Array
+    kappa: float
+    tau: float
+    off: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Contribution:
+    """A member's condensed graph, the edges to others that it answers for, and where things are now.
+
+    ``first_pose`` ``T_O_i`` of its first node: the anchor, if it is the lowest; ``start``: poses of its separators;
+    ``cost``: F over its own edges now. ``fineness``: steps that a standard deviation has when this is sent.
+    """
+
+    robot: int
+    graph: Condensed
+    between: tuple[Between, ...]
+    start: dict[NodeId, Array]
+    first_pose: Array
+    cost: float
+    fineness: float
+
+
+def contribution(share: Share, own: OwnGraph, leader: int | None, longest: int, fineness: float) -> Contribution:
+    """What this robot gives to ``leader``: of edges between two members the lower one's, and none that it has."""
+    edges = [e for e in share.edges if e.is_separator and e.weight > 0]
+    separators = sorted({n for e in edges for n in (e.i, e.j) if n.robot == share.robot})
+    given = []
+    for e, kappa, tau in zip(edges, *weights_of(edges, share.dimension), strict=True):
+        other = e.j.robot if e.i.robot == share.robot else e.i.robot
+        if share.robot == leader or (other != leader and share.robot < other):
+            given.append(Between(e.i, e.j, e.T_i_j, float(kappa), float(tau)))
+    return Contribution(
+        robot=share.robot,
+        graph=own.condensed(longest),
+        between=tuple(given),
+        start={n: share.poses[n] for n in separators},
+        first_pose=own.poses[0],
+        cost=own.cost(own.poses),
+        fineness=float(np.float32(fineness)),
+    )
+
+
+def encode(c: Contribution) -> bytes:
+    """Node indices as differences, each pair of weights once, poses in steps of ``1 / fineness`` deviations."""
+    out, fineness = Writer(), c.fineness
+    out.rough(fineness)
+    out.count(len(c.graph.nodes))
+    before = 0
+    for n in c.graph.nodes:
+        out.count(n.index - before)
+        before = n.index
+    out.pose(c.first_pose)
+    out.number(c.cost)
+    pairs = [*zip(c.graph.kappa, c.graph.tau, strict=True), *((b.kappa, b.tau) for b in c.between)]
+    rounded = [(float(np.float32(kappa)), float(np.float32(tau))) for kappa, tau in pairs]
+    table = sorted(set(rounded))
+    out.count(len(table))
+    for kappa, tau in table:
+        out.weights(kappa, tau)
+    known = {pair: k for k, pair in enumerate(table)}
+    out.count(len(c.graph.ends))
+    last = 0
+    for (i, j), T, pair in zip(c.graph.ends.tolist(), c.graph.measured, rounded, strict=False):
+        out.signed(i - last)
+        out.signed(j - i)
+        out.count(known[pair])
+        out.steps(to_steps(T, np.eye(4), step_sizes(*pair, fineness)))
+        last = i
+    out.count(len(c.between))
+    for b, pair in zip(c.between, rounded[len(c.graph.ends) :], strict=True):
+        for n in (b.i, b.j):
+            out.count(n.robot)
+            out.count(n.index)
+        out.count(known[pair])
+        out.steps(to_steps(b.T_i_j, np.eye(4), step_sizes(*pair, fineness)))
+    for n in sorted(c.start):
+        out.count(n.index)
+        out.rough_pose(c.start[n])
+    return out.bytes()
+
+
+def decode(data: bytes, robot: int) -> Contribution:
+    """Inverse of :func:`encode`, measurements and weights as they were rounded."""
+    source = Reader(data)
+    fineness = source.rough()
+    # Each of six numbers is off by half a step at most.
+    off = 0.5 * 6.0**0.5 / fineness
+    nodes, index = [], 0
+    for _ in range(source.count()):
+        index += source.count()
+        nodes.append(NodeId(robot, index))
+    first_pose, cost = source.pose(), source.number()
+    table = [source.weights() for _ in range(source.count())]
+    ends, measured, pairs, last = [], [], [], 0
+    for _ in range(source.count()):
+        last += source.signed()
+        ends.append((last, last + source.signed()))
+        pairs.append(table[source.count()])
+        measured.append(from_steps(source.steps(), np.eye(4), step_sizes(*pairs[-1], fineness)))
+    between = []
+    for _ in range(source.count()):
+        i, j = (NodeId(source.count(), source.count()) for _ in range(2))
+        pair = table[source.count()]
+        T = from_steps(source.steps(), np.eye(4), step_sizes(*pair, fineness))
+        between.append(Between(i, j, T, *pair, off))
+    start = {}
+    while not source.empty:
+        n = NodeId(robot, source.count())
+        start[n] = source.rough_pose()
+    weights = np.array(pairs).reshape(-1, 2)
+    graph = Condensed(
+        nodes, np.array(ends, dtype=np.intp).reshape(-1, 2), np.array(measured).reshape(-1, 4, 4), *weights.T
+    )
+    return Contribution(robot, graph, tuple(between), start, first_pose, cost, fineness)
+
+
+def encode_solution(graph: Condensed, poses: Array, reached: NDArray[np.bool_], fineness: float) -> bytes:
+    """The ``poses`` ``(n, 4, 4)`` of a member's nodes, those ``reached`` ``(n,)``: steps from what its own edges say.
+
+    ``graph`` as it arrived, so that the member can say the same.
+    """
+    out, fineness = Writer(), float(np.float32(fineness))
+    out.rough(fineness)
+    out.count(0 if reached.all() else 1 + int(reached.sum()))
+    if not reached.all():
+        for k in np.flatnonzero(reached).tolist():
+            out.count(k)
+    known: dict[int, Array] = {}
+    for k, before, predicted, sizes in _walk(graph, reached, known, fineness):
+        if before < 0:
+            out.pose(poses[k])
+            known[k] = poses[k]
+            continue
+        steps = to_steps(poses[k], predicted, sizes)
+        out.steps(steps)
+        known[k] = from_steps(steps, predicted, sizes)
+    return out.bytes()
+
+
+def decode_solution(data: bytes, graph: Condensed) -> dict[NodeId, Array]:
+    """Inverse of :func:`encode_solution`: poses of the nodes that were reached."""
+    source = Reader(data)
+    fineness = source.rough()
+    reached = np.ones(len(graph.nodes), dtype=bool)
+    some = source.count()
+    if some:
+        reached[:] = False
+        reached[[source.count() for _ in range(some - 1)]] = True
+    known: dict[int, Array] = {}
+    for k, before, predicted, sizes in _walk(graph, reached, known, fineness):
+        known[k] = source.pose() if before < 0 else from_steps(source.steps(), predicted, sizes)
+    return {graph.nodes[k]: T for k, T in sorted(known.items())}
+
+
+def _walk(
+    graph: Condensed, reached: NDArray[np.bool_], known: dict[int, Array], fineness: float
+) -> Iterator[tuple[int, int, Array, Array]]:
+    """Nodes breadth first along the edges: the node, the one before (-1: none), its pose by their edge and the steps'
+    sizes. The caller puts each node's pose into ``known`` before it asks for the next.
+    """
+    links: list[list[tuple[int, int]]] = [[] for _ in graph.nodes]
+    for k, (i, j) in enumerate(graph.ends.tolist()):
+        links[i].append((j, k))
+        links[j].append((i, k))
+    seen = ~reached
+    for root in range(len(graph.nodes)):
+        if seen[root]:
+            continue
+        seen[root] = True
+        yield root, -1, np.eye(4), np.ones(6)
+        queue = deque([root])
+        while queue:
+            i = queue.popleft()
+            for j, k in links[i]:
+                if not seen[j]:
+                    seen[j] = True
+                    T = graph.measured[k] if graph.ends[k, 0] == i else se3_inverse(graph.measured[k])
+                    sizes = step_sizes(float(graph.kappa[k]), float(graph.tau[k]), fineness)
+                    yield j, i, known[i] @ T, sizes
+                    queue.append(j)

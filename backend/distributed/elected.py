@@ -1,0 +1,267 @@
+"""The elected solver: one robot gathers its group's condensed graph, solves it centrally, and sends poses back.
+
+Everyone says how much it would have to send; who has most is elected, as what it has need not travel. Members give it
+their condensed graphs once, get their poses once, place what was condensed away by themselves, and report what their
+own edges cost then; the result counts only if the group's cost has not risen. Far fewer bytes than any iteration, but
+the elected robot sees the group's whole (condensed) graph. Where it falls silent the next one takes over.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from backend.config import SolverConfig
+from backend.distributed import contribution as parcel
+from backend.distributed.condense import Condensed, OwnGraph
+from backend.distributed.contribution import Contribution
+from backend.distributed.elected_messages import ElectedMessage, Kind
+from backend.distributed.gathered import Gathered, cost_between, solve
+from backend.distributed.share import Outcome, Share
+from backend.errors import BackendError
+from backend.geometry import Array
+from backend.graph import NodeId
+
+_SIZE = struct.Struct("<I")
+_COST = struct.Struct("<d")
+_DECISION = struct.Struct("<?ddH")
+
+
+class ElectedNode:
+    """``start()`` once, then ``handle`` every message addressed to it, in any order; what these return is to be sent.
+
+    ``outcome`` is None while it works. ``tick()`` gives again what others may have missed, and counts: after
+    ``elected_patience`` ticks without a word the elected robot leaves silent members out; after twice as many the
+    members turn to the next robot. Members left out keep their poses.
+    """
+
+    def __init__(self, share: Share, config: SolverConfig) -> None:
+        if share.arbitrary_scale:
+            raise BackendError(f"robots {sorted(share.arbitrary_scale)} have units of their own: not with an election")
+        self.share = share
+        self.outcome: Outcome | None = None
+        self._config = config
+        self._own = OwnGraph(share)
+        self._fineness = config.elected_fineness / self._own.noise()
+        self._sizes = {share.robot: len(parcel.encode(self._mine(None)))}
+        self._order: list[int] = []
+        self._term = self._silent = 0
+        self._contributions: dict[int, Contribution] = {}
+        self._costs: dict[int, float] = {}
+        self._left_out: set[int] = set()
+        self._gathered: Gathered | None = None
+        self._sent: Condensed
+        self._known: dict[NodeId, Array] = {}
+        self._poses: Array | None = None
+        self._reached = np.zeros(len(self._own.nodes), dtype=bool)
+        self._said: list[ElectedMessage] = []
+        self._early: list[ElectedMessage] = []
+
+    @property
+    def leader(self) -> int | None:
+        """Who is elected; None: not known yet."""
+        return self._order[self._term % len(self._order)] if self._order else None
+
+    def start(self) -> list[ElectedMessage]:
+        """The first messages."""
+        out = self._sizes_again()
+        return [*out, *self._elect()] if len(self.share.members) == 1 else out
+
+    def handle(self, message: ElectedMessage) -> list[ElectedMessage]:
+        """Take a message in; returns what is to be sent because of it."""
+        if message.receiver != self.share.robot or message.sender not in self.share.members:
+            raise BackendError(f"robot {self.share.robot} was handed a message from {message.sender} for "
+                               f"{message.receiver}")  # fmt: skip
+        if self.outcome is not None:
+            return []
+        if message.kind is Kind.SIZE:
+            self._sizes[message.sender] = _unpack(_SIZE, message.body)[0]
+            if not self._order:
+                return self._elect() if len(self._sizes) == len(self.share.members) else []
+        elif not self._order and message.term == self._term:
+            self._early.append(message)
+            return []
+        out = self._join(message.term) if message.term > self._term else []
+        if message.term < self._term:
+            return out
+        return [*out, *self._take(message)]
+
+    def tick(self) -> list[ElectedMessage]:
+        """What others may have missed, once more; with patience at its end, also what to do without the silent."""
+        self._silent += 1
+        repeated = list(self._said) if self.outcome is not None else [*self._sizes_again(), *self._said]
+        if self.outcome is not None or self._silent < self._config.elected_patience:
+            return repeated
+        if not self._order:
+            return [*repeated, *self._elect()]
+        if self.leader == self.share.robot:
+            return [*repeated, *self._go_on_without()]
+        if self._silent < 2 * self._config.elected_patience:
+            return repeated
+        return self._join(self._term + 1)
+
+    def _sizes_again(self) -> list[ElectedMessage]:
+        return self._to(self._others(), Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
+
+    def _elect(self) -> list[ElectedMessage]:
+        """Most to send first; who has said nothing comes last."""
+        self._order = sorted(self.share.members, key=lambda r: (-self._sizes.get(r, -1), r))
+        out = self._join(self._term)
+        early, self._early = self._early, []
+        return [*out, *(reply for message in early for reply in self.handle(message))]
+
+    def _join(self, term: int) -> list[ElectedMessage]:
+        """Begin a term: contribute to its elected robot, or begin to gather."""
+        if not self._order:
+            self._order = sorted(self.share.members, key=lambda r: (-self._sizes.get(r, -1), r))
+        self._term, self._silent, self._said = term, 0, []
+        self._costs, self._gathered, self._poses = {}, None, None
+        self._left_out = {r for r in self._order[: min(term, len(self._order))] if r != self.leader}
+        me = self.share.robot
+        if self.leader != me:
+            assert self.leader is not None
+            body = parcel.encode(self._mine(self.leader))
+            self._sent = parcel.decode(body, me).graph
+            return self._say(self._to([self.leader], Kind.CONTRIBUTION, body))
+        self._contributions = {me: self._mine(me)}
+        return self._try_solve()
+
+    def _mine(self, leader: int | None) -> Contribution:
+        return parcel.contribution(self.share, self._own, leader, self._config.elected_longest, self._fineness)
+
+    def _take(self, message: ElectedMessage) -> list[ElectedMessage]:
+        leads = self.leader == self.share.robot
+        if message.kind is Kind.SIZE:
+            return []
+        if message.kind in (Kind.CONTRIBUTION, Kind.COST) and leads:
+            if message.sender in self._left_out:
+                return []
+            if message.kind is Kind.COST:
+                self._silent = 0 if message.sender not in self._costs else self._silent
+                self._costs[message.sender] = _unpack(_COST, message.body)[0]
+                return self._try_decide()
+            if message.sender not in self._contributions:
+                self._silent = 0
+                self._contributions[message.sender] = parcel.decode(message.body, message.sender)
+            return self._try_solve()
+        if message.sender != self.leader or leads:
+            return []
+        self._silent = 0
+        if message.kind is Kind.SOLUTION and self._poses is None:
+            return self._finish_own(message.body)
+        if message.kind is Kind.DECISION:
+            self._end(*_unpack(_DECISION, message.body))
+        return []
+
+    def _others(self) -> list[int]:
+        return [r for r in self.share.members if r != self.share.robot]
+
+    def _members(self) -> list[int]:
+        """Who takes part."""
+        return [r for r in self.share.members if r not in self._left_out]
+
+    def _to(self, receivers: Iterable[int], kind: Kind, body: bytes) -> list[ElectedMessage]:
+        return [ElectedMessage(kind, self._term, self.share.robot, r, body) for r in receivers]
+
+    def _say(self, messages: list[ElectedMessage]) -> list[ElectedMessage]:
+        """Send, and remember for repetition until there is something newer to say."""
+        self._said = messages
+        return list(messages)
+
+    def _try_solve(self) -> list[ElectedMessage]:
+        """As the elected robot: once everyone has contributed."""
+        if self._gathered is not None or any(r not in self._contributions for r in self._members()):
+            return []
+        me = self.share.robot
+        given = {r: self._contributions[r] for r in self._members()}
+        self._gathered = solve(given)
+        fineness = self._config.elected_fineness / self._gathered.noise
+        self._known = {}
+        out = []
+        for robot, c in given.items():
+            poses, reached = self._gathered.of(c.graph.nodes)
+            if robot == me:
+                mine = {n: T for n, T, ok in zip(c.graph.nodes, poses, reached, strict=True) if ok}
+                self._known |= mine
+                self._costs[me] = self._complete(mine)
+                continue
+            body = parcel.encode_solution(c.graph, poses, reached, fineness)
+            self._known |= parcel.decode_solution(body, c.graph)
+            out += self._to([robot], Kind.SOLUTION, body)
+        self._say(out)
+        return [*out, *self._try_decide()]
+
+    def _complete(self, known: dict[NodeId, Array]) -> float:
+        """Own poses with the ``known`` ones held; returns F over the own edges."""
+        first = self._own.nodes[0]
+        if self.share.robot == min(self._members()) and first in known:
+            known = {**known, first: self._own.poses[0]}
+        self._poses, self._reached = self._own.completed(known)
+        return self._own.cost(self._poses)
+
+    def _finish_own(self, body: bytes) -> list[ElectedMessage]:
+        cost = self._complete(parcel.decode_solution(body, self._sent))
+        assert self.leader is not None
+        return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
+
+    def _try_decide(self) -> list[ElectedMessage]:
+        """As the elected robot: once everyone has said what its own edges cost now."""
+        if self._gathered is None or any(r not in self._costs for r in self._members()):
+            return []
+        given = [self._contributions[r] for r in self._members()]
+        start = {n: T for c in given for n, T in c.start.items()}
+        outside, doubt = cost_between(self._gathered.between, start)
+        before = sum(c.cost for c in given) + outside
+        outside, more_doubt = cost_between(self._gathered.between, {**start, **self._known})
+        after = sum(self._costs[r] for r in self._members()) + outside
+        accepted = after + doubt + more_doubt <= before
+        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF))
+        out = self._say(self._to(self._others(), Kind.DECISION, body))
+        self._end(accepted, before, after, self._gathered.iterations)
+        return out
+
+    def _go_on_without(self) -> list[ElectedMessage]:
+        """As the elected robot, out of patience: leave out who has not contributed; give up without all costs."""
+        self._silent = 0
+        missing = [r for r in self._members() if r not in self._contributions]
+        if missing:
+            self._left_out |= set(missing)
+            return self._try_solve()
+        if self._gathered is None or self.outcome is not None:
+            return []
+        before = sum(self._contributions[r].cost for r in self._members())
+        out = self._say(self._to(self._others(), Kind.DECISION, _DECISION.pack(False, before, float("nan"), 0)))
+        self._end(False, before, float("nan"), 0)
+        return out
+
+    def _end(self, accepted: bool, before: float, after: float, iterations: int) -> None:
+        own = self._own
+        mine = accepted and self._poses is not None
+        reason = "accepted"
+        if not accepted:
+            reason = f"the cost would rise: {before:.6g} to {after:.6g}" if after == after else "a member fell silent"
+        elif not mine:
+            reason = "left out: others heard nothing from this robot"
+        poses = self._poses if mine and self._poses is not None else own.poses
+        self.outcome = Outcome(
+            robot=self.share.robot,
+            accepted=mine,
+            reason=reason,
+            poses={n: poses[k].copy() for k, n in enumerate(own.nodes)},
+            scales=dict.fromkeys((self.share.robot, *self.share.neighbours), 1.0),
+            cost_before=before,
+            cost_after=after if accepted else before,
+            rotation_sweeps=0,
+            pose_sweeps=iterations,
+            unreached=tuple(n for k, n in enumerate(own.nodes) if not self._reached[k]),
+        )
+
+
+def _unpack(layout: struct.Struct, body: bytes) -> tuple[Any, ...]:
+    try:
+        return layout.unpack(body)
+    except struct.error as error:
+        raise BackendError(f"an elected solver's message of {len(body)} bytes does not fit its kind") from error

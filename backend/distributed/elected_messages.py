@@ -1,0 +1,52 @@
+"""What an elected group says: one kind of envelope, and the bodies' layouts in ``contribution.py``."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+from backend.errors import BackendError
+
+_HEADER = struct.Struct("<BBHH")
+# Far from the kinds of the other solvers' messages, so that a stray one is recognised.
+_FIRST_KIND = 0xE0
+
+
+class Kind(IntEnum):
+    """In the order they are said."""
+
+    SIZE = 0
+    CONTRIBUTION = 1
+    SOLUTION = 2
+    COST = 3
+    DECISION = 4
+
+
+@dataclass(frozen=True)
+class ElectedMessage:
+    """``term``: how many elected robots have fallen silent so far, as the sender knows."""
+
+    kind: Kind
+    term: int
+    sender: int
+    receiver: int
+    body: bytes
+
+    @property
+    def payload_bytes(self) -> int:
+        """All but the header."""
+        return len(self.body)
+
+    def encode(self) -> bytes:
+        """A header of 6 bytes, and the body."""
+        return _HEADER.pack(_FIRST_KIND + self.kind, self.term, self.sender, self.receiver) + self.body
+
+    @classmethod
+    def decode(cls, data: bytes) -> ElectedMessage:
+        """Inverse of :meth:`encode`; bytes that are no such message raise :class:`BackendError`."""
+        try:
+            kind, term, sender, receiver = _HEADER.unpack_from(data)
+            return cls(Kind(kind - _FIRST_KIND), term, sender, receiver, data[_HEADER.size :])
+        except (struct.error, ValueError) as error:
+            raise BackendError(f"not an elected solver's message: {len(data)} bytes, {error}") from error
