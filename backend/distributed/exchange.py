@@ -7,11 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from backend.config import SolverConfig
-from backend.distributed.messages import Deltas, Message, Stage, Values, decode, encode
+from backend.distributed.messages import Deltas, Message, Stage, State, Values, decode, encode
 from backend.distributed.methods import node_for
 from backend.distributed.share import Outcome, Share, shares
 from backend.errors import BackendError
 from backend.graph import PoseGraph
+
+# Ticks of a group that works without rounds, for each version a robot may make, before it counts as stuck.
+_MOST_TICKS = 20
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[
     nodes = {robot: node_for(group[robot], config) for robot in sorted(group)}
     descends = config.method.startswith("rbcd")
     queue: deque[bytes] = deque()
-    count = payload = wire = 0
+    count = payload = wire = ticks = 0
 
     def post(messages: list[Message]) -> None:
         nonlocal count, payload, wire
@@ -49,14 +52,23 @@ def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[
             queue.append(data)
             count, wire = count + 1, wire + len(data)
             counted = descends or message.round.stage in (Stage.ROTATION, Stage.POSE)
-            if counted and isinstance(message, Values | Deltas):
+            if counted and isinstance(message, Values | Deltas | State):
                 payload += message.payload_bytes
 
     for node in nodes.values():
         post(node.start())
-    while queue:
-        message = decode(queue.popleft())
-        post(nodes[message.receiver].handle(message))
+    while True:
+        while queue:
+            message = decode(queue.popleft())
+            post(nodes[message.receiver].handle(message))
+        if config.method != "rbcd-async" or all(node.outcome is not None for node in nodes.values()):
+            break
+        # Without rounds, time makes nodes work: all at once, the hardest case.
+        ticks += 1
+        if ticks > _MOST_TICKS * config.descent_sweeps:
+            break
+        for node in nodes.values():
+            post(node.tick())
     outcomes = {robot: node.outcome for robot, node in nodes.items() if node.outcome is not None}
     if len(outcomes) != len(nodes):
         stuck = sorted(set(nodes) - set(outcomes))
