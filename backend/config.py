@@ -67,6 +67,9 @@ class SolverConfig(BaseModel):
     descent_relaxation: float = Field(1.4, gt=0, lt=2, description="over-relaxation of block descent")
     cost_tolerance: float = Field(1e-6, ge=0, description="block descent ends when the cost falls by less, as a share")
     cost_window: int = Field(5, ge=1, description="in so many sweeps")
+    free_threshold: float = Field(
+        0.002, gt=0, description="rbcd-async: a separator's move that neighbours are told of, standard deviations"
+    )
     mixed_sweeps: int = Field(4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain")
     robust: Literal["none", "gnc"] = Field("none", description="graduated non-convexity on loops and separators (rbcd)")
     gnc_confidence: float = Field(0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps")

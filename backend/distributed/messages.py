@@ -26,11 +26,20 @@ class Stage(IntEnum):
     ROTATION = 2
     POSE = 3
     DESCENT = 4
-    COST = 5
+    FREE = 5
+    COST = 6
 
 
 # Numbers that one separator pose (one robot, for SCALE) costs each sweep.
-WIDTH = {Stage.SCALE: 1, Stage.START: 6, Stage.ROTATION: 9, Stage.POSE: 6, Stage.DESCENT: 6, Stage.COST: 0}
+WIDTH = {
+    Stage.SCALE: 1,
+    Stage.START: 6,
+    Stage.ROTATION: 9,
+    Stage.POSE: 6,
+    Stage.DESCENT: 6,
+    Stage.FREE: 6,
+    Stage.COST: 0,
+}
 
 
 @dataclass(frozen=True, order=True)
@@ -120,12 +129,61 @@ class Decision:
         return 9 + 4 * len(self.numbers)
 
 
-Message = Values | Report | Decision | Deltas
+@dataclass(frozen=True, eq=False)
+class State:
+    """Without rounds: a robot's separators as of its ``version``, whole, so that a later one replaces a lost one.
+
+    ``used``: the version of the receiver's that the sender works with, which tells the receiver what has arrived.
+    ``values`` as in :class:`Values`, in single precision; no rows: nothing new, only ``used``.
+    """
+
+    sender: int
+    receiver: int
+    round: Round
+    version: int
+    used: int
+    values: Array
+
+    @property
+    def payload_bytes(self) -> int:
+        return 4 * int(self.values.size)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What a robot says of itself: it has nothing to change (``quiet``) at its ``version`` given these of its
+    neighbours' (number, version). ``serial`` counts what it said.
+    """
+
+    robot: int
+    serial: int
+    version: int
+    quiet: bool
+    used: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Status:
+    """Without rounds: the latest standings of the sender and those below it: up the tree."""
+
+    sender: int
+    receiver: int
+    round: Round
+    standings: tuple[Standing, ...]
+
+    @property
+    def payload_bytes(self) -> int:
+        return sum(_STANDING.size + _USED.size * len(s.used) for s in self.standings)
+
+
+Message = Values | Report | Decision | Deltas | State | Status
+_STANDING = struct.Struct("<HHH?B")
+_USED = struct.Struct("<HH")
 
 
 def number_type(stage: Stage) -> str:
     """How the numbers of :class:`Values` travel: block descent starts from single precision and sends steps after."""
-    return "<f4" if stage is Stage.DESCENT else "<f8"
+    return "<f4" if stage in (Stage.DESCENT, Stage.FREE) else "<f8"
 
 
 def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
@@ -143,7 +201,7 @@ _SCALES = struct.Struct("<ff")
 def encode(message: Message) -> bytes:
     """The message as bytes, little endian: a header of 10, then its numbers."""
     r = message.round
-    kind = (Values, Report, Decision, Deltas).index(type(message))
+    kind = (Values, Report, Decision, Deltas, State, Status).index(type(message))
     head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
     match message:
         case Values():
@@ -154,6 +212,11 @@ def encode(message: Message) -> bytes:
             return head + _REPORT.pack(message.change, message.cost) + _pack(message.numbers)
         case Decision():
             return head + _DECISION.pack(message.go_on, message.cost) + _pack(message.numbers)
+        case State():
+            numbers = np.ascontiguousarray(message.values, dtype=number_type(r.stage)).tobytes()
+            return head + _USED.pack(message.version, message.used) + numbers
+        case Status():
+            return head + b"".join(_pack_standing(s) for s in message.standings)
 
 
 def decode(data: bytes) -> Message:
@@ -174,6 +237,11 @@ def decode(data: bytes) -> Message:
         if kind == 3:
             steps = np.frombuffer(body[_SCALES.size :], dtype="<i1").reshape(-1, width)
             return Deltas(sender, receiver, round_, _SCALES.unpack_from(body), steps)
+        if kind == 4:
+            values = np.frombuffer(body[_USED.size :], dtype=number_type(round_.stage)).reshape(-1, width)
+            return State(sender, receiver, round_, *_USED.unpack_from(body), values.astype(np.float64))
+        if kind == 5:
+            return Status(sender, receiver, round_, _unpack_standings(body))
     except (struct.error, ValueError) as error:
         raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
     raise BackendError(f"not a solver message: unknown kind {kind}")
@@ -185,3 +253,19 @@ def _pack(numbers: tuple[float, ...]) -> bytes:
 
 def _unpack(data: bytes) -> tuple[float, ...]:
     return tuple(np.frombuffer(data, dtype="<f4").astype(np.float64).tolist())
+
+
+def _pack_standing(s: Standing) -> bytes:
+    head = _STANDING.pack(s.robot, s.serial, s.version, s.quiet, len(s.used))
+    return head + b"".join(_USED.pack(*pair) for pair in s.used)
+
+
+def _unpack_standings(data: bytes) -> tuple[Standing, ...]:
+    standings, at = [], 0
+    while at < len(data):
+        robot, serial, version, quiet, count = _STANDING.unpack_from(data, at)
+        at += _STANDING.size
+        used = tuple(_USED.unpack_from(data, at + k * _USED.size) for k in range(count))
+        at += count * _USED.size
+        standings.append(Standing(robot, serial, version, quiet, used))
+    return tuple(standings)
