@@ -206,8 +206,8 @@ def _walk(
 
 
 def _stiffness(graph: Condensed, weights: Array) -> Array:
-    """Weight ``(n,)`` of the stiffest edge at each node, and not much less than that of the stiffest of all: a pose must
-    be as exact as any of its edges, among them those to others, is sensitive.
+    """Weight ``(n,)`` of the stiffest edge at each node, and not much less than that of the stiffest of all: a pose
+    must be as exact as any of its edges, among them those to others, is sensitive.
     """
     out = np.full(len(graph.nodes), 0.01 * weights.max(initial=0.0))
     for side in range(2):
