@@ -143,3 +143,39 @@ def test_derivatives_are_those_of_differences():
             for k, (i, j) in enumerate(problem.ends):
                 expected = J[k, :, axis] if i == node else J[k, :, 7 + axis] if j == node else np.zeros(7)
                 np.testing.assert_allclose(slope[k], expected, atol=1e-6)
+
+
+def test_gtsam_finds_the_same():
+    gtsam = pytest.importorskip("gtsam")
+    rng = np.random.default_rng(4)
+    truth = circle(60)
+    nodes = sorted(truth)
+    unit = dict(zip(nodes, np.exp(np.cumsum(0.01 * rng.normal(size=60))), strict=True))
+    sigma = np.array([0.01] * 3 + [0.001] * 3)
+    edges = [seen(truth, unit, a, b, EdgeKind.ODOMETRY, 1.0, sigma * rng.normal(size=6))
+             for a, b in itertools.pairwise(nodes)]  # fmt: skip
+    edges += [seen(truth, unit, nodes[59 - k], nodes[k], EdgeKind.LOOP, None, sigma * rng.normal(size=6))
+              for k in (0, 4, 8)]  # fmt: skip
+    result = optimise_similarity(PoseGraph({n: np.eye(4) for n in nodes}, tuple(edges)), SimilarityConfig())
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    # gtsam's similarity is s (R p + t), its tangent (turn, shift, log scale).
+    for k, n in enumerate(nodes):
+        S = result.poses[n]
+        values.insert(k, gtsam.Similarity3(gtsam.Rot3(S.rotation), S.translation / S.scale, S.scale))
+    tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-4)
+    factors.add(gtsam.PriorFactorSimilarity3(0, values.atSimilarity3(0), tight))
+    for e in edges:
+        s = 0.01 if e.kind is EdgeKind.ODOMETRY else 0.02
+        model = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.005] * 3 + [0.05] * 3 + [s]))
+        measured = gtsam.Similarity3(gtsam.Rot3(e.T_i_j[:3, :3]), e.T_i_j[:3, 3] / e.scale, e.scale)
+        factors.add(gtsam.BetweenFactorSimilarity3(e.i.index, e.j.index, measured, model))
+    solved = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+    there = [solved.atSimilarity3(k) for k in range(60)]
+    off = max(
+        np.linalg.norm(S.translation() * S.scale() - result.poses[n].translation)
+        for n, S in zip(nodes, there, strict=True)
+    )
+    # The two costs agree to first order in the residuals.
+    assert off < 0.005
+    scales = [S.scale() / result.poses[n].scale for n, S in zip(nodes, there, strict=True)]
+    np.testing.assert_allclose(scales, 1.0, atol=1e-3)
