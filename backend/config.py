@@ -126,3 +126,14 @@ class RobustConfig(BaseModel):
     clique_work: int = Field(5_000_000, ge=1, description="bound of the search for the largest consistent set, nodes")
     iterations: int = Field(100, ge=1, description="GNC steps at most")
     newton_steps: int = Field(10, ge=1, description="steps of the optimiser in each GNC step, at most")
+
+
+class SimilarityConfig(BaseModel):
+    """Central optimisation in which every node has a scale: monocular tracks, whose unit of length drifts."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    drift_sigma: float = Field(0.01, gt=0, description="1 sigma of the log scale's drift over an odometry edge")
+    match_sigma: float = Field(0.02, gt=0, description="1 sigma of the log scale that a loop or separator measures")
+    iterations: int = Field(50, ge=1, description="Gauss-Newton steps at most")
+    tolerance: float = Field(1e-10, ge=0, description="ends when the cost falls by less than this share")

@@ -37,9 +37,13 @@ class EdgeKind(StrEnum):
     SEPARATOR = "separator"
 
 
-def default_information() -> Array:
-    """Unit information ``(6, 6)``."""
-    return np.eye(6)
+def _check(what: str, T: Array, information: Array, weight: float) -> None:
+    if not is_se3(T):
+        raise BackendError(f"{what}: the relative pose is not a rigid transform")
+    if information.shape != (6, 6) or not np.isfinite(information).all():
+        raise BackendError(f"{what}: the information must be 6x6 and finite")
+    if not 0.0 <= weight <= 1.0:
+        raise BackendError(f"{what}: weight {weight} is outside 0 to 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,7 @@ class Edge:
     i: NodeId
     j: NodeId
     T_i_j: Array
-    information: Array = field(default_factory=default_information)
+    information: Array = field(default_factory=lambda: np.eye(6))
     kind: EdgeKind = EdgeKind.ODOMETRY
     scale: float = 1.0
     weight: float = 1.0
@@ -62,14 +66,9 @@ class Edge:
     def __post_init__(self) -> None:
         if self.i == self.j:
             raise BackendError(f"edge {self.i} - {self.j}: an edge joins two different nodes")
-        if not is_se3(self.T_i_j):
-            raise BackendError(f"edge {self.i} - {self.j}: the relative pose is not a rigid transform")
-        if self.information.shape != (6, 6) or not np.isfinite(self.information).all():
-            raise BackendError(f"edge {self.i} - {self.j}: the information must be 6x6 and finite")
+        _check(f"edge {self.i} - {self.j}", self.T_i_j, self.information, self.weight)
         if not (self.scale > 0 and np.isfinite(self.scale)):
             raise BackendError(f"edge {self.i} - {self.j}: scale {self.scale} is not positive")
-        if not 0.0 <= self.weight <= 1.0:
-            raise BackendError(f"edge {self.i} - {self.j}: weight {self.weight} is outside 0 to 1")
 
     @property
     def is_separator(self) -> bool:
@@ -86,16 +85,11 @@ class Prior:
 
     node: NodeId
     T_O_i: Array
-    information: Array = field(default_factory=default_information)
+    information: Array = field(default_factory=lambda: np.eye(6))
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        if not is_se3(self.T_O_i):
-            raise BackendError(f"prior on {self.node}: the pose is not a rigid transform")
-        if self.information.shape != (6, 6) or not np.isfinite(self.information).all():
-            raise BackendError(f"prior on {self.node}: the information must be 6x6 and finite")
-        if not 0.0 <= self.weight <= 1.0:
-            raise BackendError(f"prior on {self.node}: weight {self.weight} is outside 0 to 1")
+        _check(f"prior on {self.node}", self.T_O_i, self.information, self.weight)
 
 
 @dataclass(frozen=True, eq=False)

@@ -187,6 +187,7 @@ def _walk(
     for k, (i, j) in enumerate(graph.ends.tolist()):
         links[i].append((j, k))
         links[j].append((i, k))
+    kappa, tau = (_stiffness(graph, w) for w in (graph.kappa, graph.tau))
     seen = ~reached
     for root in range(len(graph.nodes)):
         if seen[root]:
@@ -200,6 +201,15 @@ def _walk(
                 if not seen[j]:
                     seen[j] = True
                     T = graph.measured[k] if graph.ends[k, 0] == i else se3_inverse(graph.measured[k])
-                    sizes = step_sizes(float(graph.kappa[k]), float(graph.tau[k]), fineness)
-                    yield j, i, known[i] @ T, sizes
+                    yield j, i, known[i] @ T, step_sizes(float(kappa[j]), float(tau[j]), fineness)
                     queue.append(j)
+
+
+def _stiffness(graph: Condensed, weights: Array) -> Array:
+    """Weight ``(n,)`` of the stiffest edge at each node, and not much less than that of the stiffest of all: a pose
+    must be as exact as any of its edges, among them those to others, is sensitive.
+    """
+    out = np.full(len(graph.nodes), 0.01 * weights.max(initial=0.0))
+    for side in range(2):
+        np.maximum.at(out, graph.ends[:, side], weights)
+    return out
