@@ -68,7 +68,7 @@ class SolverConfig(BaseModel):
     cost_tolerance: float = Field(1e-6, ge=0, description="block descent ends when the cost falls by less, as a share")
     cost_window: int = Field(5, ge=1, description="in so many sweeps")
     free_threshold: float = Field(
-        0.002, gt=0, description="rbcd-async: a separator's move that neighbours are told of, standard deviations"
+        0.05, gt=0, description="rbcd-async: a separator's move that neighbours are told of, standard deviations"
     )
     mixed_sweeps: int = Field(4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain")
     robust: Literal["none", "gnc"] = Field("none", description="graduated non-convexity on loops and separators (rbcd)")

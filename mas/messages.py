@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 
 from mas.identities import MAX_AGENTS, Agent, ContractId, FrameId, Index, MatchId, Members, Operation, Reason, Stamp
-from mas.solver_messages import SolverDecision, SolverReport, SolverValues
+from mas.solver_messages import SolverBody
 from mas.tasks import Outcome, Task
 from mas.tensors import EMPTY_SIM3S, MessageError, Tensor, check_sim3s
 
@@ -132,7 +132,7 @@ class GroupNotice(msgspec.Struct, frozen=True, array_like=True, tag=11):
 
 
 ContractBody = Call | Bid | Refusal | Award | Rejection | Confirmation | Result | Failure | Cancel
-Body = ContractBody | Begin | GroupNotice | SolverValues | SolverReport | SolverDecision
+Body = ContractBody | Begin | GroupNotice | SolverBody
 
 
 class Message(msgspec.Struct, frozen=True, array_like=True):

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from backend.distributed.messages import Message as SolverMessage
-from backend.distributed.node import Node
+from backend.distributed.methods import node_for
+from backend.distributed.rounds import Rounds
 from backend.distributed.share import Outcome as SolverOutcome
 from backend.errors import BackendError
 from mas.contract import Contract, ProtocolError, State
@@ -35,7 +36,7 @@ class Session:
 
     identity: ContractId | None
     task: OptimiseTask
-    node: Node
+    node: Rounds
     contract: Contract | None = None
     unconfirmed: set[int] = field(default_factory=set)
     begun: bool = False
@@ -97,7 +98,7 @@ class Optimisation(Trade):
             elif contract.state is State.BID:
                 self.desk.say(contract, Rejection("not connected"))
         task = found.tasks[me]
-        node = Node(share_of(self.state, task), self.state.config.optimisation.solver)
+        node = node_for(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
         self.session = Session(tender.identity if others else None, task, node, unconfirmed=others)
         if not others:
@@ -140,7 +141,7 @@ class Optimisation(Trade):
         if self.busy:
             raise WorkError("busy with an optimisation")
         try:
-            node = Node(share_of(self.state, task), self.state.config.optimisation.solver)
+            node = node_for(share_of(self.state, task), self.state.config.optimisation.solver)
         except (BackendError, ValueError) as error:
             raise WorkError(f"cannot take part: {error}") from error
         self.session = Session(contract.id, task, node, contract)
@@ -192,7 +193,9 @@ class Optimisation(Trade):
     def resend(self) -> None:
         """Say again what other members may have missed (transports that lose messages)."""
         if self.session is not None and self.session.begun:
-            self._send(self.session, self.session.node.tick())
+            session = self.session
+            self._send(session, session.node.tick())
+            self._finish_if_done(session)
 
     def _run(self, session: Session) -> None:
         session.begun = True

@@ -37,7 +37,6 @@ class BlockDescent:
         self.shared = np.array(sorted({r for rows in problem.sent_rows.values() for r in rows}), dtype=np.intp)
         self._bound = bound
         self._pieces: Pieces | None = None
-        self._last: Array | None = None
         if not warm:
             inner = (problem.ends < own).all(axis=1) & trusted
             weights = (problem.kappa, problem.tau)
@@ -65,30 +64,24 @@ class BlockDescent:
         """Place own pieces that have become tied; True if any was."""
         return self._pieces is not None and self._pieces.place(self.problem.poses, self.placed, self._bound)
 
-    def sweep(self, relaxation: float, momentum: float = 0.0) -> float:
-        """One block step; returns the root mean square change of an own pose (metres and radians).
-
-        ``momentum``: share of the last step that is added (heavy ball), dropped when the cost would rise by it.
-        """
+    def sweep(self, relaxation: float) -> float:
+        """One block step; returns the root mean square change of an own pose (metres and radians)."""
         problem = self.problem
         free = np.flatnonzero(self.placed[: problem.own_count])
         free = np.setdiff1d(free, problem.given)
         is_free = np.zeros(len(problem.nodes), dtype=bool)
         is_free[free] = True
-        used = self.placed[problem.ends].all(axis=1) & is_free[problem.ends].any(axis=1)
+        used = np.asarray(self.placed[problem.ends].all(axis=1) & is_free[problem.ends].any(axis=1))
         if not len(free) or not used.any():
             return 0.0
         free = np.intersect1d(free, problem.ends[used])
         step = self._newton_step(free, used)
         start, before = problem.poses[free].copy(), self._local_cost(used)
-        last = self._last if self._last is not None and self._last.shape == step.shape else np.zeros_like(step)
-        for tried in (relaxation * step + momentum * last, *(share * step for share in (relaxation, *_SHORTER))):
-            problem.poses[free] = move(start, tried)
+        for share in (relaxation, *_SHORTER):
+            problem.poses[free] = move(start, share * step)
             if self._local_cost(used) <= before:
-                self._last = tried
-                return float(np.sqrt((tried**2).sum(axis=1).mean()))
+                return float(share * np.sqrt((step**2).sum(axis=1).mean()))
         problem.poses[free] = start
-        self._last = None
         return 0.0
 
     def _newton_step(self, free: NDArray[np.intp], used: NDArray[np.bool_]) -> Array:

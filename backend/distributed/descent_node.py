@@ -23,6 +23,9 @@ from backend.errors import BackendError
 from backend.geometry import Array, se3, so3_exp
 from backend.robust.schedule import settled
 
+# F counts squared standard deviations: a smaller fall matters to nobody.
+_NOTHING = 1e-9
+
 
 class DescentNode(StagedNode):
     """Riemannian block-coordinate descent to the optimum of F; see :class:`Rounds` for its use.
@@ -163,7 +166,7 @@ class DescentNode(StagedNode):
         if len(costs) <= window:
             return len(costs) < limit
         fall = min(costs[:-window]) - min(costs)
-        return len(costs) < limit and fall > self._config.cost_tolerance * min(costs) + 1e-14 * costs[0]
+        return len(costs) < limit and fall > self._config.cost_tolerance * min(costs) + _NOTHING
 
     def _stay(self, decision: Decision) -> None:
         if self._round.stage is not Stage.DESCENT:

@@ -25,8 +25,8 @@ class Stage(IntEnum):
     START = 1
     ROTATION = 2
     POSE = 3
-    DESCENT = 4
-    FREE = 5
+    FREE = 4
+    DESCENT = 5
     COST = 6
 
 
@@ -239,7 +239,8 @@ def decode(data: bytes) -> Message:
             return Deltas(sender, receiver, round_, _SCALES.unpack_from(body), steps)
         if kind == 4:
             values = np.frombuffer(body[_USED.size :], dtype=number_type(round_.stage)).reshape(-1, width)
-            return State(sender, receiver, round_, *_USED.unpack_from(body), values.astype(np.float64))
+            version, used = _USED.unpack_from(body)
+            return State(sender, receiver, round_, version, used, values.astype(np.float64))
         if kind == 5:
             return Status(sender, receiver, round_, _unpack_standings(body))
     except (struct.error, ValueError) as error:

@@ -81,7 +81,8 @@ class JudgedEdge:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a node ends with; acceptance, reason, costs and sweep counts are the same at every member.
+    """What a node ends with; acceptance, reason and costs are the same at every member, as are sweep counts where all
+    work in rounds.
 
     ``poses`` of its own nodes in the anchor's frame and unit; where ``accepted`` is False, or in ``unreached``, the
     old ones. ``scales``: for this robot and its neighbours, the factor from their unit to the common one (all 1

@@ -95,7 +95,9 @@ def test_the_published_stop_rule_ends_where_it_was_published(count, rotation, po
     assert 100 * (cost(result.graph, "U") / U_BEST[count] - 1) == pytest.approx(gap_percent, abs=0.01)
 
 
-@pytest.mark.parametrize(("count", "reference_bytes"), [(2, 4000), (4, 18_432), (9, 60_000), (16, 166_000), (25, 323_000)])
+@pytest.mark.parametrize(
+    ("count", "reference_bytes"), [(2, 4000), (4, 18_432), (9, 60_000), (16, 166_000), (25, 323_000)]
+)
 def test_the_quick_schedule_ends_within_one_percent_in_the_published_bytes(count, reference_bytes):
     result = optimise_distributed(robots(count).with_unit_weights(), SolverConfig.quick())
     assert cost(result.graph, "U") < 1.01 * U_BEST[count]

@@ -7,7 +7,14 @@ import numpy as np
 from backend.geometry import Sim3
 from mas.identities import ContractId, FrameId, MatchId, Operation
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
-from mas.solver_messages import SolverReport, SolverValues
+from mas.solver_messages import (
+    SolverReport,
+    SolverStanding,
+    SolverState,
+    SolverStatus,
+    SolverSteps,
+    SolverValues,
+)
 from mas.tasks import OptimiseAnswer, PlaceAnswer, PlaceQuery, SubMap, VerifyTask
 from mas.tensors import Tensor, pack_poses, pack_sim3s
 
@@ -60,5 +67,9 @@ def examples() -> list[Message]:
         Result(OptimiseAnswer(True, 2.0, 1.0, 30)),
         SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
         SolverReport(2, 0, 1, float("inf"), 3.0),
+        SolverReport(4, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
+        SolverSteps(4, 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
+        SolverState(3, 2, Tensor.of(np.zeros((2, 6)), "<f4")),
+        SolverStatus((SolverStanding(1, 2, 3, True, ((0, 4),)),)),
     ]
     return [*(Message(0, 1, contract, b) for b in bodies), Message(0, 1, None, GroupNotice((0, 1, 2)))]
