@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from descriptors.codebooks import Codebooks, codebooks_path
 from descriptors.codes import PRODUCT_CODES, Coder
 from descriptors.inference import NetVlad, to_working_size
+from descriptors.scene import Scene
 from frontend.vocabulary import BagOfWords, Vocabulary, WordIndex
 from tools.netvlad_sift import SiftVlad
 
@@ -57,8 +58,10 @@ def netvlad_methods(nets: Sequence[NetVlad]) -> list[Method]:
 def netvlad_method(model: str | Path | NetVlad = "default", name: str = "") -> Method:
     """A shipped or a user's ONNX model, with each code there is for it."""
     net = model if isinstance(model, NetVlad) else NetVlad.load(model)
-    codes = tuple(coded(Coder.of(net, code)) for code in codes_of(net))
-    return Method(name or f"netvlad:{net.name}", lambda image: net.describe([image])[0], codes, net.colour)
+    coders = [Coder.of(net, code) for code in codes_of(net)]
+    codes = [coded(coder) for coder in coders]
+    codes += [asked_in_code(coder) for coder in coders if coder.code in PRODUCT_CODES]
+    return Method(name or f"netvlad:{net.name}", lambda image: net.describe([image])[0], tuple(codes), net.colour)
 
 
 def codes_of(net: NetVlad) -> list[str]:
@@ -146,17 +149,32 @@ def random_method(images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Method:
 
 def coded(coder: Coder, name: str = "", prepare: Callable[[Vectors], Vectors] | None = None) -> Code:
     """Vectors as ``coder`` sends them: references decoded, compared with whole queries. ``prepare`` is done to the rows
-    of both before."""
+    of both before. Product codes are sharpened by what the asking side knows of its own images, as a receiver does."""
 
     def distances(queries: Sequence[Any], references: Sequence[Any]) -> NDArray[np.float32]:
         asked, known = (np.stack(side) for side in (queries, references))
         if prepare is not None:
             asked, known = prepare(asked), prepare(known)
-        return euclidean(coder.cut(asked), coder.decode(coder.encode(known)))
+        decoded = coder.decode(coder.encode(known))
+        if coder.code in PRODUCT_CODES:
+            decoded = Scene.of(coder, asked).sharpened(decoded)
+        return euclidean(coder.cut(asked), decoded)
 
     return Code(name or coder.code, lambda _: coder.bytes, distances)
 
 
+def asked_in_code(coder: Coder) -> Code:
+    """The other way round: a query comes coded, and the one who is asked compares it with its own whole vectors. Of
+    codes that are fine enough it makes no difference."""
+
+    def distances(queries: Sequence[Any], references: Sequence[Any]) -> NDArray[np.float32]:
+        asked, known = (np.stack(side) for side in (queries, references))
+        return euclidean(coder.decode(coder.encode(asked)), coder.cut(known))
+
+    return Code(f"{coder.code}-query", lambda _: coder.bytes, distances)
+
+
 def euclidean(queries: Vectors, references: Vectors) -> NDArray[np.float32]:
-    """Distances ``(Q, R)`` between unit rows."""
-    return np.asarray(np.sqrt(np.maximum(2.0 - 2.0 * (queries @ references.T), 0.0)), dtype=np.float32)
+    """Distances ``(Q, R)`` between rows."""
+    squares = (queries**2).sum(axis=1)[:, None] + (references**2).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(squares - 2.0 * (queries @ references.T), 0.0)), dtype=np.float32)
