@@ -14,7 +14,6 @@ from mas.errors import MasError
 from mas.policy import logic
 from mas.policy.logic import Numbers, Programme, Situation, decide, programme, solve
 
-
 FLAGS = tuple(product((-1, 1), repeat=2))
 
 

@@ -38,8 +38,8 @@ def test_answers_of_agents_not_asked_last_time_do_not_count() -> None:
     ("previous", "distances"),
     [
         ({1}, {1: 0.7}),
-        ({1, 2, 3, 4, 5}, {a: 0.7 for a in OTHERS}),
-        ({1, 2, 3, 4, 5}, {a: 0.0 for a in OTHERS}),
+        ({1, 2, 3, 4, 5}, dict.fromkeys(OTHERS, 0.7)),
+        ({1, 2, 3, 4, 5}, dict.fromkeys(OTHERS, 0.0)),
         ({1, 2, 3, 4, 5}, {}),
         ({1, 2}, {2: 0.4}),
         ({7}, {7: 0.4}),
@@ -53,7 +53,7 @@ def test_whatever_happened_everyone_can_be_drawn(previous: set[int], distances: 
 
 
 def test_equally_far_agents_are_equally_likely() -> None:
-    np.testing.assert_allclose(weights(OTHERS, set(), set(OTHERS), {a: 0.7 for a in OTHERS}), [0.2] * 5)
+    np.testing.assert_allclose(weights(OTHERS, set(), set(OTHERS), dict.fromkeys(OTHERS, 0.7)), [0.2] * 5)
 
 
 def test_the_silent_count_as_the_farthest() -> None:
