@@ -8,9 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from descriptors.card import model_path
 from descriptors.codes import Coder
 from descriptors.errors import DescriptorError
@@ -20,7 +17,7 @@ from mas.errors import MasError
 from mas.keyframe import KeyFrame, keyframes_of
 from mas.messages import Message
 from mas.metrics import Onlooker, groups_of
-from mas.policy.clusters import centres_of
+from mas.policy.clusters import centres_before
 from mas.policy.presets import policy_of
 from mas.recorder import Recorder, match_errors
 from mas.report import summarise
@@ -139,7 +136,7 @@ def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: 
         raise MasError("no agents to run")
     wanted = manifest.descriptor
     coder = coder_of(manifest, config.places.code)
-    centres = _centres(manifest, sequences, config, coder) if config.policy == "clustered" else None
+    centres = centres_before(manifest, sequences, config, coder) if config.policy == "clustered" else None
     agents = []
     for me, sequence in enumerate(sequences):
         if (sequence.places.sha256, sequence.places.dim) != (wanted.sha256, wanted.dim):
@@ -153,28 +150,6 @@ def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: 
         profile = Profile(me, others, sequence.metric, wanted.sha256, wanted.threshold, coder, centres)
         agents.append(Agent(profile, config, policy_of(config, me)))
     return agents
-
-
-def _centres(
-    manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, coder: Coder
-) -> NDArray[np.float32]:
-    """Centres of clusters of place vectors, one an agent, known before the run: from other images if the settings name
-    some, else from the run's own, the best that the predecessor's clusters could be."""
-    places = [s.places for s in sequences]
-    if config.places.centres_from is not None:
-        from descriptors.container import PlaceVectors
-
-        try:
-            places = [PlaceVectors.load(Path(config.places.centres_from))]
-        except (DescriptorError, OSError) as error:
-            raise MasError(f"places.centres_from: {error}") from error
-        if (places[0].sha256, places[0].dim) != (manifest.descriptor.sha256, manifest.descriptor.dim):
-            raise MasError(
-                f"places.centres_from: {config.places.centres_from} is of model {places[0].name}, the agents' vectors "
-                f"are of {manifest.descriptor.name}"
-            )
-    known = np.concatenate([p.vectors[p.textured] for p in places]).astype(np.float32)
-    return centres_of(coder.cut(known), len(sequences), np.random.default_rng([config.seed, len(sequences)]))
 
 
 def coder_of(manifest: Manifest, code: str) -> Coder:

@@ -79,7 +79,7 @@ class PlaceRecognition(Trade):
             raise WorkError("not a place query")
         vector = self._decoded(task)
         respond = self._answer_as_owner if isinstance(task, OwnerQuery) else self._answer
-        answer = respond(contract.manager, task.keyframe, vector)
+        answer: Outcome = respond(contract.manager, task.keyframe, vector)
         self.desk.say(contract, Confirmation())
         self.desk.say(contract, Result(answer))
 
@@ -89,11 +89,11 @@ class PlaceRecognition(Trade):
             return PlaceAnswer(None, _FARTHEST)
         return PlaceAnswer(*found[1:]) if found[0] == keyframe else EarlierAnswer(*found)
 
-    def _answer_as_owner(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceAnswer | PlaceRedirect:
+    def _answer_as_owner(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceRedirect:
         found = self._cluster.nearest(vector, asker)
         self._cluster.remember(asker, keyframe, vector)
         if found is None:
-            return PlaceAnswer(None, _FARTHEST)
+            return PlaceRedirect(None, None, _FARTHEST)
         return PlaceRedirect(found[0], found[1], self.book.restored(found[2]))
 
     def _coded(self, keyframe: int) -> NDArray[np.uint8]:
@@ -114,29 +114,27 @@ class PlaceRecognition(Trade):
         keyframe = self._asked.get(contract.id)
         if not isinstance(outcome, PlaceAnswer | EarlierAnswer | PlaceRedirect) or keyframe is None:
             raise WorkError("not the answer to this query")
-        other = contract.contractor
-        self.distances[other] = outcome.distance
-        if isinstance(outcome, EarlierAnswer):
-            if outcome.query >= keyframe:
-                raise WorkError(f"key-frame {outcome.query} is not an earlier one than {keyframe}")
-            keyframe = outcome.query
-        elif isinstance(outcome, PlaceRedirect):
-            other = outcome.agent
-            if other not in self.state.profile.others:
-                raise WorkError(f"redirected to agent {other}, which I cannot ask")
-        if outcome.keyframe is not None:
-            self._consider(MatchId(self.state.me, keyframe, other, outcome.keyframe), outcome.distance)
+        self._consider(keyframe, contract.contractor, outcome)
+        self.distances[contract.contractor] = outcome.distance
 
-    def _consider(self, match: MatchId, distance: float) -> None:
-        if distance < self.threshold:
-            self.verification.request(Candidate(match, self.desk.now_ns, distance))
+    def _consider(self, keyframe: int, other: int, answer: PlaceAnswer | EarlierAnswer | PlaceRedirect) -> None:
+        """Have the match that an answer names verified, if it is near enough."""
+        if isinstance(answer, EarlierAnswer):
+            if answer.query >= keyframe:
+                raise WorkError(f"key-frame {answer.query} is not an earlier one than {keyframe}")
+            keyframe = answer.query
+        elif isinstance(answer, PlaceRedirect) and answer.agent is not None:
+            other = answer.agent
+            if other not in self.state.profile.others:
+                raise WorkError(f"redirected to agent {other}, which cannot be asked")
+        if answer.keyframe is not None and answer.distance < self.threshold:
+            match = MatchId(self.state.me, keyframe, other, answer.keyframe)
+            self.verification.request(Candidate(match, self.desk.now_ns, answer.distance))
 
     def _ask_own_log(self, keyframe: int) -> None:
         """The agent owns the cluster of its own key-frame: no message needed. It compares what would have travelled."""
         vector = self.state.profile.coder.decode(self._coded(keyframe)[None])[0]
-        answer = self._answer_as_owner(self.state.me, keyframe, vector)
-        if isinstance(answer, PlaceRedirect):
-            self._consider(MatchId(self.state.me, keyframe, answer.agent, answer.keyframe), answer.distance)
+        self._consider(keyframe, self.state.me, self._answer_as_owner(self.state.me, keyframe, vector))
 
     def on_end(self, contract: Contract) -> None:
         if contract.manager != self.state.me:

@@ -121,11 +121,15 @@ class EarlierAnswer(msgspec.Struct, frozen=True, array_like=True, tag=5):
 
 class PlaceRedirect(msgspec.Struct, frozen=True, array_like=True, tag=6):
     """The owner of a cluster: key-frame ``keyframe`` of ``agent`` (the owner itself or any other) is the nearest that
-    it was asked about."""
+    it was asked about; both None: it was asked about none of others yet."""
 
-    agent: Agent
-    keyframe: Index
+    agent: Agent | None
+    keyframe: Index | None
     distance: Annotated[float, msgspec.Meta(ge=0, le=2.001)]
+
+    def __post_init__(self) -> None:
+        if (self.agent is None) != (self.keyframe is None):
+            raise ValueError("agent: a redirect without its key-frame, or the other way round")
 
 
 class VerifyAnswer(msgspec.Struct, frozen=True, array_like=True, tag=2):

@@ -13,7 +13,7 @@ from mas.state import AgentState
 
 class Autonomous:
     """Algorithms 2 and 3 decide anew at each key-frame; with a generator, Algorithm 4 draws whom to ask, without one
-    those whom it asked longest ago come first: the thesis does not say, and nobody may be left out for good.
+    those whom it asked least often come first: the thesis does not say, and nobody may be left out for good.
 
     The number of maps to buy stands until it is used, because map merging follows the optimisation (3.9.1) and is
     decided before it. When all sequences are over nothing is asked any more, and the final consistency round (4.3) is
@@ -27,18 +27,18 @@ class Autonomous:
         self._matches = 0
         self._group = 1
         self._previous: frozenset[int] = frozenset()
-        self._asked_at: dict[int, int] = {}
+        self._times_asked: dict[int, int] = {}
 
     def ask(self, state: AgentState, outlook: Outlook, keyframe: int) -> list[int]:
         self._decide(state)
         count = self._numbers.ask
         others = state.profile.others
         if self._rng is None:
-            chosen = sorted(sorted(others, key=lambda a: (self._asked_at.get(a, -1), a))[:count])
+            chosen = sorted(sorted(others, key=lambda a: (self._times_asked.get(a, 0), a))[:count])
         else:
             likely = weights(others, state.group, self._previous, outlook.distances)
             chosen = draw(others, likely, count, self._rng)
-        self._asked_at.update(dict.fromkeys(chosen, keyframe))
+        self._times_asked.update({a: self._times_asked.get(a, 0) + 1 for a in chosen})
         if chosen:
             self._previous = frozenset(chosen)
         return chosen
@@ -63,9 +63,8 @@ class Autonomous:
 
     def _decide(self, state: AgentState) -> None:
         matches, group = len(state.accepted), len(state.group)
-        situation = Situation(
-            len(state.profile.others) + 1, group - 1, matches > self._matches, group > self._group
-        )
+        agents = len(state.profile.others) + 1
+        situation = Situation(agents, group - 1, matches > self._matches, group > self._group)
         self._numbers = decide(situation)
         self._merge = max(self._merge, self._numbers.merge)
         self._matches, self._group = matches, group
