@@ -85,8 +85,22 @@ def test_place_recognition_costs_less_from_system_to_system(six: dict[str, Playe
     assert bytes_of["predecessor"] < bytes_of["selection"] < bytes_of["optimised"] < bytes_of["default"]
 
 
-def test_the_predecessor_optimises_more_often_than_who_waits(six: dict[str, Played]) -> None:
-    assert six["predecessor"].summary.optimisations.count > six["default"].summary.optimisations.count
+def slowest_answer_s(played: Played) -> float:
+    """The longest logical time from a match's acceptance to an optimisation of both its agents."""
+    lines = (played.folder / "events.jsonl").read_text().splitlines()
+    events = [json.loads(line) for line in lines]
+    optimised = [(e["time_s"], set(e["members"])) for e in events if e["event"] == "optimised"]
+    waits = []
+    for event in (e for e in events if e["event"] == "match"):
+        agents = {int(end.partition(":")[0]) for end in event["match"].split(" - ")}
+        waits.append(min(at for at, members in optimised if at > event["time_s"] and agents <= members))
+        waits[-1] -= event["time_s"]
+    return max(waits)
+
+
+def test_the_predecessor_optimises_in_the_next_step_and_others_wait(six: dict[str, Played]) -> None:
+    step_s = preset("predecessor").step_s
+    assert slowest_answer_s(six["predecessor"]) <= step_s < slowest_answer_s(six["default"])
 
 
 def test_selection_saves_a_third_of_the_optimised_systems_questions(ten: dict[str, Played]) -> None:
