@@ -121,7 +121,7 @@ class PlaceBook:
         if turned in self.state.verified or turned in self.candidates:
             return "known already"
         config = self.state.config.places
-        recent = [q for q in self.verified.get(match.match_agent, []) if 0 <= match.query - q <= config.gap_keyframes]
+        recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
         if len(recent) > self.state.config.consistency.min_support:
             return "soon after verified matches"
         last = self.last_matched.get(match.match_agent)

@@ -40,6 +40,7 @@ class PlaceRecognition(Trade):
         self._asked: dict[ContractId, int] = {}
         self._cluster = ClusterLog()
         self._latest = LatestQueries(book, desk.state.config.places.latest_frames)
+        self._sent: dict[int, set[int]] = {}
         self.distances: dict[int, float] = {}
 
     @property
@@ -58,6 +59,7 @@ class PlaceRecognition(Trade):
             self._ask_own_log(keyframe)
         for other in sorted(asked - {self.state.me}):
             self._waiting.setdefault(other, deque()).append(keyframe)
+            self._sent.setdefault(other, set()).add(keyframe)
         self._next(sorted(self._waiting))
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
@@ -114,14 +116,25 @@ class PlaceRecognition(Trade):
         keyframe = self._asked.get(contract.id)
         if not isinstance(outcome, PlaceAnswer | EarlierAnswer | PlaceRedirect) or keyframe is None:
             raise WorkError("not the answer to this query")
-        self._consider(keyframe, contract.contractor, outcome)
-        self.distances[contract.contractor] = outcome.distance
+        other = contract.contractor
+        self._consider(keyframe, other, outcome)
+        self.distances[other] = outcome.distance
+        if outcome.distance < self.threshold and self.state.profile.centres is None:
+            self._catch_up(other)
+
+    def _catch_up(self, other: int) -> None:
+        """Where one key-frame was recognised, ask about those of the latest that this agent was not asked about:
+        one match may fail its verification or find no support (thesis section 4.3)."""
+        newest, latest = len(self.state.keyframes) - 1, self.state.config.places.latest_frames
+        if latest > 1:
+            for keyframe in sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self._sent[other]):
+                self.ask(keyframe, [other])
 
     def _consider(self, keyframe: int, other: int, answer: PlaceAnswer | EarlierAnswer | PlaceRedirect) -> None:
         """Have the match that an answer names verified, if it is near enough."""
         if isinstance(answer, EarlierAnswer):
-            if answer.query >= keyframe:
-                raise WorkError(f"key-frame {answer.query} is not an earlier one than {keyframe}")
+            if answer.query not in self._sent.get(other, ()):
+                raise WorkError(f"agent {other} was not asked about key-frame {answer.query}")
             keyframe = answer.query
         elif isinstance(answer, PlaceRedirect) and answer.agent is not None:
             other = answer.agent

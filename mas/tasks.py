@@ -111,8 +111,8 @@ class PlaceAnswer(msgspec.Struct, frozen=True, array_like=True, tag=1):
 
 
 class EarlierAnswer(msgspec.Struct, frozen=True, array_like=True, tag=5):
-    """Not for the key-frame just asked about, but for an earlier one of the manager, ``query``, there is now a near
-    key-frame here."""
+    """Not for the key-frame just asked about, but for another that the manager asked about earlier, ``query``, there is
+    now a nearer key-frame here."""
 
     query: Index
     keyframe: Index

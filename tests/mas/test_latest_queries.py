@@ -11,7 +11,9 @@ from mas.environment import make_agents
 from mas.keyframe import KeyFrame, keyframes_of
 from mas.messages import Award, Message, Result
 from mas.placelog import LatestQueries
+from mas.policy.base import Outlook
 from mas.policy.presets import preset
+from mas.state import AgentState
 from mas.tasks import EarlierAnswer, PlaceAnswer, PlaceQuery
 
 
@@ -84,7 +86,7 @@ def test_an_earlier_query_is_matched_when_the_other_agent_gets_there() -> None:
     assert [(c.id.query, c.id.match) for c in agents[0].book.candidates.values()] == [(1, 1)]
 
 
-def test_an_answer_for_a_key_frame_to_come_is_refused() -> None:
+def test_an_answer_for_a_key_frame_never_asked_about_is_refused() -> None:
     agents, keyframes = pair()
     for agent, own in zip(agents, keyframes, strict=True):
         agent.observe(own[0])
@@ -96,7 +98,7 @@ def test_an_answer_for_a_key_frame_to_come_is_refused() -> None:
     confirmed, result = agents[1].handle(award)
     agents[0].handle(confirmed)
     agents[0].handle(Message(result.sender, result.recipient, result.contract, Result(EarlierAnswer(3, 0, 0.1))))
-    assert [r.reason for r in agents[0].refused] == ["key-frame 3 is not an earlier one than 0"]
+    assert [r.reason for r in agents[0].refused] == ["agent 1 was not asked about key-frame 3"]
     assert not agents[0].book.candidates
 
 
@@ -104,3 +106,53 @@ def _renumbered(keyframe: KeyFrame, index: int) -> KeyFrame:
     from dataclasses import replace
 
     return replace(keyframe, index=index)
+
+
+def asked_about(agents: list[Agent], mail: list[Message]) -> list[int]:
+    """Deliver everything; the key-frames that were asked about, in order."""
+    keyframes = []
+    while mail:
+        message = mail.pop(0)
+        if isinstance(message.body, Award) and isinstance(message.body.task, PlaceQuery):
+            keyframes.append(message.body.task.keyframe)
+        mail += agents[message.recipient].handle(message)
+    return keyframes
+
+
+class OnlyTheLast:
+    """A policy that asks about one key-frame."""
+
+    def __init__(self, keyframe: int) -> None:
+        self.keyframe = keyframe
+
+    def ask(self, state: AgentState, outlook: Outlook, keyframe: int) -> list[int]:
+        return [1] if keyframe == self.keyframe else []
+
+    def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
+        return []
+
+    def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
+        return []
+
+
+@pytest.mark.parametrize(("there", "expected"), [(6, [6, 2, 3, 4, 5]), (15, [6])])
+def test_where_one_frame_is_recognised_the_latest_five_are_asked_about(there: int, expected: list[int]) -> None:
+    """Agent 1 has seen the place of key-frame ``there`` only; agent 0 asks about its seventh, key-frame 6."""
+    agents, keyframes = pair()
+    agents[0].policy = OnlyTheLast(6)
+    agents[1].observe(_renumbered(keyframes[1][there], 0))
+    for keyframe in keyframes[0][:7]:
+        agents[0].observe(keyframe)
+    assert asked_about(agents, agents[0].tick(0)) == expected
+    # Nothing is asked twice.
+    assert asked_about(agents, agents[0].tick(1)) == []
+
+
+def test_with_one_frame_only_nothing_is_asked_beyond_the_policys_wish() -> None:
+    manifest, sequences = town(2, 16, spacing_m=0.0)
+    agents = make_agents(manifest, sequences, preset("default"))
+    agents[0].policy = OnlyTheLast(6)
+    agents[1].observe(keyframes_of(sequences[1])[0])
+    for keyframe in keyframes_of(sequences[0])[:7]:
+        agents[0].observe(keyframe)
+    assert asked_about(agents, agents[0].tick(0)) == [6]
