@@ -16,8 +16,8 @@ class Autonomous:
     those whom it asked least often come first: the thesis does not say, and nobody may be left out for good.
 
     The number of maps to buy stands until it is used, because map merging follows the optimisation (3.9.1) and is
-    decided before it. When all sequences are over nothing is asked any more, and the final consistency round (4.3) is
-    the default system's: optimise what is new with all, buy until nothing is new.
+    decided before it. When all sequences are over nothing is asked any more: optimise what is new with all, and buy
+    until nothing is new, the final round of section 4.3.
     """
 
     def __init__(self, rng: np.random.Generator | None = None) -> None:

@@ -34,7 +34,9 @@ _OPTIMISED = MasConfig(
 
 PRESETS: dict[str, MasConfig] = {
     "predecessor": _PREDECESSOR,
-    "default": MasConfig(preset="default", places=PlacesConfig(code="float32")),
+    "default": MasConfig(
+        preset="default", places=PlacesConfig(code="float32"), merge=MergeConfig(closing_rounds=0)
+    ),
     "optimised": _OPTIMISED,
     "selection": _OPTIMISED.model_copy(update={"preset": "selection", "policy": "selection"}),
     "maslam": MasConfig(
@@ -45,8 +47,8 @@ PRESETS: dict[str, MasConfig] = {
 }
 """The thesis's four systems, and ours.
 
-``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic.
-``optimised`` (4.3): Algorithms 2 and 3, latest five frames. ``selection`` (4.4): the same with Algorithm 4.
+``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no purchases
+once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases. ``selection`` (4.4): the same with Algorithm 4.
 ``maslam``: the default of the command: does not ask where the answer could not be used, buys maps less often while
 driving and with the points that a key-frame needs to be recognised, and sends place vectors as int8, a byte a number.
 
