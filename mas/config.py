@@ -27,7 +27,7 @@ class PlacesConfig(_Section):
         description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16",
     )
     latest_frames: int = Field(
-        1, ge=1, description="an asked agent also compares its new key-frames with the asker's earlier queries, so many"
+        1, ge=1, description="key-frames of an asker that are matched: earlier queries again, unsent ones after a hit"
     )
     centres_from: str | None = Field(
         None,

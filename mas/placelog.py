@@ -18,30 +18,35 @@ class ClusterLog:
     """All key-frames whose vectors fell into the cluster that this agent owns, whoever's they are (thesis sections
     2.2.3 and 3.5; Cieslewski and Scaramuzza 2017)."""
 
-    _agents: list[int] = field(default_factory=list)
-    _keyframes: list[int] = field(default_factory=list)
-    _vectors: list[Vector] = field(default_factory=list)
+    _who: list[tuple[int, int]] = field(default_factory=list)
     _known: set[tuple[int, int]] = field(default_factory=set)
+    # Room for vectors (n, d) and whose they are (n,), doubled when it is full.
+    _vectors: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.float32))
+    _agents: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def remember(self, agent: int, keyframe: int, vector: Vector) -> None:
         """Log a key-frame, decoded ``(d,)``; one that is known stays as it is."""
         if (agent, keyframe) in self._known:
             return
+        row = len(self._who)
+        if row == len(self._agents):
+            room = np.empty((max(2 * row, 64), len(vector)), dtype=np.float32)
+            if row:
+                room[:row] = self._vectors
+            self._vectors, self._agents = room, np.resize(self._agents, len(room))
+        self._vectors[row], self._agents[row] = vector, agent
+        self._who.append((agent, keyframe))
         self._known.add((agent, keyframe))
-        self._agents.append(agent)
-        self._keyframes.append(keyframe)
-        self._vectors.append(vector)
 
     def nearest(self, vector: Vector, asker: int) -> tuple[int, int, float] | None:
         """Agent, key-frame and Euclidean distance of the nearest logged one that is not the asker's own; the older of
         equals; None where there is none."""
-        others = np.flatnonzero(np.array(self._agents, dtype=np.int64) != asker)
+        others = np.flatnonzero(self._agents[: len(self._who)] != asker)
         if not len(others):
             return None
-        apart = np.linalg.norm(np.array([self._vectors[i] for i in others]) - vector, axis=1)
+        apart = np.linalg.norm(self._vectors[others] - vector, axis=1)
         best = int(apart.argmin())
-        at = int(others[best])
-        return self._agents[at], self._keyframes[at], float(apart[best])
+        return *self._who[int(others[best])], float(apart[best])
 
 
 @dataclass(eq=False)

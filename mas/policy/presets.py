@@ -47,10 +47,11 @@ PRESETS: dict[str, MasConfig] = {
 }
 """The thesis's four systems, and ours.
 
-``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no purchases
-once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases. ``selection`` (4.4): the same with Algorithm 4.
-``maslam``: the default of the command: does not ask where the answer could not be used, buys maps less often while
-driving and with the points that a key-frame needs to be recognised, and sends place vectors as int8, a byte a number.
+``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no
+purchases once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases.
+``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: does not ask where the answer
+could not be used, buys maps less often while driving and with the points that a key-frame needs to be recognised, and
+sends place vectors as int8, a byte a number.
 
 Distances below which places match belong to a network: all presets use the model's calibrated one, not the thesis's
 0.02 or the predecessor's 0.1.

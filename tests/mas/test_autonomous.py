@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from factory import town
 
 from mas.agent import Agent
@@ -103,6 +104,16 @@ def test_selection_draws_by_weight_with_a_generator_of_its_own() -> None:
     assert asked(0) != asked(1) and asked(0) != asked(0, seed=1)
     assert all(len(set(a)) == len(a) and 0 not in a for a in asked(0))
     assert 0.4 * 9 < np.mean([len(a) for a in asked(0)]) < 0.7 * 9
+
+
+@pytest.mark.parametrize(("agents", "share"), [(10, 0.65), (20, 0.55)])
+def test_selection_asks_about_half_of_whom_the_logic_allows(agents: int, share: float) -> None:
+    state, rng = state_of(agents), np.random.default_rng(0)
+    policy, counts = Autonomous(np.random.default_rng(1)), []
+    for k in range(200):
+        far = dict(zip(range(1, agents), rng.uniform(0.6, 1.3, agents - 1), strict=True))
+        counts.append(len(policy.ask(state, outlook(distances=far), k)))
+    assert np.mean(counts) <= share * (agents - 2)
 
 
 def test_selection_prefers_near_members_of_the_group_and_those_not_asked_last_time() -> None:

@@ -17,7 +17,6 @@ from mas.environment import run
 from mas.policy.presets import preset
 from mas.summary import Summary
 
-
 # The default system, but with the last purchases that the thesis has from its optimised system on.
 SYSTEM = preset("default").model_copy(update={"merge": MergeConfig()})
 
