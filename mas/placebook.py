@@ -121,6 +121,7 @@ class PlaceBook:
         if turned in self.state.verified or turned in self.candidates:
             return "known already"
         config = self.state.config.places
+        # On both sides: an earlier key-frame may be asked about later.
         recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
         if len(recent) > self.state.config.consistency.min_support:
             return "soon after verified matches"

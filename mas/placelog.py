@@ -79,6 +79,8 @@ class LatestQueries:
         queries = self._queries.setdefault(asker, deque(maxlen=self.latest))
         if self.latest > 1:
             count = len(self.book.state.keyframes)
+            for repeated in [q for q in queries if q.keyframe == keyframe]:
+                queries.remove(repeated)
             queries.append(_Earlier(keyframe, vector, count))
             for earlier in queries:
                 new = self.book.nearest_of_new(earlier.vector, earlier.compared)

@@ -58,6 +58,18 @@ def test_askers_are_kept_apart_and_one_frame_only_means_no_memory() -> None:
     assert five.nearest(0, 1, elsewhere)[2] <= 1e-6  # type: ignore[index]
 
 
+def test_a_query_said_again_is_answered_again_and_kept_once() -> None:
+    agents, keyframes = pair()
+    log = LatestQueries(agents[1].book, 2)
+    agents[1].observe(keyframes[1][0])
+    first = log.nearest(0, 0, keyframes[0][0].vector)
+    log.nearest(0, 1, keyframes[0][14].vector)
+    assert log.nearest(0, 1, keyframes[0][14].vector) == log.nearest(0, 1, keyframes[0][14].vector)
+    agents[1].observe(keyframes[1][1])
+    # Key-frame 0 is still one of the two latest: its new neighbour is found.
+    assert first is not None and log.nearest(0, 1, keyframes[0][14].vector)[:2] == (0, 1)  # type: ignore[index]
+
+
 def answered(agents: list[Agent], mail: list[Message]) -> list[object]:
     outcomes = []
     while mail:
