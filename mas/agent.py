@@ -123,6 +123,7 @@ class Agent:
             since_bought={a: count - at for a, at in sorted(self.maps.last_bought.items())},
             since_matched={a: count - 1 - at for a, at in sorted(self.book.last_matched.items())},
             stale=frozenset(self.maps.stale),
+            distances=dict(self.places.distances),
             closing=self.desk.closing,
         )
 

@@ -26,6 +26,13 @@ class PlacesConfig(_Section):
         "int8",
         description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16",
     )
+    latest_frames: int = Field(
+        1, ge=1, description="key-frames of an asker that are matched: earlier queries again, unsent ones after a hit"
+    )
+    centres_from: str | None = Field(
+        None,
+        description="clustered: netvlad.npz whose vectors the owners' centres are fitted to; unset: this run's own",
+    )
     features: Literal["descriptors", "words"] = Field(
         "descriptors", description="what a verification sends for each point"
     )
@@ -95,6 +102,9 @@ class MasConfig(_Section):
     """Everything that can be set; the resolved values stand in RUN/config.yaml."""
 
     preset: str = Field("default", description="the preset these values started from")
+    policy: Literal["query_all", "clustered", "logic", "selection"] = Field(
+        "query_all", description="who decides: no logic, the predecessor, Algorithms 2 and 3, those with Algorithm 4"
+    )
     seed: int = Field(0, ge=0, description="seed of every random choice")
     step_s: float = Field(0.5, gt=0, description="logical time between two steps of the environment, seconds")
     deadline_s: float = Field(5.0, gt=0, description="logical time a contract may take, seconds")

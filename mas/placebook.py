@@ -66,12 +66,25 @@ class PlaceBook:
         found = self.whole.nearest(vector, below)
         return None if found is None else (found[0], min(found[1], 2.0))
 
-    def nearest_to_code(self, code: NDArray[np.uint8]) -> tuple[int, float] | None:
-        """The same for another agent's vector as it came over the air, ``(bytes,)``, among all own key-frames; the
-        distance is that between the uncoded vectors as far as the code lets it be known."""
-        coder = self.state.profile.coder
-        found = self.kept.nearest(coder.decode(code[None])[0])
-        return None if found is None else (found[0], min(coder.restored(found[1]), 2.0))
+    def nearest_to_decoded(self, vector: NDArray[np.float32]) -> tuple[int, float] | None:
+        """The same for another agent's vector as it was decoded, among all own key-frames; the distance is that
+        between the uncoded vectors as far as the code lets it be known."""
+        found = self.kept.nearest(vector)
+        return None if found is None else (found[0], self.restored(found[1]))
+
+    def nearest_of_new(self, vector: NDArray[np.float32], first: int) -> tuple[int, float] | None:
+        """The same among own key-frames from ``first`` on: for the few that came since the last look."""
+        new = [k for k in self.state.keyframes[first:] if k.textured]
+        if not new:
+            return None
+        kept = self.state.profile.coder.cut(np.array([k.vector for k in new]))
+        apart = np.linalg.norm(kept - vector, axis=1)
+        best = int(apart.argmin())
+        return new[best].index, self.restored(float(apart[best]))
+
+    def restored(self, distance: float) -> float:
+        """The distance between two uncoded vectors, 0 to 2, from that to a decoded one."""
+        return min(self.state.profile.coder.restored(distance), 2.0)
 
     def propose(self, candidate: Candidate) -> bool:
         """Enter a candidate; whether it is worth a verification. If not, the reason stands in the book."""
@@ -108,7 +121,8 @@ class PlaceBook:
         if turned in self.state.verified or turned in self.candidates:
             return "known already"
         config = self.state.config.places
-        recent = [q for q in self.verified.get(match.match_agent, []) if 0 <= match.query - q <= config.gap_keyframes]
+        # On both sides: an earlier key-frame may be asked about later.
+        recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
         if len(recent) > self.state.config.consistency.min_support:
             return "soon after verified matches"
         last = self.last_matched.get(match.match_agent)

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from descriptors.errors import DescriptorError
 from mas.contract import Contract
@@ -15,8 +16,9 @@ from mas.keyframe import KeyFrame
 from mas.matches import Match
 from mas.messages import Award, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
+from mas.placelog import ClusterLog, LatestQueries
 from mas.relpose import Verification, kind_of, verify, view_of
-from mas.tasks import Outcome, PlaceAnswer, PlaceQuery, Task
+from mas.tasks import EarlierAnswer, Outcome, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect, Task
 from mas.tensors import Tensor
 
 _FARTHEST = 2.0
@@ -24,7 +26,11 @@ _FARTHEST = 2.0
 
 class PlaceRecognition(Trade):
     """Manager: sends the vector of one of its key-frames; contractor: answers with its own nearest key-frame and the
-    distance."""
+    distance. Where clusters of vectors have owners, the owner answers with the nearest key-frame it was asked about,
+    whoever's it is.
+
+    ``distances``: how near each agent's last answer came, 0 to 2.
+    """
 
     def __init__(self, desk: Desk, book: PlaceBook, verification: Verification) -> None:
         super().__init__(desk)
@@ -32,6 +38,10 @@ class PlaceRecognition(Trade):
         self.verification = verification
         self._waiting: dict[int, deque[int]] = {}
         self._asked: dict[ContractId, int] = {}
+        self._cluster = ClusterLog()
+        self._latest = LatestQueries(book, desk.state.config.places.latest_frames)
+        self._sent: dict[int, set[int]] = {}
+        self.distances: dict[int, float] = {}
 
     @property
     def threshold(self) -> float:
@@ -40,52 +50,104 @@ class PlaceRecognition(Trade):
         return self.state.profile.threshold if configured is None else configured
 
     def ask(self, keyframe: int, others: Iterable[int]) -> None:
-        """Ask these agents about a key-frame, after those already waiting for them."""
+        """Ask these agents about a key-frame, after those already waiting for them; the agent itself: where it owns
+        the cluster."""
         if not self.state.keyframes[keyframe].textured:
             return
-        for other in sorted(set(others)):
+        asked = set(others)
+        if self.state.me in asked:
+            self._ask_own_log(keyframe)
+        for other in sorted(asked - {self.state.me}):
             self._waiting.setdefault(other, deque()).append(keyframe)
+            self._sent.setdefault(other, set()).add(keyframe)
         self._next(sorted(self._waiting))
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=8 + 4, ready_ns=self.desk.now_ns)
+        owner = self.state.profile.centres is not None
+        return Bid(cost_bytes=8 + 4 + owner, ready_ns=self.desk.now_ns)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         keyframe = self._asked.get(contract.id)
         if keyframe is None:
             self.desk.say(contract, Rejection("no longer wanted"))
             return
-        coder = self.state.profile.coder
-        code = Tensor.of(coder.encode(self.state.keyframes[keyframe].vector[None])[0], "|u1")
-        self.desk.say(contract, Award(PlaceQuery(keyframe, self.state.profile.short_model, coder.key, code)))
+        profile = self.state.profile
+        code = Tensor.of(self._coded(keyframe), "|u1")
+        kind = PlaceQuery if profile.centres is None else OwnerQuery
+        self.desk.say(contract, Award(kind(keyframe, profile.short_model, profile.coder.key, code)))
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, PlaceQuery):
             raise WorkError("not a place query")
-        found = self._nearest(task)
+        vector = self._decoded(task)
+        respond = self._answer_as_owner if isinstance(task, OwnerQuery) else self._answer
+        answer: Outcome = respond(contract.manager, task.keyframe, vector)
         self.desk.say(contract, Confirmation())
-        answer = PlaceAnswer(*found) if found else PlaceAnswer(None, _FARTHEST)
         self.desk.say(contract, Result(answer))
 
-    def _nearest(self, query: PlaceQuery) -> tuple[int, float] | None:
+    def _answer(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceAnswer | EarlierAnswer:
+        found = self._latest.nearest(asker, keyframe, vector)
+        if found is None:
+            return PlaceAnswer(None, _FARTHEST)
+        return PlaceAnswer(*found[1:]) if found[0] == keyframe else EarlierAnswer(*found)
+
+    def _answer_as_owner(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceRedirect:
+        found = self._cluster.nearest(vector, asker)
+        self._cluster.remember(asker, keyframe, vector)
+        if found is None:
+            return PlaceRedirect(None, None, _FARTHEST)
+        return PlaceRedirect(found[0], found[1], self.book.restored(found[2]))
+
+    def _coded(self, keyframe: int) -> NDArray[np.uint8]:
+        return self.state.profile.coder.encode(self.state.keyframes[keyframe].vector[None])[0]
+
+    def _decoded(self, query: PlaceQuery) -> NDArray[np.float32]:
         profile = self.state.profile
         if query.model != profile.short_model:
             raise WorkError(f"descriptors of another model: {query.model}, mine is {profile.short_model}")
         if query.code != profile.coder.key:
             raise WorkError(f"place vector in another code: {query.code}, mine is {profile.coder.key}")
         try:
-            return self.book.nearest_to_code(query.vector.array())
+            return profile.coder.decode(query.vector.array()[None])[0]
         except DescriptorError as error:
             raise WorkError(str(error)) from error
 
     def on_result(self, contract: Contract, outcome: Outcome) -> None:
         keyframe = self._asked.get(contract.id)
-        if not isinstance(outcome, PlaceAnswer) or keyframe is None:
+        if not isinstance(outcome, PlaceAnswer | EarlierAnswer | PlaceRedirect) or keyframe is None:
             raise WorkError("not the answer to this query")
-        if outcome.keyframe is None or outcome.distance >= self.threshold:
-            return
-        match = MatchId(self.state.me, keyframe, contract.contractor, outcome.keyframe)
-        self.verification.request(Candidate(match, self.desk.now_ns, outcome.distance))
+        other = contract.contractor
+        self._consider(keyframe, other, outcome)
+        self.distances[other] = outcome.distance
+        if outcome.distance < self.threshold and self.state.profile.centres is None:
+            self._catch_up(other)
+
+    def _catch_up(self, other: int) -> None:
+        """Where one key-frame was recognised, ask about those of the latest that this agent was not asked about:
+        one match may fail its verification or find no support (thesis section 4.3)."""
+        newest, latest = len(self.state.keyframes) - 1, self.state.config.places.latest_frames
+        if latest > 1:
+            for keyframe in sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self._sent[other]):
+                self.ask(keyframe, [other])
+
+    def _consider(self, keyframe: int, other: int, answer: PlaceAnswer | EarlierAnswer | PlaceRedirect) -> None:
+        """Have the match that an answer names verified, if it is near enough."""
+        if isinstance(answer, EarlierAnswer):
+            if answer.query not in self._sent.get(other, ()):
+                raise WorkError(f"agent {other} was not asked about key-frame {answer.query}")
+            keyframe = answer.query
+        elif isinstance(answer, PlaceRedirect) and answer.agent is not None:
+            other = answer.agent
+            if other not in self.state.profile.others:
+                raise WorkError(f"redirected to agent {other}, which cannot be asked")
+        if answer.keyframe is not None and answer.distance < self.threshold:
+            match = MatchId(self.state.me, keyframe, other, answer.keyframe)
+            self.verification.request(Candidate(match, self.desk.now_ns, answer.distance))
+
+    def _ask_own_log(self, keyframe: int) -> None:
+        """The agent owns the cluster of its own key-frame: no message needed. It compares what would have travelled."""
+        vector = self.state.profile.coder.decode(self._coded(keyframe)[None])[0]
+        self._consider(keyframe, self.state.me, self._answer_as_owner(self.state.me, keyframe, vector))
 
     def on_end(self, contract: Contract) -> None:
         if contract.manager != self.state.me:

@@ -35,7 +35,8 @@ class Profile:
     """What the agent was told about itself and the others when it was set up: no more than names.
 
     ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance; ``coder``: how place vectors
-    travel, the same for all.
+    travel, the same for all; ``centres`` ``(agents, d)``: of the clusters of place vectors, in the numbers that travel,
+    each agent the owner of its own; None where clusters have no owners.
     """
 
     me: int
@@ -44,6 +45,7 @@ class Profile:
     model: str
     threshold: float
     coder: Coder
+    centres: NDArray[np.float32] | None = None
 
     @property
     def short_model(self) -> str:

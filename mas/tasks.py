@@ -41,6 +41,11 @@ class PlaceQuery(msgspec.Struct, frozen=True, array_like=True, tag=1):
             raise ValueError(f"vector: {count} bytes, expected 1 to {MAX_VECTOR_BYTES}")
 
 
+class OwnerQuery(PlaceQuery, frozen=True, array_like=True, tag=5):
+    """The same to the owner of the cluster that the vector falls into: whose key-frame of those you were asked about
+    looks most like this one? Remember this one, too."""
+
+
 class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
     """Verify a place match by geometry: the query's map points in its camera, ``(n, 3)`` float32, with ORB descriptors
     ``(n, 32)`` or vocabulary words ``(n,)``; ``T_T_Q``: the query camera in its own track, by
@@ -92,7 +97,7 @@ class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
     owners: Members
 
 
-Task = PlaceQuery | VerifyTask | OptimiseTask | MapOrder
+Task = PlaceQuery | OwnerQuery | VerifyTask | OptimiseTask | MapOrder
 
 
 # -- outcomes: what a result brings -----------------------------------------------------------------------------------
@@ -103,6 +108,28 @@ class PlaceAnswer(msgspec.Struct, frozen=True, array_like=True, tag=1):
 
     keyframe: Index | None
     distance: Annotated[float, msgspec.Meta(ge=0, le=2.001)]
+
+
+class EarlierAnswer(msgspec.Struct, frozen=True, array_like=True, tag=5):
+    """Not for the key-frame just asked about, but for another that the manager asked about earlier, ``query``, there is
+    now a nearer key-frame here."""
+
+    query: Index
+    keyframe: Index
+    distance: Annotated[float, msgspec.Meta(ge=0, le=2.001)]
+
+
+class PlaceRedirect(msgspec.Struct, frozen=True, array_like=True, tag=6):
+    """The owner of a cluster: key-frame ``keyframe`` of ``agent`` (the owner itself or any other) is the nearest that
+    it was asked about; both None: it was asked about none of others yet."""
+
+    agent: Agent | None
+    keyframe: Index | None
+    distance: Annotated[float, msgspec.Meta(ge=0, le=2.001)]
+
+    def __post_init__(self) -> None:
+        if (self.agent is None) != (self.keyframe is None):
+            raise ValueError("agent: a redirect without its key-frame, or the other way round")
 
 
 class VerifyAnswer(msgspec.Struct, frozen=True, array_like=True, tag=2):
@@ -209,4 +236,4 @@ class MapDelivery(msgspec.Struct, frozen=True, array_like=True, tag=4):
         check_sim3s("tie_poses", self.tie_poses, len(self.ties))
 
 
-Outcome = PlaceAnswer | VerifyAnswer | OptimiseAnswer | MapDelivery
+Outcome = PlaceAnswer | EarlierAnswer | PlaceRedirect | VerifyAnswer | OptimiseAnswer | MapDelivery

@@ -12,12 +12,15 @@ from mas import solver_messages
 from mas.messages import Award, Begin, Message, Result, decode, encode
 from mas.solver_messages import SolverBody
 from mas.tasks import (
+    EarlierAnswer,
     MapDelivery,
     MapOrder,
     OptimiseAnswer,
     OptimiseTask,
+    OwnerQuery,
     PlaceAnswer,
     PlaceQuery,
+    PlaceRedirect,
     VerifyAnswer,
     VerifyTask,
 )
@@ -37,6 +40,9 @@ class Traffic(StrEnum):
 _OF_WORK = {
     PlaceQuery: Traffic.DVPR,
     PlaceAnswer: Traffic.DVPR,
+    OwnerQuery: Traffic.DVPR,
+    EarlierAnswer: Traffic.DVPR,
+    PlaceRedirect: Traffic.DVPR,
     VerifyTask: Traffic.RELPOSE,
     VerifyAnswer: Traffic.RELPOSE,
     OptimiseTask: Traffic.DOPT,
@@ -49,7 +55,8 @@ _OF_WORK = {
 def account(message: Message) -> tuple[Traffic, str, int]:
     """What a message counts for, its kind in a word, and its payload in bytes as the published tables count it.
 
-    DVPR: the coded vector (as float32: 4 a number, as there); back 8 + 4. RelPose: 1 + 4 + 4 and for each point 12 for
+    DVPR: the coded vector (as float32: 4 a number, as there); back 8 + 4, and 4 where it names another query.
+    Clustered: 1 + 4 more to the owner, back 8 + 4 + 1. RelPose: 1 + 4 + 4 and for each point 12 for
     its position and 32 for its descriptor or 2 for its word; back two vectors of 6 doubles. DOpt: 8 a number of a
     separator pose. Map merge: what the maps hold. The tables know no negotiation: its payload is 0, its wire bytes are
     not.
@@ -63,10 +70,16 @@ def account(message: Message) -> tuple[Traffic, str, int]:
         return Traffic.NEGOTIATION, type(body).__name__, 0
     work = body.task if isinstance(body, Award) else body.outcome
     payload = 0
-    if isinstance(work, PlaceQuery):
+    if isinstance(work, OwnerQuery):
+        payload = work.vector.nbytes + 1 + 4
+    elif isinstance(work, PlaceQuery):
         payload = work.vector.nbytes
     elif isinstance(work, PlaceAnswer):
         payload = 8 + 4
+    elif isinstance(work, EarlierAnswer):
+        payload = 8 + 4 + 4
+    elif isinstance(work, PlaceRedirect):
+        payload = 8 + 4 + 1
     elif isinstance(work, VerifyTask):
         payload = 1 + 4 + 4 + work.points.shape[0] * (12 + (32 if work.descriptors is not None else 2))
     elif isinstance(work, VerifyAnswer):

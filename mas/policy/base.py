@@ -19,7 +19,8 @@ class Outlook:
     ``news``: accepted matches that no optimisation has used yet; ``since_optimised``, ``since_bought``: own
     key-frames since the last optimisation, and since the last purchase from each agent (absent: never);
     ``since_matched``: likewise since the last accepted match; ``stale``: agents whose maps should be newer since the
-    last purchase (a match or an optimisation came between); ``closing``: all sequences have ended.
+    last purchase (a match or an optimisation came between); ``distances``: how near each agent's last answer to a place
+    query came, 0 to 2; ``closing``: all sequences have ended.
     """
 
     news: int
@@ -27,6 +28,7 @@ class Outlook:
     since_bought: dict[int, int]
     since_matched: dict[int, int]
     stale: frozenset[int]
+    distances: dict[int, float]
     closing: bool
 
 
@@ -41,3 +43,24 @@ class Policy(Protocol):
 
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to buy maps from; empty: not now."""
+
+
+def optimisation_due(state: AgentState, outlook: Outlook) -> bool:
+    """Whether there is something new and it is time: ``period_keyframes`` after the last optimisation, lower numbers
+    first. Members of a group are due at the same time, and one call is enough."""
+    config = state.config.optimisation
+    rank = sorted(state.group).index(state.me)
+    wait = config.period_keyframes + min(rank, config.period_keyframes)
+    due = (outlook.closing and config.closing) or outlook.since_optimised >= wait
+    return bool(outlook.news) and due
+
+
+def default_sellers(state: AgentState, outlook: Outlook) -> list[int]:
+    """Those one has met and whose maps should be newer, each at most once in ``period_keyframes``; at the end all."""
+    config = state.config.merge
+    if not config.enabled:
+        return []
+    if outlook.closing:
+        return state.partners()
+    ready = config.period_keyframes
+    return [a for a in state.partners() if a in outlook.stale and outlook.since_bought.get(a, ready) >= ready]

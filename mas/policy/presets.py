@@ -2,22 +2,59 @@
 
 from __future__ import annotations
 
-from mas.config import MasConfig, MergeConfig, PlacesConfig
+import numpy as np
+
+from backend.config import RelPoseConfig, SolverConfig
+from mas.config import ConsistencyConfig, MasConfig, MergeConfig, OptimisationConfig, PlacesConfig
 from mas.errors import MasError
+from mas.policy.autonomous import Autonomous
 from mas.policy.base import Policy
+from mas.policy.predecessor import Predecessor
 from mas.policy.query_all import QueryAll
 
+_PREDECESSOR = MasConfig(
+    preset="predecessor",
+    policy="clustered",
+    places=PlacesConfig(
+        code="float32x128", features="words", gap_keyframes=0, gap_m=10.0, own_age_s=30.0, own_age_keyframes=None
+    ),
+    relpose=RelPoseConfig(search_angle_deg=5.0, hypotheses=300, ratio=0.75),
+    consistency=ConsistencyConfig(min_support=2),
+    optimisation=OptimisationConfig(
+        period_keyframes=1,
+        solver=SolverConfig(method="dgs", relaxation=1.0, start="warm", rotation_sweeps=20, pose_sweeps=20),
+    ),
+    merge=MergeConfig(enabled=False),
+)
+
+# What the two optimised systems share. Place vectors travel as the thesis counts them.
+_OPTIMISED = MasConfig(
+    preset="optimised", policy="logic", places=PlacesConfig(code="float32", latest_frames=5)
+)
+
 PRESETS: dict[str, MasConfig] = {
-    "default": MasConfig(preset="default", places=PlacesConfig(code="float32")),
+    "predecessor": _PREDECESSOR,
+    "default": MasConfig(
+        preset="default", places=PlacesConfig(code="float32"), merge=MergeConfig(closing_rounds=0)
+    ),
+    "optimised": _OPTIMISED,
+    "selection": _OPTIMISED.model_copy(update={"preset": "selection", "policy": "selection"}),
     "maslam": MasConfig(
         preset="maslam",
         ask_again=False,
         merge=MergeConfig(period_keyframes=40, max_points=100),
     ),
 }
-"""``default``: the thesis's default system (4.2). ``maslam``: ours, the default of the command: does not ask where
-the answer could not be used, buys maps less often while driving and with the points that a key-frame needs to be
-recognised, and sends place vectors as int8, a byte a number.
+"""The thesis's four systems, and ours.
+
+``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no
+purchases once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases.
+``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: does not ask where the answer
+could not be used, buys maps less often while driving and with the points that a key-frame needs to be recognised, and
+sends place vectors as int8, a byte a number.
+
+Distances below which places match belong to a network: all presets use the model's calibrated one, not the thesis's
+0.02 or the predecessor's 0.1.
 """
 
 
@@ -28,8 +65,12 @@ def preset(name: str) -> MasConfig:
     return PRESETS[name]
 
 
-def policy_of(config: MasConfig) -> Policy:
-    """A new policy for one agent."""
+def policy_of(config: MasConfig, me: int) -> Policy:
+    """A new policy for agent ``me``, with a generator of its own where it draws."""
     if config.preset not in PRESETS:
         raise MasError(f"there is no preset {config.preset!r}; there are {', '.join(sorted(PRESETS))}")
-    return QueryAll()
+    if config.policy == "clustered":
+        return Predecessor()
+    if config.policy == "query_all":
+        return QueryAll()
+    return Autonomous(np.random.default_rng([config.seed, me]) if config.policy == "selection" else None)

@@ -3,7 +3,7 @@ has met."""
 
 from __future__ import annotations
 
-from mas.policy.base import Outlook
+from mas.policy.base import Outlook, default_sellers, optimisation_due
 from mas.state import AgentState
 
 
@@ -22,18 +22,7 @@ class QueryAll:
         return [a for a in others if outlook.since_matched.get(a, gap + 1) > gap]
 
     def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
-        config = state.config.optimisation
-        # Lower numbers first: members of a group are due at the same time, and one call is enough.
-        rank = sorted(state.group).index(state.me)
-        wait = config.period_keyframes + min(rank, config.period_keyframes)
-        due = (outlook.closing and config.closing) or outlook.since_optimised >= wait
-        return sorted(state.group) if outlook.news and due else []
+        return sorted(state.group) if optimisation_due(state, outlook) else []
 
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
-        config = state.config.merge
-        if not config.enabled:
-            return []
-        if outlook.closing:
-            return state.partners()
-        ready = config.period_keyframes
-        return [a for a in state.partners() if a in outlook.stale and outlook.since_bought.get(a, ready) >= ready]
+        return default_sellers(state, outlook)

@@ -15,7 +15,16 @@ from mas.solver_messages import (
     SolverSteps,
     SolverValues,
 )
-from mas.tasks import OptimiseAnswer, PlaceAnswer, PlaceQuery, SubMap, VerifyTask
+from mas.tasks import (
+    EarlierAnswer,
+    OptimiseAnswer,
+    OwnerQuery,
+    PlaceAnswer,
+    PlaceQuery,
+    PlaceRedirect,
+    SubMap,
+    VerifyTask,
+)
 from mas.tensors import Tensor, pack_poses, pack_sim3s
 
 
@@ -60,10 +69,14 @@ def examples() -> list[Message]:
         Bid(100, 0, links),
         Refusal("busy"),
         Award(PlaceQuery(3, "ab" * 8, "int8", vector)),
+        Award(OwnerQuery(3, "ab" * 8, "int8", vector)),
         Award(verify_task()),
         Confirmation(),
         Result(PlaceAnswer(4, 0.25)),
         Result(PlaceAnswer(None, 2.0)),
+        Result(EarlierAnswer(2, 4, 0.25)),
+        Result(PlaceRedirect(5, 4, 0.25)),
+        Result(PlaceRedirect(None, None, 2.0)),
         Result(OptimiseAnswer(True, 2.0, 1.0, 30)),
         SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
         SolverReport(2, 0, 1, float("inf"), 3.0),

@@ -15,7 +15,7 @@ from backend.geometry import Sim3, se3_exp
 from mas.identities import ContractId, FrameId, MatchId
 from mas.messages import VERSION, Award, Links, Message, Result, decode, encode
 from mas.solver_messages import SolverReport
-from mas.tasks import PlaceAnswer, PlaceQuery
+from mas.tasks import PlaceAnswer, PlaceQuery, PlaceRedirect
 from mas.tensors import MessageError, Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 
 LIMIT = 2**20
@@ -62,6 +62,8 @@ def test_noise_is_no_message(noise: bytes) -> None:
 BAD_VALUES = {
     "vector of no bytes": lambda: PlaceQuery(0, "x", "int8", Tensor.of([], "|u1")),
     "vector of too many bytes": lambda: PlaceQuery(0, "x", "int8", Tensor.of(np.zeros(100_000), "|u1")),
+    "redirect without a key-frame": lambda: PlaceRedirect(1, None, 0.5),
+    "redirect to nobody": lambda: PlaceRedirect(None, 4, 0.5),
     "vector of doubles": lambda: PlaceQuery(0, "x", "int8", Tensor.of([1.0, 0.0], "<f8")),
     "fewer descriptors than points": lambda: verify_task(descriptors=Tensor.of(np.zeros((3, 32)), "|u1")),
     "neither descriptors nor words": lambda: verify_task(descriptors=None),

@@ -9,7 +9,7 @@ from sample_messages import examples, submap, verify_task
 from mas.identities import ContractId
 from mas.messages import Award, Bid, Message, Result, encode
 from mas.solver_messages import SolverValues
-from mas.tasks import MapDelivery, PlaceAnswer, PlaceQuery
+from mas.tasks import EarlierAnswer, MapDelivery, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
 from mas.tensors import MessageError, Tensor
 from mas.transport import InProcessTransport, Sent, Traffic, Transport, account
 
@@ -67,6 +67,9 @@ def test_payload_is_counted_as_the_published_tables_do() -> None:
         (Award(PlaceQuery(0, "x", "float32", Tensor.of(vector, "|u1"))), Traffic.DVPR, 4 * 128),
         (Award(PlaceQuery(0, "x", "pq32", Tensor.of(vector[:32], "|u1"))), Traffic.DVPR, 32),
         (Result(PlaceAnswer(1, 0.1)), Traffic.DVPR, 8 + 4),
+        (Result(EarlierAnswer(0, 1, 0.1)), Traffic.DVPR, 8 + 4 + 4),
+        (Award(OwnerQuery(0, "x", "float32", Tensor.of(vector, "|u1"))), Traffic.DVPR, 4 * 128 + 1 + 4),
+        (Result(PlaceRedirect(2, 1, 0.1)), Traffic.DVPR, 8 + 4 + 1),
         (Award(verify_task()), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (32 + 12)),
         (Award(words), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (2 + 12)),
         (SolverValues(2, 0, 0, Tensor.of(np.zeros((3, 9)), "<f8")), Traffic.DOPT, 3 * 9 * 8),
