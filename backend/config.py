@@ -43,8 +43,8 @@ class SolverConfig(BaseModel):
 
     method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "elected"] = Field(
         "sor",
-        description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, or "
-        "one elected robot that solves for all",
+        description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, "
+        "or one elected robot that solves for all",
     )
     relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor takes at most 1 of it")
     start: Literal["flagged", "warm"] = Field(

@@ -18,7 +18,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         "backend",
         "frontend.vofiles", "frontend.trajectory", "frontend.errors", "frontend.cameras",
         "descriptors.container", "descriptors.inference", "descriptors.errors",
-        "descriptors.card", "descriptors.codes", "descriptors.search",
+        "descriptors.card", "descriptors.clusters", "descriptors.codes", "descriptors.search",
     ),
     "tools": ("backend", "frontend", "descriptors", "mas"),
 }  # fmt: skip

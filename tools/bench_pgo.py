@@ -47,12 +47,13 @@ def measure(
         optimum = optimise(graph, CentralConfig()).cost_after
         central_s = time.process_time() - start
         for method in methods:
-            solver = SolverConfig.quick() if method == "quick" else SolverConfig(method=method)  # type: ignore[arg-type]
+            solver = SolverConfig.quick() if method == "quick" else SolverConfig(method=method)
             request = Request(method, "none", False, CentralConfig(), solver, RobustConfig())
             start = time.process_time()
             found = solve(graph, request)
             cpu_s = time.process_time() - start
-            gap = cost(graph.with_poses(found.poses), "F") / optimum - 1.0
+            excess = cost(graph.with_poses(found.poses), "F") - optimum
+            gap = excess / optimum if optimum > 0 else 0.0  # without a loop every measurement can be met
             out.append(
                 Measured(
                     method, robots, len(graph.poses), len(graph.edges), sum(e.is_separator for e in graph.edges), gap,

@@ -70,7 +70,7 @@ def test_mistakes_are_one_line(folder, tmp_path, capsys):
 def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
     graph, _ = loops(np.random.default_rng(2), robots=2, length=40, separators=10)
     rng = np.random.default_rng(3)
-    wrong = [k for k, edge in enumerate(graph.edges) if edge.is_separator][:3]
+    wrong = [k for k, edge in enumerate(graph.edges) if edge.is_separator][:3]  # others join the same nodes rightly
     edges = list(graph.edges)
     for k in wrong:
         off = se3_exp(np.concatenate([rng.normal(0, 5.0, 3), rng.normal(0, 0.5, 3)]))
@@ -78,12 +78,12 @@ def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
     (tmp_path / "in").mkdir()
     for robot in graph.robots:
         write_g2o(tmp_path / "in" / f"{robot}.g2o", replace(graph, edges=tuple(edges)).of_robot(robot))
-    truth = {(str(edges[k].i), str(edges[k].j)) for k in wrong}
+    truth = sorted((str(edges[k].i), str(edges[k].j)) for k in wrong)
     for method, robust in (("central", "pcm"), ("central", "gnc"), ("rbcd", "pcm"), ("rbcd", "gnc")):
         words = ["pgo", str(tmp_path / "in"), str(tmp_path / "out"), "--method", method, "--robust", robust, "--json"]
         assert cli.main(words) == 0
         report = json.loads(capsys.readouterr().out)
-        assert {(r["i"], r["j"]) for r in report["rejected"]} == truth, (method, robust)
+        assert sorted((r["i"], r["j"]) for r in report["rejected"]) == truth, (method, robust)
         assert report["rejected_edges"] == 3 and all(r["reason"] for r in report["rejected"])
     assert cli.main(["pgo", str(tmp_path / "in"), str(tmp_path / "o"), "--method", "sor", "--robust", "gnc"]) == 2
     assert "--robust gnc works with" in capsys.readouterr().err
@@ -107,11 +107,11 @@ def test_a_city_is_what_it_says():
 
 
 def test_the_benchmark_counts_what_grows(capsys):
-    words = ["bench", "pgo", "--robots", "3,6", "--poses", "30", "--methods", "quick,rbcd", "--json", "--quiet"]
+    words = ["bench", "pgo", "--robots", "3,6", "--poses", "60", "--methods", "quick,rbcd", "--json", "--quiet"]
     assert cli.main(words) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(r["robots"], r["method"], r["poses"]) for r in rows] == [
-        (3, "quick", 90), (3, "rbcd", 90), (6, "quick", 180), (6, "rbcd", 180)
+        (3, "quick", 180), (3, "rbcd", 180), (6, "quick", 360), (6, "rbcd", 360)
     ]  # fmt: skip
     assert all(r["gap"] > -1e-6 and r["wire_bytes"] > r["payload_bytes"] for r in rows)
     assert cli.main(["bench", "pgo", "--methods", "magic"]) == 2

@@ -80,8 +80,8 @@ def examples() -> list[Message]:
         Result(OptimiseAnswer(True, 2.0, 1.0, 30)),
         SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
         SolverReport(2, 0, 1, float("inf"), 3.0),
-        SolverReport(4, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
-        SolverSteps(4, 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
+        SolverReport(5, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
+        SolverSteps(5, 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
         SolverState(3, 2, Tensor.of(np.zeros((2, 6)), "<f4")),
         SolverStatus((SolverStanding(1, 2, 3, True, ((0, 4),)),)),
     ]

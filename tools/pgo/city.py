@@ -24,7 +24,8 @@ def city(robots: int, poses: int, seed: int = 0, meetings: int = 6) -> tuple[Pos
     """
     rng = np.random.default_rng(seed)
     side = max(2, round(float(np.sqrt(robots * poses * _ROOM)) / BLOCK))
-    truth, at = {}, {}
+    truth: dict[NodeId, Array] = {}
+    at: dict[tuple[int, int, int], list[NodeId]] = {}
     edges: list[Edge] = []
     matched: dict[tuple[int, int], int] = {}
     for robot in range(robots):
@@ -53,7 +54,8 @@ def city(robots: int, poses: int, seed: int = 0, meetings: int = 6) -> tuple[Pos
 def _drive(rng: np.random.Generator, side: int, steps: int) -> list[tuple[int, int, int]]:
     """Positions and headings, metre by metre; at each crossing left, right or straight on."""
     x, y = (int(v) * BLOCK for v in rng.integers(0, side + 1, 2))
-    heading, way = int(rng.integers(4)), []
+    heading = int(rng.integers(4))
+    way: list[tuple[int, int, int]] = []
     while len(way) < steps:
         if x % BLOCK == 0 and y % BLOCK == 0:
             options = [h for h in ((heading + turn) % 4 for turn in (0, 0, 1, 3)) if _inside(x, y, h, side)]
