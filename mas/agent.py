@@ -146,6 +146,8 @@ class Agent:
                 sellers = []
             self._searching = bool(sellers) and (self.maps.something_new or self.maps.rounds == 0)
             self.maps.rounds += 1
+            if not self._searching:
+                self.maps.final_round()
         self.maps.something_new = False
         if sellers:
             self.maps.buy(sellers)

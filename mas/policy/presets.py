@@ -12,7 +12,7 @@ PRESETS: dict[str, MasConfig] = {
     "maslam": MasConfig(
         preset="maslam",
         ask_again=False,
-        merge=MergeConfig(period_keyframes=40, max_points=100),
+        merge=MergeConfig(form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0),
     ),
 }
 """``default``: the thesis's default system (4.2). ``maslam``: ours, the default of the command: does not ask where

@@ -6,9 +6,10 @@ import numpy as np
 
 from backend.geometry import Sim3
 from mas.identities import ContractId, FrameId, MatchId, Operation
+from mas.maps.wire import SubMap
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
 from mas.solver_messages import SolverReport, SolverValues
-from mas.tasks import OptimiseAnswer, PlaceAnswer, PlaceQuery, SubMap, VerifyTask
+from mas.tasks import OptimiseAnswer, PlaceAnswer, PlaceQuery, VerifyTask
 from mas.tensors import Tensor, pack_poses, pack_sim3s
 
 

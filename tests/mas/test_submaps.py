@@ -63,7 +63,7 @@ def test_a_map_stands_where_the_match_says() -> None:
     start = circuit(0.0, 1.0)[0]
     truth = np.linalg.inv(start) @ circuit(6.0, 9.0)[::3]
     np.testing.assert_allclose(held.poses, truth, atol=1e-6)
-    own = {bytes(d): p for d, p in zip(held.wire.descriptors.array(), held.points(), strict=True)}
+    own = {bytes(d): p for d, p in zip(held.descriptors, held.points(), strict=True)}
     assert len(own) > 300
 
 

@@ -1,0 +1,69 @@
+"""Whether a map that was bought is kept, and where it is laid (thesis section 3.9.3). Pure.
+
+First a map that stands far from where place matches say is laid on them (consistency check); then one that no match
+agrees with is rejected (accuracy check); then, if the old copy agreed with all matches, only what is new is taken
+(redundancy check).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mas.identities import MatchId
+from mas.maps.checks import Standing, Witness, best_motion, standing, tolerance, witnesses
+from mas.maps.held import HeldMap, with_new_keyframes
+from mas.state import AgentState
+
+
+@dataclass(frozen=True, eq=False)
+class Admission:
+    """``held``: the map as it is kept, None if it is rejected, with the ``reason``; ``standing``: how it stands to the
+    place matches then; ``aligned_by``: the match it was laid on, ``redundant``: only new key-frames were taken."""
+
+    held: HeldMap | None
+    standing: Standing | None
+    reason: str = ""
+    aligned_by: MatchId | None = None
+    redundant: bool = False
+
+
+def admit(
+    new: HeldMap,
+    old: HeldMap | None,
+    state: AgentState,
+    others: Mapping[int, HeldMap],
+    placed_by: MatchId | None = None,
+) -> Admission:
+    """Judge a map that came in. ``placed_by``: the match that told where it stands, which can therefore not judge
+    it."""
+    config = state.config.merge
+    new, found, aligned_by = aligned(new, state, others)
+    judges = [w for w in found if w.match not in (placed_by, aligned_by)]
+    own = [w for w in judges if state.me in w.match.agents]
+    how = standing(own or judges)
+    limit = tolerance(config.accuracy_m, state)
+    if how is not None and limit is not None and how.least_m > limit:
+        reason = f"no place match agrees: {how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
+        return Admission(None, how, reason)
+    same = tolerance(config.redundancy_m, state)
+    if old is not None and same is not None:
+        before = standing(witnesses(old, state, others))
+        if before is not None and before.worst_m <= same:
+            return Admission(with_new_keyframes(old, new), before, redundant=True)
+    return Admission(new, standing(found), aligned_by=aligned_by)
+
+
+def aligned(
+    held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]
+) -> tuple[HeldMap, list[Witness], MatchId | None]:
+    """The consistency check: the map, laid on a match where the matches say that it stands too far off; its witnesses
+    then, and that match."""
+    found = witnesses(held, state, others)
+    own = [w for w in found if state.me in w.match.agents]
+    how = standing(own or found)
+    limit = tolerance(state.config.merge.consistency_m, state)
+    if how is None or limit is None or how.median_m <= limit:
+        return held, found, None
+    motion, match = best_motion(own or found)
+    return held.moved(motion), [w.after(motion) for w in found], match
