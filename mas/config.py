@@ -94,7 +94,7 @@ class MergeConfig(_Section):
         0.005, gt=0, le=0.1, description="median error of a point of a compact map, as a share of its distance"
     )
     pose_error: float = Field(
-        0.002, gt=0, le=0.1, description="a held pose is off the owner's by at most this share of the median depth"
+        0.001, gt=0, le=0.1, description="a held pose is off the owner's by at most this share of the median depth"
     )
     edition_keyframes: int = Field(
         10, ge=1, description="new key-frames that make a new edition of a compact map on the way"

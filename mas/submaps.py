@@ -15,20 +15,16 @@ from backend.geometry import Sim3
 from mas.contract import Contract, State
 from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
-from mas.maps.admission import Admission, admit, aligned
+from mas.maps.admission import Admission, admit, aligned, seller_frame
 from mas.maps.checks import Standing, standing
-from mas.maps.full import own_submap
-from mas.maps.held import HeldMap, held_of_stock, held_of_submap, submap_of
-from mas.maps.publisher import Publisher
+from mas.maps.held import HeldMap, held_of_stock, held_of_submap
+from mas.maps.shop import Shop, own_end
 from mas.maps.stock import stock_of
-from mas.maps.wire import MapDelivery, MapOrder, Parcel, SubMap
+from mas.maps.wire import MapDelivery, MapOrder, Parcel
 from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
 from mas.posegraph import Adoption
 from mas.tasks import Outcome, Task
-from mas.tensors import pack_sim3, pack_sim3s, unpack_sim3, unpack_sim3s
-
-# What a key-frame's pose and a point take in a compact map, roughly: for the estimate in a bid.
-_POSE_BYTES, _POINT_BYTES = 8, 2
+from mas.tensors import unpack_sim3
 
 
 @dataclass
@@ -49,8 +45,7 @@ class MapTrade(Trade):
         self.stale: set[int] = set()
         self.something_new = False
         self.rounds = 0
-        self._publisher = Publisher(desk.state)
-        self._full: SubMap | None = None
+        self.shop = Shop(desk.state)
         self._tenders: dict[ContractId, Tender] = {}
         self._rejected: set[tuple[int, int, int]] = set()
         self._spoilt: set[int] = set()
@@ -80,8 +75,8 @@ class MapTrade(Trade):
             self._answered(contract)
 
     def _answered(self, contract: Contract) -> None:
-        """Once all have answered each wanted map is ordered from one of them: the newest version, from its owner if
-        possible, else from the lowest number."""
+        """Once all have answered each wanted map is ordered from one of them: from its owner if possible, else the
+        newest version from the lowest number."""
         tender = self._tenders.get(contract.id)
         if tender is None:
             return
@@ -89,12 +84,12 @@ class MapTrade(Trade):
         if tender.pending:
             return
         del self._tenders[contract.id]
-        best: dict[int, tuple[int, bool, int]] = {}
+        best: dict[int, tuple[bool, int, int]] = {}
         for seller, bid in sorted(tender.bids.items()):
             for offer in bid.offers:
                 self._confirm(seller, offer)
-                rank = (offer.version, offer.owner == seller, -seller)
-                if self._wants(seller, offer) and rank > best.get(offer.owner, (-1, False, 0)):
+                rank = (offer.owner == seller, offer.version, -seller)
+                if self._wants(seller, offer) and rank > best.get(offer.owner, (False, -1, 0)):
                     best[offer.owner] = rank
         for one in self.desk.ledger.managed(contract.id):
             if one.state is State.BID:
@@ -112,10 +107,14 @@ class MapTrade(Trade):
         return 0 if held.stock is None else held.version
 
     def _wants(self, seller: int, offer: Offer) -> bool:
+        """Newer than what I hold. The owner's own word counts more than another's: a copy that is newer than the
+        owner's own map is a false one."""
         held = self.held.get(offer.owner)
         if offer.owner == self.state.me or (seller, offer.owner, offer.version) in self._rejected:
             return False
-        return held is None or held.version < offer.version
+        if held is None or held.version < offer.version:
+            return True
+        return seller == offer.owner and held.version > offer.version
 
     def _confirm(self, owner: int, offer: Offer) -> None:
         """At the end an owner that offers the edition I hold says that it has not moved since: in common coordinates
@@ -131,7 +130,7 @@ class MapTrade(Trade):
         if not isinstance(outcome, MapDelivery):
             raise WorkError("not a delivery of maps")
         seller = contract.contractor
-        found = self._seller_frame(seller, outcome)
+        found = seller_frame(self.state, seller, outcome)
         if found is None:
             self.desk.note("map_refused", seller=seller, reason="no common place to align it by")
             return
@@ -179,23 +178,6 @@ class MapTrade(Trade):
             **_figures(verdict.standing), **_remarks(verdict),
         )  # fmt: skip
 
-    def _seller_frame(self, seller: int, delivery: MapDelivery) -> tuple[Sim3, MatchId | None] | None:
-        """``T_mine_seller`` between the two agents' coordinates: the identity where they share them since an
-        optimisation, else by the first accepted match between the two whose both key-frames are placed."""
-        if delivery.frame == self.state.frame:
-            return Sim3.identity(), None
-        ties = dict(zip(delivery.ties, unpack_sim3s(delivery.tie_poses), strict=True))
-        placed = set(self.state.placed())
-        for match in self.state.accepted_matches():
-            if set(match.id.agents) != {self.state.me, seller}:
-                continue
-            asked = match.id.query_agent == self.state.me
-            mine, theirs = (match.id.query, match.id.match) if asked else (match.id.match, match.id.query)
-            if mine in placed and theirs in ties:
-                T_mine_theirs = match.T_M_Q.inverse() if asked else match.T_M_Q
-                return self.state.pose(mine) @ T_mine_theirs @ ties[theirs].inverse(), match.id
-        return None
-
     # -- holder -------------------------------------------------------------------------------------------------------
 
     def realign(self, adoption: Adoption) -> None:
@@ -230,7 +212,7 @@ class MapTrade(Trade):
     def _anchor(self, held: HeldMap, adoption: Adoption) -> int:
         me = self.state.me
         for other in (held.owner, held.seller):
-            mine = [_mine(m, me) for m in self.state.accepted if set(m.agents) == {me, other}]
+            mine = [own_end(m, me) for m in self.state.accepted if set(m.agents) == {me, other}]
             mine = [i for i in mine if i in adoption.before]
             if mine:
                 return max(mine)
@@ -239,75 +221,17 @@ class MapTrade(Trade):
     # -- seller -------------------------------------------------------------------------------------------------------
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        offers = [Offer(h.owner, h.version, len(h.keyframes)) for _, h in sorted(self.held.items())]
-        mine = self._own_offer()
-        if mine is not None:
-            offers.append(mine)
+        offers = self.shop.offers(self.held, self.desk.closing)
         if not offers:
             return Refusal("nothing to sell yet")
-        each = _POSE_BYTES + _POINT_BYTES * self.state.config.merge.max_points
-        cost = sum(each * o.keyframes for o in offers)
-        return Bid(cost_bytes=cost, ready_ns=self.desk.now_ns, offers=tuple(sorted(offers, key=lambda o: o.owner)))
-
-    def _own_offer(self) -> Offer | None:
-        if self.state.config.merge.form == "compact":
-            stock = self._publisher.edition(self.desk.closing)
-            return None if stock is None else Offer(self.state.me, stock.map.edition, len(stock.map.keyframes))
-        placed = len(self.state.placed())
-        return Offer(self.state.me, self.state.version, placed) if placed else None
+        return Bid(cost_bytes=self.shop.estimate(offers), ready_ns=self.desk.now_ns, offers=offers)
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, MapOrder):
             raise WorkError("not an order for maps")
-        missing = [o for o in task.owners if o != self.state.me and o not in self.held]
-        if missing:
-            raise WorkError(f"no map of agent {missing[0]} here")
+        delivery = self.shop.delivery(contract.manager, task, self.held, self.desk.closing)
         self.desk.say(contract, Confirmation())
-        maps: list[SubMap] = []
-        parcels: list[Parcel] = []
-        for owner, edition in zip(task.owners, task.held or (0,) * len(task.owners), strict=True):
-            goods = self._goods(owner, edition)
-            if isinstance(goods, Parcel):
-                parcels.append(goods)
-            else:
-                maps.append(goods)
-        needed = bool(maps) or task.frame != self.state.frame
-        ties = self._ties(contract.manager) if needed else ()
-        poses = pack_sim3s([self.state.pose(i) for i in ties])
-        self.desk.say(contract, Result(MapDelivery(self.state.frame, ties, poses, tuple(maps), tuple(parcels))))
-
-    def _goods(self, owner: int, edition: int) -> SubMap | Parcel:
-        """A map as it is sold to a buyer who holds this edition of it (0: none)."""
-        if owner == self.state.me:
-            if self.state.config.merge.form == "compact":
-                stock = self._publisher.edition(self.desk.closing)
-                if stock is None:
-                    raise WorkError("no map of my own yet")
-                return Parcel(owner, None, (), stock.since(edition))
-            if self._full is None or self._full.version != self.state.version:
-                self._full = own_submap(self.state, self.state.config.merge.max_points)
-            return self._full
-        held = self.held[owner]
-        if held.stock is None:
-            return submap_of(held)
-        placement = None if self._in_place(held) else pack_sim3(held.placement)
-        return Parcel(owner, placement, held.route, held.stock.since(edition))
-
-    def _in_place(self, held: HeldMap) -> bool:
-        """Whether a copy stands in its owner's coordinates, which are mine, as its owner had it."""
-        p = held.placement
-        unmoved = not p.translation.any() and np.array_equal(p.rotation, np.eye(3))
-        return held.frame == self.state.frame and bool(unmoved)
-
-    def _ties(self, buyer: int) -> tuple[int, ...]:
-        """Own key-frames that the buyer can place the maps by."""
-        placed = set(self.state.placed())
-        mine = {_mine(m, self.state.me) for m in self.state.accepted if set(m.agents) == {self.state.me, buyer}}
-        return tuple(sorted(mine & placed))
-
-
-def _mine(match: MatchId, me: int) -> int:
-    return match.query if match.query_agent == me else match.match
+        self.desk.say(contract, Result(delivery))
 
 
 def _name(match: MatchId) -> str:

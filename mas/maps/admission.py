@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from backend.geometry import Sim3
 from mas.identities import MatchId
 from mas.maps.checks import Standing, Witness, best_motion, standing, tolerance, witnesses
 from mas.maps.held import HeldMap, with_new_keyframes
+from mas.maps.wire import MapDelivery
 from mas.state import AgentState
+from mas.tensors import unpack_sim3s
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,3 +70,21 @@ def aligned(
         return held, found, None
     motion, match = best_motion(own or found)
     return held.moved(motion), [w.after(motion) for w in found], match
+
+
+def seller_frame(state: AgentState, seller: int, delivery: MapDelivery) -> tuple[Sim3, MatchId | None] | None:
+    """``T_mine_seller`` between the two agents' coordinates: the identity where they share them since an
+    optimisation, else by the first accepted match between the two whose both key-frames are placed."""
+    if delivery.frame == state.frame:
+        return Sim3.identity(), None
+    ties = dict(zip(delivery.ties, unpack_sim3s(delivery.tie_poses), strict=True))
+    placed = set(state.placed())
+    for match in state.accepted_matches():
+        if set(match.id.agents) != {state.me, seller}:
+            continue
+        asked = match.id.query_agent == state.me
+        mine, theirs = (match.id.query, match.id.match) if asked else (match.id.match, match.id.query)
+        if mine in placed and theirs in ties:
+            T_mine_theirs = match.T_M_Q.inverse() if asked else match.T_M_Q
+            return state.pose(mine) @ T_mine_theirs @ ties[theirs].inverse(), match.id
+    return None

@@ -25,6 +25,7 @@ _MOVE = np.arange(14, 20)
 _TRANSFORM = np.arange(20, 27)
 KEPT, ANCHORS, ANEW = 0, 1, 2
 _LOW = 2**31
+_LARGEST = 2**52
 
 
 @dataclass(frozen=True)
@@ -206,8 +207,10 @@ def decode(
         np.concatenate([base.ticks, ticks]), _followed(poses, rest), np.concatenate([base.counts, counts]),
         np.concatenate([base.cells, cells]), np.concatenate([base.depths, depths]), None, matches, transforms,
     )  # fmt: skip
-    if any(len(a) and np.abs(a).max() >= 2**32 for a in (made.keyframes, made.poses, made.cells, made.depths)):
+    if any(a.size and max(a.max(), -a.min()) > _LARGEST for a in (made.poses, made.cells, made.depths, made.ticks)):
         raise BitsError("numbers that no map holds")
+    if len(keyframes) and (keyframes[0] <= before or (np.diff(keyframes) <= 0).any() or keyframes[-1] > _LOW):
+        raise BitsError("key-frames out of order")
     return made
 
 

@@ -25,7 +25,8 @@ class Publisher:
 
     state: AgentState
     stock: Stock | None = None
-    _at_version: int = field(default=-1)
+    _at_version: int = -1
+    _sold: set[int] = field(default_factory=set)
 
     @property
     def _config(self) -> MergeConfig:
@@ -70,6 +71,7 @@ class Publisher:
         if base is not None and np.array_equal(base.keyframes, placed[: len(base.keyframes)]):
             known = len(base.keyframes)
         old = None if not known else base
+        self._sold = self._sold if old is not None else set()
         points = [self._points(i, steps) for i in placed[known:]]
         empty = [np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)]
         first = [empty[0], empty[1]] if old is None else [old.cells, old.depths]
@@ -92,11 +94,12 @@ class Publisher:
         )  # fmt: skip
 
     def _points(self, index: int, steps: Steps) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
-        """Cells, depths and descriptors of the points that are sold with a key-frame: each point with the first that
-        sees it."""
+        """Cells, depths and descriptors of the points that are sold with a key-frame: of those not sold yet."""
         keyframe = self.state.keyframes[index]
-        rows = np.flatnonzero(keyframe.first_seen & sellable(keyframe.points_C))
+        fresh = np.array([i not in self._sold for i in keyframe.point_ids.tolist()], dtype=bool)
+        rows = np.flatnonzero(fresh & sellable(keyframe.points_C))
         rows = well_spread(keyframe.points_C, rows, self._config.max_points)
+        self._sold.update(keyframe.point_ids[rows].tolist())
         order, cells, depths = points_on_lattice(keyframe.points_C[rows], steps)
         return cells, depths, keyframe.descriptors[rows[order]]
 
