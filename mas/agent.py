@@ -93,6 +93,7 @@ class Agent:
             self.desk.watch(contract)
         self._settle_contracts()
         self.optimisation.resend()
+        self.maps.tick()
         for keyframe in self._new:
             self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
             if self.state.config.places.own_loops:

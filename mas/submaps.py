@@ -29,8 +29,9 @@ from mas.tensors import unpack_sim3
 
 @dataclass
 class Tender:
-    """One call for maps until all have answered."""
+    """One call for maps until all have answered, or long enough has been waited for them."""
 
+    called_ns: int
     pending: set[int]
     bids: dict[int, Bid] = field(default_factory=dict)
 
@@ -57,7 +58,7 @@ class MapTrade(Trade):
         """Call for the maps of these agents."""
         identity, called = self.desk.call(Operation.MAPMERGE, sellers)
         if called:
-            self._tenders[identity] = Tender(set(called))
+            self._tenders[identity] = Tender(self.desk.now_ns, set(called))
         for seller in sellers:
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
@@ -74,16 +75,28 @@ class MapTrade(Trade):
         if contract.manager == self.state.me:
             self._answered(contract)
 
+    def tick(self) -> None:
+        """Half of a contract's time is enough to wait for those who do not answer; the others' bids would expire with
+        them."""
+        patience = round(0.5e9 * self.state.config.deadline_s)
+        for identity, tender in sorted(self._tenders.items()):
+            if self.desk.now_ns - tender.called_ns >= patience:
+                silent = [c for c in self.desk.ledger.managed(identity) if c.contractor in tender.pending]
+                self.desk.cancel(silent, "no answer")
+                tender.pending.clear()
+                self._award(identity)
+
     def _answered(self, contract: Contract) -> None:
+        tender = self._tenders.get(contract.id)
+        if tender is not None:
+            tender.pending.discard(contract.contractor)
+            if not tender.pending:
+                self._award(contract.id)
+
+    def _award(self, identity: ContractId) -> None:
         """Once all have answered each wanted map is ordered from one of them: from its owner if possible, else the
         newest version from the lowest number."""
-        tender = self._tenders.get(contract.id)
-        if tender is None:
-            return
-        tender.pending.discard(contract.contractor)
-        if tender.pending:
-            return
-        del self._tenders[contract.id]
+        tender = self._tenders.pop(identity)
         best: dict[int, tuple[bool, int, int]] = {}
         for seller, bid in sorted(tender.bids.items()):
             for offer in bid.offers:
@@ -91,7 +104,7 @@ class MapTrade(Trade):
                 rank = (offer.owner == seller, offer.version, -seller)
                 if self._wants(seller, offer) and rank > best.get(offer.owner, (False, -1, 0)):
                     best[offer.owner] = rank
-        for one in self.desk.ledger.managed(contract.id):
+        for one in self.desk.ledger.managed(identity):
             if one.state is State.BID:
                 self._order(one, tuple(sorted(o for o, (_, _, s) in best.items() if -s == one.contractor)))
 

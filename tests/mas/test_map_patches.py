@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from mas.maps.stock import StaleBase, Stock, stock_of
 from mas.maps.wire import MapPatch
 from mas.matches import Match
 from mas.policy.presets import preset
+from mas.sequence import AgentSequence
 from mas.state import AgentState, Piece
 
 WORLD = make_world(7, points=90_000)
@@ -31,11 +33,17 @@ WORLD = make_world(7, points=90_000)
 
 def driver(keyframes: int = 40, **merge: object) -> tuple[AgentState, list[KeyFrame]]:
     """An agent that has seen nothing yet, and the key-frames that it will see."""
-    sequence = make_sequence(WORLD, circuit(0.0, keyframes * 1.5), 7)
+    sequence, frames = _drive(keyframes)
     config = preset("maslam")
     config = config.model_copy(update={"merge": config.merge.model_copy(update={"edition_keyframes": 1, **merge})})
     agent = make_agents(manifest_of([sequence]), [sequence], config)[0]
-    return agent.state, keyframes_of(sequence)
+    return agent.state, frames
+
+
+@cache
+def _drive(keyframes: int) -> tuple[AgentSequence, list[KeyFrame]]:
+    sequence = make_sequence(WORLD, circuit(0.0, keyframes * 1.5), 7)
+    return sequence, keyframes_of(sequence)
 
 
 def see(state: AgentState, keyframes: list[KeyFrame], count: int) -> None:
