@@ -42,9 +42,7 @@ def admit(
     it."""
     config = state.config.merge
     new, found, aligned_by = aligned(new, state, others)
-    judges = [w for w in found if w.match not in (placed_by, aligned_by)]
-    own = [w for w in judges if state.me in w.match.agents]
-    how = standing(own or judges)
+    how = standing(w for w in found if w.match not in (placed_by, aligned_by))
     limit = tolerance(config.accuracy_m, state)
     if how is not None and limit is not None and how.least_m > limit:
         reason = f"no place match agrees: {how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
@@ -63,12 +61,11 @@ def aligned(
     """The consistency check: the map, laid on a match where the matches say that it stands too far off; its witnesses
     then, and that match."""
     found = witnesses(held, state, others)
-    own = [w for w in found if state.me in w.match.agents]
-    how = standing(own or found)
+    how = standing(found)
     limit = tolerance(state.config.merge.consistency_m, state)
     if how is None or limit is None or how.median_m <= limit:
         return held, found, None
-    motion, match = best_motion(own or found)
+    motion, match = best_motion(found)
     return held.moved(motion), [w.after(motion) for w in found], match
 
 

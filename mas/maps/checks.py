@@ -19,6 +19,9 @@ from mas.identities import MatchId
 from mas.maps.held import HeldMap
 from mas.state import AgentState
 
+# Witnesses of one map that are asked.
+ENOUGH = 16
+
 
 @dataclass(frozen=True, eq=False)
 class Witness:
@@ -60,32 +63,54 @@ class Standing:
 
 
 def witnesses(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> list[Witness]:
-    """All accepted matches between the map and the agent itself, then those that either map brought along between it
-    and other held maps, in order of id."""
-    placed = set(state.placed())
-    own = {m.id: m.T_M_Q for m in state.accepted_matches() if held.owner in m.id.agents and state.me in m.id.agents}
-    bought: dict[MatchId, Sim3] = {}
+    """The accepted matches between the map and the agent itself; where there are none, those that came with maps
+    between it and other held ones. In order of id; of many, :data:`ENOUGH` spread evenly.
+
+    Own matches come first because they were verified here; another map may be wrong itself.
+    """
+    own = [i for i in state.accepted if held.owner in i.agents and state.me in i.agents]
+    found = _own(held, state, _some(sorted(own)))
+    return found or _bought(held, others)
+
+
+def _own(held: HeldMap, state: AgentState, matches: list[MatchId]) -> list[Witness]:
+    frame, out = state.frame, []
+    for match in matches:
+        mine = match.query if match.query_agent == state.me else match.match
+        if state.piece_of(mine).frame == frame:
+            out.append(_witness(held, match, state.verified[match].T_M_Q, state.pose(mine)))
+    return [w for w in out if w is not None]
+
+
+def _bought(held: HeldMap, others: Mapping[int, HeldMap]) -> list[Witness]:
+    known: dict[MatchId, Sim3] = {}
     for other in sorted(set(others) - {held.owner}):
         for match, T_M_Q in (*held.matches, *others[other].matches):
-            if set(match.agents) == {held.owner, other}:
-                bought.setdefault(match, T_M_Q)
+            if held.owner in match.agents and other in match.agents:
+                known.setdefault(match, T_M_Q)
     out = []
-    for match, T_M_Q in (*sorted(own.items()), *sorted(bought.items())):
+    for match in _some(sorted(known)):
         queried = match.query_agent == held.owner
-        theirs = match.query if queried else match.match
-        known, index = (match.match_agent, match.match) if queried else (match.query_agent, match.query)
-        row = held.rows.get(theirs)
-        if row is None:
-            continue
-        if known == state.me:
-            camera = state.pose(index) if index in placed else None
-        else:
-            at = others[known].rows.get(index)
-            camera = None if at is None else others[known].pose(at)
-        if camera is not None:
-            expected = camera @ T_M_Q if queried else camera @ T_M_Q.inverse()
-            out.append(Witness(match, expected, held.pose(row)))
-    return out
+        other, index = (match.match_agent, match.match) if queried else (match.query_agent, match.query)
+        row = others[other].rows.get(index)
+        if row is not None:
+            out.append(_witness(held, match, known[match], others[other].pose(row)))
+    return [w for w in out if w is not None]
+
+
+def _witness(held: HeldMap, match: MatchId, T_M_Q: Sim3, camera: Sim3) -> Witness | None:
+    """What a match from a known camera, ``T_O_C``, says about a key-frame of the map; None if that is not in it."""
+    queried = match.query_agent == held.owner
+    row = held.rows.get(match.query if queried else match.match)
+    if row is None:
+        return None
+    return Witness(match, camera @ T_M_Q if queried else camera @ T_M_Q.inverse(), held.pose(row))
+
+
+def _some(matches: list[MatchId]) -> list[MatchId]:
+    if len(matches) <= ENOUGH:
+        return matches
+    return [matches[i] for i in np.linspace(0, len(matches) - 1, ENOUGH).astype(int)]
 
 
 def standing(found: Iterable[Witness]) -> Standing | None:
@@ -93,8 +118,9 @@ def standing(found: Iterable[Witness]) -> Standing | None:
     rows = list(found)
     if not rows:
         return None
-    off = np.array([w.metres for w in rows])
-    worst = max(w.degrees for w in rows)
+    off = _distances(rows, Sim3.identity())
+    turned = [w.expected.rotation.T @ w.found.rotation for w in rows]
+    worst = float(rotation_angle_deg(np.array(turned)).max())
     return Standing(len(rows), float(off.min()), float(np.median(off)), float(off.max()), worst)
 
 
@@ -107,7 +133,10 @@ def best_motion(found: list[Witness]) -> tuple[Sim3, MatchId]:
 
 
 def _distances(found: list[Witness], motion: Sim3) -> Array:
-    return np.array([w.after(motion).metres for w in found])
+    """``(n,)`` after the map has moved."""
+    there = motion @ np.array([w.found.translation for w in found])
+    apart: Array = np.linalg.norm(np.array([w.expected.translation for w in found]) - there, axis=1)
+    return apart
 
 
 def tolerance(value_m: float | None, state: AgentState) -> float | None:

@@ -16,8 +16,8 @@ PRESETS: dict[str, MasConfig] = {
     ),
 }
 """``default``: the thesis's default system (4.2). ``maslam``: ours, the default of the command: does not ask where
-the answer could not be used, buys maps less often while driving and with the points that a key-frame needs to be
-recognised, and sends place vectors as int8, a byte a number.
+the answer could not be used, buys compact maps, less often while driving, and lays them on place matches or rejects
+them, and sends place vectors as int8, a byte a number.
 """
 
 
