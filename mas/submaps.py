@@ -8,6 +8,7 @@ what is newer than what it has, each map once, never its own. So every purchase 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,14 @@ from mas.contract import Contract, State
 from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
 from mas.maps.admission import Admission, admit, aligned, seller_frame
-from mas.maps.checks import Standing, standing
+from mas.maps.checks import standing
 from mas.maps.held import HeldMap, held_of_stock, held_of_submap
 from mas.maps.shop import Shop, own_end
 from mas.maps.stock import stock_of
 from mas.maps.wire import MapDelivery, MapOrder, Parcel
 from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
 from mas.posegraph import Adoption
+from mas.relpose import str_match
 from mas.tasks import Outcome, Task
 from mas.tensors import unpack_sim3
 
@@ -188,7 +190,7 @@ class MapTrade(Trade):
         self.desk.note(
             "map_bought", seller=seller, owner=owner, version=version, keyframes=len(new.keyframes),
             new_keyframes=len(new.keyframes) - known, points=len(new.references), route=list(new.route),
-            **_figures(verdict.standing), **_remarks(verdict),
+            **_remarks(verdict),
         )  # fmt: skip
 
     # -- holder -------------------------------------------------------------------------------------------------------
@@ -218,8 +220,8 @@ class MapTrade(Trade):
         self.held[owner] = held
         how = standing(found)
         if how is not None and (match is not None or final):
-            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **_figures(how),
-                           aligned_by=None if match is None else _name(match))  # fmt: skip
+            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **how.figures(),
+                           aligned_by=None if match is None else str_match(match))  # fmt: skip
         return held
 
     def _anchor(self, held: HeldMap, adoption: Adoption) -> int:
@@ -247,21 +249,11 @@ class MapTrade(Trade):
         self.desk.say(contract, Result(delivery))
 
 
-def _name(match: MatchId) -> str:
-    return f"{match.query_agent}:{match.query} - {match.match_agent}:{match.match}"
-
-
-def _figures(how: Standing | None) -> dict[str, float | int]:
-    """For events: how many place matches, and how far off."""
-    if how is None:
-        return {"matches": 0}
-    return {"matches": how.matches, "median_off": round(how.median_m, 4), "worst_off": round(how.worst_m, 4)}
-
-
-def _remarks(verdict: Admission) -> dict[str, str | bool]:
-    out: dict[str, str | bool] = {}
+def _remarks(verdict: Admission) -> dict[str, Any]:
+    """For events: how many place matches, how far off, and what was done."""
+    out: dict[str, Any] = {"matches": 0} if verdict.standing is None else dict(verdict.standing.figures())
     if verdict.aligned_by is not None:
-        out["aligned_by"] = _name(verdict.aligned_by)
+        out["aligned_by"] = str_match(verdict.aligned_by)
     if verdict.redundant:
         out["redundant"] = True
     return out

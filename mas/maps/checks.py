@@ -61,6 +61,13 @@ class Standing:
     worst_m: float
     worst_deg: float
 
+    def figures(self) -> dict[str, float | int]:
+        """For events."""
+        return {
+            "matches": self.matches, "median_off": round(self.median_m, 4), "worst_off": round(self.worst_m, 4),
+            "worst_off_deg": round(self.worst_deg, 3),
+        }  # fmt: skip
+
 
 def witnesses(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> list[Witness]:
     """The accepted matches between the map and the agent itself; where there are none, those that came with maps

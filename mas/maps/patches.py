@@ -1,21 +1,19 @@
 """What turns one edition of a map into the next, in few bits: new key-frames with their points, corrections of old
 poses, new matches. Against nothing it is the whole map. All arithmetic is on whole numbers: every copy gets the same.
-
-After an optimisation old key-frames move together, each by a little more or less than the one before it. So only a few
-of them, anchors, are told how far they moved; between two the correction is interpolated. Anchors are added where that
-is off by more than :attr:`Bound`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mas.identities import MAX_AGENTS, MAX_POINTS, FrameId
+from mas.maps.anchors import Bound, anchors_for, interpolated
 from mas.maps.bits import BitReader, BitsError, BitWriter
-from mas.maps.lattice import Ints, LatticeMap, Steps
+from mas.maps.lattice import Ints, LatticeMap, Steps, size
+from mas.tensors import MAX_SCALE
 
 MAX_KEYFRAMES = 1_000_000
 # Contexts: numbers that are of one size share one.
@@ -26,42 +24,6 @@ _TRANSFORM = np.arange(20, 27)
 KEPT, ANCHORS, ANEW = 0, 1, 2
 _LOW = 2**31
 _LARGEST = 2**52
-
-
-@dataclass(frozen=True)
-class Bound:
-    """How far a copy's pose may be off the owner's, in steps of the lattice."""
-
-    position: int = 4
-    rotation: int = 4
-
-    def worst(self, off: Ints) -> NDArray[np.float64]:
-        """``(K,)`` of ``(K, 6)``: above 1 where it is exceeded."""
-        shares = np.abs(off) / np.repeat([self.position, self.rotation], 3)
-        worst: NDArray[np.float64] = shares.max(axis=1, initial=0.0)
-        return worst
-
-
-def anchors_for(moves: Ints, bound: Bound) -> NDArray[np.intp]:
-    """The fewest anchors that bisecting at the worst key-frame finds for corrections ``(K, 6)`` within the bound."""
-    last = len(moves) - 1
-    chosen = sorted({0, last})
-    while True:
-        off = bound.worst(moves - interpolated(moves[chosen], np.array(chosen), len(moves)))
-        if off.max(initial=0.0) <= 1.0:
-            return np.array(chosen, dtype=np.intp)
-        chosen = sorted({*chosen, int(off.argmax())})
-
-
-def interpolated(at_anchors: Ints, anchors: NDArray[np.intp], count: int) -> Ints:
-    """Corrections ``(count, 6)`` between those of the anchors ``(a, 6)``; the first and last row are anchors."""
-    rows = np.arange(count)
-    right = np.clip(np.searchsorted(anchors, rows, side="left"), min(1, len(anchors) - 1), len(anchors) - 1)
-    left = np.maximum(right - 1, 0)
-    width = np.maximum(anchors[right] - anchors[left], 1)[:, None]
-    share = (rows - anchors[left])[:, None]
-    out: Ints = at_anchors[left] + (2 * share * (at_anchors[right] - at_anchors[left]) + width) // (2 * width)
-    return out
 
 
 def is_prefix(base: LatticeMap, target: LatticeMap) -> bool:
@@ -278,4 +240,6 @@ def _read_matches(bits: BitReader, base: LatticeMap) -> tuple[Ints, Ints]:
     if count and (ids.min() < 0 or ids[:, 1].max() >= MAX_AGENTS or ids.max() >= _LOW):
         raise BitsError("matches of nobody")
     transforms = bits.get_signed(_TRANSFORM, 7 * count).reshape(-1, 7)
+    if count and np.abs(transforms[:, 6]).max() * size(base.steps.rotation) > np.log(MAX_SCALE):
+        raise BitsError("a match whose scale is out of range")
     return np.concatenate([known[0], ids]), np.concatenate([known[1], transforms])

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mas.config import MergeConfig
+from mas.maps.anchors import Bound
 from mas.maps.lattice import TICK_NS, LatticeMap, Steps, match_on_lattice, on_lattice, points_on_lattice
-from mas.maps.patches import Bound, encode, is_prefix
+from mas.maps.patches import encode, is_prefix
 from mas.maps.points import sellable, well_spread
 from mas.maps.stock import Stock, make_patch
 from mas.matches import Match

@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from mas.maps.anchors import Bound
 from mas.maps.lattice import LatticeMap
-from mas.maps.patches import Bound, decode, encode
+from mas.maps.patches import decode, encode
 from mas.maps.wire import MapPatch
 from mas.tensors import Tensor
 

@@ -9,7 +9,9 @@ import msgspec
 import numpy as np
 
 from mas.identities import MAX_AGENTS, Agent, FrameId, Index, MatchId, Members
-from mas.tensors import Tensor, check, check_points, check_poses, check_sim3, check_sim3s
+from mas.tensors import MAX_SCALE, Tensor, check, check_points, check_poses, check_sim3, check_sim3s
+
+Unit = Annotated[float, msgspec.Meta(ge=1.0 / MAX_SCALE, le=MAX_SCALE)]
 
 
 class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
@@ -37,7 +39,7 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
 
     owner: Agent
     version: Index
-    unit: Annotated[float, msgspec.Meta(gt=0)]
+    unit: Unit
     keyframes: Tensor
     stamps_ns: Tensor
     poses: Tensor
@@ -84,7 +86,7 @@ class MapPatch(msgspec.Struct, frozen=True, array_like=True):
     base: Index
     edition: Annotated[int, msgspec.Meta(ge=1, le=2**31)]
     frame: FrameId
-    unit: Annotated[float, msgspec.Meta(gt=0)] | None
+    unit: Unit | None
     check: Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
     bits: Annotated[bytes, msgspec.Meta(max_length=2**28)]
     descriptors: Tensor | None = None
