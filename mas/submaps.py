@@ -16,8 +16,7 @@ from backend.geometry import Sim3
 from mas.contract import Contract, State
 from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
-from mas.maps.admission import Admission, admit, aligned, seller_frame
-from mas.maps.checks import standing
+from mas.maps.admission import Admission, admit, recheck, seller_frame
 from mas.maps.held import HeldMap, held_of_stock, held_of_submap
 from mas.maps.shop import Shop, own_end
 from mas.maps.stock import stock_of
@@ -181,8 +180,7 @@ class MapTrade(Trade):
         old = self.held.get(owner)
         verdict = admit(new, old, self.state, self.held, placed_by)
         if verdict.held is None:
-            self._rejected.add((seller, owner, version))
-            self.desk.note("map_refused", seller=seller, owner=owner, version=version, reason=verdict.reason)
+            self._refuse(new, verdict.reason)
             return
         self.held[owner] = verdict.held
         self.something_new = True
@@ -208,21 +206,28 @@ class MapTrade(Trade):
     def final_round(self) -> None:
         """The last consistency check: every copy that changed since it was last told of."""
         for owner in sorted(self.held):
-            held = self._check(owner, final=True)
-            self._checked[owner] = (held.version, self.state.version)
+            state = (self.held[owner].version, self.state.version)
+            if self._checked.get(owner) != state:
+                self._check(owner, final=True)
+                self._checked[owner] = state
 
-    def _check(self, owner: int, final: bool = False) -> HeldMap:
-        """The consistency check of a held map; told where it moved, and at the end in any case."""
+    def _check(self, owner: int, final: bool = False) -> None:
+        """The checks of 3.9.3 for a map that is held: matches that came since it was bought may tell that it is wrong.
+        Told where it is given up or moved, and at the end in any case."""
         held = self.held[owner]
-        if final and self._checked.get(owner) == (held.version, self.state.version):
-            return held
-        held, found, match = aligned(held, self.state, self.held)
-        self.held[owner] = held
-        how = standing(found)
-        if how is not None and (match is not None or final):
-            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **how.figures(),
-                           aligned_by=None if match is None else str_match(match))  # fmt: skip
-        return held
+        verdict = recheck(held, self.state, self.held)
+        if verdict.held is None:
+            del self.held[owner]
+            self._refuse(held, verdict.reason)
+            return
+        self.held[owner] = verdict.held
+        if verdict.standing is not None and (verdict.aligned_by is not None or final):
+            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **_remarks(verdict))
+
+    def _refuse(self, held: HeldMap, reason: str) -> None:
+        """Not kept, and not bought again from this seller."""
+        self._rejected.add((held.seller, held.owner, held.version))
+        self.desk.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
 
     def _anchor(self, held: HeldMap, adoption: Adoption) -> int:
         me = self.state.me

@@ -55,6 +55,14 @@ def admit(
     return Admission(new, standing(found), aligned_by=aligned_by)
 
 
+def recheck(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> Admission:
+    """Judge a map that is held. It may have been laid on any of its matches, so the one that agrees best says nothing
+    where there are others."""
+    found = witnesses(held, state, others)
+    best = min(found, key=lambda w: w.metres).match if len(found) > 1 else None
+    return admit(held, None, state, others, placed_by=best)
+
+
 def aligned(
     held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]
 ) -> tuple[HeldMap, list[Witness], MatchId | None]:

@@ -12,7 +12,7 @@ from backend.geometry import Array, Sim3, se3_exp, se3_inverse
 from mas.environment import make_agents
 from mas.identities import FrameId, MatchId
 from mas.keyframe import keyframes_of
-from mas.maps.admission import admit, aligned
+from mas.maps.admission import admit, aligned, recheck
 from mas.maps.checks import best_motion, standing, tolerance, witnesses
 from mas.maps.held import HeldMap, with_new_keyframes
 from mas.matches import Match
@@ -147,6 +147,17 @@ def test_the_match_that_placed_a_map_cannot_judge_it() -> None:
     assert admit(held(1, bent), None, state, {}, placed_by=first).held is not None
     matched(state, 3, 1, 6, ROAD[6], True)
     assert admit(held(1, bent), None, state, {}, placed_by=first).held is None
+
+
+def test_a_held_map_is_given_up_when_a_later_match_contradicts_it() -> None:
+    state = holder(accuracy_m=5.0)
+    bent = ROAD.copy()
+    bent[4:, :3, 3] += [0.0, 0.0, 40.0]
+    matched(state, 1, 1, 2, ROAD[2], True)
+    assert recheck(held(1, bent), state, {}).held is not None
+    matched(state, 3, 1, 6, ROAD[6], True)
+    assert recheck(held(1, bent), state, {}).held is None
+    assert recheck(held(1, ROAD), state, {}).held is not None
 
 
 def test_another_map_does_not_outvote_own_matches() -> None:
