@@ -40,19 +40,13 @@ def admit(
 ) -> Admission:
     """Judge a map that came in. ``placed_by``: the match that told where it stands, which can therefore not judge
     it."""
-    config = state.config.merge
-    new, found, aligned_by = aligned(new, state, others)
-    how = standing(w for w in found if w.match not in (placed_by, aligned_by))
-    limit = tolerance(config.accuracy_m, state)
-    if how is not None and limit is not None and how.least_m > limit:
-        reason = f"no place match agrees: {how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
-        return Admission(None, how, reason)
-    same = tolerance(config.redundancy_m, state)
-    if old is not None and same is not None:
+    verdict = _judged(new, witnesses(new, state, others), state, placed_by)
+    same = tolerance(state.config.merge.redundancy_m, state)
+    if verdict.held is not None and old is not None and same is not None:
         before = standing(witnesses(old, state, others))
         if before is not None and before.worst_m <= same:
-            return Admission(with_new_keyframes(old, new), before, redundant=True)
-    return Admission(new, standing(found), aligned_by=aligned_by)
+            return Admission(with_new_keyframes(old, verdict.held), before, redundant=True)
+    return verdict
 
 
 def recheck(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> Admission:
@@ -60,17 +54,27 @@ def recheck(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> 
     where there are others."""
     found = witnesses(held, state, others)
     best = min(found, key=lambda w: w.metres).match if len(found) > 1 else None
-    return admit(held, None, state, others, placed_by=best)
+    return _judged(held, found, state, best)
+
+
+def _judged(held: HeldMap, found: list[Witness], state: AgentState, placed_by: MatchId | None) -> Admission:
+    """Consistency, then accuracy."""
+    held, found, aligned_by = aligned(held, found, state)
+    limit = tolerance(state.config.merge.accuracy_m, state)
+    how = standing(w for w in found if w.match not in (placed_by, aligned_by)) if limit is not None else None
+    if how is not None and limit is not None and how.least_m > limit:
+        reason = f"no place match agrees: {how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
+        return Admission(None, how, reason)
+    return Admission(held, standing(found), aligned_by=aligned_by)
 
 
 def aligned(
-    held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]
+    held: HeldMap, found: list[Witness], state: AgentState
 ) -> tuple[HeldMap, list[Witness], MatchId | None]:
-    """The consistency check: the map, laid on a match where the matches say that it stands too far off; its witnesses
+    """The consistency check: the map, laid on a match where its witnesses say that it stands too far off; the witnesses
     then, and that match."""
-    found = witnesses(held, state, others)
-    how = standing(found)
     limit = tolerance(state.config.merge.consistency_m, state)
+    how = standing(found) if limit is not None else None
     if how is None or limit is None or how.median_m <= limit:
         return held, found, None
     motion, match = best_motion(found)

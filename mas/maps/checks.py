@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.geometry import Array, Sim3, rotation_angle_deg
+from backend.geometry import Array, Sim3
 from mas.identities import MatchId
 from mas.maps.held import HeldMap
 from mas.state import AgentState
@@ -39,7 +39,8 @@ class Witness:
 
     @property
     def degrees(self) -> float:
-        return float(rotation_angle_deg(self.expected.rotation.T @ self.found.rotation))
+        """Between the two orientations."""
+        return _degrees(float(((self.expected.rotation - self.found.rotation) ** 2).sum()))
 
     @property
     def motion(self) -> Sim3:
@@ -92,9 +93,8 @@ def _own(held: HeldMap, state: AgentState, matches: list[MatchId]) -> list[Witne
 def _bought(held: HeldMap, others: Mapping[int, HeldMap]) -> list[Witness]:
     known: dict[MatchId, Sim3] = {}
     for other in sorted(set(others) - {held.owner}):
-        for match, T_M_Q in (*held.matches, *others[other].matches):
-            if held.owner in match.agents and other in match.agents:
-                known.setdefault(match, T_M_Q)
+        for match, T_M_Q in (*held.matches_with.get(other, ()), *others[other].matches_with.get(held.owner, ())):
+            known.setdefault(match, T_M_Q)
     out = []
     for match in _some(sorted(known)):
         queried = match.query_agent == held.owner
@@ -126,8 +126,8 @@ def standing(found: Iterable[Witness]) -> Standing | None:
     if not rows:
         return None
     off = _distances(rows, Sim3.identity())
-    turned = [w.expected.rotation.T @ w.found.rotation for w in rows]
-    worst = float(rotation_angle_deg(np.array(turned)).max())
+    chords = np.array([w.expected.rotation for w in rows]) - np.array([w.found.rotation for w in rows])
+    worst = _degrees(float((chords**2).sum(axis=(1, 2)).max()))
     return Standing(len(rows), float(off.min()), float(np.median(off)), float(off.max()), worst)
 
 
@@ -137,6 +137,11 @@ def best_motion(found: list[Witness]) -> tuple[Sim3, MatchId]:
     scores = [float(np.median(_distances(found, w.motion))) for w in found]
     best = int(np.argmin(np.round(scores, 9)))
     return found[best].motion, found[best].match
+
+
+def _degrees(squared: float) -> float:
+    """The angle between rotation matrices that are ``2 sqrt(2) sin(angle / 2)`` apart, squared."""
+    return float(np.degrees(2.0 * np.arcsin(min(np.sqrt(squared / 8.0), 1.0))))
 
 
 def _distances(found: list[Witness], motion: Sim3) -> Array:

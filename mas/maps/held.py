@@ -59,6 +59,15 @@ class HeldMap:
         """Row of each of the owner's key-frames."""
         return {int(k): row for row, k in enumerate(self.keyframes)}
 
+    @cached_property
+    def matches_with(self) -> dict[int, list[tuple[MatchId, Sim3]]]:
+        """The owner's matches with each other agent."""
+        found: dict[int, list[tuple[MatchId, Sim3]]] = {}
+        for match, T_M_Q in self.matches:
+            other = match.match_agent if match.query_agent == self.owner else match.query_agent
+            found.setdefault(other, []).append((match, T_M_Q))
+        return found
+
     def pose(self, row: int) -> Sim3:
         """``T_F_C`` of a row, with the owner's unit as scale."""
         return Sim3(self.poses[row, :3, :3], self.poses[row, :3, 3], self.unit)

@@ -105,13 +105,14 @@ class LatticeMap:
 
     def match_list(self) -> list[tuple[MatchId, Sim3]]:
         """The owner's accepted queries with their ``T_M_Q``."""
-        position, rotation = size(self.steps.position), size(self.steps.rotation)
-        out = []
-        for (query, agent, match), row in zip(self.matches.tolist(), self.transforms, strict=True):
-            scale = float(np.exp(row[6] * rotation))
-            T_M_Q = Sim3(so3_exp(row[3:6] * rotation), row[:3] * position * scale, scale)
-            out.append((MatchId(self.owner, query, agent, match), T_M_Q))
-        return out
+        rotation = size(self.steps.rotation)
+        scales = np.exp(self.transforms[:, 6] * rotation)
+        moves = self.transforms[:, :3] * size(self.steps.position) * scales[:, None]
+        turns = so3_exp(self.transforms[:, 3:6] * rotation)
+        return [
+            (MatchId(self.owner, *ids), Sim3(turn, move, float(scale)))
+            for ids, turn, move, scale in zip(self.matches.tolist(), turns, moves, scales, strict=True)
+        ]
 
     def same_as(self, other: LatticeMap) -> bool:
         """Whether two copies hold the same numbers."""

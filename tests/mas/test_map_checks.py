@@ -84,7 +84,7 @@ def test_alignment_is_equation_3_4_and_the_rest_follows_by_relative_poses(asked:
     state = holder(consistency_m=0.5)
     identity = matched(state, 2, 1, 4, ROAD[4], asked)
     wrong = held(1, ROAD, placement=MOTION)
-    right, found, by = aligned(wrong, state, {})
+    right, found, by = aligned(wrong, witnesses(wrong, state, {}), state)
     assert by == identity and found[0].metres < 1e-9
     T_M_Q = state.verified[identity].T_M_Q.se3()
     chain = {4: state.poses[2] @ (se3_inverse(T_M_Q) if asked else T_M_Q)}
@@ -101,7 +101,7 @@ def test_a_map_within_the_threshold_is_left_alone() -> None:
     state = holder(consistency_m=100.0)
     matched(state, 2, 1, 4, ROAD[4], True)
     wrong = held(1, ROAD, placement=MOTION)
-    assert aligned(wrong, state, {})[0] is wrong
+    assert aligned(wrong, witnesses(wrong, state, {}), state)[0] is wrong
 
 
 def test_of_several_matches_the_one_that_the_others_agree_with_lays_the_map() -> None:
