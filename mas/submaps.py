@@ -161,8 +161,12 @@ class MapTrade(Trade):
         try:
             stock = stock_of(parcel.owner, None if held is None else held.stock, parcel.patches)
         except ValueError as error:
-            self._spoilt.add(parcel.owner)
-            self.stale.add(seller)
+            if parcel.patches[0].base:
+                self._spoilt.add(parcel.owner)
+                self.stale.add(seller)
+                self.something_new = True  # at the end, another round
+            else:
+                self._rejected.add((seller, parcel.owner, parcel.patches[-1].edition))
             self.desk.note("map_refused", seller=seller, owner=parcel.owner, reason=str(error))
             return
         self._spoilt.discard(parcel.owner)

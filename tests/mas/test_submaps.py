@@ -16,7 +16,7 @@ from mas.environment import make_agents
 from mas.identities import MatchId, Operation
 from mas.keyframe import KeyFrame, keyframes_of
 from mas.maps.stock import Stock
-from mas.maps.wire import MapOrder
+from mas.maps.wire import MapOrder, MapPatch, Parcel
 from mas.matches import Match
 from mas.policy.presets import preset
 from mas.posegraph import Adoption
@@ -189,6 +189,24 @@ def test_a_copy_that_went_bad_is_bought_whole_again() -> None:
     trade(agents, 0, [1])
     stock, publisher = agents[0].maps.held[1].stock, agents[1].maps.shop._publisher
     assert stock is not None and publisher.stock is not None and stock.map.same_as(publisher.stock.map)
+
+
+def test_a_whole_map_that_is_none_is_not_bought_again() -> None:
+    agents = agents_in_a_row(form="compact")
+    own = agents[1].maps.shop._own
+
+    def noise(edition: int, closing: bool) -> Parcel:
+        good = own(edition, closing)
+        assert isinstance(good, Parcel)
+        patch = good.patches[0]
+        damaged = MapPatch(patch.base, patch.edition, patch.frame, patch.unit, patch.check, patch.bits[::-1])
+        return Parcel(good.owner, good.placement, good.route, (damaged,))
+
+    agents[1].maps.shop._own = noise  # type: ignore[method-assign]
+    assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 2
+    assert agents[0].maps.held == {}
+    assert [e.fields["owner"] for e in agents[0].diary if e.kind == "map_refused"] == [1]
+    assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 0
 
 
 @FORMS
