@@ -122,6 +122,13 @@ class LatticeMap:
         )
 
 
+def empty_map(owner: int, frame: FrameId, steps: Steps) -> LatticeMap:
+    """Edition 0: nothing."""
+    none = np.zeros(0, dtype=np.int64)
+    rows = [none.reshape(0, n) for n in (6, 2, 3, 7)]
+    return LatticeMap(owner, 0, frame, 1.0, steps, none, none, rows[0], none, rows[1], none, None, rows[2], rows[3])
+
+
 def on_lattice(poses: Array, steps: Steps) -> Ints:
     """``(K, 6)`` of ``(K, 4, 4)`` in the owner's unit."""
     t = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)

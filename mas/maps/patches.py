@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mas.identities import MAX_AGENTS, MAX_POINTS, FrameId
 from mas.maps.anchors import Bound, anchors_for, interpolated
 from mas.maps.bits import BitReader, BitsError, BitWriter
-from mas.maps.lattice import Ints, LatticeMap, Steps, size
+from mas.maps.lattice import Ints, LatticeMap, Steps, empty_map, size
 from mas.tensors import MAX_SCALE
 
 MAX_KEYFRAMES = 1_000_000
@@ -150,7 +150,7 @@ def decode(
     bits = BitReader(data)
     if base is None:
         steps = Steps(*(int(n) for n in bits.get_signed(_HEAD, 4)))
-        base = _empty(owner, frame, steps)
+        base = empty_map(owner, frame, steps)
     old = len(base.keyframes)
     fresh, mode = bits.one(_HEAD, MAX_KEYFRAMES - old), bits.one(_HEAD, ANEW)
     moved = base.poses
@@ -174,12 +174,6 @@ def decode(
     if len(keyframes) and (keyframes[0] <= before or (np.diff(keyframes) <= 0).any() or keyframes[-1] > _LOW):
         raise BitsError("key-frames out of order")
     return made
-
-
-def _empty(owner: int, frame: FrameId, steps: Steps) -> LatticeMap:
-    none = np.zeros(0, dtype=np.int64)
-    rows = [none.reshape(0, n) for n in (6, 2, 3, 7)]
-    return LatticeMap(owner, 0, frame, 1.0, steps, none, none, rows[0], none, rows[1], none, None, rows[2], rows[3])
 
 
 def _read_moves(bits: BitReader, old: int) -> Ints:

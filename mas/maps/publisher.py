@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mas.config import MergeConfig
 from mas.maps.anchors import Bound
-from mas.maps.lattice import TICK_NS, LatticeMap, Steps, match_on_lattice, on_lattice, points_on_lattice
+from mas.maps.lattice import TICK_NS, LatticeMap, Steps, empty_map, match_on_lattice, on_lattice, points_on_lattice
 from mas.maps.patches import encode, is_prefix
 from mas.maps.points import sellable, well_spread
 from mas.maps.stock import Stock, make_patch
@@ -68,31 +68,31 @@ class Publisher:
         keyframes = [state.keyframes[i] for i in placed]
         depth = float(np.median([k.depth for k in keyframes]))
         steps = Steps.of(config.point_error, config.pose_error, depth) if base is None else base.steps
-        known = 0
+        old = empty_map(state.me, state.frame, steps)
         if base is not None and np.array_equal(base.keyframes, placed[: len(base.keyframes)]):
-            known = len(base.keyframes)
-        old = None if not known else base
-        self._sold = self._sold if old is not None else set()
-        points = [self._points(i, steps) for i in placed[known:]]
-        empty = [np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)]
-        first = [empty[0], empty[1]] if old is None else [old.cells, old.depths]
-        counts = np.array([len(p[1]) for p in points], dtype=np.int64)
+            old = base
+        else:
+            self._sold = set()
+        points = [self._points(i, steps) for i in placed[len(old.keyframes) :]]
         matches = [m for m in state.accepted_matches() if m.id.query_agent == state.me != m.id.match_agent]
         matches = _in_old_order(old, matches)
+        names = [(m.id.query, m.id.match_agent, m.id.match) for m in matches]
         return LatticeMap(
-            owner=state.me, edition=1 if self.stock is None else self.stock.map.edition + 1, frame=state.frame,
-            unit=unit, steps=steps,
+            owner=state.me,
+            edition=1 if self.stock is None else self.stock.map.edition + 1,
+            frame=state.frame,
+            unit=unit,
+            steps=steps,
             keyframes=np.array(placed, dtype=np.int64),
             ticks=np.array([round(k.stamp_ns / TICK_NS) for k in keyframes], dtype=np.int64),
             poses=on_lattice(np.array([stretched(state.poses[i], 1.0 / unit) for i in placed]), steps),
-            counts=counts if old is None else np.concatenate([old.counts, counts]),
-            cells=np.concatenate([first[0], *(p[0] for p in points)]),
-            depths=np.concatenate([first[1], *(p[1] for p in points)]),
+            counts=np.concatenate([old.counts, np.array([len(p[1]) for p in points], dtype=np.int64)]),
+            cells=np.concatenate([old.cells, *(p[0] for p in points)]),
+            depths=np.concatenate([old.depths, *(p[1] for p in points)]),
             descriptors=self._descriptors(old, points),
-            matches=np.array([(m.id.query, m.id.match_agent, m.id.match) for m in matches],
-                             dtype=np.int64).reshape(-1, 3),
+            matches=np.array(names, dtype=np.int64).reshape(-1, 3),
             transforms=np.array([match_on_lattice(m.T_M_Q, steps) for m in matches], dtype=np.int64).reshape(-1, 7),
-        )  # fmt: skip
+        )
 
     def _points(self, index: int, steps: Steps) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
         """Cells, depths and descriptors of the points that are sold with a key-frame: of those not sold yet."""
@@ -105,18 +105,17 @@ class Publisher:
         return cells, depths, keyframe.descriptors[rows[order]]
 
     def _descriptors(
-        self, old: LatticeMap | None, points: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]]
+        self, old: LatticeMap, points: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]]
     ) -> NDArray[np.uint8] | None:
         if not self._config.descriptors:
             return None
-        known = None if old is None else old.descriptors
-        first = np.zeros((0, 32), dtype=np.uint8) if known is None else known
+        first = np.zeros((0, 32), dtype=np.uint8) if old.descriptors is None else old.descriptors
         return np.concatenate([first, *(p[2] for p in points)])
 
 
-def _in_old_order(old: LatticeMap | None, matches: list[Match]) -> list[Match]:
+def _in_old_order(old: LatticeMap, matches: list[Match]) -> list[Match]:
     """Matches that the last edition had come first, in its order; so that only new ones need travel."""
-    rank = {} if old is None else {tuple(row): n for n, row in enumerate(old.matches.tolist())}
+    rank = {tuple(row): n for n, row in enumerate(old.matches.tolist())}
     return sorted(matches, key=lambda m: (rank.get((m.id.query, m.id.match_agent, m.id.match), len(rank)), m.id))
 
 
