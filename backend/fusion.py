@@ -44,31 +44,52 @@ def fuse(maps: Sequence[PointMap], radius: float, max_hamming: int = 50) -> Poin
     mean.
 
     Same: within ``radius`` (in the frame's unit) and, where both maps have descriptors, at most ``max_hamming`` bits
-    apart. The first point's owner and descriptor stay. Order of input decides order of output, nothing else.
+    apart. The first point's owner and descriptor stay; there are descriptors if all maps have them. Order of input
+    decides order of output, nothing else.
     """
+    return merged(maps, associate(maps, radius, max_hamming))
+
+
+def associate(maps: Sequence[PointMap], radius: float, max_hamming: int = 50) -> NDArray[np.intp]:
+    """``(n,)``: for each point of all maps in their order the number of the merged point it becomes, from 0 in order
+    of first appearance."""
+    sizes = [len(m.points) for m in maps]
+    if not sum(sizes):
+        return np.zeros(0, dtype=np.intp)
+    points = np.concatenate([m.points for m in maps])
+    number = np.repeat(np.arange(len(maps)), sizes)
+    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    pairs = pairs[number[pairs[:, 0]] != number[pairs[:, 1]]]
+    described = np.array([m.descriptors is not None for m in maps])[number]
+    if described.any():
+        blank = np.zeros((0, 32), dtype=np.uint8)
+        bits = np.zeros((len(points), 32), dtype=np.uint8)
+        bits[described] = np.concatenate([blank if m.descriptors is None else m.descriptors for m in maps])
+        apart = np.bitwise_count(bits[pairs[:, 0]] ^ bits[pairs[:, 1]]).sum(axis=1, dtype=np.int64)
+        pairs = pairs[(apart <= max_hamming) | ~described[pairs].all(axis=1)]
+    pairs = _mutual(pairs, points)
+    n = len(points)
+    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    label = connected_components(joined, directed=False)[1]
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.intp)
+    rank[np.argsort(first, kind="stable")] = np.arange(len(first))
+    return rank[inverse]
+
+
+def merged(maps: Sequence[PointMap], labels: NDArray[np.intp]) -> PointMap:
+    """The points that :func:`associate` numbered, each the mean of its members."""
     maps = [m for m in maps if len(m.points)]
     if not maps:
         return PointMap(np.zeros((0, 3)), np.zeros(0, dtype=np.int32))
     points = np.concatenate([m.points for m in maps])
     owners = np.concatenate([m.owners for m in maps])
-    described = all(m.descriptors is not None for m in maps)
-    descriptors = np.concatenate([m.descriptors for m in maps if m.descriptors is not None]) if described else None
-    number = np.repeat(np.arange(len(maps)), [len(m.points) for m in maps])
-    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
-    pairs = pairs[number[pairs[:, 0]] != number[pairs[:, 1]]]
-    if descriptors is not None:
-        bits = np.bitwise_count(descriptors[pairs[:, 0]] ^ descriptors[pairs[:, 1]]).sum(axis=1, dtype=np.int64)
-        pairs = pairs[bits <= max_hamming]
-    pairs = _mutual(pairs, points)
-    n = len(points)
-    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    label = connected_components(joined, directed=False)[1]
-    first = np.unique(label, return_index=True)[1]
-    count = np.bincount(label)
-    mean = np.stack([np.bincount(label, weights=points[:, a]) / count for a in range(3)], axis=1)
-    order = np.argsort(first)
-    first = first[order]
-    return PointMap(mean[order], owners[first], None if descriptors is None else descriptors[first])
+    count = np.bincount(labels)
+    mean = np.stack([np.bincount(labels, weights=points[:, a]) / count for a in range(3)], axis=1)
+    first = np.unique(labels, return_index=True)[1]
+    descriptors = [m.descriptors for m in maps if m.descriptors is not None]
+    kept = np.concatenate(descriptors)[first] if len(descriptors) == len(maps) else None
+    return PointMap(mean, owners[first], kept)
 
 
 def _mutual(pairs: NDArray[np.intp], points: Array) -> NDArray[np.intp]:

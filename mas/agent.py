@@ -93,6 +93,7 @@ class Agent:
             self.desk.watch(contract)
         self._settle_contracts()
         self.optimisation.resend()
+        self.maps.tick()
         for keyframe in self._new:
             self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
             if self.state.config.places.own_loops:
@@ -147,6 +148,8 @@ class Agent:
                 sellers = []
             self._searching = bool(sellers) and (self.maps.something_new or self.maps.rounds == 0)
             self.maps.rounds += 1
+            if not self._searching:
+                self.maps.final_round()
         self.maps.something_new = False
         if sellers:
             self.maps.buy(sellers)

@@ -92,7 +92,38 @@ class MergeConfig(_Section):
 
     enabled: bool = Field(True, description="agents buy each other's maps")
     period_keyframes: int = Field(10, ge=1, description="own key-frames between purchases from one agent")
+    form: Literal["full", "compact"] = Field(
+        "full", description="maps travel whole, as numbers with descriptors (thesis), or as patches on a lattice"
+    )
     max_points: int = Field(2000, ge=0, description="map points sold with each key-frame, at most")
+    descriptors: bool = Field(False, description="compact maps carry the points' descriptors, 32 bytes each")
+    point_error: float = Field(
+        0.005, gt=0, le=0.1, description="median error of a point of a compact map, as a share of its distance"
+    )
+    pose_error: float = Field(
+        0.001, gt=0, le=0.1, description="a held pose is off the owner's by at most this share of the median depth"
+    )
+    edition_keyframes: int = Field(
+        10, ge=1, description="new key-frames that make a new edition of a compact map on the way"
+    )
+    consistency_m: float | None = Field(
+        None,
+        gt=0,
+        description="a held map that a place match puts this far off is laid on the match (3.3, 3.4), metres "
+        "(monocular: tenths of a median depth); the thesis's is 100; null: never",
+    )
+    redundancy_m: float | None = Field(
+        None,
+        gt=0,
+        description="of a map whose old copy agrees with all place matches within this only new key-frames are taken, "
+        "metres; the thesis's is 5; null: the newest replaces",
+    )
+    accuracy_m: float | None = Field(
+        None,
+        gt=0,
+        description="a map that no place match agrees with within this is rejected, metres; the thesis's is 5; "
+        "null: never",
+    )
     closing_rounds: int = Field(
         32, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
     )

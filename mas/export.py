@@ -1,14 +1,20 @@
-"""Maps of points as PLY files."""
+"""An agent's maps joined into one, and maps of points as PLY files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from mas.submaps import HeldMap
+from backend.fusion import PointMap, associate, merged
+from backend.geometry import Array
+from mas.maps.held import HeldMap
+
+# Points of two maps are the same within this share of the median depth: a few pixels, a stereo depth's error.
+_SAME_POINT = 0.01
 
 # Colour-blind-safe colours (Okabe and Ito), one an agent, then again from the start.
 COLOURS = np.array(
@@ -18,11 +24,31 @@ COLOURS = np.array(
 )  # fmt: skip
 
 
-def write_map(path: Path, maps: Sequence[HeldMap]) -> None:
-    """All maps in the holder's coordinates, each point coloured by its owner."""
-    points = np.concatenate([np.zeros((0, 3)), *(m.points() for m in maps)])
-    owners = np.concatenate([np.zeros(0, dtype=np.int64), *(np.full(len(m.points()), m.owner) for m in maps)])
-    write_ply(path, points, owners)
+@dataclass(frozen=True, eq=False)
+class FusedMap:
+    """An agent's own map and its copies as one: ``maps``, all points of these in order, and the merged ``points``
+    ``(m, 3)`` with ``owners`` ``(m,)`` in its coordinates; ``labels`` ``(n,)``: which merged point each became."""
+
+    maps: tuple[HeldMap, ...]
+    points: Array
+    owners: NDArray[np.int32]
+    labels: NDArray[np.intp]
+
+
+def fused(maps: Sequence[HeldMap]) -> FusedMap:
+    """Duplicates among an agent's maps merged (:mod:`backend.fusion`): closer than a hundredth of the median depth and,
+    where both have descriptors, alike."""
+    parts = [PointMap(m.points(), np.full(len(m.references), m.owner, dtype=np.int32), m.descriptors) for m in maps]
+    depths = np.concatenate([np.zeros(0), *(m.points_C[:, 2] * m.unit for m in maps)])
+    radius = _SAME_POINT * float(np.median(depths)) if len(depths) else 1.0
+    labels = associate(parts, radius)
+    one = merged(parts, labels)
+    return FusedMap(tuple(maps), one.points, one.owners, labels)
+
+
+def write_map(path: Path, one: FusedMap) -> None:
+    """The fused map in the holder's coordinates, each point coloured by its (first) owner."""
+    write_ply(path, one.points, one.owners)
 
 
 def write_ply(path: Path, points: ArrayLike, owners: ArrayLike) -> None:

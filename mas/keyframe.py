@@ -21,7 +21,8 @@ class KeyFrame:
     4)``: odometry, in the track's frame.
 
     ``points_C`` ``(n, 3)`` float32 map points in the camera; ``descriptors`` ``(n, 32)`` uint8; ``words`` ``(n,)``
-    vocabulary ids at level 4; ``first_seen`` ``(n,)`` bool: this key-frame is the first that observes the point;
+    vocabulary ids at level 4; ``point_ids`` ``(n,)``: numbers of the map points, the same in all key-frames that see
+    them; ``first_seen`` ``(n,)`` bool: this key-frame is the first that observes the point;
     ``depth``: median depth, own unit; ``vector`` ``(dim,)`` float32 unit; ``textured``: whether the image has enough
     texture for its vector to mean something.
     """
@@ -34,6 +35,7 @@ class KeyFrame:
     points_C: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
     words: NDArray[np.int32]
+    point_ids: NDArray[np.int64]
     first_seen: NDArray[np.bool_]
     depth: float
     vector: NDArray[np.float32]
@@ -43,6 +45,7 @@ class KeyFrame:
 def keyframes_of(sequence: AgentSequence) -> list[KeyFrame]:
     """The key-frames of all tracks in order, numbered from 0 through all tracks."""
     out: list[KeyFrame] = []
+    before = 0  # points of earlier tracks
     for number, track in enumerate(sequence.tracks):
         order = np.argsort(track.observations[:, 0], kind="stable")
         starts = np.searchsorted(track.observations[order, 0], np.arange(len(track) + 1))
@@ -64,6 +67,7 @@ def keyframes_of(sequence: AgentSequence) -> list[KeyFrame]:
                     points_C=points_C.astype(np.float32),
                     descriptors=track.descriptors[rows],
                     words=track.words[rows, 1].astype(np.int32),
+                    point_ids=before + points.astype(np.int64),
                     first_seen=~seen[points],
                     depth=float(np.median(depths)) if len(depths) else _DEPTH_WITHOUT_POINTS,
                     vector=np.asarray(sequence.places.vectors[index], dtype=np.float32),
@@ -71,4 +75,5 @@ def keyframes_of(sequence: AgentSequence) -> list[KeyFrame]:
                 )
             )
             seen[points] = True
+        before += len(track.points)
     return out

@@ -12,9 +12,9 @@ from backend.geometry import Array, rotation_angle_deg, se3_inverse
 from backend.trajectory_error import TrajectoryError, connected_error, path_length, trajectory_error
 from frontend.trajectory import Trajectory
 from mas.agent import Agent
+from mas.maps.held import HeldMap
 from mas.matches import Match
-from mas.sequence import AgentSequence
-from mas.submaps import HeldMap
+from mas.sequence import STAMP_TOLERANCE_NS, AgentSequence
 from mas.trajectories import keyframe_trajectory
 
 # An estimated pose and a true one belong together within this; ground truth is often sampled at its own times.
@@ -122,7 +122,9 @@ class Onlooker:
         return {(sequence.source, int(t) + sequence.start_ns) for t in sequence.trajectory.stamps_ns}
 
     def _between(self, agent: int, first_ns: int, last_ns: int) -> set[tuple[str, int]]:
+        """Times of map copies may be rounded to the millisecond."""
         start = self.sequences[agent].start_ns
+        first_ns, last_ns = first_ns - STAMP_TOLERANCE_NS, last_ns + STAMP_TOLERANCE_NS
         return {f for f in self._frames[agent] if first_ns <= f[1] - start <= last_ns}
 
     # -- matches ------------------------------------------------------------------------------------------------------
@@ -160,7 +162,7 @@ class Onlooker:
         return self._paired(agent.state.me, trajectory.stamps_ns, trajectory.centres)
 
     def _times(self, held: HeldMap) -> NDArray[np.int64]:
-        stamps: NDArray[np.int64] = held.wire.stamps_ns.array()
+        stamps: NDArray[np.int64] = held.stamps_ns.astype(np.int64)
         return stamps - self.sequences[held.owner].start_ns
 
     def _paired(self, agent: int, times_ns: NDArray[np.int64], centres: Array) -> tuple[Array, Array] | None:

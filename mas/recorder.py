@@ -20,16 +20,17 @@ import yaml
 from backend.g2o import write_g2o
 from frontend.trajectory import Trajectory, write_tum
 from mas.agent import Agent
+from mas.colmap_model import write_colmap
 from mas.config import MasConfig
 from mas.desk import Event
 from mas.errors import MasError
-from mas.export import write_map, write_ply
+from mas.export import fused, write_map, write_ply
 from mas.identities import MatchId
+from mas.maps.full import own_map
 from mas.matches import Fate
 from mas.metrics import MatchError, Onlooker
 from mas.posegraph import own_graph
-from mas.sequence import GROUNDTRUTH, MANIFEST, AgentSequence, Manifest
-from mas.submaps import held_from_wire
+from mas.sequence import GROUNDTRUTH, MANIFEST, AgentSequence, CameraEntry, Manifest
 from mas.summary import Summary
 from mas.trajectories import frame_trajectory, keyframe_trajectory
 from mas.transport import Sent, Traffic
@@ -76,6 +77,7 @@ class Recorder:
         self._files: list[IO[str]] = []
         self._traffic: Any = None
         self._timeline: Any = None
+        self._cameras: dict[int, CameraEntry] = {}
 
     def __enter__(self) -> Recorder:
         if self.out.exists() and not self._may_replace():
@@ -138,6 +140,7 @@ class Recorder:
 
     def settings(self, config: MasConfig, manifest: Manifest) -> None:
         """``config.yaml`` and the manifest of what was run."""
+        self._cameras = {number: entry.camera for number, entry in enumerate(manifest.agents)}
         text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
         (self.folder / "config.yaml").write_text(text, encoding="utf-8")
         (self.folder / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
@@ -178,10 +181,12 @@ class Recorder:
         if not agent.state.keyframes:
             return
         write_g2o(folder / "graph.g2o", own_graph(agent.state))
-        own = held_from_wire(agent.state, agent.maps.own_map())
-        write_map(folder / "map.ply", [own, *(h for _, h in sorted(agent.maps.held.items()))])
-        for owner, held in sorted(agent.maps.held.items()):
-            stamps = held.wire.stamps_ns.array().astype("int64")
+        copies = [held for _, held in sorted(agent.maps.held.items())]
+        one = fused([own_map(agent.state), *copies])
+        write_map(folder / "map.ply", one)
+        write_colmap(folder / "maps" / "colmap", one, self._cameras)
+        for held in copies:
+            owner, stamps = held.owner, held.stamps_ns.astype("int64")
             write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, held.poses))
             write_ply(folder / "maps" / f"agent_{owner:02d}.ply", held.points(), [owner] * len(held.points()))
 

@@ -117,7 +117,7 @@ def _copies(agent: Agent, each: dict[int, TrajectoryError]) -> list[MapCopy]:
             owner=owner,
             version=held.version,
             keyframes=len(held.poses),
-            points=len(held.wire.references.array()),
+            points=len(held.references),
             ate_rmse_m=each[owner].rmse_m if owner in each else None,
             ate_mean_m=each[owner].mean_m if owner in each else None,
         )

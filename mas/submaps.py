@@ -1,53 +1,40 @@
 """Map merging (thesis section 3.7, Algorithm 1; 3.9.3): buying an agent's map and the copies of others' maps it holds.
 
 Algorithm 1 walks from seller to sub-map to sub-map without end when two agents hold each other's maps. Here an offer
-lists all that the seller holds, flat, each with its owner and version; the buyer orders what is newer than what it
-has, never its own map. So every purchase ends, and the newest version wins.
+lists all that the seller holds, flat, each with its owner and version: the set of what was visited. The buyer orders
+what is newer than what it has, each map once, never its own. So every purchase ends, and the newest version wins.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backend.geometry import Array, Sim3
-from mas.contract import Contract
+from backend.geometry import Sim3
+from mas.contract import Contract, State
 from mas.desk import Desk, Trade, WorkError
-from mas.identities import MatchId, Operation
+from mas.identities import ContractId, MatchId, Operation
+from mas.maps.admission import Admission, admit, recheck, seller_frame
+from mas.maps.held import HeldMap, held_of_stock, held_of_submap
+from mas.maps.shop import Shop, own_end
+from mas.maps.stock import stock_of
+from mas.maps.wire import MapDelivery, MapOrder, Parcel
 from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
 from mas.posegraph import Adoption
-from mas.state import AgentState, thinned
-from mas.tasks import MapDelivery, MapOrder, Outcome, SubMap, Task
-from mas.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
+from mas.relpose import str_match
+from mas.tasks import Outcome, Task
+from mas.tensors import unpack_sim3
 
 
-@dataclass(frozen=True, eq=False)
-class HeldMap:
-    """A copy of another agent's map in the holder's coordinates: poses ``(K, 4, 4)`` ``T_F_C``, and what the owner's
-    unit is worth there; ``wire``: the rest as it came. ``seller``: from whom; ``now_ns``: when."""
+@dataclass
+class Tender:
+    """One call for maps until all have answered, or long enough has been waited for them."""
 
-    owner: int
-    version: int
-    seller: int
-    now_ns: int
-    poses: Array
-    unit: float
-    wire: SubMap
-
-    @property
-    def keyframes(self) -> NDArray[Any]:
-        """``(K,)`` indices of the owner's key-frames."""
-        return self.wire.keyframes.array()
-
-    def points(self) -> Array:
-        """``(P, 3)`` map points in the holder's coordinates."""
-        rows = self.wire.references.array()
-        local = self.wire.points.array().astype(np.float64) * self.unit
-        poses = self.poses[rows]
-        return np.einsum("pij,pj->pi", poses[:, :3, :3], local) + poses[:, :3, 3]
+    called_ns: int
+    pending: set[int]
+    bids: dict[int, Bid] = field(default_factory=dict)
 
 
 class MapTrade(Trade):
@@ -60,81 +47,196 @@ class MapTrade(Trade):
         self.stale: set[int] = set()
         self.something_new = False
         self.rounds = 0
-        self._sold: tuple[int, SubMap] | None = None
+        self.shop = Shop(desk.state)
+        self._tenders: dict[ContractId, Tender] = {}
+        self._rejected: set[tuple[int, int, int]] = set()
+        self._spoilt: set[int] = set()
+        self._checked: dict[int, tuple[int, int]] = {}
 
     # -- buyer --------------------------------------------------------------------------------------------------------
 
     def buy(self, sellers: list[int]) -> None:
         """Call for the maps of these agents."""
-        self.desk.call(Operation.MAPMERGE, sellers)
+        identity, called = self.desk.call(Operation.MAPMERGE, sellers)
+        if called:
+            self._tenders[identity] = Tender(self.desk.now_ns, set(called))
         for seller in sellers:
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
-        wanted = tuple(sorted(o.owner for o in bid.offers if self._wants(o)))
-        if wanted:
-            self.desk.say(contract, Award(MapOrder(wanted)))
-        else:
-            self.desk.say(contract, Rejection("nothing new"))
+        tender = self._tenders.get(contract.id)
+        if tender is None:
+            self.desk.say(contract, Rejection("no longer wanted"))
+            return
+        tender.bids[contract.contractor] = bid
+        self._answered(contract)
 
-    def _wants(self, offer: Offer) -> bool:
+    def on_end(self, contract: Contract) -> None:
+        if contract.manager == self.state.me:
+            self._answered(contract)
+
+    def tick(self) -> None:
+        """Half of a contract's time is enough to wait for those who do not answer; the others' bids would expire with
+        them."""
+        patience = round(0.5e9 * self.state.config.deadline_s)
+        for identity, tender in sorted(self._tenders.items()):
+            if self.desk.now_ns - tender.called_ns >= patience:
+                silent = [c for c in self.desk.ledger.managed(identity) if c.contractor in tender.pending]
+                self.desk.cancel(silent, "no answer")
+                tender.pending.clear()
+                self._award(identity)
+
+    def _answered(self, contract: Contract) -> None:
+        tender = self._tenders.get(contract.id)
+        if tender is not None:
+            tender.pending.discard(contract.contractor)
+            if not tender.pending:
+                self._award(contract.id)
+
+    def _award(self, identity: ContractId) -> None:
+        """Once all have answered each wanted map is ordered from one of them: from its owner if possible, else the
+        newest version from the lowest number."""
+        tender = self._tenders.pop(identity)
+        best: dict[int, tuple[bool, int, int]] = {}
+        for seller, bid in sorted(tender.bids.items()):
+            for offer in bid.offers:
+                self._confirm(seller, offer)
+                rank = (offer.owner == seller, offer.version, -seller)
+                if self._wants(seller, offer) and rank > best.get(offer.owner, (False, -1, 0)):
+                    best[offer.owner] = rank
+        for one in self.desk.ledger.managed(identity):
+            if one.state is State.BID:
+                self._order(one, tuple(sorted(o for o, (_, _, s) in best.items() if -s == one.contractor)))
+
+    def _order(self, contract: Contract, owners: tuple[int, ...]) -> None:
+        if not owners:
+            self.desk.say(contract, Rejection("nothing new"))
+            return
+        editions = [0 if o in self._spoilt or o not in self.held else self._edition(self.held[o]) for o in owners]
+        self.desk.say(contract, Award(MapOrder(owners, tuple(editions), self.state.frame)))
+
+    @staticmethod
+    def _edition(held: HeldMap) -> int:
+        return 0 if held.stock is None else held.version
+
+    def _wants(self, seller: int, offer: Offer) -> bool:
+        """Newer than what I hold. The owner's own word counts more than another's: a copy that is newer than the
+        owner's own map is a false one."""
         held = self.held.get(offer.owner)
-        return offer.owner != self.state.me and (held is None or held.version < offer.version)
+        if offer.owner == self.state.me or (seller, offer.owner, offer.version) in self._rejected:
+            return False
+        if held is None or held.version < offer.version:
+            return True
+        return seller == offer.owner and held.version > offer.version
+
+    def _confirm(self, owner: int, offer: Offer) -> None:
+        """At the end an owner that offers the edition I hold says that it has not moved since: in common coordinates
+        the copy then stands where its owner has it, whatever it was moved by meanwhile."""
+        held = self.held.get(owner)
+        if held is None or held.stock is None or not self.desk.closing or offer.owner != owner:
+            return
+        if offer.version == held.version and held.frame == self.state.frame:
+            placement = Sim3(np.eye(3), np.zeros(3), held.stock.map.unit)
+            self.held[owner] = replace(held, placement=placement)
 
     def on_result(self, contract: Contract, outcome: Outcome) -> None:
         if not isinstance(outcome, MapDelivery):
             raise WorkError("not a delivery of maps")
-        T_mine_seller = self._seller_frame(contract.contractor, outcome)
-        if T_mine_seller is None:
-            self.desk.note("map_refused", seller=contract.contractor, reason="no common place to align it by")
+        seller = contract.contractor
+        found = seller_frame(self.state, seller, outcome)
+        if found is None:
+            self.desk.note("map_refused", seller=seller, reason="no common place to align it by")
             return
+        T_mine_seller, placed_by = found
+        now = self.desk.now_ns
         for submap in outcome.maps:
-            offer = Offer(submap.owner, submap.version, len(submap.keyframes.array()))
-            if not self._wants(offer):
-                continue
-            poses = T_mine_seller.transform_poses(unpack_poses(submap.poses.array()))
-            unit = submap.unit * T_mine_seller.scale
-            seller = contract.contractor
-            self.held[submap.owner] = HeldMap(
-                submap.owner, submap.version, seller, self.desk.now_ns, poses, unit, submap
-            )
-            self.something_new = True
-            self.desk.note(
-                "map_bought", seller=seller, owner=submap.owner, version=submap.version, keyframes=offer.keyframes,
-                points=len(submap.references.array()),
-            )  # fmt: skip
+            self._take(held_of_submap(submap, outcome.frame, T_mine_seller, seller, now), placed_by)
+        for parcel in outcome.parcels:
+            self._unpack(parcel, T_mine_seller, seller, placed_by)
 
-    def _seller_frame(self, seller: int, delivery: MapDelivery) -> Sim3 | None:
-        """``T_mine_seller`` between the two agents' coordinates: the identity where they share them since an
-        optimisation, else by the first accepted match between the two whose both key-frames are placed."""
-        if delivery.frame == self.state.frame:
-            return Sim3.identity()
-        ties = dict(zip(delivery.ties, unpack_sim3s(delivery.tie_poses), strict=True))
-        placed = set(self.state.placed())
-        for match in self.state.accepted_matches():
-            if set(match.id.agents) != {self.state.me, seller}:
-                continue
-            asked = match.id.query_agent == self.state.me
-            mine, theirs = (match.id.query, match.id.match) if asked else (match.id.match, match.id.query)
-            if mine in placed and theirs in ties:
-                T_mine_theirs = match.T_M_Q.inverse() if asked else match.T_M_Q
-                return self.state.pose(mine) @ T_mine_theirs @ ties[theirs].inverse()
-        return None
+    def _unpack(self, parcel: Parcel, T_mine_seller: Sim3, seller: int, placed_by: MatchId | None) -> None:
+        """A copy made of patches; where they do not fit, the whole map is ordered next time."""
+        held = self.held.get(parcel.owner)
+        try:
+            stock = stock_of(parcel.owner, None if held is None else held.stock, parcel.patches)
+        except ValueError as error:
+            if parcel.patches[0].base:
+                self._spoilt.add(parcel.owner)
+                self.stale.add(seller)
+                self.something_new = True  # at the end, another round
+            else:
+                self._rejected.add((seller, parcel.owner, parcel.patches[-1].edition))
+            self.desk.note("map_refused", seller=seller, owner=parcel.owner, reason=str(error))
+            return
+        self._spoilt.discard(parcel.owner)
+        placement = Sim3(np.eye(3), np.zeros(3), stock.map.unit)
+        if parcel.placement is not None:
+            placement = unpack_sim3(parcel.placement)
+        route = (*parcel.route, seller)
+        self._take(held_of_stock(stock, T_mine_seller @ placement, route, self.desk.now_ns), placed_by)
+
+    def _take(self, new: HeldMap, placed_by: MatchId | None) -> None:
+        """Algorithm 1: update the copy or append a new one, if it passes the checks."""
+        seller, owner, version = new.route[-1], new.owner, new.version
+        if not self._wants(seller, Offer(owner, version, len(new.keyframes))):
+            return
+        old = self.held.get(owner)
+        verdict = admit(new, old, self.state, self.held, placed_by)
+        if verdict.held is None:
+            self._refuse(new, verdict.reason)
+            return
+        self.held[owner] = verdict.held
+        self.something_new = True
+        known = 0 if old is None else len(old.keyframes)
+        self.desk.note(
+            "map_bought", seller=seller, owner=owner, version=version, keyframes=len(new.keyframes),
+            new_keyframes=len(new.keyframes) - known, points=len(new.references), route=list(new.route),
+            **_remarks(verdict),
+        )  # fmt: skip
+
+    # -- holder -------------------------------------------------------------------------------------------------------
 
     def realign(self, adoption: Adoption) -> None:
         """Move held maps along with the agent's own correction (3.9.3, map alignment), by the key-frame that was
-        matched with the map's owner last, else with its seller, else the agent's last one."""
+        matched with the map's owner last, else with its seller, else the agent's last one; then check them."""
         for owner in sorted(self.held):
             held = self.held[owner]
             index = self._anchor(held, adoption)
-            motion = self.state.pose(index) @ adoption.before[index].inverse()
-            self.held[owner] = replace(held, poses=motion.transform_poses(held.poses), unit=held.unit * motion.scale)
+            self.held[owner] = held.moved(self.state.pose(index) @ adoption.before[index].inverse())
+        for owner in sorted(self.held):
+            self._check(owner)
+
+    def final_round(self) -> None:
+        """The last consistency check: every copy that changed since it was last told of."""
+        for owner in sorted(self.held):
+            state = (self.held[owner].version, self.state.version)
+            if self._checked.get(owner) != state:
+                self._check(owner, final=True)
+                self._checked[owner] = state
+
+    def _check(self, owner: int, final: bool = False) -> None:
+        """The checks of 3.9.3 for a map that is held: matches that came since it was bought may tell that it is wrong.
+        Told where it is given up or moved, and at the end in any case."""
+        held = self.held[owner]
+        verdict = recheck(held, self.state, self.held)
+        if verdict.held is None:
+            del self.held[owner]
+            self._refuse(held, verdict.reason)
+            return
+        self.held[owner] = verdict.held
+        if verdict.standing is not None and (verdict.aligned_by is not None or final):
+            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **_remarks(verdict))
+
+    def _refuse(self, held: HeldMap, reason: str) -> None:
+        """Not kept, and not bought again from this seller."""
+        self._rejected.add((held.seller, held.owner, held.version))
+        self.desk.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
 
     def _anchor(self, held: HeldMap, adoption: Adoption) -> int:
         me = self.state.me
         for other in (held.owner, held.seller):
-            mine = [_mine(m, me) for m in self.state.accepted if set(m.agents) == {me, other}]
+            mine = [own_end(m, me) for m in self.state.accepted if set(m.agents) == {me, other}]
             mine = [i for i in mine if i in adoption.before]
             if mine:
                 return max(mine)
@@ -143,79 +245,24 @@ class MapTrade(Trade):
     # -- seller -------------------------------------------------------------------------------------------------------
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        offers = [Offer(h.owner, h.version, len(h.poses)) for _, h in sorted(self.held.items())]
-        placed = len(self.state.placed())
-        if placed:
-            offers.append(Offer(self.state.me, self.state.version, placed))
+        offers = self.shop.offers(self.held, self.desk.closing)
         if not offers:
             return Refusal("nothing to sell yet")
-        cost = sum(64 * o.keyframes for o in offers)
-        return Bid(cost_bytes=cost, ready_ns=self.desk.now_ns, offers=tuple(sorted(offers, key=lambda o: o.owner)))
+        return Bid(cost_bytes=self.shop.estimate(offers), ready_ns=self.desk.now_ns, offers=offers)
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, MapOrder):
             raise WorkError("not an order for maps")
-        missing = [o for o in task.owners if o != self.state.me and o not in self.held]
-        if missing:
-            raise WorkError(f"no map of agent {missing[0]} here")
+        delivery = self.shop.delivery(contract.manager, task, self.held, self.desk.closing)
         self.desk.say(contract, Confirmation())
-        maps = tuple(self.own_map() if o == self.state.me else _resold(self.held[o]) for o in task.owners)
-        ties = self._ties(contract.manager)
-        poses = pack_sim3s([self.state.pose(i) for i in ties])
-        self.desk.say(contract, Result(MapDelivery(self.state.frame, ties, poses, maps)))
-
-    def own_map(self) -> SubMap:
-        """The agent's own map as it stands: key-frames in its reference frame, each point once, where it was first
-        seen."""
-        if self._sold is None or self._sold[0] != self.state.version:
-            self._sold = (self.state.version, _own_map(self.state))
-        return self._sold[1]
-
-    def _ties(self, buyer: int) -> tuple[int, ...]:
-        """Own key-frames that the buyer can place the maps by."""
-        placed = set(self.state.placed())
-        mine = {_mine(m, self.state.me) for m in self.state.accepted if set(m.agents) == {self.state.me, buyer}}
-        return tuple(sorted(mine & placed))
+        self.desk.say(contract, Result(delivery))
 
 
-def _mine(match: MatchId, me: int) -> int:
-    return match.query if match.query_agent == me else match.match
-
-
-def _resold(held: HeldMap) -> SubMap:
-    return SubMap(
-        owner=held.owner, version=held.version, unit=held.unit, keyframes=held.wire.keyframes,
-        stamps_ns=held.wire.stamps_ns, poses=pack_poses(held.poses), references=held.wire.references,
-        points=held.wire.points, descriptors=held.wire.descriptors, matches=held.wire.matches,
-        transforms=held.wire.transforms,
-    )  # fmt: skip
-
-
-def _own_map(state: AgentState) -> SubMap:
-    indices = state.placed()
-    keyframes = [state.keyframes[i] for i in indices]
-    fresh = [
-        thinned(np.flatnonzero(k.first_seen & (k.points_C[:, 2] > 0)), state.config.merge.max_points) for k in keyframes
-    ]
-    counts = [len(rows) for rows in fresh]
-    stack = [k.points_C[rows] for k, rows in zip(keyframes, fresh, strict=True)]
-    descriptors = [k.descriptors[rows] for k, rows in zip(keyframes, fresh, strict=True)]
-    main = next(p for p in state.pieces if p.frame == state.frame)
-    return SubMap(
-        owner=state.me,
-        version=state.version,
-        unit=main.unit,
-        keyframes=Tensor.of(indices, "<i4"),
-        stamps_ns=Tensor.of([k.stamp_ns for k in keyframes], "<i8"),
-        poses=pack_poses(np.array([state.poses[i] for i in indices]).reshape(-1, 4, 4)),
-        references=Tensor.of(np.repeat(np.arange(len(indices)), counts), "<i4"),
-        points=Tensor.of(np.concatenate([np.zeros((0, 3)), *stack]), "<f4"),
-        descriptors=Tensor.of(np.concatenate([np.zeros((0, 32), dtype=np.uint8), *descriptors]), "|u1"),
-        matches=tuple(m.id for m in state.accepted_matches()),
-        transforms=pack_sim3s([m.T_M_Q for m in state.accepted_matches()]),
-    )
-
-
-def held_from_wire(state: AgentState, submap: SubMap) -> HeldMap:
-    """The agent's own map seen like a held one: for export."""
-    return HeldMap(state.me, submap.version, state.me, 0, unpack_poses(submap.poses.array()), submap.unit, submap)
+def _remarks(verdict: Admission) -> dict[str, Any]:
+    """For events: how many place matches, how far off, and what was done."""
+    out: dict[str, Any] = {"matches": 0} if verdict.standing is None else dict(verdict.standing.figures())
+    if verdict.aligned_by is not None:
+        out["aligned_by"] = str_match(verdict.aligned_by)
+    if verdict.redundant:
+        out["redundant"] = True
+    return out

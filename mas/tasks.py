@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 
 from mas.identities import (
-    MAX_AGENTS,
     MAX_POINTS,
     MAX_VECTOR_BYTES,
     Agent,
@@ -20,6 +19,7 @@ from mas.identities import (
     Reason,
     Stamp,
 )
+from mas.maps.wire import MapDelivery, MapOrder
 from mas.tensors import Tensor, check, check_points, check_poses, check_sim3, check_sim3s
 
 # -- tasks: what an award asks for ------------------------------------------------------------------------------------
@@ -89,12 +89,6 @@ class OptimiseTask(msgspec.Struct, frozen=True, array_like=True, tag=3):
 
     def __post_init__(self) -> None:
         check_sim3s("placements", self.placements, len(self.present))
-
-
-class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
-    """Deliver the maps of these owners, as they stood in the bid."""
-
-    owners: Members
 
 
 Task = PlaceQuery | OwnerQuery | VerifyTask | OptimiseTask | MapOrder
@@ -170,70 +164,6 @@ class OptimiseAnswer(msgspec.Struct, frozen=True, array_like=True, tag=3):
     cost_before: float
     cost_after: float
     sweeps: Index
-
-
-class SubMap(msgspec.Struct, frozen=True, array_like=True):
-    """A copy of one agent's map, in the seller's coordinates; ``unit``: what the owner's own unit of length is worth
-    there.
-
-    ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``;
-    ``references`` ``(P,)`` int32: row of the key-frame that saw the point first; ``points`` ``(P, 3)`` float32 in that
-    camera, owner's unit; ``descriptors`` ``(P, 32)``; ``matches``: the owner's accepted ones, with
-    ``transforms`` ``(m, 8)``: their ``T_M_Q``.
-    """
-
-    owner: Agent
-    version: Index
-    unit: Annotated[float, msgspec.Meta(gt=0)]
-    keyframes: Tensor
-    stamps_ns: Tensor
-    poses: Tensor
-    references: Tensor
-    points: Tensor
-    descriptors: Tensor
-    matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)]
-    transforms: Tensor
-
-    def __post_init__(self) -> None:
-        k = len(check("keyframes", self.keyframes, "<i4", (None,)))
-        check("stamps_ns", self.stamps_ns, "<i8", (k,))
-        check_poses("poses", self.poses, "<f8", (k,))
-        references = check("references", self.references, "<i4", (None,))
-        check_points("points", self.points, len(references))
-        check("descriptors", self.descriptors, "|u1", (len(references), 32))
-        if len(references) and (references.min() < 0 or references.max() >= k):
-            raise ValueError(f"references: a point refers to a key-frame beyond the {k} there are")
-        if k and (np.diff(self.keyframes.array()) <= 0).any():
-            raise ValueError("keyframes: not ascending")
-        check_sim3s("transforms", self.transforms, len(self.matches))
-
-    @property
-    def payload_bytes(self) -> int:
-        """Poses, points with descriptors and matches as raw numbers: what the published tables count."""
-        parts = (
-            self.keyframes,
-            self.stamps_ns,
-            self.poses,
-            self.references,
-            self.points,
-            self.descriptors,
-            self.transforms,
-        )
-        return sum(p.nbytes for p in parts) + 16 * len(self.matches)
-
-
-class MapDelivery(msgspec.Struct, frozen=True, array_like=True, tag=4):
-    """The maps ordered, all in the seller's coordinates ``frame``; ``ties``: the seller's key-frames that it has
-    accepted matches with the buyer for, and ``tie_poses`` ``(n, 8)``: where they stand there, Sim(3), so that a buyer
-    with other coordinates can place the maps."""
-
-    frame: FrameId
-    ties: Annotated[tuple[Index, ...], msgspec.Meta(max_length=100_000)]
-    tie_poses: Tensor
-    maps: Annotated[tuple[SubMap, ...], msgspec.Meta(max_length=MAX_AGENTS)]
-
-    def __post_init__(self) -> None:
-        check_sim3s("tie_poses", self.tie_poses, len(self.ties))
 
 
 Outcome = PlaceAnswer | EarlierAnswer | PlaceRedirect | VerifyAnswer | OptimiseAnswer | MapDelivery

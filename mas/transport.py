@@ -85,7 +85,7 @@ def account(message: Message) -> tuple[Traffic, str, int]:
     elif isinstance(work, VerifyAnswer):
         payload = 2 * 6 * 8
     elif isinstance(work, MapDelivery):
-        payload = sum(m.payload_bytes for m in work.maps)
+        payload = work.payload_bytes
     return _OF_WORK[type(work)], type(work).__name__, payload
 
 

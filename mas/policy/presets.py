@@ -29,7 +29,10 @@ _PREDECESSOR = MasConfig(
 
 # What the two optimised systems share. Place vectors travel as the thesis counts them.
 _OPTIMISED = MasConfig(
-    preset="optimised", policy="logic", places=PlacesConfig(code="float32", latest_frames=5)
+    preset="optimised",
+    policy="logic",
+    places=PlacesConfig(code="float32", latest_frames=5),
+    merge=MergeConfig(consistency_m=100.0, redundancy_m=5.0, accuracy_m=5.0),
 )
 
 PRESETS: dict[str, MasConfig] = {
@@ -42,7 +45,7 @@ PRESETS: dict[str, MasConfig] = {
     "maslam": MasConfig(
         preset="maslam",
         ask_again=False,
-        merge=MergeConfig(period_keyframes=40, max_points=100),
+        merge=MergeConfig(form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0),
     ),
 }
 """The thesis's four systems, and ours.
@@ -50,8 +53,8 @@ PRESETS: dict[str, MasConfig] = {
 ``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no
 purchases once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases.
 ``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: does not ask where the answer
-could not be used, buys maps less often while driving and with the points that a key-frame needs to be recognised, and
-sends place vectors as int8, a byte a number.
+could not be used, buys compact maps, less often while driving, lays them on place matches or rejects them, and sends
+place vectors as int8, a byte a number.
 
 Distances below which places match belong to a network: all presets use the model's calibrated one, not the thesis's
 0.02 or the predecessor's 0.1.

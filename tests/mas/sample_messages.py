@@ -6,6 +6,7 @@ import numpy as np
 
 from backend.geometry import Sim3
 from mas.identities import ContractId, FrameId, MatchId, Operation
+from mas.maps.wire import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
 from mas.solver_messages import (
     SolverReport,
@@ -22,10 +23,9 @@ from mas.tasks import (
     PlaceAnswer,
     PlaceQuery,
     PlaceRedirect,
-    SubMap,
     VerifyTask,
 )
-from mas.tensors import Tensor, pack_poses, pack_sim3s
+from mas.tensors import Tensor, pack_poses, pack_sim3, pack_sim3s
 
 
 def submap(**changes: object) -> SubMap:
@@ -60,6 +60,12 @@ def verify_task(**changes: object) -> VerifyTask:
     return VerifyTask(**{**fields, **changes})  # type: ignore[arg-type]
 
 
+def parcel(**changes: object) -> Parcel:
+    fields: dict[str, object] = {"base": 2, "edition": 3, "frame": FrameId(0, 0), "unit": None, "check": 7,
+                                 "bits": b"123", "descriptors": Tensor.of(np.zeros((2, 32)), "|u1")}  # fmt: skip
+    return Parcel(4, pack_sim3(Sim3.identity()), (4, 2), (MapPatch(**{**fields, **changes}),))  # type: ignore[arg-type]
+
+
 def examples() -> list[Message]:
     contract = ContractId(0, 7)
     vector = Tensor.of(np.arange(16), "|u1")
@@ -78,6 +84,8 @@ def examples() -> list[Message]:
         Result(PlaceRedirect(5, 4, 0.25)),
         Result(PlaceRedirect(None, None, 2.0)),
         Result(OptimiseAnswer(True, 2.0, 1.0, 30)),
+        Award(MapOrder((1, 4), (0, 2), FrameId(0, 0))),
+        Result(MapDelivery(FrameId(0, 0), (), pack_sim3s([]), (submap(),), (parcel(),))),
         SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
         SolverReport(2, 0, 1, float("inf"), 3.0),
         SolverReport(5, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sample_messages import examples, submap, verify_task
+from sample_messages import examples, parcel, submap, verify_task
 
 from backend.geometry import Sim3, se3_exp
 from mas.identities import ContractId, FrameId, MatchId
+from mas.maps.wire import MapOrder
 from mas.messages import VERSION, Award, Links, Message, Result, decode, encode
 from mas.solver_messages import SolverReport
 from mas.tasks import PlaceAnswer, PlaceQuery, PlaceRedirect
@@ -74,6 +75,9 @@ BAD_VALUES = {
     "point of a key-frame that is not there": lambda: submap(references=Tensor.of([0, 1, 2], "<i4")),
     "key-frames not ascending": lambda: submap(keyframes=Tensor.of([1, 1], "<i4")),
     "more stamps than key-frames": lambda: submap(stamps_ns=Tensor.of([0, 1, 2], "<i8")),
+    "edition made of a later one": lambda: parcel(base=3),
+    "descriptors of another length": lambda: parcel(descriptors=Tensor.of(np.zeros((2, 31)), "|u1")),
+    "editions of other owners": lambda: MapOrder((1, 2), (0,)),
     "scale of zero": lambda: Links(
         (MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (False,), Tensor.of([[0, 0, 0, 1, 0, 0, 0, 0]], "<f8")
     ),

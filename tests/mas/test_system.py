@@ -103,6 +103,7 @@ def test_the_run_folder_is_complete(played: tuple[Path, Summary]) -> None:
         graph = read_g2o(folder / "graph.g2o")
         own = [n for n in graph.nodes if n.robot == agent]
         np.testing.assert_allclose([graph.poses[n][:3, 3] for n in own], keyframes.centres, atol=1e-6)
+        assert (folder / "maps" / "colmap" / "points3D.bin").stat().st_size > 10_000
         assert (folder / "map.ply").read_bytes().startswith(b"ply\nformat binary_little_endian")
     assert not out.with_name("run.part").exists()
 
@@ -133,3 +134,11 @@ def test_our_preset_finds_as_much_for_fewer_bytes(played: tuple[Path, Summary], 
     assert ours.groups == default.groups
     assert ours.matches.accepted >= 0.9 * default.matches.accepted
     assert ours.traffic["total"].wire_bytes < default.traffic["total"].wire_bytes
+    assert min(ours.exploration_percent) >= min(default.exploration_percent)
+    assert {(c.holder, c.owner) for c in ours.map_copies} == {(c.holder, c.owner) for c in default.map_copies}
+    assert ours.traffic["mapmerge"].wire_bytes < 0.05 * default.traffic["mapmerge"].wire_bytes
+    assert sum(c.points for c in ours.map_copies) >= 30 * sum(c.keyframes for c in ours.map_copies)
+    events = [json.loads(line) for line in (tmp_path / "ours" / "events.jsonl").read_text().splitlines()]
+    last = [e for e in events if e["event"] == "map_checked" and e["final"]]
+    assert {(e["agent"], e["owner"]) for e in last} == {(c.holder, c.owner) for c in ours.map_copies}
+    assert max(e["worst_off"] for e in last) < 2.0

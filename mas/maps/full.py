@@ -1,0 +1,42 @@
+"""An agent's own map in the thesis's form: floating-point numbers and descriptors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.geometry import Sim3
+from mas.maps.held import HeldMap, held_of_submap
+from mas.maps.wire import SubMap
+from mas.state import AgentState, thinned
+from mas.tensors import Tensor, pack_poses, pack_sim3s
+
+
+def own_submap(state: AgentState, max_points: int) -> SubMap:
+    """The agent's own map as it stands: key-frames in its reference frame, each point once, where it was first seen,
+    at most ``max_points`` with a key-frame."""
+    indices = state.placed()
+    keyframes = [state.keyframes[i] for i in indices]
+    fresh = [thinned(np.flatnonzero(k.first_seen & (k.points_C[:, 2] > 0)), max_points) for k in keyframes]
+    counts = [len(rows) for rows in fresh]
+    stack = [k.points_C[rows] for k, rows in zip(keyframes, fresh, strict=True)]
+    descriptors = [k.descriptors[rows] for k, rows in zip(keyframes, fresh, strict=True)]
+    main = next(p for p in state.pieces if p.frame == state.frame)
+    return SubMap(
+        owner=state.me,
+        version=state.version,
+        unit=main.unit,
+        keyframes=Tensor.of(indices, "<i4"),
+        stamps_ns=Tensor.of([k.stamp_ns for k in keyframes], "<i8"),
+        poses=pack_poses(np.array([state.poses[i] for i in indices]).reshape(-1, 4, 4)),
+        references=Tensor.of(np.repeat(np.arange(len(indices)), counts), "<i4"),
+        points=Tensor.of(np.concatenate([np.zeros((0, 3)), *stack]), "<f4"),
+        descriptors=Tensor.of(np.concatenate([np.zeros((0, 32), dtype=np.uint8), *descriptors]), "|u1"),
+        matches=tuple(m.id for m in state.accepted_matches()),
+        transforms=pack_sim3s([m.T_M_Q for m in state.accepted_matches()]),
+    )
+
+
+def own_map(state: AgentState) -> HeldMap:
+    """The agent's own map with all its points, seen like a held one: for export."""
+    limit = max((len(k.points_C) for k in state.keyframes), default=0)
+    return held_of_submap(own_submap(state, limit), state.frame, Sim3.identity(), state.me, 0)

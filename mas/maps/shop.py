@@ -1,0 +1,102 @@
+"""What an agent sells: its own map and the copies it holds, to a buyer who says what it has already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mas.identities import MatchId
+from mas.maps.full import own_submap
+from mas.maps.held import HeldMap, submap_of
+from mas.maps.publisher import Publisher
+from mas.maps.wire import MapDelivery, MapOrder, Parcel, SubMap
+from mas.messages import Offer
+from mas.state import AgentState
+from mas.tensors import pack_sim3, pack_sim3s
+
+# What a key-frame's pose and a point take in a compact map, roughly: for the estimate in a bid.
+_POSE_BYTES, _POINT_BYTES = 8, 2
+
+
+class Shop:
+    """The seller's side of map merging, without contracts."""
+
+    def __init__(self, state: AgentState) -> None:
+        self.state = state
+        self._publisher = Publisher(state)
+        self._full: SubMap | None = None
+
+    @property
+    def _compact(self) -> bool:
+        return self.state.config.merge.form == "compact"
+
+    def offers(self, held: Mapping[int, HeldMap], closing: bool) -> tuple[Offer, ...]:
+        """All maps for sale, by owner: flat, so that no buyer has to walk from sub-map to sub-map."""
+        offers = [Offer(h.owner, h.version, len(h.keyframes)) for _, h in sorted(held.items())]
+        mine = self._own_offer(closing)
+        return tuple(sorted(offers if mine is None else [*offers, mine], key=lambda o: o.owner))
+
+    def _own_offer(self, closing: bool) -> Offer | None:
+        if self._compact:
+            stock = self._publisher.edition(closing)
+            return None if stock is None else Offer(self.state.me, stock.map.edition, len(stock.map.keyframes))
+        placed = len(self.state.placed())
+        return Offer(self.state.me, self.state.version, placed) if placed else None
+
+    def estimate(self, offers: Sequence[Offer]) -> int:
+        """Bytes that all of it would take, roughly."""
+        each = _POSE_BYTES + _POINT_BYTES * self.state.config.merge.max_points
+        return sum(each * o.keyframes for o in offers)
+
+    def delivery(self, buyer: int, order: MapOrder, held: Mapping[int, HeldMap], closing: bool) -> MapDelivery:
+        """What was ordered, in the agent's coordinates; where the buyer has others, with what to place it by.
+        ValueError where something ordered is not here."""
+        for owner in order.owners:
+            if owner not in held and not (owner == self.state.me and self.state.placed()):
+                raise ValueError(f"no map of agent {owner} here")
+        maps: list[SubMap] = []
+        parcels: list[Parcel] = []
+        for owner, edition in zip(order.owners, order.held or (0,) * len(order.owners), strict=True):
+            goods = self._own(edition, closing) if owner == self.state.me else self._resold(held[owner], edition)
+            if isinstance(goods, Parcel):
+                parcels.append(goods)
+            else:
+                maps.append(goods)
+        needed = bool(maps) or order.frame != self.state.frame
+        ties = self._ties(buyer) if needed else ()
+        poses = pack_sim3s([self.state.pose(i) for i in ties])
+        return MapDelivery(self.state.frame, ties, poses, tuple(maps), tuple(parcels))
+
+    def _own(self, edition: int, closing: bool) -> SubMap | Parcel:
+        """The agent's own map for a buyer who holds this edition of it (0: none)."""
+        if self._compact:
+            stock = self._publisher.edition(closing)
+            assert stock is not None
+            return Parcel(self.state.me, None, (), stock.since(edition))
+        if self._full is None or self._full.version != self.state.version:
+            self._full = own_submap(self.state, self.state.config.merge.max_points)
+        return self._full
+
+    def _resold(self, held: HeldMap, edition: int) -> SubMap | Parcel:
+        if held.stock is None:
+            return submap_of(held)
+        placement = None if self._in_place(held) else pack_sim3(held.placement)
+        return Parcel(held.owner, placement, held.route, held.stock.since(edition))
+
+    def _in_place(self, held: HeldMap) -> bool:
+        """Whether a copy stands in its owner's coordinates, which are mine, as its owner had it."""
+        p = held.placement
+        unmoved = not p.translation.any() and np.array_equal(p.rotation, np.eye(3))
+        return held.frame == self.state.frame and bool(unmoved)
+
+    def _ties(self, buyer: int) -> tuple[int, ...]:
+        """Own key-frames that the buyer can place the maps by."""
+        placed = set(self.state.placed())
+        mine = {own_end(m, self.state.me) for m in self.state.accepted if set(m.agents) == {self.state.me, buyer}}
+        return tuple(sorted(mine & placed))
+
+
+def own_end(match: MatchId, me: int) -> int:
+    """My key-frame of a match with another agent."""
+    return match.query if match.query_agent == me else match.match

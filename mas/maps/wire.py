@@ -1,0 +1,142 @@
+"""Maps on the wire: as floating-point numbers (the thesis's form) or as patches of a lattice, checked when they come
+in."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from mas.identities import MAX_AGENTS, Agent, FrameId, Index, MatchId, Members
+from mas.tensors import MAX_SCALE, Tensor, check, check_points, check_poses, check_sim3, check_sim3s
+
+Unit = Annotated[float, msgspec.Meta(ge=1.0 / MAX_SCALE, le=MAX_SCALE)]
+
+
+class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
+    """Deliver the maps of these owners, as they stood in the bid. ``held``: which edition of each the buyer has, 0 for
+    none, so that only what is new need come (empty: none of any); ``frame``: the buyer's coordinates."""
+
+    owners: Members
+    held: Annotated[tuple[Index, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
+    frame: FrameId | None = None
+
+    def __post_init__(self) -> None:
+        if self.held and len(self.held) != len(self.owners):
+            raise ValueError(f"held: {len(self.held)} editions for {len(self.owners)} owners")
+
+
+class SubMap(msgspec.Struct, frozen=True, array_like=True):
+    """A copy of one agent's map, in the seller's coordinates; ``unit``: what the owner's own unit of length is worth
+    there; ``route``: the agents that sold it before, the owner first.
+
+    ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``;
+    ``references`` ``(P,)`` int32: row of the key-frame that saw the point first; ``points`` ``(P, 3)`` float32 in that
+    camera, owner's unit; ``descriptors`` ``(P, 32)``; ``matches``: the owner's accepted ones, with
+    ``transforms`` ``(m, 8)``: their ``T_M_Q``.
+    """
+
+    owner: Agent
+    version: Index
+    unit: Unit
+    keyframes: Tensor
+    stamps_ns: Tensor
+    poses: Tensor
+    references: Tensor
+    points: Tensor
+    descriptors: Tensor
+    matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)]
+    transforms: Tensor
+    route: Members = ()
+
+    def __post_init__(self) -> None:
+        k = len(check("keyframes", self.keyframes, "<i4", (None,)))
+        check("stamps_ns", self.stamps_ns, "<i8", (k,))
+        check_poses("poses", self.poses, "<f8", (k,))
+        references = check("references", self.references, "<i4", (None,))
+        check_points("points", self.points, len(references))
+        check("descriptors", self.descriptors, "|u1", (len(references), 32))
+        if len(references) and (references.min() < 0 or references.max() >= k):
+            raise ValueError(f"references: a point refers to a key-frame beyond the {k} there are")
+        if k and (np.diff(self.keyframes.array()) <= 0).any():
+            raise ValueError("keyframes: not ascending")
+        check_sim3s("transforms", self.transforms, len(self.matches))
+
+    @property
+    def payload_bytes(self) -> int:
+        """Poses, points with descriptors and matches as raw numbers: what the published tables count."""
+        parts = (
+            self.keyframes,
+            self.stamps_ns,
+            self.poses,
+            self.references,
+            self.points,
+            self.descriptors,
+            self.transforms,
+        )
+        return sum(p.nbytes for p in parts) + 16 * len(self.matches)
+
+
+class MapPatch(msgspec.Struct, frozen=True, array_like=True):
+    """What makes edition ``edition`` of an owner's map of edition ``base`` (0: of nothing, the whole map), as bits
+    (:mod:`mas.maps.patches`); ``unit`` None: 1. ``check``: CRC-32 of the edition, so that a copy that went wrong is
+    noticed. ``descriptors`` ``(new points, 32)`` where the owner sells them."""
+
+    base: Index
+    edition: Annotated[int, msgspec.Meta(ge=1, le=2**31)]
+    frame: FrameId
+    unit: Unit | None
+    check: Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+    bits: Annotated[bytes, msgspec.Meta(max_length=2**28)]
+    descriptors: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        if self.base >= self.edition:
+            raise ValueError(f"edition {self.edition} made of edition {self.base}")
+        if self.descriptors is not None:
+            check("descriptors", self.descriptors, "|u1", (None, 32))
+
+    @property
+    def payload_bytes(self) -> int:
+        """The bits and descriptors."""
+        return len(self.bits) + (self.descriptors.nbytes if self.descriptors is not None else 0)
+
+
+class Parcel(msgspec.Struct, frozen=True, array_like=True):
+    """Patches of one owner's map, in order. ``placement``: how the map's coordinates and unit stand in the seller's,
+    ``T_seller_map`` ``(8,)``; None: they are the seller's, with the unit of the last patch. ``route``: as in
+    :class:`SubMap`."""
+
+    owner: Agent
+    placement: Tensor | None
+    route: Members
+    patches: Annotated[tuple[MapPatch, ...], msgspec.Meta(min_length=1, max_length=10_000)]
+
+    def __post_init__(self) -> None:
+        if self.placement is not None:
+            check_sim3("placement", self.placement)
+
+    @property
+    def payload_bytes(self) -> int:
+        return sum(p.payload_bytes for p in self.patches) + (self.placement.nbytes if self.placement is not None else 0)
+
+
+class MapDelivery(msgspec.Struct, frozen=True, array_like=True, tag=4):
+    """The maps ordered, all in the seller's coordinates ``frame``; ``ties``: the seller's key-frames that it has
+    accepted matches with the buyer for, and ``tie_poses`` ``(n, 8)``: where they stand there, Sim(3), so that a buyer
+    with other coordinates can place the maps."""
+
+    frame: FrameId
+    ties: Annotated[tuple[Index, ...], msgspec.Meta(max_length=100_000)]
+    tie_poses: Tensor
+    maps: Annotated[tuple[SubMap, ...], msgspec.Meta(max_length=MAX_AGENTS)]
+    parcels: Annotated[tuple[Parcel, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
+
+    def __post_init__(self) -> None:
+        check_sim3s("tie_poses", self.tie_poses, len(self.ties))
+
+    @property
+    def payload_bytes(self) -> int:
+        """What its maps hold."""
+        return sum(m.payload_bytes for m in self.maps) + sum(p.payload_bytes for p in self.parcels)

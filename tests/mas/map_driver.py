@@ -1,0 +1,35 @@
+"""An agent driving alone, for tests of how its map is sold."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from factory import circuit, make_sequence, make_world, manifest_of
+
+from mas.environment import make_agents
+from mas.keyframe import KeyFrame, keyframes_of
+from mas.policy.presets import preset
+from mas.sequence import AgentSequence
+from mas.state import AgentState
+
+WORLD = make_world(7, points=90_000)
+
+
+def driver(keyframes: int = 40, **merge: object) -> tuple[AgentState, list[KeyFrame]]:
+    """An agent that has seen nothing yet, and the key-frames that it will see."""
+    sequence, frames = _drive(keyframes)
+    config = preset("maslam")
+    config = config.model_copy(update={"merge": config.merge.model_copy(update={"edition_keyframes": 1, **merge})})
+    agent = make_agents(manifest_of([sequence]), [sequence], config)[0]
+    return agent.state, frames
+
+
+@cache
+def _drive(keyframes: int) -> tuple[AgentSequence, list[KeyFrame]]:
+    sequence = make_sequence(WORLD, circuit(0.0, keyframes * 1.5), 7)
+    return sequence, keyframes_of(sequence)
+
+
+def see(state: AgentState, keyframes: list[KeyFrame], count: int) -> None:
+    for keyframe in keyframes[len(state.keyframes) : len(state.keyframes) + count]:
+        state.observe(keyframe)

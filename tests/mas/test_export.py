@@ -1,0 +1,87 @@
+"""An agent's maps as one: duplicates merged, and a COLMAP model that COLMAP reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from factory import CAMERA, heading
+
+from backend.geometry import Array, Sim3, se3_inverse, transform_points
+from mas.colmap_model import write_colmap
+from mas.export import fused, write_map
+from mas.identities import FrameId
+from mas.maps.held import HeldMap
+
+POSES = np.array([heading(0.0, 2.0 * k, 0.05 * k) for k in range(3)])
+
+
+def street(rng: np.random.Generator, count: int) -> Array:
+    return np.column_stack([rng.uniform(-5, 5, count), rng.uniform(-2, 2, count), rng.uniform(10, 20, count)])
+
+
+def map_of(
+    owner: int, points: Array, references: Array, descriptors: Array | None = None, unit: float = 1.0
+) -> HeldMap:
+    """A held map with world points, each seen from one of three poses; the owner's unit is worth ``unit`` metres."""
+    inverse = se3_inverse(POSES)
+    points_C = np.array([transform_points(inverse[r], p[None])[0] for p, r in zip(points, references, strict=True)])
+    poses = POSES.copy()
+    poses[:, :3, 3] /= unit
+    placement = Sim3(np.eye(3), np.zeros(3), unit)
+    return HeldMap(
+        owner, 1, owner, 0, (owner,), FrameId(owner, 0), placement, np.arange(3), np.arange(3) * 10**9, poses,
+        references, points_C.reshape(-1, 3) / unit, descriptors, (),
+    )  # fmt: skip
+
+
+def test_what_two_maps_share_is_there_once() -> None:
+    rng = np.random.default_rng(0)
+    points, rows = street(rng, 300), rng.integers(0, 3, 300)
+    one = map_of(0, points[:200], rows[:200])
+    two = map_of(1, points[100:] + 0.001, rows[100:], unit=0.25)
+    both = fused([one, two])
+    assert len(both.points) == 300
+    assert np.bincount(both.owners).tolist() == [200, 100]
+    np.testing.assert_allclose(both.points[:100], points[:100], atol=1e-9)
+    np.testing.assert_allclose(both.points[100:200], points[100:200] + 0.0005, atol=1e-9)
+    assert both.labels[200:].tolist() == list(range(100, 300))
+
+
+def test_what_looks_different_is_not_merged_and_what_does_not_tell_is() -> None:
+    rng = np.random.default_rng(1)
+    points, rows = street(rng, 60), np.zeros(60, dtype=np.int64)
+    looks = [rng.integers(0, 256, (60, 32), dtype=np.uint8) for _ in range(2)]
+    described = [map_of(a, points, rows, looks[a]) for a in range(2)]
+    assert len(fused(described).points) == 120
+    assert len(fused([described[0], map_of(1, points, rows)]).points) == 60
+
+
+def test_colmap_reads_the_model_and_its_points_lie_where_its_images_see_them(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(2)
+    points, rows = street(rng, 120), rng.integers(0, 3, 120)
+    maps = [map_of(0, points[:80], rows[:80]), map_of(3, points[40:], rows[40:])]
+    one = fused(maps)
+    write_colmap(tmp_path, one, {0: CAMERA, 3: CAMERA})
+    model = pycolmap.Reconstruction(str(tmp_path))
+    assert (model.num_cameras(), model.num_images(), model.num_points3D()) == (2, 6, 120)
+    assert sorted(i.name for i in model.images.values())[0] == "agent_00/0.png"
+    assert sorted(len(p.track.elements) for p in model.points3D.values()) == [1] * 80 + [2] * 40
+    for image in model.images.values():
+        row = (image.image_id - 1) % 3
+        np.testing.assert_allclose(image.cam_from_world().matrix(), se3_inverse(POSES[row])[:3], atol=1e-12)
+        for seen in image.points2D:
+            xyz = model.points3D[seen.point3D_id].xyz
+            p = transform_points(se3_inverse(POSES[row]), xyz[None])[0]
+            expected = [CAMERA.fx * p[0] / p[2] + CAMERA.cx + 0.5, CAMERA.fy * p[1] / p[2] + CAMERA.cy + 0.5]
+            np.testing.assert_allclose(seen.xy, expected, atol=1e-6)
+
+
+def test_an_agent_without_points_has_an_empty_map(tmp_path: Path) -> None:
+    nothing = fused([map_of(0, np.zeros((0, 3)), np.zeros(0, dtype=np.int64))])
+    assert len(nothing.points) == 0
+    write_map(tmp_path / "map.ply", nothing)
+    write_colmap(tmp_path / "colmap", nothing, {0: CAMERA})
+    assert (tmp_path / "colmap" / "points3D.bin").read_bytes() == bytes(8)
