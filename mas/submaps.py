@@ -171,10 +171,12 @@ class MapTrade(Trade):
             return
         self._spoilt.discard(parcel.owner)
         placement = Sim3(np.eye(3), np.zeros(3), stock.map.unit)
-        if parcel.placement is not None:
-            placement = unpack_sim3(parcel.placement)
+        if stock.map.frame == self.state.frame:
+            placed_by = None  # the owner's own word, whatever the seller has moved it by
+        else:
+            placement = T_mine_seller @ (placement if parcel.placement is None else unpack_sim3(parcel.placement))
         route = (*parcel.route, seller)
-        self._take(held_of_stock(stock, T_mine_seller @ placement, route, self.desk.now_ns), placed_by)
+        self._take(held_of_stock(stock, placement, route, self.desk.now_ns), placed_by)
 
     def _take(self, new: HeldMap, placed_by: MatchId | None) -> None:
         """Algorithm 1: update the copy or append a new one, if it passes the checks."""

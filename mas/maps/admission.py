@@ -74,6 +74,8 @@ def aligned(
     """The consistency check: the map, laid on a match where its witnesses say that it stands too far off; the witnesses
     then, and that match."""
     limit = tolerance(state.config.merge.consistency_m, state)
+    if held.frame == state.frame and not any(state.me in w.match.agents for w in found):
+        limit = None  # it stands where its owner has it; another copy, perhaps an older one, does not know better
     how = standing(found) if limit is not None else None
     if how is None or limit is None or how.median_m <= limit:
         return held, found, None

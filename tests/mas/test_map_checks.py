@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -126,6 +127,20 @@ def test_a_map_is_checked_against_other_maps_by_matches_that_came_with_either() 
         assert how is not None and how.worst_m == pytest.approx(
             np.linalg.norm(MOTION @ further[2][:3, 3] - further[2][:3, 3])
         )
+
+
+def test_a_map_in_common_coordinates_is_not_laid_on_another_copy() -> None:
+    """The other copy may be older; once moved to it, each would be moved to the next."""
+    state = holder(consistency_m=2.0)
+    match = (MatchId(2, 3, 1, 3), Sim3.identity())
+    older = held(2, ROAD, placement=Sim3(np.eye(3), np.array([7.0, 0, 0])))
+    strange = held(1, ROAD, matches=(match,))
+    common = replace(strange, frame=state.frame)
+    for one, moved in ((strange, True), (common, False)):
+        verdict = admit(one, None, state, {2: older})
+        assert verdict.held is not None and (verdict.aligned_by is not None) == moved
+    matched(state, 2, 1, 4, ROAD[4], True)
+    assert admit(common.moved(MOTION), None, state, {2: older}).aligned_by is not None, "an own match counts"
 
 
 def test_a_wrong_map_is_rejected_with_a_reason_and_a_right_one_is_not() -> None:

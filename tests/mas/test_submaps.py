@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from backend.geometry import Sim3, se3_exp, transform_points
 from mas.agent import Agent
 from mas.environment import make_agents
-from mas.identities import MatchId, Operation
+from mas.identities import FrameId, MatchId, Operation
 from mas.keyframe import KeyFrame, keyframes_of
 from mas.maps.stock import Stock
 from mas.maps.wire import MapOrder, MapPatch, Parcel
@@ -221,6 +221,20 @@ def test_a_wrong_map_is_rejected_with_a_reason_and_not_bought_again(form: str) -
     assert refusal["seller"] == refusal["owner"] == 1
     assert refusal["reason"].startswith("no place match agrees: 1 of them")
     assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 0
+
+
+def test_in_common_coordinates_a_sellers_misplacement_is_not_inherited() -> None:
+    agents = agents_in_a_row(form="compact")
+    for agent in agents:  # as after an optimisation of all: in the coordinates of agent 0
+        T_0_own = np.linalg.inv(circuit(0.0, 1.0)[0]) @ circuit(6.0 * agent.state.me, 1.0)[0]
+        agent.state.poses = [T_0_own @ T for T in agent.state.poses]
+        agent.state.pieces = [replace(p, frame=FrameId(0, 0)) for p in agent.state.pieces]
+        agent.state.version += 1
+    trade(agents, 1, [2])
+    agents[1].maps.held[2] = agents[1].maps.held[2].moved(Sim3(np.eye(3), np.array([9.0, 0.0, 0.0])))
+    trade(agents, 0, [1])
+    truth = np.linalg.inv(circuit(0.0, 1.0)[0]) @ circuit(12.0, 9.0)[::3]
+    np.testing.assert_allclose(agents[0].maps.held[2].poses, truth, atol=EXACT["compact"])
 
 
 def test_a_copy_newer_than_its_owners_own_map_is_given_up() -> None:
