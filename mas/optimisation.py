@@ -15,23 +15,29 @@ from mas.identities import ContractId, Operation
 from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.plan import plan
 from mas.posegraph import Adoption, adopt, share_of, terms
+from mas.solver_link import SolverLink
 from mas.solver_messages import SolverBody, from_wire, to_wire
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
+
+# Optimisations an agent remembers: to tell late messages from wrong ones, and to help who is still in one.
+_REMEMBERED = 16
 
 
 @dataclass
 class Tender:
-    """The manager's side until the award: who still has to answer, and what was bid; alone: no contract."""
+    """The manager's side until the award: who still has to answer, what was bid, who did not bid; alone: no
+    contract."""
 
     identity: ContractId | None
     pending: set[int]
     bids: dict[int, Bid]
+    missing: set[int] = field(default_factory=set)
 
 
 @dataclass
 class Session:
     """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
-    ``early``: solver messages that came before the start."""
+    ``early``: solver messages that came before the start; ``link``: what the others may have missed."""
 
     identity: ContractId | None
     task: OptimiseTask
@@ -40,35 +46,55 @@ class Session:
     unconfirmed: set[int] = field(default_factory=set)
     begun: bool = False
     early: list[tuple[int, SolverBody]] = field(default_factory=list)
+    link: SolverLink = field(default_factory=SolverLink)
 
 
 class Optimisation(Trade):
-    """At most one at a time for an agent. Of two managers that call at once, the lower number goes first."""
+    """At most one at a time for an agent. Of two managers that call at once, the lower number goes first.
+
+    Nobody can be sure that all others have heard the last message (two generals). So whoever has not keeps its poses
+    where they were: a frame is named for the key-frame it begins with, which no optimisation moves, so that estimates of
+    before and after lie in the same one. Its contract ends without a result, and the manager calls again.
+    """
 
     def __init__(self, desk: Desk) -> None:
         super().__init__(desk)
         self.tender: Tender | None = None
         self.session: Session | None = None
         self.adoptions: list[Adoption] = []
-        self._last: ContractId | None = None
+        self.failures = 0
+        self.incomplete = False
+        self._not_before_ns = 0
+        self._before: dict[ContractId, Session | None] = {}
         self._terms: tuple[int, Bid] | None = None
 
     @property
     def busy(self) -> bool:
         return self.session is not None or self.tender is not None
 
+    @property
+    def ready(self) -> bool:
+        """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
+        settling = self.desk.calling(Operation.DOPT)
+        return not self.busy and not settling and self.desk.now_ns >= self._not_before_ns
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it was tried so often in vain that there is no more waiting for it at the end."""
+        return self.failures > 2 * (1 + self.state.config.link.retries)
+
     # -- manager ------------------------------------------------------------------------------------------------------
 
     def start(self, members: list[int]) -> None:
         """Call for an optimisation with these agents; alone if nobody else is named."""
-        others = [a for a in members if a != self.state.me]
+        others = [a for a in members if a != self.state.me and self.desk.may_call(a)]
         mine = self._my_terms()
         if not others:
             self._award(Tender(None, set(), {self.state.me: mine}))
             return
         identity, called = self.desk.call(Operation.DOPT, others, tuple(sorted(members)))
         if called:
-            self.tender = Tender(identity, set(called), {self.state.me: mine})
+            self.tender = Tender(identity, set(called), {self.state.me: mine}, set(others) - set(called))
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         if self.tender is None or self.tender.identity != contract.id:
@@ -82,6 +108,8 @@ class Optimisation(Trade):
         if tender is None:
             return
         tender.pending.discard(contractor)
+        if contractor not in tender.bids:
+            tender.missing.add(contractor)
         if not tender.pending:
             self.tender = None
             self._award(tender)
@@ -96,6 +124,10 @@ class Optimisation(Trade):
                 self.desk.say(contract, Award(found.tasks[contract.contractor]))
             elif contract.state is State.BID:
                 self.desk.say(contract, Rejection("not connected"))
+        if tender.missing and found.members == (me,):
+            self._failed()
+            return
+        self.incomplete |= bool(tender.missing)
         task = found.tasks[me]
         node = Node(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
@@ -150,6 +182,8 @@ class Optimisation(Trade):
         """The manager's word that all members have confirmed."""
         session = self.session
         if session is None or session.identity != identity or identity is None or sender != identity.manager:
+            if identity in self._before and identity is not None and sender == identity.manager:
+                return
             raise ProtocolError(f"agent {sender} begins an optimisation that was not agreed on")
         if not session.begun:
             self._run(session)
@@ -158,15 +192,24 @@ class Optimisation(Trade):
         """A solver message of another member."""
         session = self.session
         if session is None or session.identity != identity:
-            if identity is not None and identity == self._last:
+            if identity is not None and identity in self._before:
+                self._late(self._before[identity], sender)
                 return
             raise ProtocolError(f"agent {sender} sends solver messages without an optimisation")
         if sender not in session.task.members:
             raise ProtocolError(f"agent {sender} takes no part in this optimisation")
-        if not session.begun:
+        if not session.begun and session.contract is None:
             session.early.append((sender, body))
             return
-        self._hear(session, sender, body)
+        if not session.begun:
+            self._run(session)  # nobody begins before the manager's word, so that was given
+        if self.session is session:
+            self._hear(session, sender, body)
+
+    def _late(self, session: Session | None, sender: int) -> None:
+        """Another member still works on what is over here: it may have missed my last messages."""
+        if session is not None and sender in session.task.members:
+            self._send(session, session.link.again(session.node, sender, self.desk.now_ns, self.state.config.link))
 
     # -- both ---------------------------------------------------------------------------------------------------------
 
@@ -174,14 +217,36 @@ class Optimisation(Trade):
         if self.tender is not None and self.tender.identity == contract.id:
             self._answered(contract.contractor)
             return
-        session = self.session
-        if session is None or session.identity != contract.id or contract.state is State.DONE:
+        if contract.state is State.DONE:
             return
-        if contract.manager != self.state.me:
-            self.session = None
+        session = self.session
+        if session is None or session.identity != contract.id:
+            over = self._before.get(contract.id)
+            if over is not None and contract.manager == self.state.me and contract.contractor in over.task.members:
+                self.incomplete = True
+        elif contract.manager != self.state.me:
+            self._leave(session)
         elif contract.contractor in session.task.members:
-            self.session = None
+            self._leave(session)
+            self._failed()
             self.desk.cancel(self.desk.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
+
+    def _leave(self, session: Session) -> None:
+        """Out of an optimisation that did not come to its end; late messages of it are ignored."""
+        self.session = None
+        self._remember(session.identity, None)
+
+    def _failed(self) -> None:
+        """It is tried again, later each time."""
+        self.failures += 1
+        wait = min(self.failures, 8) * self.state.config.link.repeat_max_s
+        self._not_before_ns = self.desk.now_ns + round(wait * 1e9)
+
+    def _remember(self, identity: ContractId | None, session: Session | None) -> None:
+        if identity is not None:
+            self._before[identity] = session
+            if len(self._before) > _REMEMBERED:
+                del self._before[next(iter(self._before))]
 
     def _my_terms(self) -> Bid:
         """The agent's bid, made once for each state it is in: several managers may call at the same time."""
@@ -190,12 +255,14 @@ class Optimisation(Trade):
         return self._terms[1]
 
     def resend(self) -> None:
-        """Say again what other members may have missed (transports that lose messages)."""
-        if self.session is not None and self.session.begun:
-            self._send(self.session, self.session.node.tick())
+        """Say again what other members may have missed, if nothing goes on."""
+        session = self.session
+        if session is not None and session.begun:
+            self._send(session, session.link.due(session.node, self.desk.now_ns, self.state.config.link))
 
     def _run(self, session: Session) -> None:
         session.begun = True
+        session.link.goes_on(self.desk.now_ns)
         self._send(session, session.node.start())
         early, session.early = session.early, []
         for sender, body in early:
@@ -207,6 +274,11 @@ class Optimisation(Trade):
             out = session.node.handle(from_wire(sender, self.state.me, body))
         except BackendError as error:
             raise ProtocolError(f"solver message of agent {sender}: {error}") from error
+        config, now_ns = self.state.config.link, self.desk.now_ns
+        if session.link.seen(sender, body):
+            out = session.link.again(session.node, sender, now_ns, config)
+        elif out:
+            session.link.goes_on(now_ns)
         self._send(session, out)
         self._finish_if_done(session)
 
@@ -218,7 +290,8 @@ class Optimisation(Trade):
         outcome = session.node.outcome
         if outcome is None or self.session is not session:
             return
-        self.session, self._last = None, session.identity
+        self.session, self.failures = None, 0
+        self._remember(session.identity, session)
         self.adoptions.append(adopt(self.state, session.task, outcome))
         if session.contract is not None:
             self.desk.say(session.contract, Result(_answer(outcome)))

@@ -1,0 +1,57 @@
+"""What members of an optimisation say again because it may have been lost (:meth:`backend.distributed.node.Node.tick`).
+
+A node that gets no further repeats its last messages; who hears a message for the second time knows by that what the
+sender waits for, and repeats its own to it. Nothing of this happens as long as messages arrive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from backend.distributed.messages import Message as SolverMessage
+from backend.distributed.node import Node
+from mas.config import LinkConfig
+from mas.solver_messages import SolverBody
+
+
+@dataclass
+class SolverLink:
+    """One agent's side of one optimisation. ``goes_on``: it got further; ``tries``: repeats since then."""
+
+    said_ns: int = 0
+    tries: int = 0
+    repeated: int = 0
+    _told_ns: dict[int, int] = field(default_factory=dict)
+    _seen: set[tuple[int, type, int, int, int]] = field(default_factory=set)
+
+    def goes_on(self, now_ns: int) -> None:
+        """The node got further and said so: the wait begins anew."""
+        self.said_ns, self.tries = now_ns, 0
+
+    def seen(self, sender: int, body: SolverBody) -> bool:
+        """Whether this very message came before; remembers it."""
+        key = (sender, type(body), body.stage, body.step, body.sweep)
+        known = key in self._seen
+        self._seen.add(key)
+        return known
+
+    def due(self, node: Node, now_ns: int, config: LinkConfig) -> list[SolverMessage]:
+        """The last message to each other member, once the node has waited long enough: whoever has it already answers
+        with what this node may have missed, and learns by the next that it missed something itself."""
+        wait = min(config.repeat_s * 2 ** min(self.tries, 2), config.repeat_max_s)
+        if now_ns - self.said_ns < round(wait * 1e9):
+            return []
+        self.said_ns, self.tries = now_ns, self.tries + 1
+        return self._count(list({m.receiver: m for m in node.tick()}.values()))
+
+    def again(self, node: Node, member: int, now_ns: int, config: LinkConfig) -> list[SolverMessage]:
+        """All last messages to one member that seems to wait for them; not twice at once."""
+        told = self._told_ns.get(member)
+        if told is not None and now_ns - told < round(config.repeat_s * 0.5e9):
+            return []
+        self._told_ns[member] = now_ns
+        return self._count([m for m in node.tick() if m.receiver == member])
+
+    def _count(self, messages: list[SolverMessage]) -> list[SolverMessage]:
+        self.repeated += len(messages)
+        return messages
