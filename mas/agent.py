@@ -21,6 +21,7 @@ from mas.places import PlaceRecognition
 from mas.policy.base import Outlook, Policy
 from mas.relpose import Verification, tell_group
 from mas.solver_messages import SolverBody
+from mas.standing import Regard
 from mas.state import AgentState, Profile
 from mas.submaps import MapTrade
 
@@ -99,6 +100,8 @@ class Agent:
             if self.state.config.places.own_loops:
                 self.places.close_own_loop(keyframe)
         self._new = []
+        self.places.resume()
+        self.places.verification.resume()
         self._pursue()
         return self._settle()
 
@@ -263,3 +266,4 @@ class Agent:
                 "standing", of=other, regard=str(record.regard), reliability=round(record.reliability, 4),
                 honesty=round(record.honesty, 4), silent=record.unheard,
             )  # fmt: skip
+            self.state.distrust(other, record.regard is Regard.UNTRUSTED)

@@ -28,7 +28,7 @@ from enum import StrEnum
 
 from mas.errors import MasError
 from mas.identities import ContractId, Operation
-from mas.messages import Award, Bid, Call, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
+from mas.messages import Award, Bid, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
 
 
 class ProtocolError(MasError):

@@ -11,7 +11,7 @@ from mas.contract import Contract
 from mas.identities import ContractId, Operation
 from mas.ledger import Ledger
 from mas.messages import Bid, Body, Call, Cancel, ContractBody, Message, Refusal
-from mas.standing import SILENT, Standing
+from mas.standing import SILENT, Regard, Standing
 from mas.state import AgentState
 from mas.tasks import Outcome, Task
 from mas.words import Words
@@ -58,8 +58,11 @@ class Desk:
         """Whether a contract of this kind runs that I manage."""
         return any(c.manager == self.me for c in self.ledger.running(operation))
 
-    def may_call(self, other: int) -> bool:
-        """Whether a call to the other is worth its bytes."""
+    def may_call(self, other: int, operation: Operation = Operation.DVPR) -> bool:
+        """Whether a call to the other is worth its bytes. Probes of who is in bad standing are small questions, never
+        a part in an optimisation or a sale."""
+        if operation in (Operation.DOPT, Operation.MAPMERGE):
+            return self.standing.regard(other) is Regard.GOOD
         return self.standing.may_call(other, self.now_ns)
 
     def call(
@@ -68,7 +71,7 @@ class Desk:
         """Call for proposals; returns the contract's id and who was called (not those that still have one of this
         kind, nor those in bad standing)."""
         deadline_ns = self.deadline_ns(operation)
-        identity, free = self.ledger.call(operation, filter(self.may_call, contractors), deadline_ns)
+        identity, free = self.ledger.call(operation, [c for c in contractors if self.may_call(c, operation)], deadline_ns)
         for contract in self.ledger.managed(identity) if free else []:
             self.standing.called(contract.contractor, self.now_ns)
             self._say(contract, contract.contractor, Call(operation, deadline_ns, members))

@@ -3,8 +3,6 @@ only."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 from backend.distributed.messages import Message as SolverMessage
 from backend.distributed.node import Node
 from backend.distributed.share import Outcome as SolverOutcome
@@ -15,7 +13,7 @@ from mas.identities import ContractId, Operation
 from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.plan import plan
 from mas.posegraph import Adoption, adopt, share_of, terms
-from mas.solver_link import SolverLink
+from mas.sessions import Session, Tender
 from mas.solver_messages import SolverBody, from_wire, to_wire
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 
@@ -23,38 +21,12 @@ from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 _REMEMBERED = 16
 
 
-@dataclass
-class Tender:
-    """The manager's side until the award: who still has to answer, what was bid, who did not bid; alone: no
-    contract."""
-
-    identity: ContractId | None
-    pending: set[int]
-    bids: dict[int, Bid]
-    missing: set[int] = field(default_factory=set)
-
-
-@dataclass
-class Session:
-    """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
-    ``early``: solver messages that came before the start; ``link``: what the others may have missed."""
-
-    identity: ContractId | None
-    task: OptimiseTask
-    node: Node
-    contract: Contract | None = None
-    unconfirmed: set[int] = field(default_factory=set)
-    begun: bool = False
-    early: list[tuple[int, SolverBody]] = field(default_factory=list)
-    link: SolverLink = field(default_factory=SolverLink)
-
-
 class Optimisation(Trade):
     """At most one at a time for an agent. Of two managers that call at once, the lower number goes first.
 
     Nobody can be sure that all others have heard the last message (two generals). So whoever has not keeps its poses
-    where they were: a frame is named for the key-frame it begins with, which no optimisation moves, so that estimates of
-    before and after lie in the same one. Its contract ends without a result, and the manager calls again.
+    where they were: a frame is named for the key-frame it begins with, which no optimisation moves, so that estimates
+    of before and after lie in the same one. Its contract ends without a result, and the manager calls again.
     """
 
     def __init__(self, desk: Desk) -> None:
@@ -87,7 +59,7 @@ class Optimisation(Trade):
 
     def start(self, members: list[int]) -> None:
         """Call for an optimisation with these agents; alone if nobody else is named."""
-        others = [a for a in members if a != self.state.me and self.desk.may_call(a)]
+        others = [a for a in members if a != self.state.me and self.desk.may_call(a, Operation.DOPT)]
         mine = self._my_terms()
         if not others:
             self._award(Tender(None, set(), {self.state.me: mine}))

@@ -16,6 +16,7 @@ from mas.matches import Match
 from mas.messages import Award, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
 from mas.relpose import Verification, kind_of, verify, view_of
+from mas.retender import Retender
 from mas.tasks import Outcome, PlaceAnswer, PlaceQuery, Task
 from mas.tensors import Tensor
 
@@ -32,6 +33,7 @@ class PlaceRecognition(Trade):
         self.verification = verification
         self._waiting: dict[int, deque[int]] = {}
         self._asked: dict[ContractId, int] = {}
+        self._again = Retender(desk.state.config.link.retries)
 
     @property
     def threshold(self) -> float:
@@ -90,16 +92,25 @@ class PlaceRecognition(Trade):
     def on_end(self, contract: Contract) -> None:
         if contract.manager != self.state.me:
             return
+        keyframe = self._asked.get(contract.id)
+        if keyframe is not None and self._again.wanted(contract, keyframe):
+            self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
         if not self.desk.ledger.managed(contract.id):
             self._asked.pop(contract.id, None)
         self._next([contract.contractor])
+
+    def resume(self) -> None:
+        """Go on with agents that could not be called for a while."""
+        others = [a for a in sorted(self._waiting) if self._waiting[a]]
+        if others:
+            self._next(others)
 
     def _next(self, others: Iterable[int]) -> None:
         """Call those who are free: one call for all who are asked about the same key-frame."""
         busy = {c.contractor for c in self.desk.ledger.running(Operation.DVPR) if c.manager == self.state.me}
         wanted: dict[int, list[int]] = {}
         for other in others:
-            if self._waiting.get(other) and other not in busy:
+            if self._waiting.get(other) and other not in busy and self.desk.may_call(other):
                 wanted.setdefault(self._waiting[other].popleft(), []).append(other)
         for keyframe, agents in sorted(wanted.items()):
             identity, _ = self.desk.call(Operation.DVPR, agents)

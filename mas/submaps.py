@@ -19,6 +19,7 @@ from mas.desk import Desk, Trade, WorkError
 from mas.identities import MatchId, Operation
 from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
 from mas.posegraph import Adoption
+from mas.retender import Retender
 from mas.state import AgentState, thinned
 from mas.tasks import MapDelivery, MapOrder, Outcome, SubMap, Task
 from mas.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
@@ -60,14 +61,15 @@ class MapTrade(Trade):
         self.stale: set[int] = set()
         self.something_new = False
         self.rounds = 0
+        self._again = Retender(desk.state.config.link.retries)
         self._sold: tuple[int, SubMap] | None = None
 
     # -- buyer --------------------------------------------------------------------------------------------------------
 
     def buy(self, sellers: list[int]) -> None:
         """Call for the maps of these agents."""
-        self.desk.call(Operation.MAPMERGE, sellers)
-        for seller in sellers:
+        _, called = self.desk.call(Operation.MAPMERGE, sellers)
+        for seller in called:
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
 
@@ -139,6 +141,13 @@ class MapTrade(Trade):
             if mine:
                 return max(mine)
         return max(adoption.before)
+
+    def on_end(self, contract: Contract) -> None:
+        """A sale that came to nothing is still wanted."""
+        if contract.manager == self.state.me and self._again.wanted(contract, Operation.MAPMERGE):
+            self.stale.add(contract.contractor)
+            self.last_bought.pop(contract.contractor, None)
+            self.something_new = True
 
     # -- seller -------------------------------------------------------------------------------------------------------
 

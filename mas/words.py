@@ -76,9 +76,8 @@ class Words:
             self._owed.discard(key)
         out = []
         for last in self._open():
-            if now_ns - last.said_ns >= self._wait_ns(last.tries):
-                if last.call is not None:
-                    out.append(self._again(last, last.call, now_ns))
+            if last.call is not None and now_ns - last.said_ns >= self._wait_ns(last.tries):
+                out.append(self._again(last, last.call, now_ns))
         return out
 
     def silent(self, now_ns: int) -> list[Contract]:
