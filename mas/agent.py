@@ -14,7 +14,19 @@ from mas.desk import Desk, Event, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
 from mas.keyframe import KeyFrame
 from mas.ledger import Ledger
-from mas.messages import Award, Begin, Bid, Call, Confirmation, ContractBody, Failure, GroupNotice, Message, Result
+from mas.messages import (
+    Award,
+    Begin,
+    Bid,
+    Call,
+    Confirmation,
+    ContractBody,
+    Failure,
+    GroupNotice,
+    Message,
+    Refusal,
+    Result,
+)
 from mas.optimisation import Optimisation
 from mas.placebook import PlaceBook
 from mas.places import PlaceRecognition
@@ -60,6 +72,7 @@ class Agent:
         self._offered: set[MatchId] = set()
         self._optimised_at = 0
         self._incomplete = 0
+        self._once_used: set[MatchId] = set()
         self._searching = True
 
     # -- what comes in ------------------------------------------------------------------------------------------------
@@ -206,7 +219,10 @@ class Agent:
         self._settle_contracts()
         if body.members and self.state.join(body.members):
             tell_group(self.desk)
-        self.desk.say(contract, self._trades[contract.operation].bid(contract, body))
+        if self.desk.serves(sender, contract.operation):
+            self.desk.say(contract, self._trades[contract.operation].bid(contract, body))
+        else:
+            self.desk.say(contract, Refusal(f"in bad standing: {self.desk.standing.regard(sender)}"))
 
     def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> None:
         """A contract goes on: the ledger allows it or not, then the operation acts."""
@@ -243,7 +259,8 @@ class Agent:
                 self._trades[contract.operation].on_end(contract)
             adoptions, self.optimisation.adoptions = self.optimisation.adoptions, []
             for adoption in adoptions:
-                self._incomplete = 0 if adoption.matches - self._used else self._incomplete
+                self._incomplete = 0 if adoption.matches - self._once_used else self._incomplete
+                self._once_used |= adoption.matches
                 self._used = set(adoption.matches) | (self._offered & self.state.accepted)
                 self._optimised_at = len(self.state.keyframes)
                 self.maps.realign(adoption)

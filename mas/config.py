@@ -106,7 +106,8 @@ class LinkConfig(_Section):
 class StandingConfig(_Section):
     """What an agent thinks of others (:mod:`mas.standing`)."""
 
-    floor: float = Field(0.3, ge=0, le=1, description="reliability and honesty below which an agent is not called")
+    reliability: float = Field(0.3, ge=0, le=1, description="an agent is not called when its reliability is below this")
+    honesty: float = Field(0.45, ge=0, le=1, description="nor when its honesty is below this")
     forgetting: float = Field(0.95, gt=0, le=1, description="what an earlier contract still counts after a later one")
     probe_s: float = Field(10.0, gt=0, description="but who is not called is tried again so often, seconds")
 

@@ -60,10 +60,14 @@ class Desk:
 
     def may_call(self, other: int, operation: Operation = Operation.DVPR) -> bool:
         """Whether a call to the other is worth its bytes. Probes of who is in bad standing are small questions, never
-        a part in an optimisation or a sale."""
-        if operation in (Operation.DOPT, Operation.MAPMERGE):
+        a part in an optimisation or a sale, and end with the sequences."""
+        if self.closing or operation in (Operation.DOPT, Operation.MAPMERGE):
             return self.standing.regard(other) is Regard.GOOD
         return self.standing.may_call(other, self.now_ns)
+
+    def serves(self, other: int, operation: Operation) -> bool:
+        """Whether to work for the other: questions about places always, they let it come back."""
+        return operation in (Operation.DVPR, Operation.RELPOSE) or self.standing.regard(other) is Regard.GOOD
 
     def call(
         self, operation: Operation, contractors: Iterable[int], members: tuple[int, ...] = ()
@@ -71,7 +75,8 @@ class Desk:
         """Call for proposals; returns the contract's id and who was called (not those that still have one of this
         kind, nor those in bad standing)."""
         deadline_ns = self.deadline_ns(operation)
-        identity, free = self.ledger.call(operation, [c for c in contractors if self.may_call(c, operation)], deadline_ns)
+        worth = [c for c in contractors if self.may_call(c, operation)]
+        identity, free = self.ledger.call(operation, worth, deadline_ns)
         for contract in self.ledger.managed(identity) if free else []:
             self.standing.called(contract.contractor, self.now_ns)
             self._say(contract, contract.contractor, Call(operation, deadline_ns, members))
@@ -129,7 +134,9 @@ class Desk:
 
     def note_end(self, contract: Contract) -> None:
         """How a contract ended, told once: by its manager."""
-        if contract.manager == self.me:
+        if contract.manager != self.me:
+            self.standing.left_waiting(contract)
+        else:
             self.standing.ended(contract)
             self.note(
                 "contract",

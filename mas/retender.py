@@ -9,7 +9,7 @@ from mas.standing import SILENT
 
 
 class Retender:
-    """Counts, for each subject (a key-frame, a match, a map) and contractor, how often the work was called for again."""
+    """Counts for each subject (a key-frame, a match, a map) and contractor how often the work was called for again."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit

@@ -6,7 +6,7 @@ Standing is reliability times honesty, each the mean of a Beta posterior:
     reliability = (g + 1) / (g + p + 1.25)      g: delivered, p: not delivered, older ones forgotten by ``forgetting``
     honesty     = (t + 3) / (t + f + 3.5)       t: results that others bear out, f: those that they contradict
 
-Who did not say a word in two contracts running, or fell below ``floor`` in either, is not called any more but for a
+Who did not say a word in two contracts running, or fell below the limit of either, is not called any more but for a
 probe every ``probe_s``: so who comes back, or was wronged, is taken in again.
 """
 
@@ -18,7 +18,7 @@ from enum import StrEnum
 from mas.config import StandingConfig
 from mas.contract import Contract, State
 from mas.identities import Operation
-from mas.messages import Award, Bid
+from mas.messages import Award, Bid, Confirmation
 
 # What a contract that ended without its result counts as: not done, said so, or stuck among several members.
 _NOT_DELIVERED, _FAILED, _STUCK = 1.0, 0.25, 0.5
@@ -98,6 +98,11 @@ class Standing:
             elif Bid not in contract.said:
                 record.unheard += 1
 
+    def left_waiting(self, contract: Contract) -> None:
+        """An optimisation that I took part in never ended: its manager answers for that."""
+        if contract.operation is Operation.DOPT and contract.state is State.EXPIRED and Confirmation in contract.said:
+            self._count(self.of(contract.manager), poor=_STUCK)
+
     def judged(self, other: int, borne_out: int, contradicted: int) -> None:
         """How many of the other's results now agree with the rest of what is known, and how many do not."""
         record = self.of(other)
@@ -124,11 +129,11 @@ class Standing:
     def regard(self, other: int) -> Regard:
         """How to deal with the other now."""
         record = self.of(other)
-        if record.honesty < self.config.floor:
+        if record.honesty < self.config.honesty:
             return Regard.UNTRUSTED
         if record.unheard >= _SILENT_AFTER:
             return Regard.SILENT
-        return Regard.UNDELIVERING if record.reliability < self.config.floor else Regard.GOOD
+        return Regard.UNDELIVERING if record.reliability < self.config.reliability else Regard.GOOD
 
     def changes(self, now_ns: int) -> list[tuple[int, Record]]:
         """Agents that are regarded otherwise than when this was asked last; the first probe waits its time."""
