@@ -24,13 +24,15 @@ from mas.messages import (
     Failure,
     GroupNotice,
     Message,
-    Refusal,
+    Rejection,
     Result,
 )
+from mas.news import News
 from mas.optimisation import Optimisation
 from mas.placebook import PlaceBook
 from mas.places import PlaceRecognition
 from mas.policy.base import Outlook, Policy
+from mas.pool import Pool
 from mas.relpose import Verification, tell_group
 from mas.solver_messages import SolverBody
 from mas.standing import Regard
@@ -67,12 +69,9 @@ class Agent:
             Operation.DOPT: self.optimisation,
             Operation.MAPMERGE: self.maps,
         }
+        self.pool = Pool(self.desk, self._trades)
         self._new: list[KeyFrame] = []
-        self._used: set[MatchId] = set()
-        self._offered: set[MatchId] = set()
-        self._optimised_at = 0
-        self._incomplete = 0
-        self._once_used: set[MatchId] = set()
+        self.news = News(self.state)
         self._searching = True
 
     # -- what comes in ------------------------------------------------------------------------------------------------
@@ -143,7 +142,7 @@ class Agent:
     @property
     def waiting(self) -> bool:
         """Whether others owe it an answer: it wants to be reminded."""
-        return self.desk.words.owed or self.optimisation.busy
+        return self.desk.words.owed or self.optimisation.busy or self.pool.waiting
 
     @property
     def diary(self) -> list[Event]:
@@ -155,7 +154,7 @@ class Agent:
         count = len(self.state.keyframes)
         return Outlook(
             news=len(self._news()),
-            since_optimised=count - self._optimised_at,
+            since_optimised=count - self.news.optimised_at,
             since_bought={a: count - at for a, at in sorted(self.maps.last_bought.items())},
             since_matched={a: count - 1 - at for a, at in sorted(self.book.last_matched.items())},
             stale=frozenset(self.maps.stale),
@@ -164,9 +163,9 @@ class Agent:
 
     def _news(self) -> set[MatchId]:
         """Matches accepted or withdrawn since the last optimisation; none when it failed too often at the end."""
-        if self.desk.closing and self.optimisation.hopeless:
+        if self.desk.closing and self.optimisation.attempts.hopeless:
             return set()
-        return self.state.accepted ^ self._used
+        return self.news.matches
 
     def _pursue(self) -> None:
         """First optimise what was learned, then buy maps: thesis section 3.8.2's order of operations."""
@@ -175,14 +174,17 @@ class Agent:
         outlook = self.outlook()
         members = self.policy.optimise(self.state, outlook)
         if members:
-            self._offered = set(self.state.accepted)
+            self.news.offered()
             self.optimisation.start(members)
             return
         sellers = self.policy.buy(self.state, outlook)
         if self.desk.closing and self.desk.calling(Operation.MAPMERGE):
             return
         if self.desk.closing:
-            if self.maps.rounds >= self.state.config.merge.closing_rounds:
+            # Nothing new: look again now and then, somebody else may still get something.
+            rounds, limit = self.maps.rounds, self.state.config.merge.closing_rounds
+            lull = not self.maps.something_new and self.maps.stale.isdisjoint(sellers)
+            if rounds >= limit or (lull and rounds & (rounds - 1)):
                 sellers = []
             self._searching = bool(sellers) and (self.maps.something_new or self.maps.rounds == 0)
             self.maps.rounds += 1
@@ -219,17 +221,16 @@ class Agent:
         self._settle_contracts()
         if body.members and self.state.join(body.members):
             tell_group(self.desk)
-        if self.desk.serves(sender, contract.operation):
-            self.desk.say(contract, self._trades[contract.operation].bid(contract, body))
-        else:
-            self.desk.say(contract, Refusal(f"in bad standing: {self.desk.standing.regard(sender)}"))
+        self.pool.take(contract, body)
 
     def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> None:
         """A contract goes on: the ledger allows it or not, then the operation acts."""
         contract = self.desk.ledger.hear(identity, sender, body)
         self.desk.hear(contract)
         trade = self._trades[contract.operation]
-        if isinstance(body, Bid):
+        if isinstance(body, Bid) and body.ready_ns > contract.deadline_ns:
+            self.desk.say(contract, Rejection("ready too late"))
+        elif isinstance(body, Bid):
             trade.on_bid(contract, body)
         elif isinstance(body, Award):
             self._work(trade, contract, body)
@@ -247,6 +248,8 @@ class Agent:
     def _settle(self) -> list[Message]:
         """Wind up what ended, take over what an optimisation brought, and hand out the mail."""
         self._settle_contracts()
+        self.pool.inspect()
+        self._settle_contracts()
         out, self.desk.outbox = self.desk.outbox, []
         return out
 
@@ -259,22 +262,12 @@ class Agent:
                 self._trades[contract.operation].on_end(contract)
             adoptions, self.optimisation.adoptions = self.optimisation.adoptions, []
             for adoption in adoptions:
-                self._incomplete = 0 if adoption.matches - self._once_used else self._incomplete
-                self._once_used |= adoption.matches
-                self._used = set(adoption.matches) | (self._offered & self.state.accepted)
-                self._optimised_at = len(self.state.keyframes)
+                self.news.used(adoption.matches)
                 self.maps.realign(adoption)
                 self.maps.stale.update(self.state.partners())
-            self._call_again_if_incomplete()
-
-    def _call_again_if_incomplete(self) -> None:
-        """Some member missed the optimisation or its end: what was used is news once more, a few times."""
-        if not self.optimisation.incomplete or self.optimisation.busy:
-            return
-        self.optimisation.incomplete = False
-        if self._incomplete < self.state.config.link.retries:
-            self._incomplete += 1
-            self._used = set()
+            if self.optimisation.attempts.missed and not self.optimisation.busy:
+                self.optimisation.attempts.missed = False
+                self.news.call_again()
 
     def _note_standing(self) -> None:
         """Who is regarded otherwise since the last contract."""

@@ -164,8 +164,8 @@ class Trade(ABC):
         return self.desk.state
 
     @abstractmethod
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        """Contractor: an offer, or why not."""
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal | None:
+        """Contractor: an offer, or why not; None: not now, ask again when something has ended."""
 
     @abstractmethod
     def on_bid(self, contract: Contract, bid: Bid) -> None:

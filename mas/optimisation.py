@@ -3,6 +3,8 @@ only."""
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from backend.distributed.messages import Message as SolverMessage
 from backend.distributed.node import Node
 from backend.distributed.share import Outcome as SolverOutcome
@@ -12,9 +14,11 @@ from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, Operation
 from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.plan import plan
+from mas.policy.utility import ENVELOPE_BYTES, SOLVER_BYTES_A_ROW
 from mas.posegraph import Adoption, adopt, share_of, terms
-from mas.sessions import Session, Tender
+from mas.sessions import Attempts, Session, Tender
 from mas.solver_messages import SolverBody, from_wire, to_wire
+from mas.solver_messages import payload_bytes as solver_payload
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 
 # Optimisations an agent remembers: to tell late messages from wrong ones, and to help who is still in one.
@@ -34,10 +38,10 @@ class Optimisation(Trade):
         self.tender: Tender | None = None
         self.session: Session | None = None
         self.adoptions: list[Adoption] = []
-        self.failures = 0
-        self.incomplete = False
-        self._not_before_ns = 0
+        self.attempts = Attempts(desk.state.config.link)
+        self.repeated = 0
         self._before: dict[ContractId, Session | None] = {}
+        self._bytes_a_row, self._took_ns = SOLVER_BYTES_A_ROW, 0
         self._terms: tuple[int, Bid] | None = None
 
     @property
@@ -48,12 +52,7 @@ class Optimisation(Trade):
     def ready(self) -> bool:
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
         settling = self.desk.calling(Operation.DOPT)
-        return not self.busy and not settling and self.desk.now_ns >= self._not_before_ns
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether it was tried so often in vain that there is no more waiting for it at the end."""
-        return self.failures > 2 * (1 + self.state.config.link.retries)
+        return not self.busy and not settling and self.desk.now_ns >= self.attempts.not_before_ns
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
@@ -97,9 +96,9 @@ class Optimisation(Trade):
             elif contract.state is State.BID:
                 self.desk.say(contract, Rejection("not connected"))
         if tender.missing and found.members == (me,):
-            self._failed()
+            self.attempts.failed(self.desk.now_ns)
             return
-        self.incomplete |= bool(tender.missing)
+        self.attempts.missed |= bool(tender.missing)
         task = found.tasks[me]
         node = Node(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
@@ -124,9 +123,9 @@ class Optimisation(Trade):
 
     # -- contractor ---------------------------------------------------------------------------------------------------
 
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        if self.session is not None:
-            return Refusal("busy with an optimisation")
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal | None:
+        if self.session is not None or self._bid_to_lower(contract):
+            return None
         if not self.state.keyframes:
             return Refusal("nothing to optimise yet")
         if self.tender is not None:
@@ -136,6 +135,11 @@ class Optimisation(Trade):
             if given_up.identity is not None:
                 self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
         return self._my_terms()
+
+    def _bid_to_lower(self, contract: Contract) -> bool:
+        """Whether a bid to a lower manager is still open: that one goes first."""
+        bids = (c for c in self.desk.ledger.running(Operation.DOPT) if c.state is State.BID)
+        return any(c.manager < contract.manager for c in bids if c.contractor == self.state.me)
 
     def work(self, contract: Contract, task: Task) -> None:
         me = self.state.me
@@ -181,7 +185,7 @@ class Optimisation(Trade):
     def _late(self, session: Session | None, sender: int) -> None:
         """Another member still works on what is over here: it may have missed my last messages."""
         if session is not None and sender in session.task.members:
-            self._send(session, session.link.again(session.node, sender, self.desk.now_ns, self.state.config.link))
+            self._repeat(session, session.link.again(session.node, sender, self.desk.now_ns, self.state.config.link))
 
     # -- both ---------------------------------------------------------------------------------------------------------
 
@@ -195,24 +199,18 @@ class Optimisation(Trade):
         if session is None or session.identity != contract.id:
             over = self._before.get(contract.id)
             if over is not None and contract.manager == self.state.me and contract.contractor in over.task.members:
-                self.incomplete = True
+                self.attempts.missed = True
         elif contract.manager != self.state.me:
             self._leave(session)
         elif contract.contractor in session.task.members:
             self._leave(session)
-            self._failed()
+            self.attempts.failed(self.desk.now_ns)
             self.desk.cancel(self.desk.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
 
     def _leave(self, session: Session) -> None:
         """Out of an optimisation that did not come to its end; late messages of it are ignored."""
         self.session = None
         self._remember(session.identity, None)
-
-    def _failed(self) -> None:
-        """It is tried again, later each time."""
-        self.failures += 1
-        wait = min(self.failures, 8) * self.state.config.link.repeat_max_s
-        self._not_before_ns = self.desk.now_ns + round(wait * 1e9)
 
     def _remember(self, identity: ContractId | None, session: Session | None) -> None:
         if identity is not None:
@@ -223,17 +221,19 @@ class Optimisation(Trade):
     def _my_terms(self) -> Bid:
         """The agent's bid, made once for each state it is in: several managers may call at the same time."""
         if self._terms is None or self._terms[0] != self.state.version:
-            self._terms = (self.state.version, terms(self.state, self.desk.now_ns))
-        return self._terms[1]
+            bid = terms(self.state, self.desk.now_ns)
+            cost = ENVELOPE_BYTES + round(self._bytes_a_row * len(bid.links.matches))
+            self._terms = (self.state.version, replace(bid, cost_bytes=cost))
+        return replace(self._terms[1], ready_ns=self.desk.now_ns + self._took_ns)
 
     def resend(self) -> None:
         """Say again what other members may have missed, if nothing goes on."""
         session = self.session
         if session is not None and session.begun:
-            self._send(session, session.link.due(session.node, self.desk.now_ns, self.state.config.link))
+            self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.state.config.link))
 
     def _run(self, session: Session) -> None:
-        session.begun = True
+        session.begun, session.began_ns = True, self.desk.now_ns
         session.link.goes_on(self.desk.now_ns)
         self._send(session, session.node.start())
         early, session.early = session.early, []
@@ -247,8 +247,8 @@ class Optimisation(Trade):
         except BackendError as error:
             raise ProtocolError(f"solver message of agent {sender}: {error}") from error
         config, now_ns = self.state.config.link, self.desk.now_ns
-        if session.link.seen(sender, body):
-            out = session.link.again(session.node, sender, now_ns, config)
+        if session.link.seen(sender, body) and not out:
+            self._repeat(session, session.link.again(session.node, sender, now_ns, config))
         elif out:
             session.link.goes_on(now_ns)
         self._send(session, out)
@@ -256,14 +256,23 @@ class Optimisation(Trade):
 
     def _send(self, session: Session, messages: list[SolverMessage]) -> None:
         for message in messages:
-            self.desk.tell(message.receiver, session.identity, to_wire(message))
+            body = to_wire(message)
+            session.sent_bytes += ENVELOPE_BYTES + solver_payload(body)
+            self.desk.tell(message.receiver, session.identity, body)
+
+    def _repeat(self, session: Session, messages: list[SolverMessage]) -> None:
+        self.repeated += len(messages)
+        self._send(session, messages)
 
     def _finish_if_done(self, session: Session) -> None:
         outcome = session.node.outcome
         if outcome is None or self.session is not session:
             return
-        self.session, self.failures = None, 0
+        self.session = None
+        self.attempts.succeeded()
         self._remember(session.identity, session)
+        self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
+        self._took_ns = self.desk.now_ns - session.began_ns
         self.adoptions.append(adopt(self.state, session.task, outcome))
         if session.contract is not None:
             self.desk.say(session.contract, Result(_answer(outcome)))

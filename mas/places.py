@@ -15,6 +15,7 @@ from mas.keyframe import KeyFrame
 from mas.matches import Match
 from mas.messages import Award, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
+from mas.policy.utility import PLACE_ANSWER_BYTES
 from mas.relpose import Verification, kind_of, verify, view_of
 from mas.retender import Retender
 from mas.tasks import Outcome, PlaceAnswer, PlaceQuery, Task
@@ -50,7 +51,7 @@ class PlaceRecognition(Trade):
         self._next(sorted(self._waiting))
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=8 + 4, ready_ns=self.desk.now_ns)
+        return Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.desk.now_ns)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         keyframe = self._asked.get(contract.id)

@@ -16,6 +16,7 @@ from mas.keyframe import KeyFrame
 from mas.matches import Match
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
+from mas.policy.utility import VERIFY_ANSWER_BYTES
 from mas.retender import Retender
 from mas.state import AgentState, thinned
 from mas.tasks import Outcome, Task, VerifyAnswer, VerifyTask
@@ -41,7 +42,7 @@ class Verification(Trade):
             self._next(candidate.id.match_agent)
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=2 * 6 * 8, ready_ns=self.desk.now_ns)
+        return Bid(cost_bytes=VERIFY_ANSWER_BYTES, ready_ns=self.desk.now_ns)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         match = self._running.get(contract.id)

@@ -20,7 +20,6 @@ class SolverLink:
 
     said_ns: int = 0
     tries: int = 0
-    repeated: int = 0
     _told_ns: dict[int, int] = field(default_factory=dict)
     _seen: set[tuple[int, type, int, int, int]] = field(default_factory=set)
 
@@ -42,7 +41,7 @@ class SolverLink:
         if now_ns - self.said_ns < round(wait * 1e9):
             return []
         self.said_ns, self.tries = now_ns, self.tries + 1
-        return self._count(list({m.receiver: m for m in node.tick()}.values()))
+        return list({m.receiver: m for m in node.tick()}.values())
 
     def again(self, node: Node, member: int, now_ns: int, config: LinkConfig) -> list[SolverMessage]:
         """All last messages to one member that seems to wait for them; not twice at once."""
@@ -50,8 +49,4 @@ class SolverLink:
         if told is not None and now_ns - told < round(config.repeat_s * 0.5e9):
             return []
         self._told_ns[member] = now_ns
-        return self._count([m for m in node.tick() if m.receiver == member])
-
-    def _count(self, messages: list[SolverMessage]) -> list[SolverMessage]:
-        self.repeated += len(messages)
-        return messages
+        return [m for m in node.tick() if m.receiver == member]

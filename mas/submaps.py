@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import Array, Sim3
-from mas.contract import Contract
+from mas.contract import Contract, State
 from mas.desk import Desk, Trade, WorkError
-from mas.identities import MatchId, Operation
+from mas.identities import ContractId, MatchId, Operation
 from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
+from mas.policy.utility import ENVELOPE_BYTES, orders
 from mas.posegraph import Adoption
 from mas.retender import Retender
 from mas.state import AgentState, thinned
@@ -59,6 +60,7 @@ class MapTrade(Trade):
         self.held: dict[int, HeldMap] = {}
         self.last_bought: dict[int, int] = {}
         self.stale: set[int] = set()
+        self._bids: dict[ContractId, dict[int, Bid]] = {}
         self.something_new = False
         self.rounds = 0
         self._again = Retender(desk.state.config.link.retries)
@@ -74,11 +76,24 @@ class MapTrade(Trade):
             self.last_bought[seller] = len(self.state.keyframes)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
-        wanted = tuple(sorted(o.owner for o in bid.offers if self._wants(o)))
-        if wanted:
-            self.desk.say(contract, Award(MapOrder(wanted)))
-        else:
-            self.desk.say(contract, Rejection("nothing new"))
+        self._bids.setdefault(contract.id, {})[contract.contractor] = bid
+        self._judge(contract.id)
+
+    def _judge(self, call: ContractId) -> None:
+        """Once everyone has answered: each map from the seller whose bid is worth most."""
+        contracts = self.desk.ledger.managed(call)
+        if call not in self._bids or any(c.state is State.CALLED for c in contracts):
+            return
+        bids = self._bids.pop(call)
+        standing = {seller: self.desk.standing.of(seller).value for seller in bids}
+        held = {owner: h.version for owner, h in self.held.items()}
+        deadline_ns = max((c.deadline_ns for c in contracts), default=0)
+        wanted = orders(bids, standing, held, self.state.me, deadline_ns)
+        for contract in contracts:
+            if contract.state is State.BID and contract.contractor in wanted:
+                self.desk.say(contract, Award(MapOrder(wanted[contract.contractor])))
+            elif contract.state is State.BID:
+                self.desk.say(contract, Rejection("nothing new, or better offers"))
 
     def _wants(self, offer: Offer) -> bool:
         held = self.held.get(offer.owner)
@@ -144,6 +159,7 @@ class MapTrade(Trade):
 
     def on_end(self, contract: Contract) -> None:
         """A sale that came to nothing is still wanted."""
+        self._judge(contract.id)
         if contract.manager == self.state.me and self._again.wanted(contract, Operation.MAPMERGE):
             self.stale.add(contract.contractor)
             self.last_bought.pop(contract.contractor, None)
@@ -158,7 +174,7 @@ class MapTrade(Trade):
             offers.append(Offer(self.state.me, self.state.version, placed))
         if not offers:
             return Refusal("nothing to sell yet")
-        cost = sum(64 * o.keyframes for o in offers)
+        cost = ENVELOPE_BYTES + _own_bytes(self.state) + sum(h.wire.payload_bytes for h in self.held.values())
         return Bid(cost_bytes=cost, ready_ns=self.desk.now_ns, offers=tuple(sorted(offers, key=lambda o: o.owner)))
 
     def work(self, contract: Contract, task: Task) -> None:
@@ -223,6 +239,13 @@ def _own_map(state: AgentState) -> SubMap:
         matches=tuple(m.id for m in state.accepted_matches()),
         transforms=pack_sim3s([m.T_M_Q for m in state.accepted_matches()]),
     )
+
+
+def _own_bytes(state: AgentState) -> int:
+    """About what the whole own map takes on the air: 68 bytes a key-frame, 48 a point, 80 a match."""
+    limit = state.config.merge.max_points
+    points = sum(min(int(state.keyframes[i].first_seen.sum()), limit) for i in state.placed())
+    return 68 * len(state.placed()) + 48 * points + 80 * len(state.accepted)
 
 
 def held_from_wire(state: AgentState, submap: SubMap) -> HeldMap:
