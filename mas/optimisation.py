@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
+from backend.distributed.messages import Decision
 from backend.distributed.messages import Message as SolverMessage
 from backend.distributed.node import Node
 from backend.distributed.share import Outcome as SolverOutcome
@@ -17,7 +18,7 @@ from mas.plan import plan
 from mas.policy.utility import ENVELOPE_BYTES, SOLVER_BYTES_A_ROW
 from mas.posegraph import Adoption, adopt, share_of, terms
 from mas.sessions import Attempts, Session, Tender
-from mas.solver_messages import SolverBody, from_wire, to_wire
+from mas.solver_messages import SolverBody, SolverDecision, from_wire, to_wire
 from mas.solver_messages import payload_bytes as solver_payload
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 
@@ -169,7 +170,7 @@ class Optimisation(Trade):
         session = self.session
         if session is None or session.identity != identity:
             if identity is not None and identity in self._before:
-                self._late(self._before[identity], sender)
+                self._late(self._before[identity], sender, body)
                 return
             raise ProtocolError(f"agent {sender} sends solver messages without an optimisation")
         if sender not in session.task.members:
@@ -182,10 +183,13 @@ class Optimisation(Trade):
         if self.session is session:
             self._hear(session, sender, body)
 
-    def _late(self, session: Session | None, sender: int) -> None:
-        """Another member still works on what is over here: it may have missed my last messages."""
-        if session is not None and sender in session.task.members:
-            self._repeat(session, session.link.again(session.node, sender, self.desk.now_ns, self.state.config.link))
+    def _late(self, session: Session | None, sender: int, body: SolverBody) -> None:
+        """Another member still works on what is over here. All it can lack is the last decision: nobody ends before all
+        have reported. Decisions are not answered, or two who are done would talk for ever."""
+        if session is None or sender not in session.task.members or isinstance(body, SolverDecision):
+            return
+        found = session.link.again(session.node, sender, self.desk.now_ns, self.desk.words.pace)
+        self._repeat(session, [m for m in found if isinstance(m, Decision)])
 
     # -- both ---------------------------------------------------------------------------------------------------------
 
@@ -230,7 +234,7 @@ class Optimisation(Trade):
         """Say again what other members may have missed, if nothing goes on."""
         session = self.session
         if session is not None and session.begun:
-            self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.state.config.link))
+            self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.desk.words.pace))
 
     def _run(self, session: Session) -> None:
         session.begun, session.began_ns = True, self.desk.now_ns
@@ -246,9 +250,9 @@ class Optimisation(Trade):
             out = session.node.handle(from_wire(sender, self.state.me, body))
         except BackendError as error:
             raise ProtocolError(f"solver message of agent {sender}: {error}") from error
-        config, now_ns = self.state.config.link, self.desk.now_ns
+        now_ns = self.desk.now_ns
         if session.link.seen(sender, body) and not out:
-            self._repeat(session, session.link.again(session.node, sender, now_ns, config))
+            self._repeat(session, session.link.again(session.node, sender, now_ns, self.desk.words.pace))
         elif out:
             session.link.goes_on(now_ns)
         self._send(session, out)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from backend.distributed.messages import Message as SolverMessage
 from backend.distributed.node import Node
-from mas.config import LinkConfig
+from mas.pace import Pace
 from mas.solver_messages import SolverBody
 
 
@@ -34,19 +34,20 @@ class SolverLink:
         self._seen.add(key)
         return known
 
-    def due(self, node: Node, now_ns: int, config: LinkConfig) -> list[SolverMessage]:
+    def due(self, node: Node, now_ns: int, pace: Pace) -> list[SolverMessage]:
         """The last message to each other member, once the node has waited long enough: whoever has it already answers
         with what this node may have missed, and learns by the next that it missed something itself."""
-        wait = min(config.repeat_s * 2 ** min(self.tries, 2), config.repeat_max_s)
-        if now_ns - self.said_ns < round(wait * 1e9):
+        last = {m.receiver: m for m in node.tick()}
+        wait = max((pace.wait_ns(member, min(self.tries, 2)) for member in last), default=0)
+        if now_ns - self.said_ns < wait:
             return []
         self.said_ns, self.tries = now_ns, self.tries + 1
-        return list({m.receiver: m for m in node.tick()}.values())
+        return list(last.values())
 
-    def again(self, node: Node, member: int, now_ns: int, config: LinkConfig) -> list[SolverMessage]:
+    def again(self, node: Node, member: int, now_ns: int, pace: Pace) -> list[SolverMessage]:
         """All last messages to one member that seems to wait for them; not twice at once."""
         told = self._told_ns.get(member)
-        if told is not None and now_ns - told < round(config.repeat_s * 0.5e9):
+        if told is not None and now_ns - told < pace.wait_ns(member) // 2:
             return []
         self._told_ns[member] = now_ns
         return [m for m in node.tick() if m.receiver == member]

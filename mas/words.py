@@ -16,6 +16,7 @@ from mas.config import LinkConfig
 from mas.contract import Contract, State
 from mas.identities import ContractId
 from mas.messages import Award, Bid, Call, Confirmation, Failure, Message, Refusal, Result
+from mas.pace import Pace
 
 Key = tuple[ContractId, int]
 _CONTRACTORS = Bid | Refusal | Confirmation | Result | Failure
@@ -28,14 +29,16 @@ _MANAGER_ENDS = (State.REJECTED, State.CANCELLED)
 
 @dataclass
 class _Last:
-    """``call``: the manager's call; ``word``: what I said last, at ``word_ns``; ``since_ns``: since when the other side
-    owes an answer; ``said_ns``: when I said anything last; ``tries``: repeats since the other side was heard."""
+    """``call``: the manager's call; ``word``: what I said last, first at ``first_ns`` and last at ``word_ns``;
+    ``since_ns``: since when the other side is silent; ``said_ns``: when I said anything last; ``tries``: repeats since
+    the other side was heard."""
 
     contract: Contract
     word: Message
     call: Message | None
     since_ns: int
     said_ns: int
+    first_ns: int
     word_ns: int
     tries: int = 0
 
@@ -47,6 +50,7 @@ class Words:
         self.me = me
         self.config = config
         self.repeated = 0
+        self.pace = Pace(config)
         self._last: dict[Key, _Last] = {}
         self._owed: set[Key] = set()
         self._deadlines: list[tuple[int, Key]] = []
@@ -56,7 +60,7 @@ class Words:
         key = (contract.id, contract.contractor)
         known = self._last.get(key)
         call = message if isinstance(message.body, Call) else known.call if known else None
-        self._last[key] = _Last(contract, message, call, now_ns, now_ns, now_ns)
+        self._last[key] = _Last(contract, message, call, now_ns, now_ns, now_ns, now_ns)
         if known is None:
             heapq.heappush(self._deadlines, (contract.deadline_ns, key))
         self._note_owed(key, contract)
@@ -65,6 +69,9 @@ class Words:
         """The other side said something, new or not: it is there."""
         last = self._last.get((contract.id, contract.contractor))
         if last is not None:
+            before = last.contract.state
+            if contract.manager == self.me and before in (State.CALLED, State.AWARDED) and contract.state is not before:
+                self.pace.answered(contract.contractor, now_ns - last.first_ns)
             last.contract, last.since_ns, last.tries = contract, now_ns, 0
             self._note_owed((contract.id, contract.contractor), contract)
 
@@ -76,7 +83,7 @@ class Words:
             self._owed.discard(key)
         out = []
         for last in self._open():
-            if last.call is not None and now_ns - last.said_ns >= self._wait_ns(last.tries):
+            if last.call is not None and now_ns - last.said_ns >= self._wait_ns(last):
                 out.append(self._again(last, last.call, now_ns))
         return out
 
@@ -90,7 +97,7 @@ class Words:
         """What a repeated word, or one that came after the end, is answered with; None: nothing. ``contract``: my
         copy."""
         last = self._last.get((contract.id, contract.contractor))
-        if last is None or now_ns - last.word_ns < self._wait_ns(0) // 2:
+        if last is None or now_ns - last.word_ns < self.pace.wait_ns(self._other(contract)) // 2:
             return None
         if contract.manager == self.me:
             missed = contract.state in _MANAGER_ENDS and isinstance(body, Bid | Confirmation)
@@ -123,7 +130,8 @@ class Words:
         self.repeated += 1
         return word
 
-    def _wait_ns(self, tries: int) -> int:
-        return round(min(self.config.repeat_s * 2**tries, self.config.repeat_max_s) * 1e9)
+    def _wait_ns(self, last: _Last) -> int:
+        return self.pace.wait_ns(self._other(last.contract), last.tries)
 
-
+    def _other(self, contract: Contract) -> int:
+        return contract.contractor if contract.manager == self.me else contract.manager
