@@ -138,6 +138,9 @@ def run(
 
     ``progress(done, total)`` counts steps. Same sequences, config and seed: same bytes in every file, wall times apart.
     """
+    strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
+    if strangers:
+        raise MasError(f"faults: there is no agent {strangers[0]}, only 0 to {len(sequences) - 1}")
     started = time.perf_counter()
     keyframes = [keyframes_of(sequence) for sequence in sequences]
     agents = make_agents(manifest, sequences, config)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -93,8 +94,10 @@ def live(
     config: MasConfig,
     saboteurs: Mapping[int, type[Agent]] | None = None,
     limit: int = 600,
+    watch: Callable[[list[Agent], list[Any]], None] | None = None,
 ) -> tuple[Environment, Onlooker]:
-    """A run in memory, until all agents are quiet; an error if they never are."""
+    """A run in memory, until all agents are quiet; an error if they never are. ``watch``: called after each step with
+    the agents and their true poses."""
     agents = make_agents(manifest, sequences, config)
     for number, kind in (saboteurs or {}).items():
         agents[number] = kind(agents[number].state.profile, config, policy_of(config))
@@ -102,6 +105,8 @@ def live(
     environment = Environment(agents, [keyframes_of(s) for s in sequences], transport, config)
     for step in range(limit):
         environment.step(step)
+        if watch is not None:
+            watch(environment.agents, [s.groundtruth.poses for s in sequences if s.groundtruth is not None])
         if step + 1 >= environment.steps and environment.over:
             return environment, Onlooker(sequences)
     raise AssertionError(f"not over after {limit} steps")
