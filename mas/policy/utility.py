@@ -17,8 +17,8 @@ from mas.messages import Bid
 ENVELOPE_BYTES = 20
 PLACE_ANSWER_BYTES = 22
 VERIFY_ANSWER_BYTES = 500
-# Until an agent has seen an optimisation: about 25 sweeps with 6 or 9 numbers for each end of a match.
-SOLVER_BYTES_A_ROW = 2500.0
+# Until an agent has paid for an optimisation: about 20 sweeps with 6 or 9 numbers for each end of a match.
+SOLVER_BYTES_A_ROW = 1200.0
 
 
 def utility(standing: float, benefit: float, bid: Bid, deadline_ns: int) -> float:

@@ -20,6 +20,7 @@ from mas.sequence import AgentSequence, Manifest
 from mas.solver_messages import SolverBody
 from mas.tasks import VerifyAnswer
 from mas.tensors import Tensor, pack_sim3, unpack_poses
+from mas.transport import InProcessTransport
 
 
 class Saboteur(Agent):
@@ -88,6 +89,16 @@ def _sim3(outcome: VerifyAnswer) -> Sim3:
     return unpack_sim3(outcome.T_M_Q)
 
 
+class _Overheard(InProcessTransport):
+    def __init__(self, max_message_bytes: int, listen: Callable[[Message, int], None]) -> None:
+        super().__init__(max_message_bytes)
+        self._listen = listen
+
+    def send(self, message: Message, now_ns: int) -> None:
+        super().send(message, now_ns)
+        self._listen(message, len(self._queue[-1][1]))
+
+
 def live(
     manifest: Manifest,
     sequences: Sequence[AgentSequence],
@@ -95,13 +106,16 @@ def live(
     saboteurs: Mapping[int, type[Agent]] | None = None,
     limit: int = 600,
     watch: Callable[[list[Agent], list[Any]], None] | None = None,
+    listen: Callable[[Message, int], None] | None = None,
 ) -> tuple[Environment, Onlooker]:
     """A run in memory, until all agents are quiet; an error if they never are. ``watch``: called after each step with
-    the agents and their true poses."""
+    the agents and their true poses. ``listen``: hears every message, with its wire bytes."""
     agents = make_agents(manifest, sequences, config)
     for number, kind in (saboteurs or {}).items():
         agents[number] = kind(agents[number].state.profile, config, policy_of(config))
     transport = make_transport(config, lambda sent: None)
+    if listen is not None:
+        transport = _Overheard(transport.max_message_bytes, listen)
     environment = Environment(agents, [keyframes_of(s) for s in sequences], transport, config)
     for step in range(limit):
         environment.step(step)
