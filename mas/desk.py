@@ -16,6 +16,9 @@ from mas.state import AgentState
 from mas.tasks import Outcome, Task
 from mas.words import Words
 
+# Answers waited for one after the other in an optimisation, losses included.
+_ROUNDS = 150
+
 
 @dataclass(frozen=True)
 class Event:
@@ -48,11 +51,13 @@ class Desk:
     def me(self) -> int:
         return self.state.me
 
-    def deadline_ns(self, operation: Operation) -> int:
-        """When a contract opened now expires."""
+    def deadline_ns(self, operation: Operation, contractors: Iterable[int] = ()) -> int:
+        """When a contract opened now expires; an optimisation has so many rounds that slow answers make it longer."""
         config = self.state.config
-        seconds = config.optimisation.deadline_s if operation is Operation.DOPT else config.deadline_s
-        return self.now_ns + round(seconds * 1e9)
+        if operation is not Operation.DOPT:
+            return self.now_ns + round(config.deadline_s * 1e9)
+        slowest = max((self.words.pace.wait_ns(c) for c in contractors), default=0)
+        return self.now_ns + max(round(config.optimisation.deadline_s * 1e9), _ROUNDS * slowest)
 
     def calling(self, operation: Operation) -> bool:
         """Whether a contract of this kind runs that I manage."""
@@ -74,7 +79,8 @@ class Desk:
     ) -> tuple[ContractId, list[int]]:
         """Call for proposals; returns the contract's id and who was called (not those that still have one of this
         kind, nor those in bad standing)."""
-        deadline_ns = self.deadline_ns(operation)
+        contractors = sorted(contractors)
+        deadline_ns = self.deadline_ns(operation, contractors)
         worth = [c for c in contractors if self.may_call(c, operation)]
         identity, free = self.ledger.call(operation, worth, deadline_ns)
         for contract in self.ledger.managed(identity) if free else []:

@@ -3,8 +3,6 @@ only."""
 
 from __future__ import annotations
 
-from msgspec.structs import replace
-
 from backend.distributed.messages import Decision
 from backend.distributed.messages import Message as SolverMessage
 from backend.distributed.node import Node
@@ -15,12 +13,13 @@ from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, Operation
 from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.plan import plan
-from mas.policy.utility import ENVELOPE_BYTES, SOLVER_BYTES_A_ROW
-from mas.posegraph import Adoption, adopt, share_of, terms
+from mas.policy.utility import ENVELOPE_BYTES
+from mas.posegraph import Adoption, adopt, share_of
 from mas.sessions import Attempts, Session, Tender
 from mas.solver_messages import SolverBody, SolverDecision, from_wire, to_wire
 from mas.solver_messages import payload_bytes as solver_payload
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
+from mas.terms import Terms
 
 # Optimisations an agent remembers: to tell late messages from wrong ones, and to help who is still in one.
 _REMEMBERED = 16
@@ -41,9 +40,9 @@ class Optimisation(Trade):
         self.adoptions: list[Adoption] = []
         self.attempts = Attempts(desk.state.config.link)
         self.repeated = 0
+        self._bid_ns: dict[int, int] = {}
         self._before: dict[ContractId, Session | None] = {}
-        self._bytes_a_row, self._took_ns = SOLVER_BYTES_A_ROW, 0
-        self._terms: tuple[int, Bid] | None = None
+        self.terms = Terms(desk)
 
     @property
     def busy(self) -> bool:
@@ -52,15 +51,22 @@ class Optimisation(Trade):
     @property
     def ready(self) -> bool:
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
-        settling = self.desk.calling(Operation.DOPT)
+        settling = self.desk.calling(Operation.DOPT) or self._engaged
         return not self.busy and not settling and self.desk.now_ns >= self.attempts.not_before_ns
+
+    @property
+    def _engaged(self) -> bool:
+        """Whether a manager that got a bid lately may still award: calling now would only get in its way."""
+        since_ns = self.desk.now_ns - round(self.state.config.link.silence_s * 1e9)
+        mine = (c for c in self.desk.ledger.running(Operation.DOPT) if c.contractor == self.state.me)
+        return any(self._bid_ns.get(c.manager, since_ns) > since_ns for c in mine)
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
     def start(self, members: list[int]) -> None:
         """Call for an optimisation with these agents; alone if nobody else is named."""
         others = [a for a in members if a != self.state.me and self.desk.may_call(a, Operation.DOPT)]
-        mine = self._my_terms()
+        mine = self.terms.bid()
         if not others:
             self._award(Tender(None, set(), {self.state.me: mine}))
             return
@@ -97,7 +103,7 @@ class Optimisation(Trade):
             elif contract.state is State.BID:
                 self.desk.say(contract, Rejection("not connected"))
         if tender.missing and found.members == (me,):
-            self.attempts.failed(self.desk.now_ns)
+            self.attempts.failed(self.desk.now_ns, self.state.me)
             return
         self.attempts.missed |= bool(tender.missing)
         task = found.tasks[me]
@@ -135,7 +141,8 @@ class Optimisation(Trade):
             given_up, self.tender = self.tender, None
             if given_up.identity is not None:
                 self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
-        return self._my_terms()
+        self._bid_ns[contract.manager] = self.desk.now_ns
+        return self.terms.bid()
 
     def _bid_to_lower(self, contract: Contract) -> bool:
         """Whether a bid to a lower manager is still open: that one goes first."""
@@ -188,7 +195,7 @@ class Optimisation(Trade):
         have reported. Decisions are not answered, or two who are done would talk for ever."""
         if session is None or sender not in session.task.members or isinstance(body, SolverDecision):
             return
-        found = session.link.again(session.node, sender, self.desk.now_ns, self.desk.words.pace)
+        found = session.link.again(session.node, sender, body, self.desk.now_ns, self.desk.words.pace)
         self._repeat(session, [m for m in found if isinstance(m, Decision)])
 
     # -- both ---------------------------------------------------------------------------------------------------------
@@ -208,7 +215,7 @@ class Optimisation(Trade):
             self._leave(session)
         elif contract.contractor in session.task.members:
             self._leave(session)
-            self.attempts.failed(self.desk.now_ns)
+            self.attempts.failed(self.desk.now_ns, self.state.me)
             self.desk.cancel(self.desk.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
 
     def _leave(self, session: Session) -> None:
@@ -221,14 +228,6 @@ class Optimisation(Trade):
             self._before[identity] = session
             if len(self._before) > _REMEMBERED:
                 del self._before[next(iter(self._before))]
-
-    def _my_terms(self) -> Bid:
-        """The agent's bid, made once for each state it is in: several managers may call at the same time."""
-        if self._terms is None or self._terms[0] != self.state.version:
-            bid = terms(self.state, self.desk.now_ns)
-            cost = ENVELOPE_BYTES + round(self._bytes_a_row * len(bid.links.matches))
-            self._terms = (self.state.version, replace(bid, cost_bytes=cost))
-        return replace(self._terms[1], ready_ns=self.desk.now_ns + self._took_ns)
 
     def resend(self) -> None:
         """Say again what other members may have missed, if nothing goes on."""
@@ -252,7 +251,7 @@ class Optimisation(Trade):
             raise ProtocolError(f"solver message of agent {sender}: {error}") from error
         now_ns = self.desk.now_ns
         if session.link.seen(sender, body) and not out:
-            self._repeat(session, session.link.again(session.node, sender, now_ns, self.desk.words.pace))
+            self._repeat(session, session.link.again(session.node, sender, body, now_ns, self.desk.words.pace))
         elif out:
             session.link.goes_on(now_ns)
         self._send(session, out)
@@ -275,8 +274,7 @@ class Optimisation(Trade):
         self.session = None
         self.attempts.succeeded()
         self._remember(session.identity, session)
-        self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
-        self._took_ns = self.desk.now_ns - session.began_ns
+        self.terms.paid(session)
         self.adoptions.append(adopt(self.state, session.task, outcome))
         if session.contract is not None:
             self.desk.say(session.contract, Result(_answer(outcome)))

@@ -53,10 +53,11 @@ class Attempts:
         self.missed = False
         self.not_before_ns = 0
 
-    def failed(self, now_ns: int) -> None:
-        """It is tried again, later each time."""
+    def failed(self, now_ns: int, me: int) -> None:
+        """It is tried again, later each time; not all who failed together try at the same time."""
         self.failures += 1
-        self.not_before_ns = now_ns + round(min(self.failures, 8) * self.config.repeat_max_s * 1e9)
+        wait_s = min(self.failures, 8) * self.config.repeat_max_s * (1.0 + me % 8 / 4.0)
+        self.not_before_ns = now_ns + round(wait_s * 1e9)
 
     def succeeded(self) -> None:
         """One came to its end."""

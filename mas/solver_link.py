@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from backend.distributed.messages import Message as SolverMessage
+from backend.distributed.messages import Round, Stage
 from backend.distributed.node import Node
 from mas.pace import Pace
 from mas.solver_messages import SolverBody
@@ -44,10 +45,12 @@ class SolverLink:
         self.said_ns, self.tries = now_ns, self.tries + 1
         return list(last.values())
 
-    def again(self, node: Node, member: int, now_ns: int, pace: Pace) -> list[SolverMessage]:
-        """All last messages to one member that seems to wait for them; not twice at once."""
+    def again(self, node: Node, member: int, body: SolverBody, now_ns: int, pace: Pace) -> list[SolverMessage]:
+        """The last messages to a member that said ``body`` again: those of its round and later, for it has all before.
+        Not twice at once."""
         told = self._told_ns.get(member)
         if told is not None and now_ns - told < pace.wait_ns(member) // 2:
             return []
         self._told_ns[member] = now_ns
-        return [m for m in node.tick() if m.receiver == member]
+        since = Round(Stage(body.stage), body.step, body.sweep)
+        return [m for m in node.tick() if m.receiver == member and m.round >= since]

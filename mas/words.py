@@ -4,7 +4,7 @@ Only a manager repeats itself unasked, after ``repeat_s``, then after twice that
 always with its call, the shortest word there is. A contractor answers a word that it knows with its own last one: the
 bid, by which the manager learns that the award was lost and says it again; the confirmation; the result. So each
 exchange needs one timer, and no award or result travels twice that came the first time. Who has not said anything for
-``silence_s`` is taken to be gone.
+``silence_s`` (longer where answers take long) is taken to be gone.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ _OWED = (State.CALLED, State.AWARDED, State.WORKING)
 # A last word worth repeating after the end: the other side may not know that it ended.
 _CONTRACTOR_ENDS = (State.DONE, State.FAILED, State.REFUSED)
 _MANAGER_ENDS = (State.REJECTED, State.CANCELLED)
+# So many waits in vain until a contractor is given up, where answers are slow.
+_TRIES = 20
 
 
 @dataclass
@@ -89,8 +91,12 @@ class Words:
 
     def silent(self, now_ns: int) -> list[Contract]:
         """Contracts whose contractor has owed an answer for too long, although it was asked again."""
-        limit = round(self.config.silence_s * 1e9)
-        late = [x for x in self._open() if x.tries and now_ns - x.since_ns >= limit]
+        shortest = round(self.config.silence_s * 1e9)
+        late = [
+            x
+            for x in self._open()
+            if x.tries and now_ns - x.since_ns >= max(shortest, _TRIES * self.pace.wait_ns(self._other(x.contract)))
+        ]
         return [x.contract for x in late if x.contract.deadline_ns >= now_ns]
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:

@@ -169,7 +169,7 @@ def test_bids_state_what_results_take_on_the_air() -> None:
         if key in bid_for:
             paid.setdefault(key[1], []).append(bytes_ / bid_for[key][0])
     later = [ratio for ratios_of_one in paid.values() for ratio in ratios_of_one[1:]]
-    assert len(later) >= 4 and 1 / 3 < min(later) and max(later) < 3
+    assert len(later) >= 4 and min(later) > 1 / 3 and max(later) < 3
 
 
 def test_a_claim_of_ones_own_is_believed_before_one_that_only_the_other_makes() -> None:
