@@ -11,15 +11,17 @@ _NONE_AGREE = 3
 def judged(state: AgentState, other: int) -> tuple[int, int]:
     """How many of the matches that ``other`` verified for this agent are borne out, and how many contradicted.
 
-    Borne out: in the largest set between the two tracks that agrees. Contradicted: such a set exists without it; or
-    there is none although there are several matches, of which at most one can be true: that one is forgiven.
+    Borne out: in the largest set between the two tracks that agrees. Contradicted: such a set exists without it; or the
+    group's other matches say otherwise (:mod:`mas.testimony`); or there is none that agrees although there are several
+    matches, of which at most one can be true: that one is forgiven.
     """
     borne_out = contradicted = 0
     for agreeing, all_of_pair in state.agreements_with(other):
         reported = {m for m in all_of_pair if m.match_agent == other}
         if agreeing:
-            borne_out += len(reported & agreeing)
-            contradicted += len(reported - agreeing)
+            good = reported & agreeing - state.contradicted
+            borne_out += len(good)
+            contradicted += len(reported - good)
         elif len(all_of_pair) >= _NONE_AGREE:
             contradicted += max(len(reported) - 1, 0)
     return borne_out, contradicted

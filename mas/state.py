@@ -66,6 +66,7 @@ class AgentState:
     group: set[int] = field(default_factory=set)
     version: int = 0
     distrusted: set[int] = field(default_factory=set)
+    contradicted: frozenset[MatchId] = frozenset()
     _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
     _mine: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 
@@ -119,6 +120,11 @@ class AgentState:
         for piece in self.pieces:
             sizes[piece.frame] = sizes.get(piece.frame, 0) + len(self.members(piece.track))
         return max(sizes, key=lambda f: sizes[f]) if sizes else FrameId(self.me, 0)
+
+    def depths(self) -> dict[tuple[int, int], float]:
+        """Median depth of each track's key-frames, in the units of its coordinates."""
+        found = {p: [self.keyframes[i].depth for i in self.members(p.track)] for p in self.pieces}
+        return {(self.me, p.track): float(np.median(d)) * p.unit for p, d in found.items()}
 
     def placed(self) -> list[int]:
         """Key-frames in :attr:`frame`; the others belong to tracks that no match has joined yet."""

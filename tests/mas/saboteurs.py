@@ -15,9 +15,12 @@ from mas.environment import Environment, make_agents, make_transport
 from mas.keyframe import keyframes_of
 from mas.messages import Message, Result
 from mas.metrics import Onlooker
+from mas.policy.base import Outlook, Policy
 from mas.policy.presets import policy_of
+from mas.policy.query_all import QueryAll
 from mas.sequence import AgentSequence, Manifest
 from mas.solver_messages import SolverBody
+from mas.state import AgentState, Profile
 from mas.tasks import VerifyAnswer
 from mas.tensors import Tensor, pack_sim3, unpack_poses
 from mas.transport import InProcessTransport
@@ -52,9 +55,7 @@ class Liar(Saboteur):
     lies = 0
 
     def spoil(self, messages: list[Message]) -> list[Message]:
-        return [self._lie(m, m.body.outcome) for m in messages if isinstance(m.body, Result)] + [
-            m for m in messages if not isinstance(m.body, Result)
-        ]
+        return [self._lie(m, m.body.outcome) if isinstance(m.body, Result) else m for m in messages]
 
     def _lie(self, message: Message, outcome: object) -> Message:
         if not isinstance(outcome, VerifyAnswer):
@@ -72,8 +73,22 @@ class Liar(Saboteur):
         return Sim3.from_se3(se3(so3_exp([0.0, rng.uniform(-3, 3), 0.0]), rng.uniform(-20, 20, 3)))
 
 
+class _CallsForNone(QueryAll):
+    def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
+        return []
+
+
 class Swindler(Liar):
-    """Its lies agree with each other: all of its map is claimed to be 15 m beside where it is."""
+    """Its lies agree with each other: all of its map is claimed to be 15 m beside where it is. It leaves it to others
+    to call for optimisations."""
+
+    def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
+        super().__init__(profile, config, policy)
+        self.policy = _CallsForNone()
+
+    @property
+    def quiet(self) -> bool:
+        return self.desk.closing and not self.desk.ledger.running()
 
     def invented(self, outcome: VerifyAnswer) -> Sim3:
         T_T_M = Sim3.from_se3(unpack_poses(outcome.T_T_M.array()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from factory import circuit, make_sequence, make_world, manifest_of, town
-from saboteurs import Idler, Liar, live
+from saboteurs import Idler, Liar, Swindler, live
 
 from backend.trajectory_error import TrajectoryError
 from mas.agent import Agent
@@ -75,6 +75,18 @@ def test_one_that_lies_about_matches_is_found_out_and_its_matches_are_not_used(u
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
         assert errors(environment, onlooker)[honest].rmse_m <= 1.1 * alone + 0.02
+
+
+def test_one_whose_lies_agree_is_told_by_the_way_round_over_third_agents(undisturbed: list[float]) -> None:
+    """Between two agents its lies look like truth: all of its map claimed 15 m beside where it is."""
+    environment, onlooker = live(*four(), CONFIG, {ODD: Swindler})
+    agents = environment.agents
+    assert isinstance(agents[ODD], Swindler) and agents[ODD].lies >= 6
+    accusers = [a for a in HONEST if agents[a].desk.standing.of(ODD).f > 0]
+    assert accusers and all(agents[b].desk.standing.trusts(a) for a in HONEST for b in HONEST if a != b)
+    assert groups_with(environment, HONEST)
+    connected = onlooker.connected_errors(environment.agents)
+    assert max(connected[a].rmse_m for a in HONEST) < 0.6, "15 m would show"
 
 
 def reported_by_liar(match: MatchId) -> bool:
