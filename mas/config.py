@@ -96,7 +96,7 @@ class LinkConfig(_Section):
     """What is done about messages that get lost. Where none are, none of it happens."""
 
     repeat_s: float = Field(
-        0.02, gt=0, description="a word without an answer is said again after this, seconds; then after twice that, ..."
+        0.01, gt=0, description="a word without an answer is said again after this, seconds; then after twice that, ..."
     )
     repeat_max_s: float = Field(0.64, gt=0, description="but at least so often, seconds")
     silence_s: float = Field(3.0, gt=0, description="a contractor that owes an answer for so long is given up, seconds")

@@ -52,12 +52,15 @@ class Desk:
         return self.state.me
 
     def deadline_ns(self, operation: Operation, contractors: Iterable[int] = ()) -> int:
-        """When a contract opened now expires; an optimisation has so many rounds that slow answers make it longer."""
+        """When a contract opened now expires. An optimisation has many rounds, each of as many messages one after the
+        other as there are members: many of them, or slow answers, make it longer."""
         config = self.state.config
         if operation is not Operation.DOPT:
             return self.now_ns + round(config.deadline_s * 1e9)
-        slowest = max((self.words.pace.wait_ns(c) for c in contractors), default=0)
-        return self.now_ns + max(round(config.optimisation.deadline_s * 1e9), _ROUNDS * slowest)
+        others = list(contractors)
+        slowest = max((self.words.pace.wait_ns(c) for c in others), default=0)
+        longest = max(config.optimisation.deadline_s * 1e9, float(_ROUNDS * slowest))
+        return self.now_ns + round(longest * max(1.0, len(others) / 2))
 
     def calling(self, operation: Operation) -> bool:
         """Whether a contract of this kind runs that I manage."""

@@ -91,13 +91,14 @@ class Words:
 
     def silent(self, now_ns: int) -> list[Contract]:
         """Contracts whose contractor has owed an answer for too long, although it was asked again."""
-        shortest = round(self.config.silence_s * 1e9)
-        late = [
-            x
-            for x in self._open()
-            if x.tries and now_ns - x.since_ns >= max(shortest, _TRIES * self.pace.wait_ns(self._other(x.contract)))
-        ]
+        late = [x for x in self._open() if x.tries and now_ns - x.since_ns >= self._patience_ns(x.contract)]
         return [x.contract for x in late if x.contract.deadline_ns >= now_ns]
+
+    def _patience_ns(self, contract: Contract) -> int:
+        shortest = round(self.config.silence_s * 1e9)
+        # Who works was there a moment ago, and giving it up costs all other members of an optimisation their work.
+        times = 2 if contract.state is State.WORKING else 1
+        return times * max(shortest, _TRIES * self.pace.wait_ns(self._other(contract)))
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
         """What a repeated word, or one that came after the end, is answered with; None: nothing. ``contract``: my
