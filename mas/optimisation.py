@@ -10,10 +10,10 @@ from backend.distributed.share import Outcome as SolverOutcome
 from backend.errors import BackendError
 from mas.contract import Contract, ProtocolError, State
 from mas.desk import Desk, Trade, WorkError
-from mas.honesty import judged
+from mas.honesty import hold_against
 from mas.identities import ContractId, Operation
 from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
-from mas.plan import Plan, plan
+from mas.plan import plan
 from mas.policy.utility import ENVELOPE_BYTES
 from mas.posegraph import Adoption, adopt, share_of
 from mas.sessions import Attempts, Session, Tender
@@ -98,7 +98,7 @@ class Optimisation(Trade):
         me = self.state.me
         found = plan(me, tender.bids, self.state.depths())
         if tender.identity is not None:
-            self._hold_against(found)
+            hold_against(self.desk, found.contradicted)
         contracts = self.desk.ledger.managed(tender.identity) if tender.identity is not None else []
         for contract in contracts:
             if contract.contractor in found.tasks:
@@ -115,17 +115,6 @@ class Optimisation(Trade):
         self.session = Session(tender.identity if others else None, task, node, unconfirmed=others)
         if not others:
             self._run(self.session)
-
-    def _hold_against(self, found: Plan) -> None:
-        """What the whole group contradicts is held against who reported it to me, as long as that is so; where it may
-        be one of several it is left out and held against nobody."""
-        reporters = sorted({m.match_agent for m in found.contradicted})
-        before = {m.match_agent for m in self.state.contradicted}
-        self.state.contradicted = found.contradicted if len(reporters) == 1 else frozenset()
-        if reporters:
-            self.desk.note("contradicted", reported_by=reporters, matches=len(found.contradicted))
-        for reporter in sorted(before | set(reporters)):
-            self.desk.standing.judged(reporter, *judged(self.state, reporter))
 
     def on_confirmation(self, contract: Contract) -> None:
         session = self.session
