@@ -9,17 +9,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mas.config import MasConfig
-from mas.contract import Contract, LateMessage, Ledger, ProtocolError
+from mas.contract import Contract, LateMessage, ProtocolError, Repeated
 from mas.desk import Desk, Event, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
 from mas.keyframe import KeyFrame
-from mas.messages import Award, Begin, Bid, Call, Confirmation, ContractBody, Failure, GroupNotice, Message, Result
+from mas.ledger import Ledger
+from mas.messages import (
+    Award,
+    Begin,
+    Bid,
+    Call,
+    Confirmation,
+    ContractBody,
+    Failure,
+    GroupNotice,
+    Message,
+    Rejection,
+    Result,
+)
+from mas.news import News
 from mas.optimisation import Optimisation
 from mas.placebook import PlaceBook
 from mas.places import PlaceRecognition
 from mas.policy.base import Outlook, Policy
+from mas.pool import Pool
 from mas.relpose import Verification, tell_group
 from mas.solver_messages import SolverBody
+from mas.standing import Regard
 from mas.state import AgentState, Profile
 from mas.submaps import MapTrade
 
@@ -53,10 +69,9 @@ class Agent:
             Operation.DOPT: self.optimisation,
             Operation.MAPMERGE: self.maps,
         }
+        self.pool = Pool(self.desk, self._trades)
         self._new: list[KeyFrame] = []
-        self._used: set[MatchId] = set()
-        self._offered: set[MatchId] = set()
-        self._optimised_at = 0
+        self.news = News(self.state)
         self._searching = True
 
     # -- what comes in ------------------------------------------------------------------------------------------------
@@ -78,7 +93,10 @@ class Agent:
                 raise ProtocolError(
                     f"message from {message.sender} to {message.recipient} came to agent {self.state.me}"
                 )
+            self.desk.standing.heard(message.sender)
             self._dispatch(message)
+        except Repeated as repeated:
+            self.desk.answer_again(repeated.contract, message.body)
         except LateMessage:
             pass
         except (ProtocolError, WorkError, ValueError) as error:
@@ -88,19 +106,31 @@ class Agent:
 
     def tick(self, now_ns: int) -> list[Message]:
         """Logical time goes on: contracts expire, and the policy is asked what to do next."""
-        self.desk.now_ns = now_ns
-        for contract in self.desk.ledger.expired(now_ns):
-            self.desk.watch(contract)
-        self._settle_contracts()
-        self.optimisation.resend()
+        self._remind(now_ns)
         self.maps.tick()
         for keyframe in self._new:
             self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
             if self.state.config.places.own_loops:
                 self.places.close_own_loop(keyframe)
         self._new = []
+        self.places.resume()
+        self.places.verification.resume()
         self._pursue()
         return self._settle()
+
+    def remind(self, now_ns: int) -> list[Message]:
+        """Between two ticks: what expires by now, and what is to be said again because nobody answered."""
+        self._remind(now_ns)
+        return self._settle()
+
+    def _remind(self, now_ns: int) -> None:
+        self.desk.now_ns = now_ns
+        for contract in self.desk.ledger.expired(now_ns):
+            self.desk.watch(contract)
+        self._settle_contracts()
+        self.desk.remind()
+        self._settle_contracts()
+        self.optimisation.resend()
 
     # -- what is going on ---------------------------------------------------------------------------------------------
 
@@ -109,6 +139,11 @@ class Agent:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
         busy = self.optimisation.busy or bool(self.desk.ledger.running()) or bool(self._new)
         return self.desk.closing and not busy and not self._news() and not self._searching
+
+    @property
+    def waiting(self) -> bool:
+        """Whether others owe it an answer: it wants to be reminded."""
+        return self.desk.words.owed or self.optimisation.busy or self.pool.waiting
 
     @property
     def diary(self) -> list[Event]:
@@ -120,7 +155,7 @@ class Agent:
         count = len(self.state.keyframes)
         return Outlook(
             news=len(self._news()),
-            since_optimised=count - self._optimised_at,
+            since_optimised=count - self.news.optimised_at,
             since_bought={a: count - at for a, at in sorted(self.maps.last_bought.items())},
             since_matched={a: count - 1 - at for a, at in sorted(self.book.last_matched.items())},
             stale=frozenset(self.maps.stale),
@@ -129,22 +164,29 @@ class Agent:
         )
 
     def _news(self) -> set[MatchId]:
-        """Matches accepted or withdrawn since the last optimisation."""
-        return self.state.accepted ^ self._used
+        """Matches accepted or withdrawn since the last optimisation; none when it failed too often at the end."""
+        if self.desk.closing and self.optimisation.attempts.hopeless:
+            return set()
+        return self.news.matches
 
     def _pursue(self) -> None:
         """First optimise what was learned, then buy maps: thesis section 3.8.2's order of operations."""
-        if self.optimisation.busy:
+        if not self.optimisation.ready:
             return
         outlook = self.outlook()
         members = self.policy.optimise(self.state, outlook)
         if members:
-            self._offered = set(self.state.accepted)
+            self.news.offered()
             self.optimisation.start(members)
             return
         sellers = self.policy.buy(self.state, outlook)
+        if self.desk.closing and self.desk.calling(Operation.MAPMERGE):
+            return
         if self.desk.closing:
-            if self.maps.rounds >= self.state.config.merge.closing_rounds:
+            # Nothing new: look again now and then, somebody else may still get something.
+            rounds, limit = self.maps.rounds, self.state.config.merge.closing_rounds
+            lull = not self.maps.something_new and self.maps.stale.isdisjoint(sellers)
+            if rounds >= limit or (lull and rounds & (rounds - 1)):
                 sellers = []
             self._searching = bool(sellers) and (self.maps.something_new or self.maps.rounds == 0)
             self.maps.rounds += 1
@@ -168,18 +210,31 @@ class Agent:
         elif identity is None:
             raise ProtocolError(f"{type(body).__name__} without a contract")
         elif isinstance(body, Call):
-            contract = self.desk.ledger.called(sender, identity, body)
-            self.desk.say(contract, self._trades[contract.operation].bid(contract, body))
+            self._called(sender, identity, body)
         else:
             self._advance(sender, identity, body)
 
+    def _called(self, sender: int, identity: ContractId, body: Call) -> None:
+        """A call for proposals: bid or refuse."""
+        if body.deadline_ns < self.desk.now_ns:
+            raise LateMessage(f"call of agent {sender} came after its deadline")
+        contract = self.desk.ledger.called(sender, identity, body)
+        superseded, self.desk.ledger.superseded = self.desk.ledger.superseded, []
+        for old in superseded:
+            self.desk.watch(old)
+        self._settle_contracts()
+        if body.members and self.state.join(body.members):
+            tell_group(self.desk)
+        self.pool.take(contract, body)
+
     def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> None:
         """A contract goes on: the ledger allows it or not, then the operation acts."""
-        contractor = sender if identity.manager == self.state.me else self.state.me
-        contract = self.desk.ledger.say(self.desk.ledger.get(identity, contractor), sender, body)
-        self.desk.watch(contract)
+        contract = self.desk.ledger.hear(identity, sender, body)
+        self.desk.hear(contract)
         trade = self._trades[contract.operation]
-        if isinstance(body, Bid):
+        if isinstance(body, Bid) and body.ready_ns > contract.deadline_ns:
+            self.desk.say(contract, Rejection("ready too late"))
+        elif isinstance(body, Bid):
             trade.on_bid(contract, body)
         elif isinstance(body, Award):
             self._work(trade, contract, body)
@@ -197,6 +252,8 @@ class Agent:
     def _settle(self) -> list[Message]:
         """Wind up what ended, take over what an optimisation brought, and hand out the mail."""
         self._settle_contracts()
+        self.pool.inspect()
+        self._settle_contracts()
         out, self.desk.outbox = self.desk.outbox, []
         return out
 
@@ -205,10 +262,22 @@ class Agent:
             while self.desk.ended:
                 contract = self.desk.ended.pop(0)
                 self.desk.note_end(contract)
+                self._note_standing()
                 self._trades[contract.operation].on_end(contract)
             adoptions, self.optimisation.adoptions = self.optimisation.adoptions, []
             for adoption in adoptions:
-                self._used = set(adoption.matches) | (self._offered & self.state.accepted)
-                self._optimised_at = len(self.state.keyframes)
+                self.news.used(adoption.matches)
                 self.maps.realign(adoption)
                 self.maps.stale.update(self.state.partners())
+            if self.optimisation.attempts.missed and not self.optimisation.busy:
+                self.optimisation.attempts.missed = False
+                self.news.call_again()
+
+    def _note_standing(self) -> None:
+        """Who is regarded otherwise since the last contract."""
+        for other, record in self.desk.standing.changes(self.desk.now_ns):
+            self.desk.note(
+                "standing", of=other, regard=str(record.regard), reliability=round(record.reliability, 4),
+                honesty=round(record.honesty, 4), silent=record.unheard,
+            )  # fmt: skip
+            self.state.distrust(other, record.regard is Regard.UNTRUSTED)

@@ -73,6 +73,7 @@ class OptimisationConfig(_Section):
     """When a group optimises, and what odometry is worth in the graph (thesis section 3.6)."""
 
     period_keyframes: int = Field(5, ge=1, description="own key-frames between optimisations that an agent calls for")
+    deadline_s: float = Field(20.0, gt=0, description="logical time an optimisation may take, seconds")
     closing: bool = Field(True, description="optimise once more at the end where something is new")
     odometry_sigma_share: float = Field(
         0.003, gt=0, description="1 sigma of an odometry step's position over its length"
@@ -129,6 +130,45 @@ class MergeConfig(_Section):
     )
 
 
+class LinkConfig(_Section):
+    """What is done about messages that get lost. Where none are, none of it happens."""
+
+    repeat_s: float = Field(
+        0.01, gt=0, description="a word without an answer is said again after this, seconds; then after twice that, ..."
+    )
+    repeat_max_s: float = Field(0.64, gt=0, description="but at least so often, seconds")
+    silence_s: float = Field(3.0, gt=0, description="a contractor that owes an answer for so long is given up, seconds")
+    retries: int = Field(2, ge=0, description="how often work that was not delivered is called for again")
+
+
+class StandingConfig(_Section):
+    """What an agent thinks of others (:mod:`mas.standing`)."""
+
+    reliability: float = Field(0.3, ge=0, le=1, description="an agent is not called when its reliability is below this")
+    honesty: float = Field(0.45, ge=0, le=1, description="nor when its honesty is below this")
+    forgetting: float = Field(0.95, gt=0, le=1, description="what an earlier contract still counts after a later one")
+    probe_s: float = Field(10.0, gt=0, description="but who is not called is tried again so often, seconds")
+
+
+class FaultsConfig(_Section):
+    """Faults made on purpose, from the seed: the system is meant to live with them."""
+
+    loss: float = Field(0.0, ge=0, lt=1, description="share of messages that never arrive")
+    duplicate: float = Field(0.0, ge=0, le=1, description="share of messages that arrive twice")
+    reorder: float = Field(0.0, ge=0, le=1, description="share of messages that are overtaken by later ones")
+    delay_s: float = Field(0.0, ge=0, description="logical time that every message takes, seconds")
+    jitter_s: float = Field(0.0, ge=0, description="plus a random time up to this, seconds")
+    late_s: dict[int, float] = Field(
+        {}, description="agents that come late, with their time in seconds, e.g. {2: 10}; their sequence starts then"
+    )
+    leave_s: dict[int, float] = Field({}, description="agents that leave, with their time in seconds")
+
+    @property
+    def any(self) -> bool:
+        """Whether anything can go wrong."""
+        return self != FaultsConfig()
+
+
 class MasConfig(_Section):
     """Everything that can be set; the resolved values stand in RUN/config.yaml."""
 
@@ -151,3 +191,6 @@ class MasConfig(_Section):
     consistency: ConsistencyConfig = ConsistencyConfig()
     optimisation: OptimisationConfig = OptimisationConfig()
     merge: MergeConfig = MergeConfig()
+    link: LinkConfig = LinkConfig()
+    standing: StandingConfig = StandingConfig()
+    faults: FaultsConfig = FaultsConfig()

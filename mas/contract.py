@@ -12,17 +12,23 @@
 A :class:`Contract` is between one manager and one contractor; a call to many opens one with each, under one id. Both
 sides keep their own copy and :func:`advance` it by the same table, so that neither can be led where the other is not
 allowed to go: no award without a bid, no work without an award, and every contract ends.
+
+Where messages get lost, come twice or overtake each other, the copies may differ for a while, never contradict:
+
+* a word that was said already is :class:`Repeated`: it changes nothing, and is answered with one's own last word;
+* a result confirms as well (:data:`RESULT_CONFIRMS`), as its contractor committed itself before;
+* a manager calls anew only when its earlier contract of the kind has ended: the contractor ends its copy of that too;
+* whatever arrives after the end, or after a newer call, is a :class:`LateMessage`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from mas.errors import MasError
 from mas.identities import ContractId, Operation
-from mas.messages import Award, Bid, Call, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
+from mas.messages import Award, Bid, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
 
 
 class ProtocolError(MasError):
@@ -31,6 +37,14 @@ class ProtocolError(MasError):
 
 class LateMessage(ProtocolError):
     """A message that crossed the end of its contract on the way: nothing is wrong, and nothing is to be done."""
+
+
+class Repeated(LateMessage):
+    """A word that its contract has heard already: nothing changes, but the other side may have missed the answer."""
+
+    def __init__(self, contract: Contract, text: str) -> None:
+        super().__init__(text)
+        self.contract = contract
 
 
 class State(StrEnum):
@@ -65,11 +79,13 @@ MANAGER_SAYS: dict[tuple[State, type], State] = {
     (State.AWARDED, Cancel): State.CANCELLED,
     (State.WORKING, Cancel): State.CANCELLED,
 }
+# What a manager takes although it missed the confirmation; no contractor may say it so.
+RESULT_CONFIRMS: dict[tuple[State, type], State] = {(State.AWARDED, Result): State.DONE}
 
 
 @dataclass(frozen=True)
 class Contract:
-    """One side's copy. ``deadline_ns``: logical time after which it has expired."""
+    """One side's copy. ``deadline_ns``: logical time after which it has expired; ``said``: the words so far."""
 
     id: ContractId
     contractor: int
@@ -77,6 +93,7 @@ class Contract:
     deadline_ns: int
     state: State = State.CALLED
     reason: str = ""
+    said: frozenset[type] = frozenset()
 
     @property
     def manager(self) -> int:
@@ -87,17 +104,22 @@ class Contract:
         return self.state in ENDED
 
 
-def advance(contract: Contract, sender: int, body: ContractBody) -> Contract:
-    """The contract after ``sender`` said ``body``; :class:`ProtocolError` if it may not."""
+def advance(contract: Contract, sender: int, body: ContractBody, heard: bool = False) -> Contract:
+    """The contract after ``sender`` said ``body``; :class:`ProtocolError` if it may not, :class:`Repeated` if it had
+    said so before. ``heard``: this is the copy of the one who hears it."""
     table = {contract.manager: MANAGER_SAYS, contract.contractor: CONTRACTOR_SAYS}.get(sender)
-    state = table.get((contract.state, type(body))) if table else None
+    key = (contract.state, type(body))
+    state = table.get(key) if table else None
+    if state is None and heard and sender == contract.contractor:
+        state = RESULT_CONFIRMS.get(key)
     if state is None:
         said = type(body).__name__
-        raise ProtocolError(
+        text = (
             f"contract {contract.id.manager}:{contract.id.number} with {contract.contractor}: "
             f"agent {sender} may not say {said} when it is {contract.state}"
         )
-    return replace(contract, state=state, reason=getattr(body, "reason", ""))
+        raise Repeated(contract, text) if table and type(body) in contract.said else ProtocolError(text)
+    return replace(contract, state=state, reason=getattr(body, "reason", ""), said=contract.said | {type(body)})
 
 
 def expire(contract: Contract, now_ns: int) -> Contract:
@@ -105,82 +127,3 @@ def expire(contract: Contract, now_ns: int) -> Contract:
     if contract.ended or now_ns <= contract.deadline_ns:
         return contract
     return replace(contract, state=State.EXPIRED, reason=f"{contract.state} when its time was over")
-
-
-# Ended contracts an agent remembers, to tell a late message from a wrong one.
-_REMEMBERED = 10_000
-
-
-class Ledger:
-    """All running contracts of one agent, as manager and as contractor."""
-
-    def __init__(self, me: int) -> None:
-        self.me = me
-        self._number = 0
-        self._running: dict[tuple[ContractId, int], Contract] = {}
-        self._heard: dict[int, int] = {}
-        self._ended: dict[tuple[ContractId, int], None] = {}
-
-    def call(self, operation: Operation, contractors: Iterable[int], deadline_ns: int) -> tuple[ContractId, list[int]]:
-        """Open one contract as manager with each contractor; at most one of a kind a pair: those that still have one
-        are left out. Returns the id and who is to be called."""
-        busy = {c.contractor for c in self._running.values() if c.manager == self.me and c.operation is operation}
-        free = sorted(set(contractors) - busy - {self.me})
-        identity = ContractId(self.me, self._number)
-        if free:
-            self._number += 1
-        for contractor in free:
-            self._running[identity, contractor] = Contract(identity, contractor, operation, deadline_ns)
-        return identity, free
-
-    def called(self, sender: int, identity: ContractId, call: Call) -> Contract:
-        """Open the contractor's side. A manager's numbers only rise: a call seen before is refused."""
-        if identity.manager != sender or sender == self.me:
-            raise ProtocolError(f"agent {sender} calls in the name of agent {identity.manager}")
-        if identity.number <= self._heard.get(sender, -1):
-            raise ProtocolError(f"call {sender}:{identity.number} came twice or too late")
-        self._heard[sender] = identity.number
-        contract = Contract(identity, self.me, call.operation, call.deadline_ns)
-        self._running[identity, self.me] = contract
-        return contract
-
-    def get(self, identity: ContractId, contractor: int) -> Contract:
-        """The running contract; :class:`LateMessage` if it has ended, :class:`ProtocolError` if there never was one."""
-        contract = self._running.get((identity, contractor))
-        if contract is None and (identity, contractor) in self._ended:
-            raise LateMessage(f"contract {identity.manager}:{identity.number} with {contractor} has ended")
-        if contract is None:
-            raise ProtocolError(f"no running contract {identity.manager}:{identity.number} with {contractor}")
-        return contract
-
-    def say(self, contract: Contract, sender: int, body: ContractBody) -> Contract:
-        """Advance a contract by what ``sender`` said, and keep the result while it runs."""
-        after = advance(contract, sender, body)
-        self._keep(after)
-        return after
-
-    def expired(self, now_ns: int) -> list[Contract]:
-        """Contracts whose deadline has passed: ended by this, sorted."""
-        over = [c for c in (expire(c, now_ns) for c in self._running.values()) if c.ended]
-        for contract in over:
-            self._keep(contract)
-        return sorted(over, key=lambda c: (c.id, c.contractor))
-
-    def managed(self, identity: ContractId) -> list[Contract]:
-        """The running contracts of one of my calls, by contractor."""
-        return [c for (i, _), c in sorted(self._running.items()) if i == identity and c.manager == self.me]
-
-    def running(self, operation: Operation | None = None) -> list[Contract]:
-        """All running contracts, of one operation or of all, sorted."""
-        found = [c for c in self._running.values() if operation is None or c.operation is operation]
-        return sorted(found, key=lambda c: (c.id, c.contractor))
-
-    def _keep(self, contract: Contract) -> None:
-        key = (contract.id, contract.contractor)
-        if contract.ended:
-            self._running.pop(key, None)
-            self._ended[key] = None
-            if len(self._ended) > _REMEMBERED:
-                del self._ended[next(iter(self._ended))]
-        elif key in self._running:
-            self._running[key] = contract

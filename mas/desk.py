@@ -7,11 +7,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from mas.contract import Contract, Ledger
+from mas.contract import Contract
 from mas.identities import ContractId, Operation
+from mas.ledger import Ledger
 from mas.messages import Bid, Body, Call, Cancel, ContractBody, Message, Refusal
+from mas.standing import SILENT, Regard, Standing
 from mas.state import AgentState
 from mas.tasks import Outcome, Task
+from mas.words import Words
+
+# Answers waited for one after the other in an optimisation, losses included.
+_ROUNDS = 150
 
 
 @dataclass(frozen=True)
@@ -37,32 +43,84 @@ class Desk:
     diary: list[Event] = field(default_factory=list)
     ended: list[Contract] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self.words = Words(self.me, self.state.config.link)
+        self.standing = Standing(self.state.config.standing)
+
     @property
     def me(self) -> int:
         return self.state.me
 
-    @property
-    def deadline_ns(self) -> int:
-        """When a contract opened now expires."""
-        return self.now_ns + round(self.state.config.deadline_s * 1e9)
+    def deadline_ns(self, operation: Operation, contractors: Iterable[int] = ()) -> int:
+        """When a contract opened now expires. An optimisation has many rounds, each of as many messages one after the
+        other as there are members: many of them, or slow answers, make it longer."""
+        config = self.state.config
+        if operation is not Operation.DOPT:
+            return self.now_ns + round(config.deadline_s * 1e9)
+        others = list(contractors)
+        slowest = max((self.words.pace.wait_ns(c) for c in others), default=0)
+        longest = max(config.optimisation.deadline_s * 1e9, float(_ROUNDS * slowest))
+        return self.now_ns + round(longest * max(1.0, len(others) / 2))
+
+    def calling(self, operation: Operation) -> bool:
+        """Whether a contract of this kind runs that I manage."""
+        return any(c.manager == self.me for c in self.ledger.running(operation))
+
+    def may_call(self, other: int, operation: Operation = Operation.DVPR) -> bool:
+        """Whether a call to the other is worth its bytes. Probes of who is in bad standing are small questions, never
+        a part in an optimisation or a sale, and end with the sequences."""
+        if self.closing or operation in (Operation.DOPT, Operation.MAPMERGE):
+            return self.standing.regard(other) is Regard.GOOD
+        return self.standing.may_call(other, self.now_ns)
+
+    def serves(self, other: int, operation: Operation) -> bool:
+        """Whether to work for the other: questions about places always, they let it come back."""
+        return operation in (Operation.DVPR, Operation.RELPOSE) or self.standing.regard(other) is Regard.GOOD
 
     def call(
         self, operation: Operation, contractors: Iterable[int], members: tuple[int, ...] = ()
     ) -> tuple[ContractId, list[int]]:
         """Call for proposals; returns the contract's id and who was called (not those that still have one of this
-        kind)."""
-        identity, free = self.ledger.call(operation, contractors, self.deadline_ns)
-        for contractor in free:
-            self.tell(contractor, identity, Call(operation, self.deadline_ns, members))
+        kind, nor those in bad standing)."""
+        contractors = sorted(contractors)
+        deadline_ns = self.deadline_ns(operation, contractors)
+        worth = [c for c in contractors if self.may_call(c, operation)]
+        identity, free = self.ledger.call(operation, worth, deadline_ns)
+        for contract in self.ledger.managed(identity) if free else []:
+            self.standing.called(contract.contractor, self.now_ns)
+            self._say(contract, contract.contractor, Call(operation, deadline_ns, members))
         return identity, free
 
     def say(self, contract: Contract, body: ContractBody) -> Contract:
         """Say ``body`` to the other side of a contract, if the contract net allows it now."""
-        after = self.ledger.say(self.ledger.get(contract.id, contract.contractor), self.me, body)
-        other = contract.contractor if contract.manager == self.me else contract.manager
-        self.tell(other, contract.id, body)
+        after = self.ledger.say(self.ledger.get(contract.id, contract.contractor), body)
+        self._say(after, contract.contractor if contract.manager == self.me else contract.manager, body)
         self.watch(after)
         return after
+
+    def _say(self, contract: Contract, other: int, body: ContractBody) -> None:
+        message = Message(self.me, other, contract.id, body)
+        self.words.said(contract, message, self.now_ns)
+        self.outbox.append(message)
+
+    def hear(self, contract: Contract) -> None:
+        """The other side said something in a contract, which is like this now."""
+        self.words.heard(contract, self.now_ns)
+        self.watch(contract)
+
+    def answer_again(self, contract: Contract, body: Body) -> None:
+        """A word came that the contract had heard, or that it is too late for: the other side may have missed mine."""
+        if not contract.ended:
+            self.words.heard(contract, self.now_ns)
+        message = self.words.answer(contract, body, self.now_ns)
+        if message is not None:
+            self.outbox.append(message)
+
+    def remind(self) -> None:
+        """Say again what was not answered in time, and give up contractors that have gone silent."""
+        for contract in self.words.silent(self.now_ns):
+            self.cancel([contract], SILENT)
+        self.outbox += self.words.due(self.now_ns)
 
     def watch(self, contract: Contract) -> None:
         """Remember a contract that has ended, for the agent to wind up once the message at hand is dealt with."""
@@ -85,7 +143,10 @@ class Desk:
 
     def note_end(self, contract: Contract) -> None:
         """How a contract ended, told once: by its manager."""
-        if contract.manager == self.me:
+        if contract.manager != self.me:
+            self.standing.left_waiting(contract)
+        else:
+            self.standing.ended(contract)
             self.note(
                 "contract",
                 operation=contract.operation.name.lower(),
@@ -112,8 +173,8 @@ class Trade(ABC):
         return self.desk.state
 
     @abstractmethod
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        """Contractor: an offer, or why not."""
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal | None:
+        """Contractor: an offer, or why not; None: not now, ask again when something has ended."""
 
     @abstractmethod
     def on_bid(self, contract: Contract, bid: Bid) -> None:

@@ -14,6 +14,7 @@ from descriptors.errors import DescriptorError
 from mas.agent import Agent
 from mas.config import MasConfig
 from mas.errors import MasError
+from mas.faults import FaultyTransport, gone, present
 from mas.keyframe import KeyFrame, keyframes_of
 from mas.messages import Message
 from mas.metrics import Onlooker, groups_of
@@ -24,11 +25,13 @@ from mas.report import summarise
 from mas.sequence import AgentSequence, Manifest
 from mas.state import Profile
 from mas.summary import Summary
-from mas.transport import InProcessTransport, Traffic, Transport
+from mas.transport import InProcessTransport, Sent, Traffic, Transport
 
 # Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
 # expire.
 _CLOSING_STEPS = 20
+# Where optimisations take time: as many of their deadlines more.
+_CLOSING_OPTIMISATIONS = 6
 
 Progress = Callable[[int, int], None]
 
@@ -49,7 +52,7 @@ class Environment:
     @property
     def steps(self) -> int:
         """Steps until the last key-frame, not counting the closing ones."""
-        last = max((k[-1].time_ns for k in self.keyframes if k), default=0)
+        last = max((self._due_ns(a, k[-1]) for a, k in enumerate(self.keyframes) if k), default=0)
         return -(-max(last, 0) // self._step_ns) + 1
 
     @property
@@ -58,20 +61,50 @@ class Environment:
 
     def step(self, number: int) -> None:
         """One step: key-frames whose time has come, a tick for each agent, then all messages until none is on the
-        way."""
-        self.now_ns = number * self._step_ns
+        way. Where messages get lost or late, agents are reminded in between, as often as they may have to repeat
+        themselves."""
+        self._advance(number * self._step_ns)
         for agent, keyframes in zip(self.agents, self.keyframes, strict=True):
             self._feed(agent, keyframes)
-        if self._next == [len(k) for k in self.keyframes]:
+        if self._all_seen():
             for agent in self.agents:
                 agent.finish()
-        for agent in self.agents:
+        for agent in self._there():
             self._send(agent.tick(self.now_ns))
         self._deliver()
+        if self.config.faults.any:
+            self._live_until((number + 1) * self._step_ns)
+
+    def _live_until(self, end_ns: int) -> None:
+        """The time between two steps, as long as an answer is owed or a message is on the way."""
+        between = round(self.config.link.repeat_s * 1e9)
+        while self.now_ns + between < end_ns and (self.transport.waiting or any(a.waiting for a in self._there())):
+            self._advance(self.now_ns + between)
+            self._deliver()
+            for agent in self._there():
+                self._send(agent.remind(self.now_ns))
+            self._deliver()
+
+    def _advance(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+        self.transport.advance(now_ns)
+
+    def _there(self) -> list[Agent]:
+        """Agents that have come and not left."""
+        return [a for a in self.agents if present(self.config.faults, a.state.me, self.now_ns)]
+
+    def _due_ns(self, agent: int, keyframe: KeyFrame) -> int:
+        return keyframe.time_ns + round(self.config.faults.late_s.get(agent, 0.0) * 1e9)
+
+    def _all_seen(self) -> bool:
+        pairs = enumerate(zip(self._next, self.keyframes, strict=True))
+        return all(n == len(k) or gone(self.config.faults, a, self.now_ns) for a, (n, k) in pairs)
 
     def _feed(self, agent: Agent, keyframes: list[KeyFrame]) -> None:
         me = agent.state.me
-        while self._next[me] < len(keyframes) and keyframes[self._next[me]].time_ns <= self.now_ns:
+        while self._next[me] < len(keyframes) and self._due_ns(me, keyframes[self._next[me]]) <= self.now_ns:
+            if gone(self.config.faults, me, self.now_ns):
+                return
             agent.observe(keyframes[self._next[me]])
             self._next[me] += 1
 
@@ -92,7 +125,7 @@ class Environment:
     @property
     def over(self) -> bool:
         """Whether all agents have seen their sequence and have nothing left to do."""
-        return all(agent.quiet for agent in self.agents)
+        return not self.transport.waiting and all(agent.quiet for agent in self._there())
 
 
 def run(
@@ -106,12 +139,15 @@ def run(
 
     ``progress(done, total)`` counts steps. Same sequences, config and seed: same bytes in every file, wall times apart.
     """
+    strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
+    if strangers:
+        raise MasError(f"faults: there is no agent {strangers[0]}, only 0 to {len(sequences) - 1}")
     started = time.perf_counter()
     keyframes = [keyframes_of(sequence) for sequence in sequences]
     agents = make_agents(manifest, sequences, config)
     onlooker = Onlooker(sequences)
     with Recorder(out) as recorder:
-        transport = InProcessTransport(round(config.max_message_mb * 2**20), recorder.sent)
+        transport = make_transport(config, recorder.sent)
         environment = Environment(agents, keyframes, transport, config)
         recorder.begin_timeline(len(agents))
         steps = _play(environment, onlooker, recorder, progress)
@@ -128,6 +164,14 @@ def run(
         summary = summary.model_copy(update=timed)
         recorder.summary(summary)
     return summary
+
+
+def make_transport(config: MasConfig, record: Callable[[Sent], None]) -> Transport:
+    """All agents in one process, with the faults that are set."""
+    limit = round(config.max_message_mb * 2**20)
+    if not config.faults.any:
+        return InProcessTransport(limit, record)
+    return FaultyTransport(InProcessTransport(limit), config.faults, config.seed, record)
 
 
 def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig) -> list[Agent]:
@@ -166,7 +210,10 @@ def coder_of(manifest: Manifest, code: str) -> Coder:
 def _play(environment: Environment, onlooker: Onlooker, recorder: Recorder, progress: Progress | None) -> int:
     """Step until all agents are done; returns how many steps that took."""
     total = environment.steps
-    limit = total + environment.config.merge.closing_rounds + _CLOSING_STEPS
+    config = environment.config
+    limit = total + config.merge.closing_rounds + _CLOSING_STEPS
+    if config.faults.any:
+        limit += round(_CLOSING_OPTIMISATIONS * config.optimisation.deadline_s / config.step_s)
     for number in range(limit):
         environment.step(number)
         recorder.step(timeline_row(number, environment, onlooker))

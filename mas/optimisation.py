@@ -3,73 +3,77 @@ only."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
-from backend.distributed.messages import Message as SolverMessage
 from backend.distributed.methods import node_for
-from backend.distributed.rounds import Rounds
 from backend.distributed.share import Outcome as SolverOutcome
 from backend.errors import BackendError
 from mas.contract import Contract, ProtocolError, State
 from mas.desk import Desk, Trade, WorkError
+from mas.honesty import hold_against
 from mas.identities import ContractId, Operation
 from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.plan import plan
-from mas.posegraph import Adoption, adopt, share_of, terms
-from mas.solver_messages import SolverBody, from_wire, to_wire
+from mas.policy.utility import ENVELOPE_BYTES
+from mas.posegraph import Adoption, adopt, share_of
+from mas.sessions import Attempts, Session, Tender
+from mas.solver_messages import SolverBody, SolverMessage, decides, from_wire, to_wire
+from mas.solver_messages import payload_bytes as solver_payload
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
+from mas.terms import Terms
 
-
-@dataclass
-class Tender:
-    """The manager's side until the award: who still has to answer, and what was bid; alone: no contract."""
-
-    identity: ContractId | None
-    pending: set[int]
-    bids: dict[int, Bid]
-
-
-@dataclass
-class Session:
-    """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
-    ``early``: solver messages that came before the start."""
-
-    identity: ContractId | None
-    task: OptimiseTask
-    node: Rounds
-    contract: Contract | None = None
-    unconfirmed: set[int] = field(default_factory=set)
-    begun: bool = False
-    early: list[tuple[int, SolverBody]] = field(default_factory=list)
+# Optimisations an agent remembers: to tell late messages from wrong ones, and to help who is still in one.
+_REMEMBERED = 16
 
 
 class Optimisation(Trade):
-    """At most one at a time for an agent. Of two managers that call at once, the lower number goes first."""
+    """At most one at a time for an agent. Of two managers that call at once, the lower number goes first.
+
+    Nobody can be sure that all others have heard the last message (two generals). So whoever has not keeps its poses
+    where they were: a frame is named for the key-frame it begins with, which no optimisation moves, so that estimates
+    of before and after lie in the same one. Its contract ends without a result, and the manager calls again.
+    """
 
     def __init__(self, desk: Desk) -> None:
         super().__init__(desk)
         self.tender: Tender | None = None
         self.session: Session | None = None
         self.adoptions: list[Adoption] = []
-        self._last: ContractId | None = None
-        self._terms: tuple[int, Bid] | None = None
+        self.attempts = Attempts(desk.state.config.link)
+        self.repeated = 0
+        self._bid_ns: dict[int, int] = {}
+        self._before: dict[ContractId, Session | None] = {}
+        self.terms = Terms(desk)
 
     @property
     def busy(self) -> bool:
         return self.session is not None or self.tender is not None
 
+    @property
+    def ready(self) -> bool:
+        """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
+        settling = self.desk.calling(Operation.DOPT) or self._engaged
+        return not self.busy and not settling and self.desk.now_ns >= self.attempts.not_before_ns
+
+    @property
+    def _engaged(self) -> bool:
+        """Whether a manager that got a bid lately may still award: calling now would only get in its way."""
+        since_ns = self.desk.now_ns - round(self.state.config.link.silence_s * 1e9)
+        mine = (c for c in self.desk.ledger.running(Operation.DOPT) if c.contractor == self.state.me)
+        return any(self._bid_ns.get(c.manager, since_ns) > since_ns for c in mine)
+
     # -- manager ------------------------------------------------------------------------------------------------------
 
     def start(self, members: list[int]) -> None:
         """Call for an optimisation with these agents; alone if nobody else is named."""
-        others = [a for a in members if a != self.state.me]
-        mine = self._my_terms()
+        others = [a for a in members if a != self.state.me and self.desk.may_call(a, Operation.DOPT)]
+        mine = self.terms.bid()
         if not others:
             self._award(Tender(None, set(), {self.state.me: mine}))
             return
         identity, called = self.desk.call(Operation.DOPT, others, tuple(sorted(members)))
         if called:
-            self.tender = Tender(identity, set(called), {self.state.me: mine})
+            self.tender = Tender(identity, set(called), {self.state.me: mine}, set(others) - set(called))
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         if self.tender is None or self.tender.identity != contract.id:
@@ -83,6 +87,8 @@ class Optimisation(Trade):
         if tender is None:
             return
         tender.pending.discard(contractor)
+        if contractor not in tender.bids:
+            tender.missing.add(contractor)
         if not tender.pending:
             self.tender = None
             self._award(tender)
@@ -90,13 +96,19 @@ class Optimisation(Trade):
     def _award(self, tender: Tender) -> None:
         """Everyone has answered: plan, award to those who are connected, reject the others."""
         me = self.state.me
-        found = plan(me, tender.bids)
+        found = plan(me, tender.bids, self.state.depths())
+        if tender.identity is not None:
+            hold_against(self.desk, found.contradicted)
         contracts = self.desk.ledger.managed(tender.identity) if tender.identity is not None else []
         for contract in contracts:
             if contract.contractor in found.tasks:
                 self.desk.say(contract, Award(found.tasks[contract.contractor]))
             elif contract.state is State.BID:
                 self.desk.say(contract, Rejection("not connected"))
+        if tender.missing and found.members == (me,):
+            self.attempts.failed(self.desk.now_ns, self.state.me)
+            return
+        self.attempts.missed |= bool(tender.missing)
         task = found.tasks[me]
         node = node_for(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
@@ -121,9 +133,9 @@ class Optimisation(Trade):
 
     # -- contractor ---------------------------------------------------------------------------------------------------
 
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        if self.session is not None:
-            return Refusal("busy with an optimisation")
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal | None:
+        if self.session is not None or self._bid_to_lower(contract):
+            return None
         if not self.state.keyframes:
             return Refusal("nothing to optimise yet")
         if self.tender is not None:
@@ -132,7 +144,13 @@ class Optimisation(Trade):
             given_up, self.tender = self.tender, None
             if given_up.identity is not None:
                 self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
-        return self._my_terms()
+        self._bid_ns[contract.manager] = self.desk.now_ns
+        return self.terms.bid()
+
+    def _bid_to_lower(self, contract: Contract) -> bool:
+        """Whether a bid to a lower manager is still open: that one goes first."""
+        bids = (c for c in self.desk.ledger.running(Operation.DOPT) if c.state is State.BID)
+        return any(c.manager < contract.manager for c in bids if c.contractor == self.state.me)
 
     def work(self, contract: Contract, task: Task) -> None:
         me = self.state.me
@@ -151,6 +169,8 @@ class Optimisation(Trade):
         """The manager's word that all members have confirmed."""
         session = self.session
         if session is None or session.identity != identity or identity is None or sender != identity.manager:
+            if identity in self._before and identity is not None and sender == identity.manager:
+                return
             raise ProtocolError(f"agent {sender} begins an optimisation that was not agreed on")
         if not session.begun:
             self._run(session)
@@ -159,15 +179,27 @@ class Optimisation(Trade):
         """A solver message of another member."""
         session = self.session
         if session is None or session.identity != identity:
-            if identity is not None and identity == self._last:
+            if identity is not None and identity in self._before:
+                self._late(self._before[identity], sender, body)
                 return
             raise ProtocolError(f"agent {sender} sends solver messages without an optimisation")
         if sender not in session.task.members:
             raise ProtocolError(f"agent {sender} takes no part in this optimisation")
-        if not session.begun:
+        if not session.begun and session.contract is None:
             session.early.append((sender, body))
             return
-        self._hear(session, sender, body)
+        if not session.begun:
+            self._run(session)  # nobody begins before the manager's word, so that was given
+        if self.session is session:
+            self._hear(session, sender, body)
+
+    def _late(self, session: Session | None, sender: int, body: SolverBody) -> None:
+        """Another member still works on what is over here. All it can lack is the last decision: nobody ends before all
+        have reported. Decisions are not answered, or two who are done would talk for ever."""
+        if session is None or sender not in session.task.members or decides(body):
+            return
+        found = session.link.again(session.node, sender, body, self.desk.now_ns, self.desk.words.pace)
+        self._repeat(session, [m for m in found if decides(m)])
 
     # -- both ---------------------------------------------------------------------------------------------------------
 
@@ -175,30 +207,40 @@ class Optimisation(Trade):
         if self.tender is not None and self.tender.identity == contract.id:
             self._answered(contract.contractor)
             return
-        session = self.session
-        if session is None or session.identity != contract.id or contract.state is State.DONE:
+        if contract.state is State.DONE:
             return
-        if contract.manager != self.state.me:
-            self.session = None
+        session = self.session
+        if session is None or session.identity != contract.id:
+            over = self._before.get(contract.id)
+            if over is not None and contract.manager == self.state.me and contract.contractor in over.task.members:
+                self.attempts.missed = True
+        elif contract.manager != self.state.me:
+            self._leave(session)
         elif contract.contractor in session.task.members:
-            self.session = None
+            self._leave(session)
+            self.attempts.failed(self.desk.now_ns, self.state.me)
             self.desk.cancel(self.desk.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
 
-    def _my_terms(self) -> Bid:
-        """The agent's bid, made once for each state it is in: several managers may call at the same time."""
-        if self._terms is None or self._terms[0] != self.state.version:
-            self._terms = (self.state.version, terms(self.state, self.desk.now_ns))
-        return self._terms[1]
+    def _leave(self, session: Session) -> None:
+        """Out of an optimisation that did not come to its end; late messages of it are ignored."""
+        self.session = None
+        self._remember(session.identity, None)
+
+    def _remember(self, identity: ContractId | None, session: Session | None) -> None:
+        if identity is not None:
+            self._before[identity] = session
+            if len(self._before) > _REMEMBERED:
+                del self._before[next(iter(self._before))]
 
     def resend(self) -> None:
-        """Say again what other members may have missed (transports that lose messages)."""
-        if self.session is not None and self.session.begun:
-            session = self.session
-            self._send(session, session.node.tick())
-            self._finish_if_done(session)
+        """Say again what other members may have missed, if nothing goes on."""
+        session = self.session
+        if session is not None and session.begun:
+            self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.desk.words.pace))
 
     def _run(self, session: Session) -> None:
-        session.begun = True
+        session.begun, session.began_ns = True, self.desk.now_ns
+        session.link.goes_on(self.desk.now_ns)
         self._send(session, session.node.start())
         early, session.early = session.early, []
         for sender, body in early:
@@ -210,18 +252,32 @@ class Optimisation(Trade):
             out = session.node.handle(from_wire(sender, self.state.me, body))
         except BackendError as error:
             raise ProtocolError(f"solver message of agent {sender}: {error}") from error
+        now_ns = self.desk.now_ns
+        if session.link.seen(sender, body) and not out:
+            self._repeat(session, session.link.again(session.node, sender, body, now_ns, self.desk.words.pace))
+        elif out:
+            session.link.goes_on(now_ns)
         self._send(session, out)
         self._finish_if_done(session)
 
-    def _send(self, session: Session, messages: list[SolverMessage]) -> None:
+    def _send(self, session: Session, messages: Sequence[SolverMessage]) -> None:
         for message in messages:
-            self.desk.tell(message.receiver, session.identity, to_wire(message))
+            body = to_wire(message)
+            session.sent_bytes += ENVELOPE_BYTES + solver_payload(body)
+            self.desk.tell(message.receiver, session.identity, body)
+
+    def _repeat(self, session: Session, messages: Sequence[SolverMessage]) -> None:
+        self.repeated += len(messages)
+        self._send(session, messages)
 
     def _finish_if_done(self, session: Session) -> None:
         outcome = session.node.outcome
         if outcome is None or self.session is not session:
             return
-        self.session, self._last = None, session.identity
+        self.session = None
+        self.attempts.succeeded()
+        self._remember(session.identity, session)
+        self.terms.paid(session)
         self.adoptions.append(adopt(self.state, session.task, outcome))
         if session.contract is not None:
             self.desk.say(session.contract, Result(_answer(outcome)))

@@ -17,7 +17,9 @@ from mas.matches import Match
 from mas.messages import Award, Bid, Call, Confirmation, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
 from mas.placelog import ClusterLog, LatestQueries
+from mas.policy.utility import PLACE_ANSWER_BYTES
 from mas.relpose import Verification, kind_of, verify, view_of
+from mas.retender import Retender
 from mas.tasks import EarlierAnswer, Outcome, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect, Task
 from mas.tensors import Tensor
 
@@ -42,6 +44,7 @@ class PlaceRecognition(Trade):
         self._latest = LatestQueries(book, desk.state.config.places.latest_frames)
         self._sent: dict[int, set[int]] = {}
         self.distances: dict[int, float] = {}
+        self._again = Retender(desk.state.config.link.retries)
 
     @property
     def threshold(self) -> float:
@@ -63,8 +66,7 @@ class PlaceRecognition(Trade):
         self._next(sorted(self._waiting))
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        owner = self.state.profile.centres is not None
-        return Bid(cost_bytes=8 + 4 + owner, ready_ns=self.desk.now_ns)
+        return Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.desk.now_ns)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         keyframe = self._asked.get(contract.id)
@@ -152,16 +154,25 @@ class PlaceRecognition(Trade):
     def on_end(self, contract: Contract) -> None:
         if contract.manager != self.state.me:
             return
+        keyframe = self._asked.get(contract.id)
+        if keyframe is not None and self._again.wanted(contract, keyframe):
+            self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
         if not self.desk.ledger.managed(contract.id):
             self._asked.pop(contract.id, None)
         self._next([contract.contractor])
+
+    def resume(self) -> None:
+        """Go on with agents that could not be called for a while."""
+        others = [a for a in sorted(self._waiting) if self._waiting[a]]
+        if others:
+            self._next(others)
 
     def _next(self, others: Iterable[int]) -> None:
         """Call those who are free: one call for all who are asked about the same key-frame."""
         busy = {c.contractor for c in self.desk.ledger.running(Operation.DVPR) if c.manager == self.state.me}
         wanted: dict[int, list[int]] = {}
         for other in others:
-            if self._waiting.get(other) and other not in busy:
+            if self._waiting.get(other) and other not in busy and self.desk.may_call(other):
                 wanted.setdefault(self._waiting[other].popleft(), []).append(other)
         for keyframe, agents in sorted(wanted.items()):
             identity, _ = self.desk.call(Operation.DVPR, agents)

@@ -11,6 +11,7 @@ from mas.identities import FrameId, MatchId
 from mas.messages import Bid
 from mas.tasks import OptimiseTask
 from mas.tensors import pack_sim3s, unpack_sim3s
+from mas.testimony import contradicted
 
 Track = tuple[int, int]
 
@@ -41,20 +42,24 @@ class Joint:
 
 @dataclass(frozen=True)
 class Plan:
-    """``members``: agents whose tracks matches join, sorted; the first is the anchor. ``tasks``: one for each."""
+    """``members``: agents whose tracks matches join, sorted; the first is the anchor. ``tasks``: one for each.
+    ``contradicted``: matches left out because the group's other matches say otherwise."""
 
     members: tuple[int, ...]
     tasks: dict[int, OptimiseTask]
+    contradicted: frozenset[MatchId] = frozenset()
 
 
-def plan(manager: int, bids: Mapping[int, Bid]) -> Plan:
+def plan(manager: int, bids: Mapping[int, Bid], depths: Mapping[Track, float] | None = None) -> Plan:
     """Tasks for the agents whose tracks hang together with the manager's largest set of joined tracks.
 
     Only matches that both owners list are used: both must hold the same edges. Coordinates that differ are aligned with
     the anchor's through the first such match (thesis section 3.5), so that the optimisation starts with all agents in
-    one frame.
+    one frame. ``depths``: the manager's median depths by track, to judge what contradicts what (:mod:`mas.testimony`).
     """
-    joints = _usable(bids)
+    held = _usable(bids)
+    wrong = contradicted(held, depths or {})
+    joints = {m: j for m, j in held.items() if m not in wrong}
     component = _joined_with(manager, bids, joints)
     members = tuple(sorted({agent for agent, _ in component}))
     anchor = min(component)
@@ -69,7 +74,7 @@ def plan(manager: int, bids: Mapping[int, Bid]) -> Plan:
         present = tuple(sorted({terms[agent, t].frame for t in tracks} & set(placed)))
         where = pack_sim3s([placed[f] for f in present])
         tasks[agent] = OptimiseTask(members, frame, unit, tracks, mine, present, where)
-    return Plan(members, tasks)
+    return Plan(members, tasks, wrong)
 
 
 def _usable(bids: Mapping[int, Bid]) -> dict[MatchId, Joint]:

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from backend.verification import PlaceView, Verdict, relative_pose
 from mas.contract import Contract
 from mas.desk import Desk, Trade, WorkError
+from mas.honesty import judged
 from mas.identities import ContractId, MatchId, Operation
 from mas.keyframe import KeyFrame
 from mas.matches import Match
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
+from mas.policy.utility import VERIFY_ANSWER_BYTES
+from mas.retender import Retender
 from mas.state import AgentState, thinned
 from mas.tasks import Outcome, Task, VerifyAnswer, VerifyTask
 from mas.tensors import Tensor, pack_poses, pack_sim3, unpack_poses, unpack_sim3
@@ -30,6 +33,7 @@ class Verification(Trade):
         self.book = book
         self._waiting: dict[int, deque[MatchId]] = {}
         self._running: dict[ContractId, MatchId] = {}
+        self._again = Retender(desk.state.config.link.retries)
 
     def request(self, candidate: Candidate) -> None:
         """Have a candidate verified by the other agent, after those already waiting for it."""
@@ -38,7 +42,7 @@ class Verification(Trade):
             self._next(candidate.id.match_agent)
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=2 * 6 * 8, ready_ns=self.desk.now_ns)
+        return Bid(cost_bytes=VERIFY_ANSWER_BYTES, ready_ns=self.desk.now_ns)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         match = self._running.get(contract.id)
@@ -88,21 +92,31 @@ class Verification(Trade):
         match = self._running.pop(contract.id, None) if contract.manager == self.state.me else None
         if match is None:
             return
-        if not self.book.candidates[match].detail:
+        if self._again.wanted(contract, match):
+            self._waiting.setdefault(contract.contractor, deque()).append(match)
+        elif not self.book.candidates[match].detail:
             self.book.update(match, reason="not verified", detail=f"contract {contract.state}: {contract.reason}")
         self._next(contract.contractor)
 
     def learn(self, match: Match) -> None:
         """Take in a verified match; accepted ones join their agents in a group, and the group hears of it."""
-        for accepted in self.state.add_match(match):
+        accepted_now = self.state.add_match(match)
+        for other in set(match.id.agents) - {self.state.me}:
+            self.desk.standing.judged(other, *judged(self.state, other))
+        for accepted in accepted_now:
             self.book.matched(accepted)
             self.desk.note("match", match=str_match(accepted), inliers=self.state.verified[accepted].inliers)
             if self.state.join(accepted.agents):
                 tell_group(self.desk)
 
+    def resume(self) -> None:
+        """Go on with agents that could not be called for a while."""
+        for other in sorted(self._waiting):
+            self._next(other)
+
     def _next(self, other: int) -> None:
         waiting = self._waiting.get(other)
-        if not waiting:
+        if not waiting or not self.desk.may_call(other):
             return
         identity, called = self.desk.call(Operation.RELPOSE, [other])
         if called:

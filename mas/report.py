@@ -10,6 +10,7 @@ import numpy as np
 
 from backend.trajectory_error import TrajectoryError
 from mas.agent import Agent
+from mas.citizens import fault_figures, standings
 from mas.config import MasConfig
 from mas.identities import MatchId
 from mas.matches import Fate
@@ -63,6 +64,8 @@ def summarise(
         optimisations=_optimisations(agents),
         map_copies=[c for a, (_, each) in zip(agents, maps, strict=True) for c in _copies(a, each)],
         refused_messages=len(transport.refused) + sum(len(a.refused) for a in agents),
+        standing=standings(agents),
+        faults=fault_figures(agents, transport),
     )
 
 

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from backend.distributed import messages as backend_messages
+from backend.distributed.elected_messages import ElectedMessage, Kind
 from backend.distributed.messages import (
     WIDTH,
     Decision,
@@ -130,11 +131,24 @@ class SolverStatus(msgspec.Struct, frozen=True, array_like=True, tag=25):
     standings: Annotated[tuple[SolverStanding, ...], msgspec.Meta(max_length=4096)]
 
 
-SolverBody = SolverValues | SolverReport | SolverDecision | SolverSteps | SolverState | SolverStatus
+class SolverParcel(msgspec.Struct, frozen=True, array_like=True, tag=26):
+    """What an elected group says (:mod:`backend.distributed.elected_messages`): ``body`` as its ``kind`` lays it
+    out."""
+
+    kind: Annotated[int, msgspec.Meta(ge=0, lt=len(Kind))]
+    term: Annotated[int, msgspec.Meta(ge=0, lt=256)]
+    body: Annotated[bytes, msgspec.Meta(max_length=2**26)]
 
 
-def to_wire(m: backend_messages.Message) -> SolverBody:
+SolverBody = SolverValues | SolverReport | SolverDecision | SolverSteps | SolverState | SolverStatus | SolverParcel
+SolverMessage = backend_messages.Message | ElectedMessage
+"""What nodes say, whatever their method."""
+
+
+def to_wire(m: SolverMessage) -> SolverBody:
     """A node's message without sender and receiver: those stand in the header."""
+    if isinstance(m, ElectedMessage):
+        return SolverParcel(int(m.kind), m.term, m.body)
     r = (int(m.round.stage), m.round.step, m.round.sweep)
     match m:
         case Values():
@@ -153,10 +167,12 @@ def to_wire(m: backend_messages.Message) -> SolverBody:
             )
 
 
-def from_wire(sender: int, receiver: int, b: SolverBody) -> backend_messages.Message:
+def from_wire(sender: int, receiver: int, b: SolverBody) -> SolverMessage:
     """Inverse of :func:`to_wire`."""
     ends = (sender, receiver)
     match b:
+        case SolverParcel():
+            return ElectedMessage(Kind(b.kind), b.term, sender, receiver, b.body)
         case SolverState():
             return State(*ends, Round(Stage.FREE), b.version, b.used, b.values.array().astype(np.float64))
         case SolverStatus():
@@ -172,6 +188,35 @@ def from_wire(sender: int, receiver: int, b: SolverBody) -> backend_messages.Mes
             return Decision(*ends, at, b.go_on, b.cost, _numbers(b.numbers))
         case SolverSteps():
             return Deltas(*ends, at, (b.scale_m, b.scale_rad), b.steps.array().view(np.int8))
+
+
+def place_of(b: SolverBody) -> tuple[int, ...]:
+    """Which of its sender's messages of this kind it is: equal for one that is said again."""
+    match b:
+        case SolverParcel():
+            return b.kind, b.term
+        case SolverState():
+            return b.version, b.used
+        case SolverStatus():
+            return tuple(n for s in b.standings for n in (s.robot, s.serial, s.version))
+    return b.stage, b.step, b.sweep
+
+
+def round_of(b: SolverBody) -> Round | None:
+    """The round it belongs to; None for what is said without rounds."""
+    if isinstance(b, SolverParcel | SolverState | SolverStatus):
+        return None
+    return Round(Stage(b.stage), b.step, b.sweep)
+
+
+def decides(message: SolverMessage | SolverBody) -> bool:
+    """Whether it ends something, so that whoever has heard it needs no answer."""
+    match message:
+        case ElectedMessage():
+            return message.kind is Kind.DECISION
+        case SolverParcel():
+            return message.kind == Kind.DECISION
+    return isinstance(message, Decision | SolverDecision)
 
 
 def payload_bytes(body: SolverBody) -> int:

@@ -67,7 +67,10 @@ class AgentState:
     accepted: set[MatchId] = field(default_factory=set)
     group: set[int] = field(default_factory=set)
     version: int = 0
+    distrusted: set[int] = field(default_factory=set)
+    contradicted: frozenset[MatchId] = frozenset()
     _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
+    _mine: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.group.add(self.profile.me)
@@ -120,6 +123,11 @@ class AgentState:
             sizes[piece.frame] = sizes.get(piece.frame, 0) + len(self.members(piece.track))
         return max(sizes, key=lambda f: sizes[f]) if sizes else FrameId(self.me, 0)
 
+    def depths(self) -> dict[tuple[int, int], float]:
+        """Median depth of each track's key-frames, in the units of its coordinates."""
+        found = {p: [self.keyframes[i].depth for i in self.members(p.track)] for p in self.pieces}
+        return {(self.me, p.track): float(np.median(d)) * p.unit for p, d in found.items()}
+
     def placed(self) -> list[int]:
         """Key-frames in :attr:`frame`; the others belong to tracks that no match has joined yet."""
         frame = self.frame
@@ -137,13 +145,41 @@ class AgentState:
         if match.id in self.verified:
             return []
         self.verified[match.id] = match
-        agreement = self._agreements.setdefault(frozenset(match.tracks), Agreement(self.config.consistency))
-        agreement.add(match)
-        now = agreement.accepted()
-        before = self.accepted.intersection(agreement.ids)
+        pair = frozenset(match.tracks)
+        self._agreements.setdefault(pair, Agreement(self.config.consistency)).add(match)
+        if match.id.match_agent == self.me != match.id.query_agent:
+            self._mine.setdefault(pair, Agreement(self.config.consistency)).add(match)
+        return self._accept(pair)
+
+    def distrust(self, other: int, distrusted: bool) -> None:
+        """From now on use only those matches with the other that this agent verified itself; or all again."""
+        (self.distrusted.add if distrusted else self.distrusted.discard)(other)
+        for pair in [p for p in self._agreements if other in {agent for agent, _ in p}]:
+            self._accept(pair)
+
+    def agreements_with(self, other: int) -> list[tuple[set[MatchId], list[MatchId]]]:
+        """For each pair of tracks with another agent: the matches that agree, and all."""
+        pairs = [p for p in sorted(self._agreements, key=sorted) if {a for a, _ in p} == {self.me, other}]
+        return [(self._agreeing(p), list(self._agreements[p].ids)) for p in pairs]
+
+    def _accept(self, pair: frozenset[tuple[int, int]]) -> list[MatchId]:
+        """Take over what agrees between two tracks; returns what became accepted by it."""
+        now = self._agreeing(pair)
+        if self.distrusted.intersection(agent for agent, _ in pair):
+            now = self._mine[pair].accepted() if pair in self._mine else set()
+        before = self.accepted.intersection(self._agreements[pair].ids)
         self.accepted = (self.accepted - before) | now
         self.version += bool(now != before)
         return sorted(now - before)
+
+    def _agreeing(self, pair: frozenset[tuple[int, int]]) -> set[MatchId]:
+        """The matches between two tracks that agree with each other. Where all of them were computed by the other
+        agent, and contradict what this one computed itself and finds in agreement, it believes itself."""
+        found = self._agreements[pair].accepted()
+        mine = self._mine.get(pair)
+        if mine is None or found.intersection(mine.ids):
+            return found
+        return mine.accepted() or found
 
     def accepted_matches(self) -> list[Match]:
         """Sorted by id."""

@@ -22,8 +22,10 @@ from mas.maps.shop import Shop, own_end
 from mas.maps.stock import stock_of
 from mas.maps.wire import MapDelivery, MapOrder, Parcel
 from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
+from mas.policy.utility import orders
 from mas.posegraph import Adoption
 from mas.relpose import str_match
+from mas.retender import Retender
 from mas.tasks import Outcome, Task
 from mas.tensors import unpack_sim3
 
@@ -48,6 +50,7 @@ class MapTrade(Trade):
         self.something_new = False
         self.rounds = 0
         self.shop = Shop(desk.state)
+        self._again = Retender(desk.state.config.link.retries)
         self._tenders: dict[ContractId, Tender] = {}
         self._rejected: set[tuple[int, int, int]] = set()
         self._spoilt: set[int] = set()
@@ -60,7 +63,7 @@ class MapTrade(Trade):
         identity, called = self.desk.call(Operation.MAPMERGE, sellers)
         if called:
             self._tenders[identity] = Tender(self.desk.now_ns, set(called))
-        for seller in sellers:
+        for seller in called:
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
 
@@ -73,8 +76,14 @@ class MapTrade(Trade):
         self._answered(contract)
 
     def on_end(self, contract: Contract) -> None:
-        if contract.manager == self.state.me:
-            self._answered(contract)
+        """A sale that came to nothing is still wanted."""
+        if contract.manager != self.state.me:
+            return
+        self._answered(contract)
+        if self._again.wanted(contract, Operation.MAPMERGE):
+            self.stale.add(contract.contractor)
+            self.last_bought.pop(contract.contractor, None)
+            self.something_new = True
 
     def tick(self) -> None:
         """Half of a contract's time is enough to wait for those who do not answer; the others' bids would expire with
@@ -95,19 +104,18 @@ class MapTrade(Trade):
                 self._award(contract.id)
 
     def _award(self, identity: ContractId) -> None:
-        """Once all have answered each wanted map is ordered from one of them: from its owner if possible, else the
-        newest version from the lowest number."""
+        """Once all have answered each wanted map is ordered from the one whose bid is worth most."""
         tender = self._tenders.pop(identity)
-        best: dict[int, tuple[bool, int, int]] = {}
         for seller, bid in sorted(tender.bids.items()):
             for offer in bid.offers:
                 self._confirm(seller, offer)
-                rank = (offer.owner == seller, offer.version, -seller)
-                if self._wants(seller, offer) and rank > best.get(offer.owner, (False, -1, 0)):
-                    best[offer.owner] = rank
-        for one in self.desk.ledger.managed(identity):
+        contracts = self.desk.ledger.managed(identity)
+        standing = {seller: self.desk.standing.of(seller).value for seller in tender.bids}
+        deadline_ns = max((c.deadline_ns for c in contracts), default=0)
+        wanted = orders(tender.bids, standing, self._wants, deadline_ns)
+        for one in contracts:
             if one.state is State.BID:
-                self._order(one, tuple(sorted(o for o, (_, _, s) in best.items() if -s == one.contractor)))
+                self._order(one, wanted.get(one.contractor, ()))
 
     def _order(self, contract: Contract, owners: tuple[int, ...]) -> None:
         if not owners:
@@ -233,6 +241,8 @@ class MapTrade(Trade):
     def _refuse(self, held: HeldMap, reason: str) -> None:
         """Not kept, and not bought again from this seller."""
         self._rejected.add((held.seller, held.owner, held.version))
+        if held.seller == held.owner:
+            self.desk.standing.blame(held.seller)
         self.desk.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
 
     def _anchor(self, held: HeldMap, adoption: Adoption) -> int:

@@ -64,6 +64,33 @@ class MapCopy(_Figures):
     ate_mean_m: float | None
 
 
+class StandingFigures(_Figures):
+    """What the other agents came to think of one agent, by their own contracts with it.
+
+    ``delivered``, ``failed``, ``expired``: contracts it had with them as contractor; ``contradicted``: matches it
+    verified that others contradict; ``mean``, ``lowest``: its standing with them, 0 to 1; ``shunned_by``: who does not
+    call it any more.
+    """
+
+    agent: int
+    delivered: int
+    failed: int
+    expired: int
+    contradicted: int
+    mean: float | None
+    lowest: float | None
+    shunned_by: list[int]
+
+
+class FaultFigures(_Figures):
+    """Faults made on purpose, and what the agents did about them: ``repeated``: words of contracts and messages of
+    solvers that were said again."""
+
+    lost: int
+    doubled: int
+    repeated: int
+
+
 class Summary(_Figures):
     """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation,
     under each agent's own alignment. ``path_length_m`` from ground truth. ``refused_messages``: dropped as
@@ -94,3 +121,5 @@ class Summary(_Figures):
     optimisations: OptimisationFigures
     map_copies: list[MapCopy]
     refused_messages: int
+    standing: list[StandingFigures] = Field([], description="of each agent with the others")
+    faults: FaultFigures | None = Field(None, description="None: none were made")

@@ -158,6 +158,14 @@ class Transport(ABC):
                 self.refused.append((recipient, str(error)))
         return None
 
+    def advance(self, now_ns: int) -> None:  # noqa: B027 - most transports need not know
+        """Logical time goes on; what is due by now arrives."""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether messages are on the way that are due later."""
+        return False
+
     @abstractmethod
     def carry(self, recipient: int, data: bytes) -> None:
         """Put bytes on the way."""

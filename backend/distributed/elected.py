@@ -72,6 +72,8 @@ class ElectedNode:
 
     def handle(self, message: ElectedMessage) -> list[ElectedMessage]:
         """Take a message in; returns what is to be sent because of it."""
+        if not isinstance(message, ElectedMessage):
+            raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if message.receiver != self.share.robot or message.sender not in self.share.members:
             raise BackendError(f"robot {self.share.robot} was handed a message from {message.sender} for "
                                f"{message.receiver}")  # fmt: skip

@@ -59,6 +59,8 @@ class FreeNode(DescentNode):
     # -- messages ----------------------------------------------------------------------------------------------------
 
     def handle(self, message: Message) -> list[Message]:
+        if not isinstance(message, Message):
+            raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if not isinstance(message, State | Status):
             return super().handle(message)
         if message.receiver != self.share.robot:

@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any, Protocol
+
 from backend.config import SolverConfig
 from backend.distributed.descent_node import DescentNode
 from backend.distributed.elected import ElectedNode
 from backend.distributed.free_node import FreeNode
 from backend.distributed.node import Node
-from backend.distributed.rounds import Rounds
-from backend.distributed.share import Share
+from backend.distributed.share import Outcome, Share
 from backend.errors import BackendError
 
 
-def node_for(share: Share, config: SolverConfig) -> Rounds | ElectedNode:
+class SolverNode(Protocol):
+    """One robot's part in any method; what the messages are is the method's own matter."""
+
+    share: Share
+    outcome: Outcome | None
+
+    def start(self) -> Sequence[Any]:
+        """The first messages."""
+
+    def handle(self, message: Any) -> Sequence[Any]:
+        """Take a message in; returns what is to be sent because of it. :class:`BackendError` where it makes no sense,
+        which a message of another method does not."""
+
+    def tick(self) -> Sequence[Any]:
+        """What others may have missed, once more."""
+
+
+def node_for(share: Share, config: SolverConfig) -> SolverNode:
     """One robot's part in the method that ``config`` names: start, handle, tick, outcome."""
     if config.robust != "none" and config.method != "rbcd":
         raise BackendError(f"robust selection ({config.robust}) works with method rbcd, not {config.method}")

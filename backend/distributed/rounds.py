@@ -94,6 +94,8 @@ class Rounds(ABC):
 
     def handle(self, message: Message) -> list[Message]:
         """Take a message in; returns what is to be sent because of it."""
+        if not isinstance(message, Message):
+            raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if message.receiver != self.share.robot:
             raise BackendError(f"robot {self.share.robot} was handed a message for robot {message.receiver}")
         if self.outcome is not None or message.round < self._round:

@@ -10,15 +10,17 @@ from mas.contract import (
     CONTRACTOR_SAYS,
     ENDED,
     MANAGER_SAYS,
+    RESULT_CONFIRMS,
     Contract,
     LateMessage,
-    Ledger,
     ProtocolError,
+    Repeated,
     State,
     advance,
     expire,
 )
 from mas.identities import ContractId, Operation
+from mas.ledger import Ledger
 from mas.messages import Award, Bid, Call, Cancel, Confirmation, Failure, Refusal, Rejection, Result
 from mas.tasks import MapOrder, PlaceAnswer
 
@@ -89,7 +91,9 @@ def test_both_sides_keep_the_same_state() -> None:
     contractor.called(MANAGER, identity, Call(Operation.MAPMERGE, 10))
     steps = [(CONTRACTOR, BODIES[0]), (MANAGER, BODIES[2]), (CONTRACTOR, BODIES[4]), (CONTRACTOR, BODIES[5])]
     for sender, body in steps:
-        states = {ledger.say(ledger.get(identity, CONTRACTOR), sender, body).state for ledger in (manager, contractor)}
+        speaker, listener = (manager, contractor) if sender == MANAGER else (contractor, manager)
+        said = speaker.say(speaker.get(identity, CONTRACTOR), body)
+        states = {said.state, listener.hear(identity, sender, body).state}
         assert len(states) == 1
     assert states == {State.DONE}
     assert not manager.running() and not contractor.running()
@@ -106,9 +110,49 @@ def test_a_call_that_comes_twice_is_refused() -> None:
     ledger = Ledger(CONTRACTOR)
     call = Call(Operation.DVPR, 10)
     ledger.called(MANAGER, ContractId(MANAGER, 4), call)
-    for number in (4, 3):
-        with pytest.raises(ProtocolError, match="twice"):
-            ledger.called(MANAGER, ContractId(MANAGER, number), call)
+    with pytest.raises(Repeated, match="twice"):
+        ledger.called(MANAGER, ContractId(MANAGER, 4), call)
+    with pytest.raises(LateMessage, match="too late"):
+        ledger.called(MANAGER, ContractId(MANAGER, 3), call)
+    assert [c.id.number for c in ledger.running()] == [4]
+
+
+def test_a_newer_call_ends_the_contractors_copy_of_an_older_one() -> None:
+    """The manager calls anew only after its own copy has ended: that end was lost on the way."""
+    ledger = Ledger(CONTRACTOR)
+    for number, operation in ((0, Operation.DVPR), (1, Operation.DOPT), (2, Operation.DVPR)):
+        ledger.called(MANAGER, ContractId(MANAGER, number), Call(operation, 10))
+    assert [c.id.number for c in ledger.running()] == [1, 2]
+    assert [(c.id.number, c.state) for c in ledger.superseded] == [(0, State.CANCELLED)]
+
+
+def test_a_call_that_its_withdrawal_overtook_opens_nothing() -> None:
+    ledger = Ledger(CONTRACTOR)
+    with pytest.raises(LateMessage):
+        ledger.hear(ContractId(MANAGER, 0), MANAGER, Cancel("no longer wanted"))
+    with pytest.raises(LateMessage):
+        ledger.called(MANAGER, ContractId(MANAGER, 0), Call(Operation.DVPR, 10))
+    assert ledger.running() == []
+
+
+def test_a_result_confirms_too_but_nobody_may_leave_the_confirmation_out() -> None:
+    awarded = opened()
+    for sender, body in ((CONTRACTOR, BODIES[0]), (MANAGER, BODIES[2])):
+        awarded = advance(awarded, sender, body)
+    result = Result(PlaceAnswer(None, 2.0))
+    assert advance(awarded, CONTRACTOR, result, heard=True).state is State.DONE
+    with pytest.raises(ProtocolError):
+        advance(awarded, CONTRACTOR, result)
+    assert set(RESULT_CONFIRMS) == {(State.AWARDED, Result)}
+
+
+def test_a_word_that_came_twice_is_told_from_one_out_of_place() -> None:
+    bid = advance(opened(), CONTRACTOR, BODIES[0])
+    with pytest.raises(Repeated):
+        advance(bid, CONTRACTOR, BODIES[0])
+    with pytest.raises(ProtocolError) as wrong:
+        advance(bid, CONTRACTOR, Confirmation())
+    assert not isinstance(wrong.value, LateMessage)
 
 
 def test_nobody_calls_in_another_name() -> None:

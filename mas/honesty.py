@@ -1,0 +1,42 @@
+"""Whether what another agent reported agrees with everything else that is known."""
+
+from __future__ import annotations
+
+from mas.desk import Desk
+from mas.identities import MatchId
+from mas.state import AgentState
+
+# So many matches between two tracks, none of which agrees with another: all but one must be wrong.
+_NONE_AGREE = 3
+
+
+def judged(state: AgentState, other: int) -> tuple[int, int]:
+    """How many of the matches that ``other`` verified for this agent are borne out, and how many contradicted.
+
+    Borne out: in the largest set between the two tracks that agrees. Contradicted: such a set exists without it; or the
+    group's other matches say otherwise (:mod:`mas.testimony`); or there is none that agrees although there are several
+    matches, of which at most one can be true: that one is forgiven.
+    """
+    borne_out = contradicted = 0
+    for agreeing, all_of_pair in state.agreements_with(other):
+        reported = {m for m in all_of_pair if m.match_agent == other}
+        if agreeing:
+            good = reported & agreeing - state.contradicted
+            borne_out += len(good)
+            contradicted += len(reported - good)
+        elif len(all_of_pair) >= _NONE_AGREE:
+            contradicted += max(len(reported) - 1, 0)
+    return borne_out, contradicted
+
+
+def hold_against(desk: Desk, contradicted: frozenset[MatchId]) -> None:
+    """What a whole group's matches contradict is held against who reported it to me, as long as that is so; where it
+    may be one of several it is left out and held against nobody."""
+    state = desk.state
+    reporters = sorted({m.match_agent for m in contradicted})
+    before = {m.match_agent for m in state.contradicted}
+    state.contradicted = contradicted if len(reporters) == 1 else frozenset()
+    if reporters:
+        desk.note("contradicted", reported_by=reporters, matches=len(contradicted))
+    for reporter in sorted(before | set(reporters)):
+        desk.standing.judged(reporter, *judged(state, reporter))

@@ -1,0 +1,69 @@
+"""What an agent remembers of an optimisation: the tender before the award, the session after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from backend.distributed.methods import SolverNode
+from mas.config import LinkConfig
+from mas.contract import Contract
+from mas.identities import ContractId
+from mas.messages import Bid
+from mas.solver_link import SolverLink
+from mas.solver_messages import SolverBody
+from mas.tasks import OptimiseTask
+
+
+@dataclass
+class Tender:
+    """The manager's side until the award: who still has to answer, what was bid, who did not bid; alone: no
+    contract."""
+
+    identity: ContractId | None
+    pending: set[int]
+    bids: dict[int, Bid]
+    missing: set[int] = field(default_factory=set)
+
+
+@dataclass
+class Session:
+    """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
+    ``early``: solver messages that came before the start; ``link``: what the others may have missed;
+    ``sent_bytes``, ``began_ns``: what it cost, for the next bid."""
+
+    identity: ContractId | None
+    task: OptimiseTask
+    node: SolverNode
+    contract: Contract | None = None
+    unconfirmed: set[int] = field(default_factory=set)
+    begun: bool = False
+    early: list[tuple[int, SolverBody]] = field(default_factory=list)
+    sent_bytes: int = 0
+    began_ns: int = 0
+    link: SolverLink = field(default_factory=SolverLink)
+
+
+class Attempts:
+    """How often optimisations failed, and when to call for the next. ``missed``: a member has not adopted the last
+    one, or was not there."""
+
+    def __init__(self, config: LinkConfig) -> None:
+        self.config = config
+        self.failures = 0
+        self.missed = False
+        self.not_before_ns = 0
+
+    def failed(self, now_ns: int, me: int) -> None:
+        """It is tried again, later each time; not all who failed together try at the same time."""
+        self.failures += 1
+        wait_s = min(self.failures, 8) * self.config.repeat_max_s * (1.0 + me % 8 / 4.0)
+        self.not_before_ns = now_ns + round(wait_s * 1e9)
+
+    def succeeded(self) -> None:
+        """One came to its end."""
+        self.failures = 0
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it was tried so often in vain that there is no more waiting for it at the end."""
+        return self.failures > 2 * (1 + self.config.retries)

@@ -1,0 +1,35 @@
+"""An agent's bids for optimisations: what it can bring, and what the last one cost it."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from mas.desk import Desk
+from mas.messages import Bid
+from mas.policy.utility import ENVELOPE_BYTES, SOLVER_BYTES_A_ROW
+from mas.posegraph import terms
+from mas.sessions import Session
+
+
+class Terms:
+    """Costs are learned: bytes for each match end, and logical time, of the agent's last optimisation."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self._bytes_a_row = SOLVER_BYTES_A_ROW
+        self._took_ns = 0
+        self._made: tuple[int, Bid] | None = None
+
+    def bid(self) -> Bid:
+        """Made once for each state the agent is in: several managers may call at the same time."""
+        state, now_ns = self.desk.state, self.desk.now_ns
+        if self._made is None or self._made[0] != state.version:
+            bid = terms(state, now_ns)
+            cost = ENVELOPE_BYTES + round(self._bytes_a_row * len(bid.links.matches))
+            self._made = (state.version, replace(bid, cost_bytes=cost))
+        return replace(self._made[1], ready_ns=now_ns + self._took_ns)
+
+    def paid(self, session: Session) -> None:
+        """An optimisation came to its end."""
+        self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
+        self._took_ns = self.desk.now_ns - session.began_ns

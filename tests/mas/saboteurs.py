@@ -1,0 +1,141 @@
+"""Agents that misbehave, each in one way, and runs with them in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from backend.geometry import Sim3, se3, so3_exp
+from mas.agent import Agent
+from mas.config import MasConfig
+from mas.environment import Environment, make_agents, make_transport
+from mas.keyframe import keyframes_of
+from mas.messages import Message, Result
+from mas.metrics import Onlooker
+from mas.policy.base import Outlook, Policy
+from mas.policy.presets import policy_of
+from mas.policy.query_all import QueryAll
+from mas.sequence import AgentSequence, Manifest
+from mas.solver_messages import SolverBody
+from mas.state import AgentState, Profile
+from mas.tasks import VerifyAnswer
+from mas.tensors import Tensor, pack_sim3, unpack_poses
+from mas.transport import InProcessTransport
+
+
+class Saboteur(Agent):
+    """An agent whose every outgoing message passes :meth:`spoil`."""
+
+    def handle(self, message: Message) -> list[Message]:
+        return self.spoil(super().handle(message))
+
+    def tick(self, now_ns: int) -> list[Message]:
+        return self.spoil(super().tick(now_ns))
+
+    def remind(self, now_ns: int) -> list[Message]:
+        return self.spoil(super().remind(now_ns))
+
+    def spoil(self, messages: list[Message]) -> list[Message]:
+        raise NotImplementedError
+
+
+class Idler(Saboteur):
+    """Bids, confirms, and never delivers."""
+
+    def spoil(self, messages: list[Message]) -> list[Message]:
+        return [m for m in messages if not isinstance(m.body, Result | SolverBody)]
+
+
+class Liar(Saboteur):
+    """Finds every place that it is asked to verify, with many inliers, elsewhere. ``lies``: how many."""
+
+    lies = 0
+
+    def spoil(self, messages: list[Message]) -> list[Message]:
+        return [self._lie(m, m.body.outcome) if isinstance(m.body, Result) else m for m in messages]
+
+    def _lie(self, message: Message, outcome: object) -> Message:
+        if not isinstance(outcome, VerifyAnswer):
+            return message
+        self.lies += 1
+        changed = {
+            "accepted": True, "reason": "accepted", "inliers": 300, "matches": 300, "rmse": 0.01,
+            "T_M_Q": pack_sim3(self.invented(outcome)), "information": Tensor.of(1e5 * np.eye(6), "<f8"),
+        }  # fmt: skip
+        return msgspec.structs.replace(message, body=Result(msgspec.structs.replace(outcome, **changed)))
+
+    def invented(self, outcome: VerifyAnswer) -> Sim3:
+        """Another nonsense each time."""
+        rng = np.random.default_rng(self.lies)
+        return Sim3.from_se3(se3(so3_exp([0.0, rng.uniform(-3, 3), 0.0]), rng.uniform(-20, 20, 3)))
+
+
+class _CallsForNone(QueryAll):
+    def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
+        return []
+
+
+class Swindler(Liar):
+    """Its lies agree with each other: all of its map is claimed to be 15 m beside where it is. It leaves it to others
+    to call for optimisations."""
+
+    def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
+        super().__init__(profile, config, policy)
+        self.policy = _CallsForNone()
+
+    @property
+    def quiet(self) -> bool:
+        return self.desk.closing and not self.desk.ledger.running()
+
+    def invented(self, outcome: VerifyAnswer) -> Sim3:
+        T_T_M = Sim3.from_se3(unpack_poses(outcome.T_T_M.array()))
+        beside = Sim3.from_se3(se3(np.eye(3), [15.0, 0.0, 0.0]))
+        true = Sim3.identity() if outcome.T_M_Q is None else _sim3(outcome)
+        return T_T_M.inverse() @ beside @ T_T_M @ true
+
+
+def _sim3(outcome: VerifyAnswer) -> Sim3:
+    from mas.tensors import unpack_sim3
+
+    assert outcome.T_M_Q is not None
+    return unpack_sim3(outcome.T_M_Q)
+
+
+class _Overheard(InProcessTransport):
+    def __init__(self, max_message_bytes: int, listen: Callable[[Message, int], None]) -> None:
+        super().__init__(max_message_bytes)
+        self._listen = listen
+
+    def send(self, message: Message, now_ns: int) -> None:
+        super().send(message, now_ns)
+        self._listen(message, len(self._queue[-1][1]))
+
+
+def live(
+    manifest: Manifest,
+    sequences: Sequence[AgentSequence],
+    config: MasConfig,
+    saboteurs: Mapping[int, type[Agent]] | None = None,
+    limit: int = 600,
+    watch: Callable[[list[Agent], list[Any]], None] | None = None,
+    listen: Callable[[Message, int], None] | None = None,
+) -> tuple[Environment, Onlooker]:
+    """A run in memory, until all agents are quiet; an error if they never are. ``watch``: called after each step with
+    the agents and their true poses. ``listen``: hears every message, with its wire bytes."""
+    agents = make_agents(manifest, sequences, config)
+    for number, kind in (saboteurs or {}).items():
+        agents[number] = kind(agents[number].state.profile, config, policy_of(config))
+    transport = make_transport(config, lambda sent: None)
+    if listen is not None:
+        transport = _Overheard(transport.max_message_bytes, listen)
+    environment = Environment(agents, [keyframes_of(s) for s in sequences], transport, config)
+    for step in range(limit):
+        environment.step(step)
+        if watch is not None:
+            watch(environment.agents, [s.groundtruth.poses for s in sequences if s.groundtruth is not None])
+        if step + 1 >= environment.steps and environment.over:
+            return environment, Onlooker(sequences)
+    raise AssertionError(f"not over after {limit} steps")
