@@ -127,7 +127,7 @@ def live(
     the agents and their true poses. ``listen``: hears every message, with its wire bytes."""
     agents = make_agents(manifest, sequences, config)
     for number, kind in (saboteurs or {}).items():
-        agents[number] = kind(agents[number].state.profile, config, policy_of(config))
+        agents[number] = kind(agents[number].state.profile, config, policy_of(config, number))
     transport = make_transport(config, lambda sent: None)
     if listen is not None:
         transport = _Overheard(transport.max_message_bytes, listen)
