@@ -19,9 +19,9 @@ from backend.geometry import Array
 from backend.graph import EdgeKind, PoseGraph
 from backend.levenberg_marquardt import levenberg_marquardt
 from backend.newton import anchors
-from backend.robust.noise import SETTLED, degrees_of_freedom, grown
+from backend.robust.noise import Noise
 from backend.robust.prediction import predicted_distances
-from backend.robust.schedule import first_mu, next_mu, tls_weight, truncation
+from backend.robust.schedule import first_mu, next_mu, tls_weight
 
 _ROUNDS = 50
 
@@ -29,25 +29,24 @@ _ROUNDS = 50
 @dataclass(frozen=True, eq=False)
 class Graduated:
     """``graph``: the solution, its edges with their weights. ``squared_residuals`` ``(m,)`` of the edges, in stated
-    standard deviations; ``threshold_squared`` of the same kind; ``noise``: factor on standard deviations.
+    standard deviations; ``noise``: the law of right ones.
     """
 
     graph: PoseGraph
     weights: Array
     squared_residuals: Array
-    threshold_squared: float
-    noise: float
+    noise: Noise
     iterations: int
 
 
 def graduate(
-    graph: PoseGraph, candidates: NDArray[np.bool_], noise: float, central: CentralConfig, config: RobustConfig
+    graph: PoseGraph, candidates: NDArray[np.bool_], noise: Noise, central: CentralConfig, config: RobustConfig
 ) -> Graduated:
     """Select among the edges that ``candidates`` ``(m,)`` names, then let the others come back.
 
-    ``graph``: with the poses to start from. ``noise``: the factor known so far, at least 1.
+    ``graph``: with the poses to start from. ``noise``: what is known of it so far.
     """
-    search = _Search(graph, noise**2, central, config)
+    search = _Search(graph, noise, central, config)
     known = np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges], dtype=bool)
     weights = np.where(known | candidates, 1.0, 0.0)
     search.solve(weights)
@@ -72,24 +71,21 @@ def graduate(
             break
         seen.add(weights.tobytes())
         search.solve(weights)
-    return Graduated(
-        search.graph, weights, search.squared, search.threshold, search.squared_noise**0.5, search.iterations
-    )
+    return Graduated(search.graph, weights, search.squared, search.noise, search.iterations)
 
 
 class _Search:
     """The current solution, its residuals, and the noise they speak of."""
 
-    def __init__(self, graph: PoseGraph, squared_noise: float, central: CentralConfig, config: RobustConfig) -> None:
-        self.graph, self.squared_noise, self.iterations = graph, squared_noise, 0
+    def __init__(self, graph: PoseGraph, noise: Noise, central: CentralConfig, config: RobustConfig) -> None:
+        self.graph, self.noise, self.iterations = graph, noise, 0
         self._central, self._config = central.model_copy(update={"start": "given", "loss": "none"}), config
-        self._dof = degrees_of_freedom(graph.dimension)
         self.squared = squared_residuals(graph, central)
 
     @property
     def threshold(self) -> float:
         """Squared residual, in stated standard deviations, up to which an edge is believed."""
-        return self.squared_noise * truncation(self._config.confidence, self._dof)
+        return self.noise.limit(1.0 - self._config.confidence)
 
     def solve(self, weights: Array) -> None:
         """Optimise with these weights, from where it is or the chordal solution, which wrong edges mislead less the
@@ -110,10 +106,11 @@ class _Search:
         """From what the believed edges' residuals sum to, beside the freedom they have."""
         a = self.graph.arrays()
         free = len(a.poses) - len(anchors(a))
-        freedom = self._dof * (int((weights > 0.5).sum()) + len(self.graph.priors) - free)
-        after = grown(self.squared_noise, float(weights @ self.squared), freedom, self._config)
-        if after > self.squared_noise * (1.0 + SETTLED):
-            self.squared_noise = after
+        freedom = self.noise.full * (int((weights > 0.5).sum()) + len(self.graph.priors) - free)
+        if freedom > 0:
+            # The residuals of a fit tell the size; the shape stays what the cycles told.
+            mean = self.noise.full * float(weights @ self.squared) / freedom
+            self.noise = self.noise.grown(mean, 2.0 * mean**2 / self.noise.freedom, freedom, self._config)
 
 
 def squared_residuals(graph: PoseGraph, central: CentralConfig) -> Array:

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from backend.config import RobustConfig
 from backend.geometry import Array, se3_inverse, se3_log
 from backend.graph import Edge, EdgeKind, PoseGraph
 from backend.robust.chains import Chain, adjoint, chains, covariances
 from backend.robust.clique import Clique, largest_clique
-from backend.robust.noise import SETTLED, degrees_of_freedom, grown
+from backend.robust.noise import Noise
 
 _ROUNDS = 50
 
@@ -30,48 +29,54 @@ class Consistency:
 
     ``accepted`` ``(m,)``: odometry, and the edges of the largest consistent sets; ``agreeing`` ``(m,)``: with how many
     others of its kind an edge agrees; ``tested`` ``(m,)``: how many others there were. An edge with none is accepted:
-    nothing speaks for it or against. ``noise``: factor by which standard deviations exceed the stated ones.
+    nothing speaks for it or against. ``noise``: the law of right edges' squared distances.
     ``exact``: every set is known to be the largest.
     """
 
     accepted: NDArray[np.bool_]
     agreeing: NDArray[np.intp]
     tested: NDArray[np.intp]
-    noise: float
+    noise: Noise
     exact: bool
 
 
 def consistent_edges(graph: PoseGraph, config: RobustConfig) -> Consistency:
     """Find the consistent loops and separators of ``graph``; odometry is believed."""
     groups = _groups(graph)
-    dof = degrees_of_freedom(graph.dimension)
     # An edge must agree with all others of its set, so each pair has only a share of the edge's allowance to fail.
-    share = [(1.0 - config.confidence) / max(len(rows) - 1, 1) for rows in groups]
-    limits = [float(chi2.isf(p, dof)) for p in share]
-    highest = config.max_noise**2 if config.noise == "estimated" else 1.0
-    distances = [_squared_distances(*g, highest * c) for g, c in zip(groups.values(), limits, strict=True)]
-    squared_noise, cliques = 1.0, []
+    shares = [(1.0 - config.confidence) / max(len(rows) - 1, 1) for rows in groups]
+    noise = Noise.stated(graph.dimension)
+    widest = _widest(noise, config)
+    distances = [_squared_distances(*g, widest.limit(p)) for g, p in zip(groups.values(), shares, strict=True)]
+    cliques: list[Clique] = []
     for _ in range(_ROUNDS):
-        cliques = [
-            largest_clique(d <= squared_noise * c, config.clique_work) for d, c in zip(distances, limits, strict=True)
-        ]
-        samples = [_near(d, c, squared_noise * limit) for d, c, limit in zip(distances, cliques, limits, strict=True)]
-        total, count = sum(float(d.sum()) for d in samples), sum(len(d) for d in samples)
-        before, squared_noise = squared_noise, grown(squared_noise, total, dof * count, config)
-        if squared_noise <= before * (1.0 + SETTLED):
-            squared_noise = before
+        limits = [noise.limit(p) for p in shares]
+        cliques = [largest_clique(d <= c, config.clique_work) for d, c in zip(distances, limits, strict=True)]
+        samples = [_near(*each) for each in zip(distances, cliques, limits, strict=True)]
+        near = np.concatenate([np.zeros(0), *samples])
+        if not len(near):
             break
+        before = noise
+        noise = noise.grown(float(near.mean()), float(near.var()), noise.full * len(near), config)
+        if noise == before:
+            break
+    limits = [noise.limit(p) for p in shares]
     m = len(graph.edges)
     accepted = np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges], dtype=bool)
     agreeing, tested = np.zeros(m, dtype=np.intp), np.zeros(m, dtype=np.intp)
     for rows, distance, clique, limit in zip(groups, distances, cliques, limits, strict=True):
         at = np.array(rows, dtype=np.intp)
-        agreeing[at] = (distance <= squared_noise * limit).sum(axis=1) - 1
+        agreeing[at] = (distance <= limit).sum(axis=1) - 1
         tested[at] = len(at) - 1
         # Two edges or more of which no two agree: neither is better than the other.
         if len(clique.members) > 1 or len(at) == 1:
             accepted[at[list(clique.members)]] = True
-    return Consistency(accepted, agreeing, tested, squared_noise**0.5, all(c.exact for c in cliques))
+    return Consistency(accepted, agreeing, tested, noise, all(c.exact for c in cliques))
+
+
+def _widest(stated: Noise, config: RobustConfig) -> Noise:
+    """The widest law that may come out: distances beyond its limits need not be known."""
+    return stated if config.noise == "stated" else Noise(stated.full, stated.full * config.max_noise**2, 1.0)
 
 
 def _near(distance: Array, clique: Clique, limit: float) -> Array:
