@@ -110,7 +110,7 @@ class _Search:
         if freedom > 0:
             # The residuals of a fit tell the size; the shape stays what the cycles told.
             mean = self.noise.full * float(weights @ self.squared) / freedom
-            self.noise = self.noise.grown(mean, 2.0 * mean**2 / self.noise.freedom, freedom, self._config)
+            self.noise = self.noise.grown(mean, freedom, self._config)
 
 
 def squared_residuals(graph: PoseGraph, central: CentralConfig) -> Array:

@@ -10,12 +10,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from backend.config import RobustConfig
+from backend.geometry import Array
 
 # With fewer residual degrees of freedom than this, the residuals say nothing.
 _ENOUGH = 12
+# Distances from which quartiles tell the shape of their law.
+_ENOUGH_FOR_SHAPE = 30
 # The law has settled when its mean grows by less than this share.
 _SETTLED = 0.02
 
@@ -28,7 +33,7 @@ def degrees_of_freedom(dimension: int) -> int:
 @dataclass(frozen=True)
 class Noise:
     """Squared distances of right edges, in stated standard deviations, are ``scale`` times chi-square of ``freedom``
-    degrees (Satterthwaite's fit of mean and variance): scale 1 and the ``full`` freedom where the edges state the
+    degrees: scale 1 and the ``full`` freedom where the edges state the
     truth; a few degrees where only some directions, a heading say, are noisier than stated.
     """
 
@@ -50,12 +55,33 @@ class Noise:
         """The squared distance that a right edge exceeds with this probability."""
         return self.scale * float(chi2.isf(exceeding, self.freedom))
 
-    def grown(self, mean: float, variance: float, freedom: int, config: RobustConfig) -> Noise:
-        """After a look at what is believed now: mean and variance of squared distances that have ``freedom`` degrees
-        together. The same where it has settled.
+    def fitted(self, squared: Array, config: RobustConfig) -> Noise:
+        """After a look at the squared distances ``(k,)`` of what is believed now; the same where it has settled.
+
+        By median and upper quartile, which a quarter of wrong ones among them does not move far.
         """
-        mean = min(mean, self.full * config.max_noise**2)
-        if config.noise == "stated" or freedom < _ENOUGH or mean <= self.scale * self.freedom * (1.0 + _SETTLED):
+        if not len(squared):
             return self
-        degrees = min(max(2.0 * mean**2 / max(variance, 1e-12), 1.0), float(self.full))
-        return Noise(self.full, mean / degrees, degrees)
+        middle, upper = np.quantile(squared, [0.5, 0.75])
+        freedom = float(self.full)
+        if len(squared) >= _ENOUGH_FOR_SHAPE and upper > middle * _spread(freedom):
+            wanted = min(upper / max(middle, 1e-12), _spread(1.0))
+            freedom = float(brentq(lambda h: _spread(h) - wanted, 1.0, freedom)) if wanted < _spread(1.0) else 1.0
+        scale = float(middle / chi2.ppf(0.5, freedom))
+        return self._wider(scale, freedom, self.full * len(squared), config)
+
+    def grown(self, mean: float, freedom: int, config: RobustConfig) -> Noise:
+        """The same law, as wide as a ``mean`` of squared distances that have ``freedom`` degrees together says."""
+        return self._wider(mean / self.freedom, self.freedom, freedom, config)
+
+    def _wider(self, scale: float, freedom: float, evidence: int, config: RobustConfig) -> Noise:
+        scale = min(scale, self.full * config.max_noise**2 / freedom)
+        settled = scale * freedom <= self.scale * self.freedom * (1.0 + _SETTLED)
+        if config.noise == "stated" or evidence < _ENOUGH or settled:
+            return self
+        return Noise(self.full, scale, freedom)
+
+
+def _spread(freedom: float) -> float:
+    """Upper quartile of chi-square over its median: 1.5 for six degrees, 2.9 for one."""
+    return float(chi2.ppf(0.75, freedom) / chi2.ppf(0.5, freedom))

@@ -259,6 +259,25 @@ def test_noise_above_the_stated_in_one_direction_costs_no_right_edges():
     assert (stated & right & between).sum() < 0.8 * (right & between).sum()
 
 
+def test_wrong_edges_over_long_odometry_do_not_feed_the_noise():
+    # Over hundreds of dead-reckoned steps much agrees with much; the law must not be learnt from that.
+    rng = np.random.default_rng(12)
+    sigma, information = np.array([0.1] * 3 + [0.01] * 3), np.diag([100.0] * 3 + [1e4] * 3)
+    n = 600
+    truth = {NodeId(r, k): se3(so3_exp([0, 0, 0.02 * k]), [50 * np.sin(0.02 * k), 50 * np.cos(0.02 * k), r])
+             for r in range(2) for k in range(n)}  # fmt: skip
+    steps = [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(n - 1)]
+    edges = [measured(truth, *pair, EdgeKind.ODOMETRY, sigma, information, rng) for pair in steps]
+    for k in rng.integers(0, n, 80):
+        edges.append(measured(truth, NodeId(0, k), NodeId(1, k), EdgeKind.SEPARATOR, sigma, information, rng))
+    right = len(edges)
+    for i, j in rng.integers(0, n, (60, 2)):
+        T = se3(so3_exp(rng.uniform(-1.5, 1.5, 3)), rng.uniform(-50, 50, 3))
+        edges.append(Edge(NodeId(0, i), NodeId(1, j), T, information, EdgeKind.SEPARATOR))
+    found = consistent_edges(PoseGraph(truth, tuple(edges)), RobustConfig())
+    assert found.noise.factor < 1.2 and found.accepted[:right].all() and found.accepted[right:].sum() <= 3
+
+
 def planar(e):
     """Argos robots drive on a floor: what is right has no height and no tilt, up to its noise (0.1 m, 0.6 degrees)."""
     return abs(e.T_i_j[2, 3]) < 0.6 and np.degrees(np.abs(so3_log(e.T_i_j[:3, :3])[:2])).max() < 4.0
