@@ -1,8 +1,8 @@
 """Graduated non-convexity with truncated least squares around the central solver (Yang et al., RA-L 2020).
 
 Odometry is known to be right. The other edges begin with full weight in a problem that is convex, and are turned down
-step by step as it becomes truncated least squares. Then every edge is looked at again, also those that never took part:
-what agrees with the solution comes back.
+step by step as it becomes truncated least squares. Then every edge is tested against what all others predict, also
+those that never took part: what agrees comes back, what does not goes.
 """
 
 from __future__ import annotations
@@ -59,19 +59,30 @@ def graduate(
             break
         mu = next_mu(mu)
     seen: set[bytes] = set()
-    for _ in range(_ROUNDS):
+    rows = np.flatnonzero(~known)
+    for _ in range(_ROUNDS if len(rows) else 0):
         search.learn_noise(weights)
-        before = weights
-        weights = np.where(known | (search.squared <= search.threshold), 1.0, 0.0)
-        weights[before < 0.5] = 0.0
-        out = np.flatnonzero(weights < 0.5)
-        back = out[predicted_distances(search.graph.with_weights(weights), out, central) <= search.threshold]
-        weights[back] = 1.0
-        if np.array_equal(before, weights) or weights.tobytes() in seen:
+        # The worst of many right edges is far out: to go, an edge must be too far even for that.
+        worst = search.noise.limit((1.0 - config.confidence) / len(rows))
+        distances = predicted_distances(search.graph, rows, central)
+        weights = _judged(weights, rows, distances, search.threshold, worst)
+        if np.array_equal(weights, search.weights) or weights.tobytes() in seen:
             break
         seen.add(weights.tobytes())
         search.solve(weights)
-    return Graduated(search.graph, weights, search.squared, search.noise, search.iterations)
+    return Graduated(search.graph, search.weights, search.squared, search.noise, search.iterations)
+
+
+def _judged(weights: Array, rows: NDArray[np.intp], distances: Array, back: float, away: float) -> Array:
+    """Weights after a look at the edges ``rows``: those within ``back`` come back; of those beyond ``away`` the worst
+    go, as the others may only suffer from these.
+    """
+    out = (weights > 0.5).astype(np.float64)
+    believed = weights[rows] > 0.5
+    out[rows[~believed & (distances <= back)]] = 1.0
+    worst = float(distances[believed].max(initial=0.0))
+    out[rows[believed & (distances > max(away, 0.5 * worst))]] = 0.0
+    return out
 
 
 class _Search:
@@ -81,6 +92,7 @@ class _Search:
         self.graph, self.noise, self.iterations = graph, noise, 0
         self._central, self._config = central.model_copy(update={"start": "given", "loss": "none"}), config
         self.squared = squared_residuals(graph, central)
+        self.weights = np.ones(len(graph.edges))
 
     @property
     def threshold(self) -> float:
@@ -92,6 +104,7 @@ class _Search:
         less they weigh.
         """
         self.iterations += 1
+        self.weights = weights.copy()
         graph = self.graph.with_weights(weights)
         chordal = two_stage(graph, self._central.cost == "U")
         if cost(chordal, self._central.cost) < cost(graph, self._central.cost):

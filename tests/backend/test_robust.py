@@ -13,7 +13,7 @@ from graphs import loops, measured
 
 from backend.central import optimise
 from backend.config import CentralConfig, RobustConfig
-from backend.costs import cost
+from backend.costs import cost, edge_cost
 from backend.g2o import read_g2o
 from backend.geometry import rotation_angle_deg, se3, se3_exp, se3_inverse, se3_log, so3_exp, so3_log
 from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
@@ -131,6 +131,44 @@ def test_a_right_edge_is_as_far_from_the_prediction_as_chi_square_says():
     apart = graph.with_weights([0.0 if e.is_separator else 1.0 for e in graph.edges])
     rows = np.array([k for k, e in enumerate(graph.edges) if e.is_separator])
     assert np.isinf(predicted_distances(apart, rows, CentralConfig())).all()
+
+
+def test_leaving_an_edge_out_needs_no_new_solution():
+    graph, _ = loops(np.random.default_rng(13), robots=2, length=25, separators=5, sigma_t=0.02, sigma_deg=0.1)
+    rows = np.array([k for k, e in enumerate(graph.edges) if e.is_separator])
+    solution = optimise(graph, CentralConfig()).graph
+    at_once = predicted_distances(solution, rows, CentralConfig())
+    for row, found in zip(rows, at_once, strict=True):
+        weights = np.ones(len(graph.edges))
+        weights[row] = 0.0
+        without = optimise(graph.with_weights(weights), CentralConfig()).graph
+        assert found == pytest.approx(predicted_distances(without, np.array([row]), CentralConfig())[0], rel=0.1)
+        # And it is what the edge adds to the cost.
+        added = cost(solution, "F") - cost(without, "F")
+        assert found == pytest.approx(added, rel=0.1)
+    # The only edge between two robots cannot be tested: no distance, whatever it says.
+    one = replace(graph, edges=tuple(e for k, e in enumerate(graph.edges) if k not in rows[1:]))
+    only = predicted_distances(optimise(one, CentralConfig()).graph, rows[:1], CentralConfig())
+    assert only[0] < 1e-3
+
+
+def test_odometry_that_is_bent_to_a_wrong_edge_gives_it_away():
+    # Two robots are tied to each other by right edges at the beginning; a wrong one ties their loose ends.
+    rng = np.random.default_rng(14)
+    sigma, information = np.array([0.05] * 3 + [0.01] * 3), np.diag([0.05**-2.0] * 3 + [0.01**-2.0] * 3)
+    truth = {NodeId(r, k): se3(so3_exp([0, 0, 0.05 * k]), [k, 2.0 * r, 0]) for r in range(2) for k in range(40)}
+    steps = [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(39)]
+    edges = [measured(truth, *pair, EdgeKind.ODOMETRY, sigma, information, rng) for pair in steps]
+    for k in range(0, 20, 2):
+        edges.append(measured(truth, NodeId(0, k), NodeId(1, k), EdgeKind.SEPARATOR, sigma, information, rng))
+    wrong = measured(truth, NodeId(0, 39), NodeId(1, 39), EdgeKind.SEPARATOR, sigma, information, rng)
+    wrong = replace(wrong, T_i_j=wrong.T_i_j @ se3_exp([4.0, 8.0, 0.0, 0.0, 0.0, 0.7]))
+    graph = PoseGraph(truth, (*edges, wrong))
+    bent = optimise(graph, CentralConfig()).graph
+    assert edge_cost(bent, "F")[-1] < 22.4  # the quantile of 99.9 %: by its residual alone it would pass
+    for method in ("gnc", "pcm+gnc"):
+        result = optimise_robustly(graph, method)
+        assert [r.index for r in result.rejected] == [len(edges)]
 
 
 @pytest.mark.parametrize("noise", [1.0, 4.0])
