@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from backend.config import SolverConfig
-from backend.distributed.elected import ElectedNode
-from backend.distributed.elected_messages import ElectedMessage
+from backend.distributed.elected_exchange import solve_elected
 from backend.distributed.messages import Message, Stage, Values, decode, encode
 from backend.distributed.node import Node
 from backend.distributed.share import Outcome, Share, shares
@@ -39,7 +38,8 @@ class GroupResult:
 def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[int, Outcome], Traffic]:
     """Run one node a share until all have ended; first sent, first delivered, so the same every time."""
     if config.method == "elected":
-        return _solve_elected(group, config)
+        outcomes, counts = solve_elected(group, config)
+        return outcomes, Traffic(*counts)
     nodes = {robot: Node(group[robot], config) for robot in sorted(group)}
     queue: deque[bytes] = deque()
     count = payload = wire = 0
@@ -64,22 +64,6 @@ def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[
         raise BackendError(
             f"robots {stuck} wait for messages that nobody will send: the members' shares do not fit together"
         )
-    return outcomes, Traffic(count, payload, wire)
-
-
-def _solve_elected(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[int, Outcome], Traffic]:
-    """The same with an elected robot; all that it gathers and sends back is payload."""
-    nodes = {robot: ElectedNode(group[robot], config) for robot in sorted(group)}
-    queue = deque(m.encode() for node in nodes.values() for m in node.start())
-    count = payload = wire = 0
-    while queue:
-        data = queue.popleft()
-        message = ElectedMessage.decode(data)
-        count, payload, wire = count + 1, payload + message.payload_bytes, wire + len(data)
-        queue.extend(m.encode() for m in nodes[message.receiver].handle(message))
-    outcomes = {robot: node.outcome for robot, node in nodes.items() if node.outcome is not None}
-    if len(outcomes) != len(nodes):
-        raise BackendError(f"robots {sorted(set(nodes) - set(outcomes))} wait for messages that nobody will send")
     return outcomes, Traffic(count, payload, wire)
 
 
