@@ -116,7 +116,7 @@ class RobustConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     confidence: float = Field(
-        0.99, gt=0, lt=1, description="share of right edges (PCM: of right pairs) that pass, by the chi-square law"
+        0.999, gt=0, lt=1, description="share of right edges that pass the chi-square tests, if the noise is Gaussian"
     )
     noise: Literal["estimated", "stated"] = Field(
         "estimated",

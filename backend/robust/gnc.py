@@ -1,8 +1,8 @@
 """Graduated non-convexity with truncated least squares around the central solver (Yang et al., RA-L 2020).
 
 Odometry is known to be right. The other edges begin with full weight in a problem that is convex, and are turned down
-step by step as it becomes truncated least squares. Then every edge is looked at again, also those that never took part:
-what agrees with the solution comes back.
+step by step as it becomes truncated least squares. Then every edge is tested against what all others predict, also
+those that never took part: what agrees comes back, what does not goes.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from backend.geometry import Array
 from backend.graph import EdgeKind, PoseGraph
 from backend.levenberg_marquardt import levenberg_marquardt
 from backend.newton import anchors
-from backend.robust.noise import SETTLED, degrees_of_freedom, grown
+from backend.robust.noise import Noise
 from backend.robust.prediction import predicted_distances
-from backend.robust.schedule import first_mu, next_mu, tls_weight, truncation
+from backend.robust.schedule import first_mu, next_mu, tls_weight
 
 _ROUNDS = 50
 
@@ -29,25 +29,24 @@ _ROUNDS = 50
 @dataclass(frozen=True, eq=False)
 class Graduated:
     """``graph``: the solution, its edges with their weights. ``squared_residuals`` ``(m,)`` of the edges, in stated
-    standard deviations; ``threshold_squared`` of the same kind; ``noise``: factor on standard deviations.
+    standard deviations; ``noise``: the law of right ones.
     """
 
     graph: PoseGraph
     weights: Array
     squared_residuals: Array
-    threshold_squared: float
-    noise: float
+    noise: Noise
     iterations: int
 
 
 def graduate(
-    graph: PoseGraph, candidates: NDArray[np.bool_], noise: float, central: CentralConfig, config: RobustConfig
+    graph: PoseGraph, candidates: NDArray[np.bool_], noise: Noise, central: CentralConfig, config: RobustConfig
 ) -> Graduated:
     """Select among the edges that ``candidates`` ``(m,)`` names, then let the others come back.
 
-    ``graph``: with the poses to start from. ``noise``: the factor known so far, at least 1.
+    ``graph``: with the poses to start from. ``noise``: what is known of it so far.
     """
-    search = _Search(graph, noise**2, central, config)
+    search = _Search(graph, noise, central, config)
     known = np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges], dtype=bool)
     weights = np.where(known | candidates, 1.0, 0.0)
     search.solve(weights)
@@ -60,42 +59,52 @@ def graduate(
             break
         mu = next_mu(mu)
     seen: set[bytes] = set()
-    for _ in range(_ROUNDS):
+    rows = np.flatnonzero(~known)
+    for _ in range(_ROUNDS if len(rows) else 0):
         search.learn_noise(weights)
-        before = weights
-        weights = np.where(known | (search.squared <= search.threshold), 1.0, 0.0)
-        weights[before < 0.5] = 0.0
-        out = np.flatnonzero(weights < 0.5)
-        back = out[predicted_distances(search.graph.with_weights(weights), out, central) <= search.threshold]
-        weights[back] = 1.0
-        if np.array_equal(before, weights) or weights.tobytes() in seen:
+        # The worst of many right edges is far out: to go, an edge must be too far even for that.
+        worst = search.noise.limit((1.0 - config.confidence) / len(rows))
+        distances = predicted_distances(search.graph, rows, central)
+        weights = _judged(weights, rows, distances, search.threshold, worst)
+        if np.array_equal(weights, search.weights) or weights.tobytes() in seen:
             break
         seen.add(weights.tobytes())
         search.solve(weights)
-    return Graduated(
-        search.graph, weights, search.squared, search.threshold, search.squared_noise**0.5, search.iterations
-    )
+    return Graduated(search.graph, search.weights, search.squared, search.noise, search.iterations)
+
+
+def _judged(weights: Array, rows: NDArray[np.intp], distances: Array, back: float, away: float) -> Array:
+    """Weights after a look at the edges ``rows``: those within ``back`` come back; of those beyond ``away`` the worst
+    go, as the others may only suffer from these.
+    """
+    out = (weights > 0.5).astype(np.float64)
+    believed = weights[rows] > 0.5
+    out[rows[~believed & (distances <= back)]] = 1.0
+    worst = float(distances[believed].max(initial=0.0))
+    out[rows[believed & (distances > max(away, 0.5 * worst))]] = 0.0
+    return out
 
 
 class _Search:
     """The current solution, its residuals, and the noise they speak of."""
 
-    def __init__(self, graph: PoseGraph, squared_noise: float, central: CentralConfig, config: RobustConfig) -> None:
-        self.graph, self.squared_noise, self.iterations = graph, squared_noise, 0
+    def __init__(self, graph: PoseGraph, noise: Noise, central: CentralConfig, config: RobustConfig) -> None:
+        self.graph, self.noise, self.iterations = graph, noise, 0
         self._central, self._config = central.model_copy(update={"start": "given", "loss": "none"}), config
-        self._dof = degrees_of_freedom(graph.dimension)
         self.squared = squared_residuals(graph, central)
+        self.weights = np.ones(len(graph.edges))
 
     @property
     def threshold(self) -> float:
         """Squared residual, in stated standard deviations, up to which an edge is believed."""
-        return self.squared_noise * truncation(self._config.confidence, self._dof)
+        return self.noise.limit(1.0 - self._config.confidence)
 
     def solve(self, weights: Array) -> None:
         """Optimise with these weights, from where it is or the chordal solution, which wrong edges mislead less the
         less they weigh.
         """
         self.iterations += 1
+        self.weights = weights.copy()
         graph = self.graph.with_weights(weights)
         chordal = two_stage(graph, self._central.cost == "U")
         if cost(chordal, self._central.cost) < cost(graph, self._central.cost):
@@ -110,10 +119,11 @@ class _Search:
         """From what the believed edges' residuals sum to, beside the freedom they have."""
         a = self.graph.arrays()
         free = len(a.poses) - len(anchors(a))
-        freedom = self._dof * (int((weights > 0.5).sum()) + len(self.graph.priors) - free)
-        after = grown(self.squared_noise, float(weights @ self.squared), freedom, self._config)
-        if after > self.squared_noise * (1.0 + SETTLED):
-            self.squared_noise = after
+        freedom = self.noise.full * (int((weights > 0.5).sum()) + len(self.graph.priors) - free)
+        if freedom > 0:
+            # The residuals of a fit tell the size; the shape stays what the cycles told.
+            mean = self.noise.full * float(weights @ self.squared) / freedom
+            self.noise = self.noise.grown(mean, freedom, self._config)
 
 
 def squared_residuals(graph: PoseGraph, central: CentralConfig) -> Array:

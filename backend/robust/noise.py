@@ -1,19 +1,28 @@
-"""How much larger the noise is than the edges state: one factor for a whole graph.
+"""How much larger the noise is than the edges state, and in how many directions.
 
 Public graphs, and simple front ends, state far too small uncertainties; a chi-square threshold then throws away most
-of what is right. The factor is found with the selection itself: from what is believed so far comes a larger factor,
-which lets more be believed, until both agree. Gaussian residuals stop that growth at their true factor; it never
-shrinks below 1, and wrong edges are too few among the near ones to feed it.
+of what is right. The law of right edges' squared distances is found with the selection itself: from what is believed
+so far comes a wider law, which lets more be believed, until both agree. Gaussian residuals stop that growth at their
+true law; it never becomes narrower than the stated one, and wrong edges are too few among the near ones to feed it.
 """
 
 from __future__ import annotations
 
-from backend.config import RobustConfig
+from dataclasses import dataclass
 
-# The factor has settled when its square grows by less than this share.
-SETTLED = 0.02
-# With fewer residual degrees of freedom than this, the factor says nothing.
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2
+
+from backend.config import RobustConfig
+from backend.geometry import Array
+
+# With fewer residual degrees of freedom than this, the residuals say nothing.
 _ENOUGH = 12
+# Distances from which quartiles tell the shape of their law.
+_ENOUGH_FOR_SHAPE = 30
+# The law has settled when its mean grows by less than this share.
+_SETTLED = 0.02
 
 
 def degrees_of_freedom(dimension: int) -> int:
@@ -21,10 +30,58 @@ def degrees_of_freedom(dimension: int) -> int:
     return 6 if dimension == 3 else 3
 
 
-def grown(squared_noise: float, total: float, freedom: int, config: RobustConfig) -> float:
-    """The squared factor after a look at what is believed now: ``total`` of squared distances in stated standard
-    deviations, which are expected to have ``freedom`` degrees.
+@dataclass(frozen=True)
+class Noise:
+    """Squared distances of right edges, in stated standard deviations, are ``scale`` times chi-square of ``freedom``
+    degrees: scale 1 and the ``full`` freedom where the edges state the
+    truth; a few degrees where only some directions, a heading say, are noisier than stated.
     """
-    if config.noise == "stated" or freedom < _ENOUGH:
-        return squared_noise
-    return min(max(squared_noise, total / freedom), config.max_noise**2)
+
+    full: int
+    scale: float
+    freedom: float
+
+    @classmethod
+    def stated(cls, dimension: int) -> Noise:
+        full = degrees_of_freedom(dimension)
+        return cls(full, 1.0, float(full))
+
+    @property
+    def factor(self) -> float:
+        """By how much standard deviations exceed the stated ones, in the mean over directions."""
+        return (self.scale * self.freedom / self.full) ** 0.5
+
+    def limit(self, exceeding: float) -> float:
+        """The squared distance that a right edge exceeds with this probability."""
+        return self.scale * float(chi2.isf(exceeding, self.freedom))
+
+    def fitted(self, squared: Array, config: RobustConfig) -> Noise:
+        """After a look at the squared distances ``(k,)`` of what is believed now; the same where it has settled.
+
+        By median and upper quartile, which a quarter of wrong ones among them does not move far.
+        """
+        if not len(squared):
+            return self
+        middle, upper = np.quantile(squared, [0.5, 0.75])
+        freedom = float(self.full)
+        if len(squared) >= _ENOUGH_FOR_SHAPE and upper > middle * _spread(freedom):
+            wanted = min(upper / max(middle, 1e-12), _spread(1.0))
+            freedom = float(brentq(lambda h: _spread(h) - wanted, 1.0, freedom)) if wanted < _spread(1.0) else 1.0
+        scale = float(middle / chi2.ppf(0.5, freedom))
+        return self._wider(scale, freedom, self.full * len(squared), config)
+
+    def grown(self, mean: float, freedom: int, config: RobustConfig) -> Noise:
+        """The same law, as wide as a ``mean`` of squared distances that have ``freedom`` degrees together says."""
+        return self._wider(mean / self.freedom, self.freedom, freedom, config)
+
+    def _wider(self, scale: float, freedom: float, evidence: int, config: RobustConfig) -> Noise:
+        scale = min(scale, self.full * config.max_noise**2 / freedom)
+        settled = scale * freedom <= self.scale * self.freedom * (1.0 + _SETTLED)
+        if config.noise == "stated" or evidence < _ENOUGH or settled:
+            return self
+        return Noise(self.full, scale, freedom)
+
+
+def _spread(freedom: float) -> float:
+    """Upper quartile of chi-square over its median: 1.5 for six degrees, 2.9 for one."""
+    return float(chi2.ppf(0.75, freedom) / chi2.ppf(0.5, freedom))

@@ -12,16 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from backend.config import RobustConfig
 from backend.geometry import Array, se3_inverse, se3_log
 from backend.graph import Edge, EdgeKind, PoseGraph
 from backend.robust.chains import Chain, adjoint, chains, covariances
 from backend.robust.clique import Clique, largest_clique
-from backend.robust.noise import SETTLED, degrees_of_freedom, grown
+from backend.robust.noise import Noise
 
 _ROUNDS = 50
+# Bound of the search for consistent sets while the noise is being found.
+_ROUGH_WORK = 100_000
+# By how many others an edge is judged meanwhile.
+_WITNESSES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,61 +33,71 @@ class Consistency:
 
     ``accepted`` ``(m,)``: odometry, and the edges of the largest consistent sets; ``agreeing`` ``(m,)``: with how many
     others of its kind an edge agrees; ``tested`` ``(m,)``: how many others there were. An edge with none is accepted:
-    nothing speaks for it or against. ``noise``: factor by which standard deviations exceed the stated ones.
+    nothing speaks for it or against. ``noise``: the law of right edges' squared distances.
     ``exact``: every set is known to be the largest.
     """
 
     accepted: NDArray[np.bool_]
     agreeing: NDArray[np.intp]
     tested: NDArray[np.intp]
-    noise: float
+    noise: Noise
     exact: bool
 
 
 def consistent_edges(graph: PoseGraph, config: RobustConfig) -> Consistency:
     """Find the consistent loops and separators of ``graph``; odometry is believed."""
     groups = _groups(graph)
-    dof = degrees_of_freedom(graph.dimension)
     # An edge must agree with all others of its set, so each pair has only a share of the edge's allowance to fail.
-    share = [(1.0 - config.confidence) / max(len(rows) - 1, 1) for rows in groups]
-    limits = [float(chi2.isf(p, dof)) for p in share]
-    highest = config.max_noise**2 if config.noise == "estimated" else 1.0
-    distances = [_squared_distances(*g, highest * c) for g, c in zip(groups.values(), limits, strict=True)]
-    squared_noise, cliques = 1.0, []
+    shares = [(1.0 - config.confidence) / max(len(rows) - 1, 1) for rows in groups]
+    noise = Noise.stated(graph.dimension)
+    widest = _widest(noise, config)
+    compared = [_compare(*g, widest.limit(p)) for g, p in zip(groups.values(), shares, strict=True)]
+    distances = [d for d, _ in compared]
     for _ in range(_ROUNDS):
-        cliques = [
-            largest_clique(d <= squared_noise * c, config.clique_work) for d, c in zip(distances, limits, strict=True)
-        ]
-        samples = [_near(d, c, squared_noise * limit) for d, c, limit in zip(distances, cliques, limits, strict=True)]
-        total, count = sum(float(d.sum()) for d in samples), sum(len(d) for d in samples)
-        before, squared_noise = squared_noise, grown(squared_noise, total, dof * count, config)
-        if squared_noise <= before * (1.0 + SETTLED):
-            squared_noise = before
+        samples = [np.zeros(0)]
+        for (d, spread), p in zip(compared, shares, strict=True):
+            limit = noise.limit(p)
+            samples.append(_near(d, spread, largest_clique(d <= limit, _ROUGH_WORK), limit))
+        before, noise = noise, noise.fitted(np.concatenate(samples), config)
+        if noise == before:
             break
+    limits = [noise.limit(p) for p in shares]
+    cliques = [largest_clique(d <= c, config.clique_work) for d, c in zip(distances, limits, strict=True)]
     m = len(graph.edges)
     accepted = np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges], dtype=bool)
     agreeing, tested = np.zeros(m, dtype=np.intp), np.zeros(m, dtype=np.intp)
     for rows, distance, clique, limit in zip(groups, distances, cliques, limits, strict=True):
         at = np.array(rows, dtype=np.intp)
-        agreeing[at] = (distance <= squared_noise * limit).sum(axis=1) - 1
+        agreeing[at] = (distance <= limit).sum(axis=1) - 1
         tested[at] = len(at) - 1
         # Two edges or more of which no two agree: neither is better than the other.
         if len(clique.members) > 1 or len(at) == 1:
             accepted[at[list(clique.members)]] = True
-    return Consistency(accepted, agreeing, tested, squared_noise**0.5, all(c.exact for c in cliques))
+    return Consistency(accepted, agreeing, tested, noise, all(c.exact for c in cliques))
 
 
-def _near(distance: Array, clique: Clique, limit: float) -> Array:
-    """Distances of all pairs of edges of which each is, in the median, near the consistent set's members.
+def _widest(stated: Noise, config: RobustConfig) -> Noise:
+    """The widest law that may come out: distances beyond its limits need not be known."""
+    return stated if config.noise == "stated" else Noise(stated.full, stated.full * config.max_noise**2, 1.0)
 
-    Not of the set alone: it is chosen for its small distances.
+
+def _near(distance: Array, spread: Array, clique: Clique, limit: float) -> Array:
+    """Distances between edges that are right by all appearance: each is, in the median, near those members of the
+    consistent set that have most to say about it; of each, the distances to such edges among these.
+
+    Not of the set alone: it is chosen for its small distances. And not of all pairs: over long odometry everything
+    agrees, also what is wrong.
     """
-    members = list(clique.members)
+    members = np.array(clique.members, dtype=np.intp)
     if len(members) < 2:
         return np.zeros(0)
-    near = np.median(distance[:, members], axis=1) <= limit
-    inside = distance[np.ix_(near, near)]
-    pairs = inside[np.triu_indices(len(inside), 1)]
+    others = spread[:, members].copy()
+    others[members, np.arange(len(members))] = np.inf
+    count = min(_WITNESSES, len(members) - 1)
+    witnesses = members[np.argsort(others, axis=1, kind="stable")[:, :count]]
+    all_rows = np.arange(len(distance))[:, None]
+    near = np.median(distance[all_rows, witnesses], axis=1) <= limit
+    pairs = distance[all_rows, witnesses][near[:, None] & near[witnesses]]
     return np.asarray(pairs[np.isfinite(pairs)])
 
 
@@ -114,9 +127,9 @@ def _turned(e: Edge) -> Edge:
     return Edge(e.j, e.i, se3_inverse(e.T_i_j), 0.5 * (information + information.T), e.kind)
 
 
-def _squared_distances(edges: list[Edge], first: Chain, second: Chain, highest: float) -> Array:
-    """Squared Mahalanobis distances ``(n, n)`` from consistency of all pairs; where they surely exceed ``highest``,
-    infinite.
+def _compare(edges: list[Edge], first: Chain, second: Chain, highest: float) -> tuple[Array, Array]:
+    """Squared Mahalanobis distances ``(n, n)`` from consistency of all pairs, infinite where they surely exceed
+    ``highest``; and how much a pair's cycle may turn by noise, rad^2 ``(n, n)``.
 
     Everything is in the first chain's frame: ``Z_k`` is where edge k puts the second chain's frame, and the cycle of k
     and l closes where ``Z_k = Z_l``.
@@ -130,7 +143,7 @@ def _squared_distances(edges: list[Edge], first: Chain, second: Chain, highest: 
     own = A @ covariances(edges) @ np.swapaxes(A, 1, 2)
     # Traces of the turns' part do not depend on the frame: a cheap bound from below that spares most wrong pairs.
     turn = [np.trace(c[:, 3:, 3:], axis1=1, axis2=2) for c in (own, first.covariance[i], second.covariance[j])]
-    out = np.zeros((n, n))
+    out, turns = np.zeros((n, n)), np.zeros((n, n))
     for k in range(n - 1):
         rest = np.arange(k + 1, n)
         error = se3_log(Z[k] @ se3_inverse(Z[rest]))
@@ -144,7 +157,8 @@ def _squared_distances(edges: list[Edge], first: Chain, second: Chain, highest: 
             solved = np.linalg.solve(S, error[near][:, :, None])[:, :, 0]
             out[k, close] = (error[near] * solved).sum(axis=1)
         out[rest, k] = out[k, rest]
-    return out
+        turns[k, rest] = turns[rest, k] = spread
+    return out, turns
 
 
 def _between(covariance: Array, a: int, b: NDArray[np.intp]) -> Array:

@@ -1,4 +1,6 @@
-"""What a solution says about edges that took no part in it: the test by which rejected edges come back."""
+"""What a solution says about an edge, the edge itself left out: the test by which edges go, and rejected ones come
+back.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,19 @@ from backend.robust.chains import adjoint
 
 # Edges looked at together, which bounds the memory.
 _BATCH = 200
+# Share of its variance that the residual of an edge keeps which nothing else tests: then 0 over next to nothing.
+_WITHOUT_TEST = 1e-6
 
 
 def predicted_distances(graph: PoseGraph, rows: NDArray[np.intp], central: CentralConfig) -> Array:
-    """Squared Mahalanobis distances ``(k,)`` of the edges ``rows``, under their own noise and that of the solution.
+    """Squared Mahalanobis distances ``(k,)`` of the edges ``rows`` from what all others predict, under their own noise
+    and that of the prediction: chi-square for right edges.
 
-    ``graph``: a solution, with the weights it was made with; the edges asked about have weight 0. A residual alone
-    would hold against an edge what may be the drift of the solution where nothing else holds it. Infinite for edges
-    between parts that nothing joins: there is nothing to test them by.
+    ``graph``: a solution, with the weights it was made with. A residual alone misleads both ways: against an edge of
+    weight 0 it may hold the drift of the solution where nothing else holds it; for an edge that took part it may be
+    small because odometry was bent to it. For the latter the same comes out without solving again, from the residual
+    and its own variance, which is the edge's less the solution's (Baarda, 1968). Infinite for edges of weight 0
+    between parts that nothing joins, as there is nothing to test them by; 0, or near it, for the only edge that joins.
     """
     out = np.full(len(rows), np.inf)
     a = graph.arrays()
@@ -47,6 +54,7 @@ def predicted_distances(graph: PoseGraph, rows: NDArray[np.intp], central: Centr
         J_i = -adjoint(se3_inverse(between)) @ _into_body(R[i[k]])
         S = _spread(system, len(a.poses), i[k], j[k], J_i, _into_body(R[j[k]]))
         own = np.repeat(np.stack([1.0 / own_tau[k], 0.5 / own_kappa[k]], axis=1), 3, axis=1)
+        S[a.weight[k] > 0] *= -1.0 + _WITHOUT_TEST
         S[:, range(6), range(6)] += own
         out[some] = (error * np.linalg.solve(S, error[:, :, None])[:, :, 0]).sum(axis=1)
     return out

@@ -16,10 +16,8 @@ from backend.costs import cost
 from backend.geometry import Array
 from backend.graph import EdgeKind, NodeId, PoseGraph
 from backend.robust.gnc import graduate, squared_residuals
-from backend.robust.noise import degrees_of_freedom
 from backend.robust.pcm import Consistency, consistent_edges
 from backend.robust.prediction import predicted_distances
-from backend.robust.schedule import truncation
 
 Method = Literal["pcm", "gnc", "pcm+gnc"]
 
@@ -81,12 +79,12 @@ def optimise_robustly(
     if central.start == "chordal":
         other = optimise(believed, central)
         result = other if other.cost_after < result.cost_after else result
-    residuals = np.sqrt(squared_residuals(result.graph, central)) / noise
+    residuals = np.sqrt(squared_residuals(result.graph, central)) / noise.factor
     return RobustResult(
         graph=result.graph,
         weights=weights,
         rejected=_rejected(result.graph, weights, residuals, found, method),
-        noise=noise,
+        noise=noise.factor,
         cost_before=cost(replace(result.graph, poses=graph.poses), central.cost),
         cost_after=result.cost_after,
         iterations=iterations,
@@ -104,7 +102,7 @@ def _contradicted(
     if len(rows):
         solution = optimise(graph.with_weights(found.accepted & ~lone), central).graph
         distances = predicted_distances(solution, rows, central)
-        limit = found.noise**2 * truncation(config.confidence, degrees_of_freedom(graph.dimension))
+        limit = found.noise.limit(1.0 - config.confidence)
         out[rows] = np.isfinite(distances) & (distances > limit)
     return out
 
