@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -76,6 +78,23 @@ def town(rng, robots=10, length=200, separators=4, sigma_t=0.02, sigma_deg=0.2):
         own = [e for e in edges if e.i.robot == e.j.robot == r and e.kind is EdgeKind.ODOMETRY]
         poses |= spread_poses({NodeId(r, 0): np.eye(4)}, own)
     return PoseGraph(poses, tuple(edges)), truth
+
+
+def with_wrong_edges(graph, rng, count, reach=6.0):
+    """The graph and ``count`` matches more that are wrong: between any two nodes, up to ``reach`` metres off. Returns
+    it with the set of their (i, j).
+    """
+    taken, nodes, wrong = {(e.i, e.j) for e in graph.edges}, graph.nodes, []
+    information = next(e.information for e in graph.edges if e.is_separator)
+    while len(wrong) < count:
+        i, j = sorted(nodes[k] for k in rng.choice(len(nodes), 2, replace=False))
+        if (i, j) in taken or (i.robot == j.robot and j.index - i.index < 5):
+            continue
+        taken.add((i, j))
+        T = se3(so3_exp(rng.normal(size=3)), rng.uniform(-reach, reach, 3))
+        kind = EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP
+        wrong.append(Edge(i, j, T, information, kind))
+    return replace(graph, edges=(*graph.edges, *wrong)), {(e.i, e.j) for e in wrong}
 
 
 def measured(truth, i, j, kind, sigma, information, rng, scale=1.0):
