@@ -6,12 +6,14 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from backend.config import SolverConfig
-from backend.distributed.messages import Deltas, Message, Stage, State, Values, decode, encode
+from backend.distributed.messages import Decision, Deltas, Message, Stage, State, Values, decode, encode
 from backend.distributed.methods import node_for
-from backend.distributed.share import Outcome, Share, shares
+from backend.distributed.share import JudgedEdge, Outcome, Share, shares
 from backend.errors import BackendError
-from backend.graph import PoseGraph
+from backend.graph import EdgeKind, PoseGraph
 
 # Ticks of a group that works without rounds, for each version a robot may make, before it counts as stuck.
 _MOST_TICKS = 20
@@ -20,13 +22,15 @@ _MOST_TICKS = 20
 @dataclass(frozen=True)
 class Traffic:
     """``payload_bytes``: rotations and poses of separators as they were sent: 8 bytes a number in the two-stage sweeps
-    (as published tables count, which leave the exchange of starting poses out), all separators that block descent
-    sends, of which most numbers take one byte. ``wire_bytes``: all of it.
+    (as published tables count, which leave the exchange of starting poses out); all separators that block descent
+    sends, of which most numbers take one byte. ``wire_bytes``: all of it. ``trace``: (payload bytes until then, the
+    group's cost) whenever members learned of it: at the start, at the end, and after each sweep of block descent.
     """
 
     messages: int
     payload_bytes: int
     wire_bytes: int
+    trace: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,45 +41,78 @@ class GroupResult:
     outcomes: Mapping[int, Outcome]
     traffic: Traffic
 
+    @property
+    def judged(self) -> tuple[JudgedEdge | None, ...]:
+        """What robust selection made of each edge, in the order of ``graph.edges``; None: not judged. Both owners say
+        the same.
+        """
+        verdicts = {robot: iter(outcome.judged) for robot, outcome in self.outcomes.items()}
+        out: list[JudgedEdge | None] = []
+        for edge in self.graph.edges:
+            verdict = None
+            if edge.kind is not EdgeKind.ODOMETRY:
+                for robot in {edge.i.robot, edge.j.robot}:
+                    verdict = next(verdicts[robot], None)
+            out.append(verdict)
+        return tuple(out)
+
+
+class _Post:
+    """Messages on their way, as bytes, and the count of them."""
+
+    def __init__(self, method: str) -> None:
+        self.queue: deque[bytes] = deque()
+        self._descends = method.startswith("rbcd")
+        self._messages = self._payload = self._wire = 0
+        self._trace: list[tuple[int, float]] = []
+
+    def send(self, messages: list[Message]) -> None:
+        for message in messages:
+            data = encode(message)
+            self.queue.append(data)
+            self._messages, self._wire = self._messages + 1, self._wire + len(data)
+            stage = message.round.stage
+            if isinstance(message, Values | Deltas | State):
+                if self._descends or stage in (Stage.ROTATION, Stage.POSE):
+                    self._payload += message.payload_bytes
+            elif isinstance(message, Decision) and (
+                stage in (Stage.START, Stage.COST) or (stage is Stage.DESCENT and message.round.step == 0)
+            ):
+                self._note(message.cost)
+
+    def traffic(self) -> Traffic:
+        return Traffic(self._messages, self._payload, self._wire, tuple(self._trace))
+
+    def _note(self, cost: float) -> None:
+        """The group's cost, which every member passes on."""
+        if np.isfinite(cost) and (not self._trace or self._trace[-1][1] != cost):
+            self._trace.append((self._payload, cost))
+
 
 def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[int, Outcome], Traffic]:
     """Run one node a share until all have ended; first sent, first delivered, so the same every time."""
     nodes = {robot: node_for(group[robot], config) for robot in sorted(group)}
-    descends = config.method.startswith("rbcd")
-    queue: deque[bytes] = deque()
-    count = payload = wire = ticks = 0
-
-    def post(messages: list[Message]) -> None:
-        nonlocal count, payload, wire
-        for message in messages:
-            data = encode(message)
-            queue.append(data)
-            count, wire = count + 1, wire + len(data)
-            counted = descends or message.round.stage in (Stage.ROTATION, Stage.POSE)
-            if counted and isinstance(message, Values | Deltas | State):
-                payload += message.payload_bytes
-
+    post, ticks = _Post(config.method), 0
     for node in nodes.values():
-        post(node.start())
+        post.send(node.start())
     while True:
-        while queue:
-            message = decode(queue.popleft())
-            post(nodes[message.receiver].handle(message))
-        if config.method != "rbcd-async" or all(node.outcome is not None for node in nodes.values()):
-            break
+        while post.queue:
+            message = decode(post.queue.popleft())
+            post.send(nodes[message.receiver].handle(message))
         # Without rounds, time makes nodes work: all at once, the hardest case.
-        ticks += 1
-        if ticks > _MOST_TICKS * config.descent_sweeps:
+        waiting = any(node.outcome is None for node in nodes.values())
+        if not waiting or config.method != "rbcd-async" or ticks > _MOST_TICKS * config.descent_sweeps:
             break
+        ticks += 1
         for node in nodes.values():
-            post(node.tick())
+            post.send(node.tick())
     outcomes = {robot: node.outcome for robot, node in nodes.items() if node.outcome is not None}
     if len(outcomes) != len(nodes):
         stuck = sorted(set(nodes) - set(outcomes))
         raise BackendError(
             f"robots {stuck} wait for messages that nobody will send: the members' shares do not fit together"
         )
-    return outcomes, Traffic(count, payload, wire)
+    return outcomes, post.traffic()
 
 
 def optimise_distributed(

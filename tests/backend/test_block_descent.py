@@ -12,6 +12,7 @@ from backend.costs import cost, edge_cost
 from backend.distributed.exchange import optimise_distributed
 from backend.distributed.mixing import Mixer, MixingRule, move, moved
 from backend.geometry import se3_exp
+from backend.graph import EdgeKind
 from backend.robust.schedule import first_mu, next_mu, settled, tls_weight, truncation
 
 DESCENT = SolverConfig(method="rbcd")
@@ -22,6 +23,14 @@ def test_it_goes_on_to_the_optimum_where_two_stages_stop():
     optimum = optimise(graph, CentralConfig()).cost_after
     assert optimise_distributed(graph, SolverConfig()).outcomes[0].cost_after > 1.005 * optimum
     assert optimise_distributed(graph, DESCENT).outcomes[0].cost_after == pytest.approx(optimum, rel=2e-5)
+
+
+def test_every_member_learns_the_cost_of_every_sweep():
+    graph, _ = grid(np.random.default_rng(2))
+    result = optimise_distributed(graph, DESCENT)
+    sent, costs = zip(*result.traffic.trace, strict=True)
+    assert list(sent) == sorted(sent) and sent[-1] <= result.traffic.payload_bytes
+    assert costs[0] == result.outcomes[0].cost_before and costs[-1] == result.outcomes[0].cost_after == min(costs)
 
 
 def test_mixing_saves_sweeps_and_bytes():
@@ -54,6 +63,8 @@ def test_wrong_matches_are_rejected_by_both_owners_alike():
     spoiled, wrong = with_wrong_edges(graph, np.random.default_rng(1), right // 2)
     config = DESCENT.model_copy(update={"robust": "gnc", "gnc_confidence": 0.9999})
     result = optimise_distributed(spoiled, config)
+    assert [v is None for v in result.judged] == [e.kind is EdgeKind.ODOMETRY for e in spoiled.edges]
+    assert {(v.i, v.j) for v in result.judged if v and v.rejected} == wrong
     verdicts = {}
     for outcome in result.outcomes.values():
         for judged in outcome.judged:
