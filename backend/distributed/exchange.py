@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from backend.config import SolverConfig
 from backend.distributed.elected_messages import ElectedMessage
-from backend.distributed.messages import Deltas, Message, Stage, State, Values, decode, encode
+from backend.distributed.messages import Decision, Deltas, Message, Stage, State, Values, decode, encode
 from backend.distributed.methods import node_for
-from backend.distributed.share import Outcome, Share, shares
+from backend.distributed.share import JudgedEdge, Outcome, Share, shares
 from backend.errors import BackendError
-from backend.graph import PoseGraph
+from backend.graph import EdgeKind, PoseGraph
 
 # Ticks of a group that works without rounds, for each version a robot may make, before it counts as stuck.
 _MOST_TICKS = 20
@@ -22,13 +24,16 @@ _MOST_TICKS = 20
 @dataclass(frozen=True)
 class Traffic:
     """``payload_bytes``: rotations and poses of separators as they were sent: 8 bytes a number in the two-stage sweeps
-    (as published tables count, which leave the exchange of starting poses out), all separators that block descent
+    (as published tables count, which leave the exchange of starting poses out); all separators that block descent
     sends, of which most numbers take one byte; all that an elected robot gathers and sends back. ``wire_bytes``: all.
+    ``trace``: (payload bytes until then, the
+    group's cost) whenever members learned of it: at the start, at the end, and after each sweep of block descent.
     """
 
     messages: int
     payload_bytes: int
     wire_bytes: int
+    trace: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,63 +44,89 @@ class GroupResult:
     outcomes: Mapping[int, Outcome]
     traffic: Traffic
 
+    @property
+    def judged(self) -> tuple[JudgedEdge | None, ...]:
+        """What robust selection made of each edge, in the order of ``graph.edges``; None: not judged. Both owners say
+        the same.
+        """
+        verdicts = {robot: iter(outcome.judged) for robot, outcome in self.outcomes.items()}
+        out: list[JudgedEdge | None] = []
+        for edge in self.graph.edges:
+            verdict = None
+            if edge.kind is not EdgeKind.ODOMETRY:
+                for robot in {edge.i.robot, edge.j.robot}:
+                    verdict = next(verdicts[robot], None)
+            out.append(verdict)
+        return tuple(out)
+
+
+class _Post:
+    """Messages on their way, as bytes, and the count of them."""
+
+    def __init__(self, method: str) -> None:
+        self.queue: deque[bytes] = deque()
+        self._elected, self._descends = method == "elected", method.startswith("rbcd")
+        self._messages = self._payload = self._wire = 0
+        self._trace: list[tuple[int, float]] = []
+
+    def send(self, messages: Sequence[Any]) -> None:
+        for message in messages:
+            data = message.encode() if self._elected else encode(message)
+            self.queue.append(data)
+            self._messages, self._wire = self._messages + 1, self._wire + len(data)
+            if self._elected:
+                self._payload += message.payload_bytes
+            else:
+                self._count(message)
+
+    def next(self) -> Any:
+        """The oldest message on its way."""
+        data = self.queue.popleft()
+        return ElectedMessage.decode(data) if self._elected else decode(data)
+
+    def _count(self, message: Message) -> None:
+        stage = message.round.stage
+        if isinstance(message, Values | Deltas | State):
+            if self._descends or stage in (Stage.ROTATION, Stage.POSE):
+                self._payload += message.payload_bytes
+        elif isinstance(message, Decision) and (
+            stage in (Stage.START, Stage.COST) or (stage is Stage.DESCENT and message.round.step == 0)
+        ):
+            self._note(message.cost)
+
+    def traffic(self) -> Traffic:
+        return Traffic(self._messages, self._payload, self._wire, tuple(self._trace))
+
+    def _note(self, cost: float) -> None:
+        """The group's cost, which every member passes on."""
+        if np.isfinite(cost) and (not self._trace or self._trace[-1][1] != cost):
+            self._trace.append((self._payload, cost))
+
 
 def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[int, Outcome], Traffic]:
     """Run one node a share until all have ended; first sent, first delivered, so the same every time."""
     nodes = {robot: node_for(group[robot], config) for robot in sorted(group)}
-    language = _language(config)
-    queue: deque[bytes] = deque()
-    count = payload = wire = ticks = 0
-
-    def post(messages: Sequence[Any]) -> None:
-        nonlocal count, payload, wire
-        for message in messages:
-            data = language.encode(message)
-            queue.append(data)
-            count, payload, wire = count + 1, payload + language.payload(message), wire + len(data)
-
+    post, ticks = _Post(config.method), 0
     for node in nodes.values():
-        post(node.start())
+        post.send(node.start())
     while True:
-        while queue:
-            message = language.decode(queue.popleft())
-            post(nodes[message.receiver].handle(message))
-        if config.method != "rbcd-async" or all(node.outcome is not None for node in nodes.values()):
-            break
+        while post.queue:
+            message = post.next()
+            post.send(nodes[message.receiver].handle(message))
         # Without rounds, time makes nodes work: all at once, the hardest case.
-        ticks += 1
-        if ticks > _MOST_TICKS * config.descent_sweeps:
+        waiting = any(node.outcome is None for node in nodes.values())
+        if not waiting or config.method != "rbcd-async" or ticks > _MOST_TICKS * config.descent_sweeps:
             break
+        ticks += 1
         for node in nodes.values():
-            post(node.tick())
+            post.send(node.tick())
     outcomes = {robot: node.outcome for robot, node in nodes.items() if node.outcome is not None}
     if len(outcomes) != len(nodes):
         stuck = sorted(set(nodes) - set(outcomes))
         raise BackendError(
             f"robots {stuck} wait for messages that nobody will send: the members' shares do not fit together"
         )
-    return outcomes, Traffic(count, payload, wire)
-
-
-@dataclass(frozen=True)
-class _Language:
-    """How the nodes of a method speak, and what of a message counts as payload."""
-
-    encode: Callable[[Any], bytes]
-    decode: Callable[[bytes], Any]
-    payload: Callable[[Any], int]
-
-
-def _language(config: SolverConfig) -> _Language:
-    if config.method == "elected":
-        return _Language(lambda m: m.encode(), ElectedMessage.decode, lambda m: m.payload_bytes)
-    stages = set(Stage) if config.method.startswith("rbcd") else {Stage.ROTATION, Stage.POSE}
-
-    def payload(message: Message) -> int:
-        counted = isinstance(message, Values | Deltas | State) and message.round.stage in stages
-        return message.payload_bytes if counted else 0
-
-    return _Language(encode, decode, payload)
+    return outcomes, post.traffic()
 
 
 def optimise_distributed(

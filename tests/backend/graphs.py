@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from backend.geometry import se3, se3_exp, se3_inverse, so3_exp
 from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
@@ -42,6 +45,56 @@ def loops(rng, robots=4, length=100, separators=8, sigma_t=0.02, sigma_deg=0.1, 
         own = [e for e in edges if e.i.robot == e.j.robot == r]
         poses |= spread_poses({NodeId(r, 0): np.eye(4)}, own)
     return PoseGraph(poses, tuple(edges)), truth
+
+
+def town(rng, robots=10, length=200, separators=4, sigma_t=0.02, sigma_deg=0.2):
+    """Robots on a lattice of blocks, each driving round its own (closed by two loops), metre by metre; crossings with
+    the next blocks give ``separators`` matches each. Returns the graph, poses by odometry in own frames, and the truth.
+    """
+    across = int(np.ceil(np.sqrt(robots)))
+    radius = length / (2 * np.pi)
+    truth = {}
+    for r in range(robots):
+        centre = 1.7 * radius * np.array([r % across, 0.0, r // across])
+        for k in range(length):
+            angle = 2 * np.pi * k / length + r
+            position = centre + radius * np.array([np.sin(angle), 0.02 * np.sin(3 * angle), np.cos(angle)])
+            truth[NodeId(r, k)] = se3(so3_exp([0.0, angle + np.pi / 2, 0.0]), position)
+    sigma = np.array([sigma_t] * 3 + [np.radians(sigma_deg)] * 3)
+    information = np.diag(1.0 / sigma**2)
+    pairs = [(NodeId(r, k), NodeId(r, k + 1), EdgeKind.ODOMETRY) for r in range(robots) for k in range(length - 1)]
+    pairs += [(NodeId(r, k), NodeId(r, length - 1 - k), EdgeKind.LOOP) for r in range(robots) for k in range(2)]
+    for r in range(robots):
+        for other in (r + 1, r + across):
+            if other >= robots or (other == r + 1 and other % across == 0):
+                continue
+            ours, theirs = (np.array([truth[NodeId(x, k)][:3, 3] for k in range(length)]) for x in (r, other))
+            distance, nearest = cKDTree(theirs).query(ours)
+            best = np.argsort(distance, kind="stable")[: 3 * separators : 3]
+            pairs += [(NodeId(r, int(k)), NodeId(other, int(nearest[k])), EdgeKind.SEPARATOR) for k in best]
+    edges = [measured(truth, i, j, kind, sigma, information, rng) for i, j, kind in pairs]
+    poses = {}
+    for r in range(robots):
+        own = [e for e in edges if e.i.robot == e.j.robot == r and e.kind is EdgeKind.ODOMETRY]
+        poses |= spread_poses({NodeId(r, 0): np.eye(4)}, own)
+    return PoseGraph(poses, tuple(edges)), truth
+
+
+def with_wrong_edges(graph, rng, count, reach=6.0):
+    """The graph and ``count`` matches more that are wrong: between any two nodes, up to ``reach`` metres off. Returns
+    it with the set of their (i, j).
+    """
+    taken, nodes, wrong = {(e.i, e.j) for e in graph.edges}, graph.nodes, []
+    information = next(e.information for e in graph.edges if e.is_separator)
+    while len(wrong) < count:
+        i, j = sorted(nodes[k] for k in rng.choice(len(nodes), 2, replace=False))
+        if (i, j) in taken or (i.robot == j.robot and j.index - i.index < 5):
+            continue
+        taken.add((i, j))
+        T = se3(so3_exp(rng.normal(size=3)), rng.uniform(-reach, reach, 3))
+        kind = EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP
+        wrong.append(Edge(i, j, T, information, kind))
+    return replace(graph, edges=(*graph.edges, *wrong)), {(e.i, e.j) for e in wrong}
 
 
 def measured(truth, i, j, kind, sigma, information, rng, scale=1.0):

@@ -9,10 +9,9 @@ import numpy as np
 
 from backend.central import optimise
 from backend.config import CentralConfig, RobustConfig, SolverConfig
-from backend.distributed.exchange import GroupResult, optimise_distributed
-from backend.distributed.share import JudgedEdge
+from backend.distributed.exchange import optimise_distributed
 from backend.geometry import Array
-from backend.graph import EdgeKind, NodeId, PoseGraph
+from backend.graph import NodeId, PoseGraph
 from backend.robust.pcm import consistent_edges
 from backend.robust.select import optimise_robustly
 from tools.errors import UsageError
@@ -101,7 +100,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
     kept = [k for k, weight in enumerate(weights) if weight > 0]
     working = replace(graph, edges=tuple(graph.edges[k] for k in kept))
     result = optimise_distributed(working.with_unit_weights() if request.unit else working, config)
-    for k, verdict in zip(kept, _verdicts(working, result), strict=True):
+    for k, verdict in zip(kept, result.judged, strict=True):
         if verdict is not None and verdict.rejected:
             weights[k] = 0.0
             sigmas = f"residual {verdict.residual:.1f} standard deviations"
@@ -120,18 +119,6 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         messages=traffic.messages,
         unreached_poses=sum(len(o.unreached) for o in result.outcomes.values()),
     )
-
-
-def _verdicts(graph: PoseGraph, result: GroupResult) -> list[JudgedEdge | None]:
-    """What the lower owner says of each edge; None where nothing was judged. Owners judge in the order of their
-    edges, of which two may join the same nodes."""
-    judged = {robot: list(outcome.judged) for robot, outcome in result.outcomes.items()}
-    out: list[JudgedEdge | None] = []
-    for edge in graph.edges:
-        owners = {edge.i.robot, edge.j.robot}
-        found = {r: judged[r].pop(0) for r in owners if judged[r] and edge.kind is not EdgeKind.ODOMETRY}
-        out.append(found.get(min(owners)))
-    return out
 
 
 def _record(i: NodeId, j: NodeId, residual: float | None, reason: str) -> dict[str, object]:
