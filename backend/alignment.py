@@ -26,16 +26,25 @@ _MAD_TO_SIGMA = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A refined ``T_M_Q``; ``information`` ``(6, 6)`` of its rigid part, translation first, in the match's unit
-    (scale marginalised).
+    """A refined ``T_M_Q``; ``full_information`` ``(7, 7)``: translation first, in the match's unit, then rotation, then
+    log scale (its row and column are 0 where no scale was estimated).
 
     ``angle_sigma`` radians and ``depth_sigma`` (inverse units of the match): the noise found.
     """
 
     T_M_Q: Sim3
-    information: Array
+    full_information: Array
     angle_sigma: float
     depth_sigma: float
+
+    @property
+    def information(self) -> Array:
+        """``(6, 6)`` of the rigid part, the scale marginalised."""
+        full = self.full_information
+        rigid = full[:6, :6]
+        if full[6, 6] > 0:
+            rigid = rigid - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
+        return np.asarray(0.5 * (rigid + rigid.T))
 
 
 def refine(
@@ -63,7 +72,9 @@ def refine(
             depth = float(np.clip(depth * typical[2], _MIN_DEPTH_SIGMA * unit, unit))
         elif np.abs(step).max() < 1e-10:
             break
-    return Alignment(T, _rigid_information(hessian, with_scale), angle, depth)
+    if not with_scale:
+        hessian[6], hessian[:, 6] = 0.0, 0.0
+    return Alignment(T, 0.5 * (hessian + hessian.T), angle, depth)
 
 
 @njit(cache=True, nogil=True)
@@ -167,10 +178,3 @@ def _invert_symmetric(m):  # type: ignore[no-untyped-def]
 def _moved(T: Sim3, step: Array) -> Sim3:
     rotation = T.rotation @ so3_exp(step[3:6])
     return Sim3(rotation, T.translation + T.rotation @ step[:3], T.scale * float(np.exp(np.clip(step[6], -1.0, 1.0))))
-
-
-def _rigid_information(hessian: Array, with_scale: bool) -> Array:
-    information = hessian[:6, :6]
-    if with_scale and hessian[6, 6] > 0:
-        information = information - np.outer(hessian[:6, 6], hessian[6, :6]) / hessian[6, 6]
-    return 0.5 * (information + information.T)
