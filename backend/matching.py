@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -30,6 +32,28 @@ def mutual_matches(distances: Distances, at_most: int, ratio: float = 1.0) -> ND
     if ratio < 1.0:
         good &= (best < ratio * second) & (best < ratio * second_of_column[column])
     return np.stack([rows[good], column[good]], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Entries of a matrix of distances that are small enough, in the order of rows: ``rows``, ``columns`` and
+    ``distances`` ``(k,)``; ``shape`` of the matrix."""
+
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    distances: Distances
+    shape: tuple[int, int]
+
+    @classmethod
+    def within(cls, distances: Distances, at_most: int) -> Candidates:
+        rows, columns = _within(distances, at_most)
+        return cls(rows, columns, distances[rows, columns], (distances.shape[0], distances.shape[1]))
+
+
+def mutual_candidates(candidates: Candidates, allowed: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """:func:`mutual_matches` of the ``allowed`` ``(k,)`` entries alone."""
+    c = candidates
+    return np.asarray(_mutual(c.rows[allowed], c.columns[allowed], c.distances[allowed], *c.shape))
 
 
 def unique_word_matches(words_a: NDArray[np.int32], words_b: NDArray[np.int32]) -> NDArray[np.intp]:
@@ -84,3 +108,38 @@ def _nearest(distances):  # type: ignore[no-untyped-def]
             elif d < second_of_column[j]:
                 second_of_column[j] = d
     return column, best, second, row, second_of_column
+
+
+@njit(cache=True, nogil=True)
+def _within(distances, at_most):  # type: ignore[no-untyped-def]
+    n, m = distances.shape
+    count = 0
+    for i in range(n):
+        for j in range(m):
+            count += distances[i, j] <= at_most
+    rows, columns = np.empty(count, dtype=np.intp), np.empty(count, dtype=np.intp)
+    k = 0
+    for i in range(n):
+        for j in range(m):
+            if distances[i, j] <= at_most:
+                rows[k], columns[k] = i, j
+                k += 1
+    return rows, columns
+
+
+@njit(cache=True, nogil=True)
+def _mutual(rows, columns, distances, n, m):  # type: ignore[no-untyped-def]
+    best, best_of_column = np.full(n, -1), np.full(m, -1)
+    for k in range(len(rows)):
+        i, j = rows[k], columns[k]
+        if best[i] < 0 or distances[k] < distances[best[i]]:
+            best[i] = k
+        if best_of_column[j] < 0 or distances[k] < distances[best_of_column[j]]:
+            best_of_column[j] = k
+    out = np.empty((n, 2), dtype=np.intp)
+    count = 0
+    for i in range(n):
+        if best[i] >= 0 and best_of_column[columns[best[i]]] == best[i]:
+            out[count, 0], out[count, 1] = i, columns[best[i]]
+            count += 1
+    return out[:count]

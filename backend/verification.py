@@ -14,7 +14,15 @@ from backend.errors import BackendError
 from backend.evidence import Evidence, weigh
 from backend.geometry import Array, Sim3
 from backend.judgement import Found, problem_of
-from backend.matching import FAR, Distances, hamming_distances, mutual_matches, unique_word_matches
+from backend.matching import (
+    FAR,
+    Candidates,
+    Distances,
+    hamming_distances,
+    mutual_candidates,
+    mutual_matches,
+    unique_word_matches,
+)
 
 # Gauss-Newton steps that are enough to compare hypotheses.
 _QUICK = 5
@@ -113,16 +121,17 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
     with_scale = not (query.metric and match.metric)
     alike = config.guided_hamming * bits // _BITS
     points_Q, points_M = query.points_C[pairs[:, 0]], match.points_C[pairs[:, 1]]
+    candidates = Candidates.within(distances, alike)
     best: _Hypothesis | None = None
     for start in search(points_M, points_Q, with_scale, config, rng):
         settled = _settle(points_M, points_Q, start, with_scale, config, _QUICK)
         if settled is not None:
-            guided = _guided(query, match, distances, settled.T_M_Q, alike, config)
+            guided = _guided(query, match, candidates, settled.T_M_Q, config)
             if best is None or len(guided) > len(best.guided):
                 best = _Hypothesis(settled, guided)
     if best is None:
         return _rejected("too few inliers: no pose explains four matches", len(pairs))
-    best = _again(best, query, match, distances, with_scale, alike, config)
+    best = _again(best, query, match, candidates, with_scale, config)
     pose = best.alignment
     inside = _inliers(pose.T_M_Q, points_M, points_Q, config)
     found = Found(
@@ -177,16 +186,15 @@ def _settle(
 
 
 def _again(
-    best: _Hypothesis, query: PlaceView, match: PlaceView, distances: Distances, with_scale: bool, alike: int,
-    config: RelPoseConfig,
-) -> _Hypothesis:  # fmt: skip
+    best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: Candidates, with_scale: bool, config: RelPoseConfig
+) -> _Hypothesis:
     """Refine on the guided matches, and match again with what that gives."""
     for _ in range(2):
         points_Q, points_M = query.points_C[best.guided[:, 0]], match.points_C[best.guided[:, 1]]
         settled = _settle(points_M, points_Q, best.alignment.T_M_Q, with_scale, config)
         if settled is None:
             break
-        best = _Hypothesis(settled, _guided(query, match, distances, settled.T_M_Q, alike, config))
+        best = _Hypothesis(settled, _guided(query, match, candidates, settled.T_M_Q, config))
     return best
 
 
@@ -195,14 +203,11 @@ def _inliers(T_M_Q: Sim3, points_M: Array, points_Q: Array, config: RelPoseConfi
 
 
 def _guided(
-    query: PlaceView, match: PlaceView, distances: Distances, T_M_Q: Sim3, alike: int, config: RelPoseConfig
+    query: PlaceView, match: PlaceView, candidates: Candidates, T_M_Q: Sim3, config: RelPoseConfig
 ) -> NDArray[np.intp]:
     """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
-    rows, columns = np.nonzero(distances <= alike)
-    near = _inliers(T_M_Q, match.points_C[columns], query.points_C[rows], config)
-    allowed = np.full_like(distances, FAR)
-    allowed[rows[near], columns[near]] = distances[rows[near], columns[near]]
-    return mutual_matches(allowed, alike)
+    near = _inliers(T_M_Q, match.points_C[candidates.columns], query.points_C[candidates.rows], config)
+    return mutual_candidates(candidates, near)
 
 
 def _rejected(reason: str, matches: int, inliers: int = 0) -> Verdict:
