@@ -22,13 +22,15 @@ _MAX_FLOATING_BY_WORDS = 0.15
 @dataclass(frozen=True, eq=False)
 class Found:
     """What verification found: the refined pose; ``tentative`` ``(k, 3)``: the match's points of tentative matches that
-    fit it; ``guided_M``, ``guided_Q`` ``(g, 3)``: points matched again under it."""
+    fit it; ``guided_M``, ``guided_Q`` ``(g, 3)``: points matched again under it; ``distinct``: how many of these matches are of points that look like
+    no other one of their view."""
 
     alignment: Alignment
     tentative: Array
     guided_M: Array
     guided_Q: Array
     evidence: Evidence
+    distinct: int
     by_words: bool
 
     @property
@@ -80,11 +82,11 @@ def log_odds(found: Found, thickness: float, config: RelPoseConfig) -> float:
     return float(WEIGHTS @ features(found, thickness, config))
 
 
-WEIGHTS = np.array([0.0, 1.0, -1.0, -4.0, 2.0, 3.0, -3.0])
+WEIGHTS = np.array([3.0, 1.0, 1.0, -1.0, -8.0, 0.0, 6.0, -6.0])
 
 
 def features(found: Found, thickness: float, config: RelPoseConfig) -> Array:
-    """``(7,)``: one; log of the guided matches; share of floating points; share of deserted ones; log of the share of
+    """``(8,)``: one; log of the guided matches, and of the distinct ones; share of floating points; share of deserted ones; log of the share of
     points alike among those that meet; log of the thickness; bearing error over its bound. Of two views, floating is
     the worse and deserted the better one: which shares less of its view with the other is not a matter of right or
     wrong."""
@@ -95,7 +97,8 @@ def features(found: Found, thickness: float, config: RelPoseConfig) -> Array:
     return np.array(
         [
             1.0,
-            np.log(max(len(found.guided_M), 1) / 20.0),
+            np.log((len(found.guided_M) + 1) / 20.0),
+            np.log((found.distinct + 1) / 20.0),
             min(floating, 0.3) / 0.05,
             deserted / 0.3,
             np.log(max(alike, 0.02) / 0.2),
