@@ -30,11 +30,15 @@ class RelPoseConfig(BaseModel):
     min_evidence: float | None = Field(
         0.0, description="log odds for a place match by all that both views see, at least; null: not weighed"
     )
+    max_deserted: float = Field(
+        0.3, ge=0, le=1, description="share of the common view without any point alike, at most; 5 % are so by chance"
+    )
     min_thickness: float = Field(
-        0.12,
+        0.03,
         ge=0,
         description="inliers' extent across their main plane over that within it; walls of one paint look alike",
     )
+    min_word_thickness: float = Field(0.12, ge=0, description="the same where views are compared by words")
     max_scale: float = Field(20.0, gt=1, description="a similarity's scale lies within 1/this and this")
     max_sigma: float = Field(0.1, gt=0, description="position 1 sigma, worst direction, over median depth, at most")
 

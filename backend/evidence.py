@@ -49,10 +49,25 @@ class Side:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of the query's points in the match's view, and the other way round."""
+    """Of the query's points in the match's view, and the other way round; and what follows from both."""
 
     query: Side
     match: Side
+
+    @property
+    def floating(self) -> float:
+        """The larger share: a cupboard floats before the wall in one direction only."""
+        return max(self.query.floating_share, self.match.floating_share)
+
+    @property
+    def deserted(self) -> float:
+        """The smaller share: that one view sees less of what the other sees is not a matter of right or wrong."""
+        return min(self.query.deserted_share, self.match.deserted_share)
+
+    @property
+    def alike(self) -> float:
+        """Share of points with a similar descriptor among those that meet one of the other view."""
+        return (self.query.alike + self.match.alike) / max(self.query.met + self.match.met, 1)
 
 
 def weigh(

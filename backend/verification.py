@@ -30,7 +30,9 @@ _QUICK = 5
 _BITS = 256
 # Points of one view nearer than this are two of a pattern.
 _DISTINCT_HAMMING = 50
-_WIDTHS = (8, 16, 32)
+# Matches under a pose that make it worth to look at more points.
+_PROMISE = 8
+DESCRIPTOR_BYTES = (8, 16, 32)
 """Bytes that a descriptor may have: whole ORB, or its first half or quarter."""
 
 
@@ -55,7 +57,7 @@ class PlaceView:
         if self.descriptors is None and self.words is None:
             raise BackendError("a place view needs descriptors or words")
         d = self.descriptors
-        if d is not None and (d.ndim != 2 or len(d) != n or d.shape[1] not in _WIDTHS or d.dtype != np.uint8):
+        if d is not None and (d.ndim != 2 or len(d) != n or d.shape[1] not in DESCRIPTOR_BYTES or d.dtype != np.uint8):
             raise BackendError(f"{n} points need ({n}, 32) uint8 descriptors, or 16 or 8, got {d.shape} {d.dtype}")
         if self.words is not None and self.words.shape != (n,):
             raise BackendError(f"{n} points need ({n},) words, got shape {self.words.shape}")
@@ -153,6 +155,11 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
         problem is None, problem or "accepted", pose.T_M_Q, len(pairs), int(inside.sum()), found.rmse_deg,
         pose.full_information, len(best.guided), found.evidence, log_odds,
     )  # fmt: skip
+
+
+def promising(verdict: Verdict) -> bool:
+    """Whether more points might turn a refusal into acceptance: some matches agree, and little contradicts them."""
+    return not verdict.accepted and verdict.guided >= _PROMISE
 
 
 def _tentative(

@@ -30,6 +30,13 @@ class PlacesConfig(_Section):
         "descriptors", description="what a verification sends for each point"
     )
     max_points: int = Field(500, ge=20, description="map points of a key-frame sent for verification, at most")
+    first_points: int = Field(
+        0, ge=0, description="so many of them at first, the rest only where those promise a match; 0: all at once"
+    )
+    point_code: Literal["float", "grid"] = Field(
+        "float", description="how their positions travel: 12 bytes each, or 4 on a grid of directions and inverse depths"
+    )
+    descriptor_bytes: Literal[8, 16, 32] = Field(32, description="of each descriptor, its first bytes")
     gap_keyframes: int = Field(
         4, ge=0, description="own key-frames that pass between accepted matches with one agent; no verification sooner"
     )

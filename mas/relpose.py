@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backend.verification import PlaceView, Verdict, relative_pose
+from backend.quantise import pack_points, unpack_points, worth_sending
+from backend.verification import PlaceView, Verdict, promising, relative_pose
 from mas.contract import Contract
 from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
@@ -15,9 +15,17 @@ from mas.keyframe import KeyFrame
 from mas.matches import Match
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
 from mas.placebook import Candidate, PlaceBook
-from mas.state import AgentState, thinned
+from mas.state import AgentState
 from mas.tasks import Outcome, Task, VerifyAnswer, VerifyTask
-from mas.tensors import Tensor, pack_poses, pack_sim3, unpack_poses, unpack_sim3
+from mas.tensors import (
+    Tensor,
+    pack_information,
+    pack_poses,
+    pack_sim3,
+    unpack_information,
+    unpack_poses,
+    unpack_sim3,
+)
 
 _REASON_LENGTH = 200
 
@@ -30,6 +38,7 @@ class Verification(Trade):
         self.book = book
         self._waiting: dict[int, deque[MatchId]] = {}
         self._running: dict[ContractId, MatchId] = {}
+        self._promising: set[MatchId] = set()
 
     def request(self, candidate: Candidate) -> None:
         """Have a candidate verified by the other agent, after those already waiting for it."""
@@ -45,7 +54,7 @@ class Verification(Trade):
         if match is None:
             self.desk.say(contract, Rejection("no longer wanted"))
             return
-        self.desk.say(contract, Award(_task(self.state, match)))
+        self.desk.say(contract, Award(_task(self.state, match, whole=match in self._promising)))
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, VerifyTask) or task.match.query_agent != contract.manager:
@@ -57,11 +66,13 @@ class Verification(Trade):
         self.desk.say(contract, Confirmation())
         mine = self.state.keyframes[task.match.match]
         verdict = verify(self.state, task.match, _view_of_task(task), mine)
-        self.desk.say(contract, Result(_answer(self.state, task, mine, verdict)))
+        answer = _answer(self.state, task, mine, verdict)
+        self.desk.say(contract, Result(answer))
         if verdict.accepted:
-            assert verdict.T_M_Q is not None and verdict.information is not None
+            assert verdict.T_M_Q is not None and answer.information is not None
+            # The information as it travels, so that both owners weigh the match alike.
             match = Match(
-                task.match, task.track, mine.track, verdict.T_M_Q, verdict.information, verdict.inliers,
+                task.match, task.track, mine.track, verdict.T_M_Q, unpack_information(answer.information), verdict.inliers,
                 unpack_poses(task.T_T_Q.array()), mine.T_T_C, task.way, self.state.travelled[mine.index], mine.depth,
             )  # fmt: skip
             self.learn(match)
@@ -70,6 +81,10 @@ class Verification(Trade):
         match_id = self._running.get(contract.id)
         if not isinstance(outcome, VerifyAnswer) or match_id is None or outcome.match != match_id:
             raise WorkError("not the answer to this verification")
+        if outcome.wants_more and match_id not in self._promising:
+            self._promising.add(match_id)
+            self._waiting.setdefault(match_id.match_agent, deque()).appendleft(match_id)
+            return
         transform = None if outcome.T_M_Q is None else unpack_sim3(outcome.T_M_Q)
         self.book.update(
             match_id, verified=outcome.accepted, reason=kind_of(outcome.reason), detail=outcome.reason, T_M_Q=transform,
@@ -78,7 +93,7 @@ class Verification(Trade):
         if outcome.accepted and transform is not None and outcome.information is not None:
             mine = self.state.keyframes[match_id.query]
             match = Match(
-                match_id, mine.track, outcome.track, transform, np.array(outcome.information.array()), outcome.inliers,
+                match_id, mine.track, outcome.track, transform, unpack_information(outcome.information), outcome.inliers,
                 mine.T_T_C, unpack_poses(outcome.T_T_M.array()), self.state.travelled[mine.index], outcome.way,
                 outcome.depth,
             )  # fmt: skip
@@ -88,7 +103,8 @@ class Verification(Trade):
         match = self._running.pop(contract.id, None) if contract.manager == self.state.me else None
         if match is None:
             return
-        if not self.book.candidates[match].detail:
+        again = match in self._waiting.get(match.match_agent, ())
+        if not again and not self.book.candidates[match].detail:
             self.book.update(match, reason="not verified", detail=f"contract {contract.state}: {contract.reason}")
         self._next(contract.contractor)
 
@@ -126,11 +142,10 @@ def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame) 
 
 def view_of(state: AgentState, keyframe: KeyFrame) -> PlaceView:
     """A key-frame as verification sees it: all its points, with what this system compares."""
-    rows = _rows_sent(state, keyframe)
-    points = keyframe.points_C[rows].astype(np.float64)
+    points = keyframe.points_C.astype(np.float64)
     if state.config.places.features == "words":
-        return PlaceView(points, words=keyframe.words[rows], metric=state.profile.metric)
-    return PlaceView(points, descriptors=keyframe.descriptors[rows], metric=state.profile.metric)
+        return PlaceView(points, words=keyframe.words, metric=state.profile.metric)
+    return PlaceView(points, descriptors=keyframe.descriptors, metric=state.profile.metric)
 
 
 def kind_of(reason: str) -> str:
@@ -143,15 +158,17 @@ def str_match(match: MatchId) -> str:
     return f"{match.query_agent}:{match.query} - {match.match_agent}:{match.match}"
 
 
-def _rows_sent(state: AgentState, keyframe: KeyFrame) -> NDArray[np.int64]:
-    """At most ``max_points`` rows, spread evenly over the key-frame's points."""
-    return thinned(np.arange(len(keyframe.points_C)), state.config.places.max_points)
-
-
-def _task(state: AgentState, match: MatchId) -> VerifyTask:
-    keyframe = state.keyframes[match.query]
-    rows = _rows_sent(state, keyframe)
-    words = state.config.places.features == "words"
+def _task(state: AgentState, match: MatchId, whole: bool) -> VerifyTask:
+    """The query's points, the most telling first; ``whole``: also those that were kept back at first."""
+    keyframe, places = state.keyframes[match.query], state.config.places
+    points = keyframe.points_C.astype(np.float64)
+    # No grid holds what lies behind the camera, and no camera saw it there.
+    before = np.flatnonzero(points[:, 2] > 0)
+    rows = before[worth_sending(points[before], keyframe.descriptors[before], places.max_points)]
+    first = len(rows) if whole or not places.first_points else min(places.first_points, len(rows))
+    sent = rows[:first]
+    words = places.features == "words"
+    ranges, codes = pack_points(points[sent]) if places.point_code == "grid" else (None, None)
     return VerifyTask(
         match=match,
         track=keyframe.track,
@@ -159,14 +176,19 @@ def _task(state: AgentState, match: MatchId) -> VerifyTask:
         metric=state.profile.metric,
         T_T_Q=pack_poses(keyframe.T_T_C),
         way=state.travelled[keyframe.index],
-        points=Tensor.of(keyframe.points_C[rows], "<f4"),
-        descriptors=None if words else Tensor.of(keyframe.descriptors[rows], "|u1"),
-        words=Tensor.of(keyframe.words[rows], "<u2") if words else None,
+        points=Tensor.of(points[sent], "<f4") if codes is None else Tensor.of(codes, "<u4"),
+        descriptors=None if words else Tensor.of(keyframe.descriptors[sent, : places.descriptor_bytes], "|u1"),
+        words=Tensor.of(keyframe.words[sent], "<u2") if words else None,
+        ranges=None if ranges is None else Tensor.of(ranges, "<f4"),
+        more=len(rows) - first,
     )
 
 
 def _view_of_task(task: VerifyTask) -> PlaceView:
-    points = task.points.array().astype(np.float64)
+    if task.ranges is None:
+        points = task.points.array().astype(np.float64)
+    else:
+        points = unpack_points(task.ranges.array(), task.points.array())
     if task.words is not None:
         return PlaceView(points, words=task.words.array().astype(np.int32), metric=task.metric)
     assert task.descriptors is not None
@@ -183,10 +205,11 @@ def _answer(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verdic
         inliers=verdict.inliers,
         rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
         T_M_Q=pack_sim3(verdict.T_M_Q) if verdict.T_M_Q is not None else None,
-        information=Tensor.of(verdict.information, "<f8") if good and verdict.information is not None else None,
+        information=pack_information(verdict.information) if good and verdict.information is not None else None,
         track=mine.track,
         stamp_ns=mine.stamp_ns,
         T_T_M=pack_poses(mine.T_T_C),
         way=state.travelled[mine.index],
         depth=mine.depth,
+        wants_more=bool(task.more) and promising(verdict),
     )

@@ -88,7 +88,7 @@ def test_look_alikes_are_refused(kind, metric):
         query, _ = observe(there, descriptors, np.eye(4), Noise(), rng, metric=metric)
         verdict = judge(query, match, seed)
         assert not verdict.accepted and verdict.matches > 200
-        assert verdict.kind == "too few inliers"
+        assert verdict.kind in ("too few inliers", "ambiguous", "contradicted")
 
 
 def test_windows_that_repeat_are_not_matched():
@@ -125,11 +125,11 @@ def test_pairs_are_found_by_words_alone():
 def test_every_refusal_says_why():
     rng = np.random.default_rng(2)
     query, match, _ = pair(rng)
-    few = PlaceView(query.points_C[:15], query.descriptors[:15])
+    few = PlaceView(query.points_C[:7], query.descriptors[:7])
     assert judge(few, match).reason.startswith("too few matches: ") and judge(few, match).T_M_Q is None
     nothing = PlaceView(np.zeros((0, 3)), np.zeros((0, 32), dtype=np.uint8))
-    assert judge(nothing, match).reason == "too few matches: 0 < 20"
-    assert judge(match, nothing).reason == "too few matches: 0 < 20"
+    assert judge(nothing, match).reason == "too few matches: 0 < 8"
+    assert judge(match, nothing).reason == "too few matches: 0 < 8"
 
     line = np.column_stack([np.linspace(-3, 3, 80), np.full(80, 0.5), np.full(80, 10.0)])
     descriptors = random_descriptors(rng, 80)
