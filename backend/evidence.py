@@ -37,6 +37,13 @@ class Side:
     met: int
     alike: int
     deserted: int
+    close: int
+
+    @property
+    def repeated_share(self) -> float:
+        """Of the visible points, those that fall on one of the other view not by chance, which fills the disc evenly:
+        a ring of three times the area tells how many do."""
+        return max(self.close - (self.met - self.close) / 3.0, 0.0) / max(self.visible, 1)
 
     @property
     def floating_share(self) -> float:
@@ -63,6 +70,11 @@ class Evidence:
     def deserted(self) -> float:
         """The smaller share: that one view sees less of what the other sees is not a matter of right or wrong."""
         return min(self.query.deserted_share, self.match.deserted_share)
+
+    @property
+    def repeated(self) -> float:
+        """The larger share: each view may see details that the other is too far away for."""
+        return max(self.query.repeated_share, self.match.repeated_share)
 
     @property
     def alike(self) -> float:
@@ -94,7 +106,7 @@ def _field(points: Array) -> Array:
 def _side(predicted: Array, own: Array, distances: Distances, radius: float, alike: int, sigma: float) -> Side:
     """What becomes of ``predicted`` ``(n, 3)`` among the ``own`` ``(m, 3)`` points of the camera that they are in."""
     counts = _count(
-        np.ascontiguousarray(predicted), np.ascontiguousarray(own), distances, _field(own), np.cos(radius), alike,
+        np.ascontiguousarray(predicted), np.ascontiguousarray(own), distances, _field(own), np.cos(radius), np.cos(0.5 * radius), alike,
         np.cos(np.radians(_SURFACE_DEG)), _SURFACE_POINTS, _SAME_SIGMAS * sigma, _FLOAT_SIGMAS * sigma, _FLOAT_SHARE,
     )  # fmt: skip
     return Side(*(int(c) for c in counts))
@@ -102,10 +114,10 @@ def _side(predicted: Array, own: Array, distances: Distances, radius: float, ali
 
 @njit(cache=True, nogil=True)
 def _count(  # type: ignore[no-untyped-def]
-    predicted, own, distances, field, cos_same, alike, cos_surface, enough, same, apart, share
+    predicted, own, distances, field, cos_same, cos_close, alike, cos_surface, enough, same, apart, share
 ):
     n, m = len(predicted), len(own)
-    out = np.zeros(6, dtype=np.int64)
+    out = np.zeros(7, dtype=np.int64)
     rays, inverse = np.empty((m, 3)), np.empty(m)
     for j in range(m):
         inverse[j] = 1.0 / max(np.sqrt((own[j] ** 2).sum()), 1e-9)
@@ -118,7 +130,7 @@ def _count(  # type: ignore[no-untyped-def]
             continue
         own_inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
         x, y, z = x * own_inverse, y * own_inverse, z * own_inverse
-        around, nearest, farthest, met, same_look = 0, 0.0, np.inf, False, False
+        around, nearest, farthest, met, close, same_look = 0, 0.0, np.inf, False, False, False
         for j in range(m):
             cos = x * rays[j, 0] + y * rays[j, 1] + z * rays[j, 2]
             if cos < cos_surface:
@@ -127,6 +139,7 @@ def _count(  # type: ignore[no-untyped-def]
             nearest, farthest = max(nearest, inverse[j]), min(farthest, inverse[j])
             if cos >= cos_same and abs(inverse[j] - own_inverse) < same:
                 met = True
+                close |= cos >= cos_close
                 same_look |= distances[i, j] <= alike
         if around >= enough:
             out[1] += 1
@@ -134,6 +147,7 @@ def _count(  # type: ignore[no-untyped-def]
             if own_inverse < farthest * (1.0 - share) - apart:
                 continue
         out[3] += met
+        out[6] += close
         out[4] += same_look
         seen[v, 0], seen[v, 1], seen[v, 2], similar[v] = x, y, z, same_look
         v += 1

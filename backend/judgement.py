@@ -85,14 +85,14 @@ def log_odds(found: Found, thickness: float, config: RelPoseConfig) -> float:
     return float(WEIGHTS @ features(found, thickness, config))
 
 
-WEIGHTS = np.array([1.0, 2.0, -0.35, -8.9, 1.9, 5.6, -3.5])
+WEIGHTS = np.array([1.0, 2.0, -0.35, -8.9, 1.9, 4.0, 5.6, -3.5])
 """Of :func:`features`: fitted on right and look-alike pairs of two rendered towns and two office floors, signs given;
 the first was then lowered until no look-alike was left above 0."""
 
 
 def features(found: Found, thickness: float, config: RelPoseConfig) -> Array:
-    """``(7,)``: one; log of the distinct matches; share of floating points; of deserted ones; log of the share of
-    points alike among those that meet; log of the thickness; bearing error over its bound."""
+    """``(8,)``: one; log of the distinct matches; share of floating points; of deserted ones; log of the share of
+    points alike among those that meet, and of those repeated; log of the thickness; bearing error over its bound."""
     evidence = found.evidence
     return np.array(
         [
@@ -101,6 +101,7 @@ def features(found: Found, thickness: float, config: RelPoseConfig) -> Array:
             min(evidence.floating, 0.3) / 0.05,
             evidence.deserted / 0.3,
             np.log(max(evidence.alike, 0.02) / 0.2),
+            np.log(max(evidence.repeated, 0.02) / 0.2),
             np.log(np.clip(thickness, 0.01, 0.3) / 0.1),
             found.rmse_deg / config.inlier_angle_deg if len(found.guided_M) else 1.0,
         ]
