@@ -8,8 +8,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from backend.geometry import Array
-
 Distances = NDArray[np.int16]
 # Farther than any two 256-bit descriptors.
 FAR = np.int16(257)
@@ -56,13 +54,6 @@ def mutual_candidates(candidates: Candidates, allowed: NDArray[np.bool_]) -> NDA
     """:func:`mutual_matches` of the ``allowed`` ``(k,)`` entries alone."""
     c = candidates
     return np.asarray(_mutual(c.rows[allowed], c.columns[allowed], c.distances[allowed], *c.shape))
-
-
-def distinct(descriptors: NDArray[np.uint8], points: Array, at_least: int) -> NDArray[np.bool_]:
-    """Which points ``(n,)`` of a view look like no other one of it, nearer ones than two degrees (the same corner on
-    another level of the pyramid) left out: all others' descriptors are at least so many bits away."""
-    rays = np.ascontiguousarray(points / np.linalg.norm(points, axis=1, keepdims=True))
-    return np.asarray(_distinct(hamming_distances(descriptors, descriptors), rays, at_least, np.cos(np.radians(2.0))))
 
 
 def unique_word_matches(words_a: NDArray[np.int32], words_b: NDArray[np.int32]) -> NDArray[np.intp]:
@@ -152,15 +143,3 @@ def _mutual(rows, columns, distances, n, m):  # type: ignore[no-untyped-def]
             out[count, 0], out[count, 1] = i, columns[best[i]]
             count += 1
     return out[:count]
-
-
-@njit(cache=True, nogil=True)
-def _distinct(distances, rays, at_least, cos_same):  # type: ignore[no-untyped-def]
-    out = np.ones(len(rays), dtype=np.bool_)
-    for i in range(len(rays)):
-        for j in range(len(rays)):
-            if distances[i, j] < at_least:
-                if rays[i, 0] * rays[j, 0] + rays[i, 1] * rays[j, 1] + rays[i, 2] * rays[j, 2] < cos_same:
-                    out[i] = False
-                    break
-    return out

@@ -18,7 +18,6 @@ from backend.matching import (
     FAR,
     Candidates,
     Distances,
-    distinct,
     hamming_distances,
     mutual_candidates,
     mutual_matches,
@@ -28,8 +27,6 @@ from backend.matching import (
 # Gauss-Newton steps that are enough to compare hypotheses.
 _QUICK = 5
 _BITS = 256
-# Points of one view nearer than this are two of a pattern.
-_DISTINCT_HAMMING = 50
 # Matches under a pose that make it worth to look at more points.
 _PROMISE = 8
 DESCRIPTOR_BYTES = (8, 16, 32)
@@ -147,7 +144,7 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
         evidence=weigh(
             match.points_C, query.points_C, distances, pose.T_M_Q, config.inlier_angle_deg, alike, pose.depth_sigma
         ),
-        distinct=_distinct_pairs(query, match, best.guided, bits),
+        similar=len(candidates.rows) / max(distances.size, 1),
         by_words=bits == 0,
     )
     problem, log_odds = problem_of(found, config)
@@ -219,16 +216,6 @@ def _guided(
     """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
     near = _inliers(T_M_Q, match.points_C[candidates.columns], query.points_C[candidates.rows], config)
     return mutual_candidates(candidates, near)
-
-
-def _distinct_pairs(query: PlaceView, match: PlaceView, pairs: NDArray[np.intp], bits: int) -> int:
-    """How many of the matches ``(g, 2)`` are of points that look like no other one in either view."""
-    if query.descriptors is None or match.descriptors is None or not bits:
-        return 0
-    width, least = bits // 8, _DISTINCT_HAMMING * bits // _BITS
-    alone_Q = distinct(query.descriptors[:, :width], query.points_C, least)
-    alone_M = distinct(match.descriptors[:, :width], match.points_C, least)
-    return int((alone_Q[pairs[:, 0]] & alone_M[pairs[:, 1]]).sum())
 
 
 def _rejected(reason: str, matches: int, inliers: int = 0) -> Verdict:
