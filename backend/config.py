@@ -30,8 +30,11 @@ class RelPoseConfig(BaseModel):
     min_evidence: float | None = Field(
         0.0, description="log odds for a place match by all that both views see, at least; null: not weighed"
     )
+    max_deserted: float = Field(
+        0.3, ge=0, le=1, description="share of the common view without any point alike, at most; 5 % are so by chance"
+    )
     min_thickness: float = Field(
-        0.08,
+        0.1,
         ge=0,
         description="inliers' extent across their main plane over that within it; walls of one paint look alike",
     )

@@ -55,7 +55,7 @@ def problem_of(found: Found, config: RelPoseConfig) -> tuple[str | None, float |
     flattest = config.min_word_thickness if found.by_words else config.min_thickness
     weighed = config.min_evidence is not None and not found.by_words
     odds = log_odds(found, thickness) if weighed else None
-    floating = found.evidence.floating
+    floating, deserted = found.evidence.floating, found.evidence.deserted
     rmse_limit = _MAX_RMSE_SHARE * config.inlier_angle_deg
     problem = None
     if n < least:
@@ -73,6 +73,8 @@ def problem_of(found: Found, config: RelPoseConfig) -> tuple[str | None, float |
         problem = f"too uncertain: position sigma {sigma:.3g} > {config.max_sigma:g} of the median depth {depth:.3g}"
     elif found.by_words and floating > _MAX_FLOATING_BY_WORDS:
         problem = f"contradicted: {floating:.0%} of the points float before a surface"
+    elif weighed and deserted > config.max_deserted:
+        problem = f"contradicted: {deserted:.0%} of the common view has no point alike > {config.max_deserted:.0%}"
     elif odds is not None and config.min_evidence is not None and odds < config.min_evidence:
         problem = f"contradicted: {told(found.evidence)}: evidence {odds:.1f} < {config.min_evidence:g}"
     return problem, odds
@@ -83,9 +85,9 @@ def log_odds(found: Found, thickness: float) -> float:
     return float(WEIGHTS @ features(found, thickness))
 
 
-WEIGHTS = np.array([0.3, -0.5, -2.4, 3.6, 1.9, 4.2, -9.3])
+WEIGHTS = np.array([0.7, -0.5, -2.4, 3.6, 1.9, 4.2, -9.3])
 """Of :func:`features`: fitted on right and look-alike pairs of two rendered towns and three office floors, the signs
-given; the first was then lowered until 4 of 1650 of the hardest look-alikes were left above 0."""
+given; the first was then lowered until 3 of the 1650 hardest look-alikes were left above 0."""
 # Share of descriptors of two views that are similar: the median, and how far its logarithm varies.
 _CHANCE, _CHANCE_RANGE = 0.011, 0.35
 

@@ -88,7 +88,7 @@ def test_a_room_that_shares_a_corner_with_another_is_refused():
         verdict = relative_pose(query, match, RelPoseConfig(), np.random.default_rng(seed))
         assert not verdict.accepted and verdict.kind == "contradicted", verdict.reason
         assert verdict.inliers > 40
-        unweighed = RelPoseConfig(min_evidence=None)
+        unweighed = RelPoseConfig(min_evidence=None, max_deserted=1.0)
         assert relative_pose(query, match, unweighed, np.random.default_rng(seed)).accepted
 
 
