@@ -53,6 +53,16 @@ class PlacesConfig(_Section):
 class ConsistencyConfig(_Section):
     """Which verified matches are used: those that agree with each other about how two tracks stand to each other."""
 
+    rule: Literal["together", "earlier"] = Field(
+        "together",
+        description="together: the largest set that all agree; earlier: the predecessor's, by those before it on the way",
+    )
+    earlier_m: float = Field(
+        20.0, gt=0, description="earlier: matches that the query's agent made this far back on its way are asked, metres"
+    )
+    earlier_apart_m: float = Field(
+        4.0, gt=0, description="earlier: positions agree within this, metres (indoors the predecessor took 2 over 10)"
+    )
     min_support: int = Field(
         1, ge=0, description="other matches between the same two tracks that must agree with a match"
     )
