@@ -28,7 +28,7 @@ from backend.matching import (
 _QUICK = 5
 _BITS = 256
 # Matches under a pose that make it worth to look at more points.
-_PROMISE = 8
+_PROMISE = 6
 DESCRIPTOR_BYTES = (8, 16, 32)
 """Bytes that a descriptor may have: whole ORB, or its first half or quarter."""
 
@@ -58,6 +58,20 @@ class PlaceView:
             raise BackendError(f"{n} points need ({n}, 32) uint8 descriptors, or 16 or 8, got {d.shape} {d.dtype}")
         if self.words is not None and self.words.shape != (n,):
             raise BackendError(f"{n} points need ({n},) words, got shape {self.words.shape}")
+
+
+def joined(first: PlaceView, rest: PlaceView) -> PlaceView:
+    """One view of the points of two."""
+    both = (first, rest)
+    descriptors, words = [v.descriptors for v in both], [v.words for v in both]
+    return PlaceView(
+        np.concatenate([v.points_C for v in both]),
+        descriptors=np.concatenate([d for d in descriptors if d is not None]) if all(
+            d is not None for d in descriptors
+        ) else None,
+        words=np.concatenate([w for w in words if w is not None]) if all(w is not None for w in words) else None,
+        metric=first.metric,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

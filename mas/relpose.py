@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from backend.quantise import pack_points, unpack_points, worth_sending
-from backend.verification import PlaceView, Verdict, promising, relative_pose
+from backend.verification import PlaceView, Verdict, joined, promising, relative_pose
 from mas.contract import Contract
 from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
@@ -28,6 +28,8 @@ from mas.tensors import (
 )
 
 _REASON_LENGTH = 200
+# Views of which only the first points have come, at most.
+_KEPT = 256
 
 
 class Verification(Trade):
@@ -39,6 +41,7 @@ class Verification(Trade):
         self._waiting: dict[int, deque[MatchId]] = {}
         self._running: dict[ContractId, MatchId] = {}
         self._promising: set[MatchId] = set()
+        self._first: dict[MatchId, PlaceView] = {}
 
     def request(self, candidate: Candidate) -> None:
         """Have a candidate verified by the other agent, after those already waiting for it."""
@@ -54,7 +57,7 @@ class Verification(Trade):
         if match is None:
             self.desk.say(contract, Rejection("no longer wanted"))
             return
-        self.desk.say(contract, Award(_task(self.state, match, whole=match in self._promising)))
+        self.desk.say(contract, Award(_task(self.state, match, rest=match in self._promising)))
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, VerifyTask) or task.match.query_agent != contract.manager:
@@ -63,10 +66,13 @@ class Verification(Trade):
             raise WorkError("no such key-frame")
         if task.metric != self.state.profile.metric:
             raise WorkError("one scale is metric, the other arbitrary")
+        query = self._view_of(task)
         self.desk.say(contract, Confirmation())
         mine = self.state.keyframes[task.match.match]
-        verdict = verify(self.state, task.match, _view_of_task(task), mine)
+        verdict = verify(self.state, task.match, query, mine, bool(task.more))
         answer = _answer(self.state, task, mine, verdict)
+        if answer.wants_more:
+            self._first[task.match] = query
         self.desk.say(contract, Result(answer))
         if verdict.accepted:
             assert verdict.T_M_Q is not None and answer.information is not None
@@ -76,6 +82,17 @@ class Verification(Trade):
                 unpack_poses(task.T_T_Q.array()), mine.T_T_C, task.way, self.state.travelled[mine.index], mine.depth,
             )  # fmt: skip
             self.learn(match)
+
+    def _view_of(self, task: VerifyTask) -> PlaceView:
+        """What has come of the query's view by now; first points that no rest followed are forgotten in the end."""
+        if not task.rest:
+            while len(self._first) >= _KEPT:
+                del self._first[next(iter(self._first))]
+            return _view_of_task(task)
+        first = self._first.pop(task.match, None)
+        if first is None:
+            raise WorkError("the first points of this view are not here")
+        return joined(first, _view_of_task(task))
 
     def on_result(self, contract: Contract, outcome: Outcome) -> None:
         match_id = self._running.get(contract.id)
@@ -134,10 +151,16 @@ def tell_group(desk: Desk) -> None:
             desk.tell(member, None, GroupNotice(members))
 
 
-def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame) -> Verdict:
-    """The geometric check with a generator that belongs to this match: no order of events changes the verdict."""
+def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame, first: bool = False) -> Verdict:
+    """The geometric check with a generator that belongs to this match: no order of events changes the verdict.
+
+    ``first``: the view has only its first points, and must be the surer.
+    """
     seed = [state.config.seed, match.query_agent, match.query, match.match_agent, match.match]
-    return relative_pose(query, view_of(state, mine), state.config.relpose, np.random.default_rng(seed))
+    config = state.config.relpose
+    if first and config.min_evidence is not None:
+        config = config.model_copy(update={"min_evidence": max(config.min_evidence, state.config.places.first_evidence)})
+    return relative_pose(query, view_of(state, mine), config, np.random.default_rng(seed))
 
 
 def view_of(state: AgentState, keyframe: KeyFrame) -> PlaceView:
@@ -158,15 +181,15 @@ def str_match(match: MatchId) -> str:
     return f"{match.query_agent}:{match.query} - {match.match_agent}:{match.match}"
 
 
-def _task(state: AgentState, match: MatchId, whole: bool) -> VerifyTask:
-    """The query's points, the most telling first; ``whole``: also those that were kept back at first."""
+def _task(state: AgentState, match: MatchId, rest: bool) -> VerifyTask:
+    """The query's points, the most telling first; ``rest``: those that were kept back at first."""
     keyframe, places = state.keyframes[match.query], state.config.places
     points = keyframe.points_C.astype(np.float64)
     # No grid holds what lies behind the camera, and no camera saw it there.
     before = np.flatnonzero(points[:, 2] > 0)
     rows = before[worth_sending(points[before], keyframe.descriptors[before], places.max_points)]
-    first = len(rows) if whole or not places.first_points else min(places.first_points, len(rows))
-    sent = rows[:first]
+    first = min(places.first_points, len(rows)) if places.first_points else len(rows)
+    sent = rows[first:] if rest else rows[:first]
     words = places.features == "words"
     ranges, codes = pack_points(points[sent]) if places.point_code == "grid" else (None, None)
     return VerifyTask(
@@ -180,7 +203,8 @@ def _task(state: AgentState, match: MatchId, whole: bool) -> VerifyTask:
         descriptors=None if words else Tensor.of(keyframe.descriptors[sent, : places.descriptor_bytes], "|u1"),
         words=Tensor.of(keyframe.words[sent], "<u2") if words else None,
         ranges=None if ranges is None else Tensor.of(ranges, "<f4"),
-        more=len(rows) - first,
+        more=0 if rest else len(rows) - first,
+        rest=rest,
     )
 
 

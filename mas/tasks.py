@@ -59,7 +59,7 @@ class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
     and ``way``: how far it had travelled by then.
 
     ``points``: ``(n, 3)`` float32, or ``(n,)`` uint32 codes with their ``ranges`` ``(6,)`` (:mod:`backend.quantise`).
-    ``more``: points kept back, which the answer may ask for.
+    ``more``: points kept back, which the answer may ask for; ``rest``: these are they, and the first ones came before.
     """
 
     match: MatchId
@@ -73,6 +73,7 @@ class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
     words: Tensor | None
     ranges: Tensor | None = None
     more: Index = 0
+    rest: bool = False
 
     def __post_init__(self) -> None:
         n = self._check_points()
