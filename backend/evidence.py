@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from backend.geometry import Array, Sim3
 from backend.matching import Distances
@@ -28,8 +27,9 @@ _SAME_SIGMAS = 4.0
 class Side:
     """Counts over the points of one view. ``visible``: in the other camera's field of view; ``tested``: of these, those
     where it sees a surface; ``floating``: of these, those before that surface; ``met``: visible points that fall on a
-    point of the other view; ``alike``: of these, those with a similar descriptor; ``deserted``: visible points with none
-    alike among as many of their neighbours as should have three. Chance alone makes 5 % of them so."""
+    point of the other view; ``alike``: of these, those with a similar descriptor; ``deserted``: visible points with
+    none alike among as many of their neighbours as should have three (chance alone makes 5 % of them so); ``close``:
+    visible points that meet one within half the bound."""
 
     visible: int
     tested: int
@@ -106,7 +106,8 @@ def _field(points: Array) -> Array:
 def _side(predicted: Array, own: Array, distances: Distances, radius: float, alike: int, sigma: float) -> Side:
     """What becomes of ``predicted`` ``(n, 3)`` among the ``own`` ``(m, 3)`` points of the camera that they are in."""
     counts = _count(
-        np.ascontiguousarray(predicted), np.ascontiguousarray(own), distances, _field(own), np.cos(radius), np.cos(0.5 * radius), alike,
+        np.ascontiguousarray(predicted), np.ascontiguousarray(own), distances, _field(own),
+        np.cos(radius), np.cos(0.5 * radius), alike,
         np.cos(np.radians(_SURFACE_DEG)), _SURFACE_POINTS, _SAME_SIGMAS * sigma, _FLOAT_SIGMAS * sigma, _FLOAT_SHARE,
     )  # fmt: skip
     return Side(*(int(c) for c in counts))

@@ -22,8 +22,8 @@ _MAX_FLOATING_BY_WORDS = 0.15
 @dataclass(frozen=True, eq=False)
 class Found:
     """What verification found: the refined pose; ``tentative`` ``(k, 3)``: the match's points of tentative matches that
-    fit it; ``guided_M``, ``guided_Q`` ``(g, 3)``: points matched again under it; ``similar``: share of all pairs of descriptors of the two views that
-    are similar enough to be one point's."""
+    fit it; ``guided_M``, ``guided_Q`` ``(g, 3)``: points matched again under it; ``similar``: share of all pairs of
+    descriptors of the two views that are similar enough to be one point's."""
 
     alignment: Alignment
     tentative: Array

@@ -80,10 +80,11 @@ def worth_sending(points_C: Array, descriptors: NDArray[np.uint8], count: int) -
 def as_sent(view: PlaceView, count: int, code: PointCode, descriptor_bytes: int) -> tuple[PlaceView, int]:
     """What arrives of a view that is sent with at most ``count`` points (0: all), and the bytes of its points."""
     points, words, descriptors = view.points_C, view.words, view.descriptors
+    rows = np.arange(len(points))
     if count and descriptors is not None:
         rows = worth_sending(points, descriptors, count)
-    else:
-        rows = np.arange(len(points)) if not count else np.linspace(0, len(points) - 1, min(count, len(points))).astype(int)
+    elif count < len(points) and count:
+        rows = np.linspace(0, len(points) - 1, count).astype(np.intp)
     points = points[rows]
     if code == "grid":
         points = unpack_points(*pack_points(points))

@@ -208,8 +208,9 @@ def _settle(
 
 
 def _again(
-    best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: Candidates, with_scale: bool, config: RelPoseConfig
-) -> _Hypothesis:
+    best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: Candidates, with_scale: bool,
+    config: RelPoseConfig,
+) -> _Hypothesis:  # fmt: skip
     """Refine on the guided matches, and match again with what that gives."""
     for _ in range(2):
         points_Q, points_M = query.points_C[best.guided[:, 0]], match.points_C[best.guided[:, 1]]

@@ -37,7 +37,7 @@ class PlacesConfig(_Section):
         3.0, description="log odds that the first points must bring to be believed without the rest"
     )
     point_code: Literal["float", "grid"] = Field(
-        "float", description="how their positions travel: 12 bytes each, or 4 on a grid of directions and inverse depths"
+        "float", description="how positions travel: 12 bytes each, or 4 on a grid of directions and inverse depths"
     )
     descriptor_bytes: Literal[8, 16, 32] = Field(32, description="of each descriptor, its first bytes")
     gap_keyframes: int = Field(
@@ -58,10 +58,10 @@ class ConsistencyConfig(_Section):
 
     rule: Literal["together", "earlier"] = Field(
         "together",
-        description="together: the largest set that all agree; earlier: the predecessor's, by those before it on the way",
+        description="together: the largest set that agrees; earlier: the predecessor's, by those before it on the way",
     )
     earlier_m: float = Field(
-        20.0, gt=0, description="earlier: matches that the query's agent made this far back on its way are asked, metres"
+        20.0, gt=0, description="earlier: matches made at most this far back on the query's way are asked, metres"
     )
     earlier_apart_m: float = Field(
         4.0, gt=0, description="earlier: positions agree within this, metres (indoors the predecessor took 2 over 10)"

@@ -78,8 +78,9 @@ class Verification(Trade):
             assert verdict.T_M_Q is not None and answer.information is not None
             # The information as it travels, so that both owners weigh the match alike.
             match = Match(
-                task.match, task.track, mine.track, verdict.T_M_Q, unpack_information(answer.information), verdict.inliers,
-                unpack_poses(task.T_T_Q.array()), mine.T_T_C, task.way, self.state.travelled[mine.index], mine.depth,
+                task.match, task.track, mine.track, verdict.T_M_Q, unpack_information(answer.information),
+                verdict.inliers, unpack_poses(task.T_T_Q.array()), mine.T_T_C, task.way,
+                self.state.travelled[mine.index], mine.depth,
             )  # fmt: skip
             self.learn(match)
 
@@ -110,9 +111,9 @@ class Verification(Trade):
         if outcome.accepted and transform is not None and outcome.information is not None:
             mine = self.state.keyframes[match_id.query]
             match = Match(
-                match_id, mine.track, outcome.track, transform, unpack_information(outcome.information), outcome.inliers,
-                mine.T_T_C, unpack_poses(outcome.T_T_M.array()), self.state.travelled[mine.index], outcome.way,
-                outcome.depth,
+                match_id, mine.track, outcome.track, transform, unpack_information(outcome.information),
+                outcome.inliers, mine.T_T_C, unpack_poses(outcome.T_T_M.array()),
+                self.state.travelled[mine.index], outcome.way, outcome.depth,
             )  # fmt: skip
             self.learn(match)
 
@@ -159,7 +160,8 @@ def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame, 
     seed = [state.config.seed, match.query_agent, match.query, match.match_agent, match.match]
     config = state.config.relpose
     if first and config.min_evidence is not None:
-        config = config.model_copy(update={"min_evidence": max(config.min_evidence, state.config.places.first_evidence)})
+        surer = max(config.min_evidence, state.config.places.first_evidence)
+        config = config.model_copy(update={"min_evidence": surer})
     return relative_pose(query, view_of(state, mine), config, np.random.default_rng(seed))
 
 

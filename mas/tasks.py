@@ -10,7 +10,6 @@ import numpy as np
 
 from backend.quantise import RANGES
 from backend.verification import DESCRIPTOR_BYTES
-
 from mas.identities import (
     MAX_AGENTS,
     MAX_POINTS,
@@ -83,7 +82,7 @@ class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
         if self.descriptors is not None:
             check("descriptors", self.descriptors, "|u1", (n, None))
             if self.descriptors.shape[1] not in DESCRIPTOR_BYTES:
-                raise ValueError(f"descriptors: {self.descriptors.shape[1]} bytes each, expected one of {DESCRIPTOR_BYTES}")
+                raise ValueError(f"descriptors: {self.descriptors.shape[1]} bytes each, not one of {DESCRIPTOR_BYTES}")
         if self.words is not None:
             check("words", self.words, "<u2", (n,))
 

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -245,7 +246,7 @@ def _quantile(values: Array, share: float) -> float:
 
 
 def _steps(bounds: tuple[float, ...]) -> list[tuple[float, float]]:
-    return list(zip(bounds[:-1], bounds[1:], strict=True))
+    return list(pairwise(bounds))
 
 
 def _floor(value: float, bounds: tuple[float, ...]) -> float:

@@ -215,7 +215,7 @@ class _Draughtsman:
 
         exposure = exposure_of(light, float(np.exp(self.rng.normal(0.0, 0.1))))
         aside = pose.copy()
-        aside[:3, 3] += self.rig.baseline_m * pose[:3, 0]
+        aside[:3, 3] += (self.rig.baseline_m or 0.0) * pose[:3, 0]
         images = []
         for T_W_C in (aside, pose):
             view = self.renderer.render(T_W_C, self.rig.camera, light)

@@ -81,7 +81,7 @@ def test_a_room_that_shares_a_corner_with_another_is_refused():
         d = random_descriptors(rng, len(points))
         equal = (points[:, 0] < -2) & (points[:, 1] < 1)
         other = np.where(equal[:, None], d, random_descriptors(rng, len(points)))
-        elsewhere = np.where(equal[:, None], points, points + [0.7, 0.4, 0.0])
+        elsewhere = np.where(equal[:, None], points, points + np.array([0.7, 0.4, 0.0]))
         noise = Noise()
         match, _ = observe(points, d, np.eye(4), noise, rng)
         query, _ = observe(elsewhere, other, POSE, noise, rng)

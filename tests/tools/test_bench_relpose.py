@@ -34,7 +34,8 @@ def test_what_two_views_share_follows_from_their_poses(cache: Path) -> None:
     config = PlacesConfig(width=160, height=120, places=3, twins=2)
     visits = rendered_visits("indoor", 0, config, cache)
     again = rendered_visits("indoor", 0, config, cache)
-    assert all(np.array_equal(a.left, b.left) and np.array_equal(a.T_W_C, b.T_W_C) for a, b in zip(visits, again))
+    pairs = zip(visits, again, strict=True)
+    assert all(np.array_equal(a.left, b.left) and np.array_equal(a.T_W_C, b.T_W_C) for a, b in pairs)
     first, second = visits[:2]
     assert first.place == second.place == 0 and shared_view(first, second) >= config.min_overlap
     assert seen_share(first, first) > 0.99 and angle_between_deg(first, first) < 1e-3
