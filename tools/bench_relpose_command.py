@@ -29,7 +29,7 @@ def add_relpose(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         usage="maslam bench relpose [options]",
     )
     relpose.add_argument(
-        "--worlds", default="town_51,town_52,indoor_51,indoor_52", metavar="LIST",
+        "--worlds", default="town_51,town_52,indoor_52,indoor_53", metavar="LIST",
         help="town_SEED and indoor_SEED (default: %(default)s)",
     )  # fmt: skip
     relpose.add_argument("--right", type=int, default=100, metavar="N", help="places a world (default: %(default)s)")
