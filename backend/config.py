@@ -30,6 +30,12 @@ class RelPoseConfig(BaseModel):
     min_evidence: float | None = Field(
         0.0, description="log odds for a place match by all that both views see, at least; null: not weighed"
     )
+    min_common: float = Field(
+        0.25, ge=0, le=1, description="share of a view's points that the other has in view, at least: less is no proof"
+    )
+    max_floating: float = Field(
+        0.15, ge=0, le=1, description="share of points before a surface that the other camera sees, at most"
+    )
     max_deserted: float = Field(
         0.3, ge=0, le=1, description="share of the common view without any point alike, at most; 5 % are so by chance"
     )

@@ -25,12 +25,13 @@ _SAME_SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class Side:
-    """Counts over the points of one view. ``visible``: in the other camera's field of view; ``tested``: of these, those
-    where it sees a surface; ``floating``: of these, those before that surface; ``met``: visible points that fall on a
-    point of the other view; ``alike``: of these, those with a similar descriptor; ``deserted``: visible points with
-    none alike among as many of their neighbours as should have three (chance alone makes 5 % of them so); ``close``:
-    visible points that meet one within half the bound."""
+    """Counts over the ``points`` of one view. ``visible``: in the other camera's field of view; ``tested``: of these,
+    those where it sees a surface; ``floating``: of these, those before that surface; ``met``: visible points that fall
+    on a point of the other view; ``alike``: of these, those with a similar descriptor; ``deserted``: visible points
+    with none alike among as many of their neighbours as should have three (chance alone makes 5 % of them so);
+    ``close``: visible points that meet one within half the bound."""
 
+    points: int
     visible: int
     tested: int
     floating: int
@@ -60,6 +61,11 @@ class Evidence:
 
     query: Side
     match: Side
+
+    @property
+    def common(self) -> float:
+        """The smaller share of a view's points that the other camera has in view, not hidden."""
+        return min(side.visible / max(side.points, 1) for side in (self.query, self.match))
 
     @property
     def floating(self) -> float:
@@ -110,7 +116,7 @@ def _side(predicted: Array, own: Array, distances: Distances, radius: float, ali
         np.cos(radius), np.cos(0.5 * radius), alike,
         np.cos(np.radians(_SURFACE_DEG)), _SURFACE_POINTS, _SAME_SIGMAS * sigma, _FLOAT_SIGMAS * sigma, _FLOAT_SHARE,
     )  # fmt: skip
-    return Side(*(int(c) for c in counts))
+    return Side(len(predicted), *(int(c) for c in counts))
 
 
 @njit(cache=True, nogil=True)

@@ -15,8 +15,6 @@ from backend.geometry import Array
 _MIN_WIDTH = 0.01
 # Chance inliers fill the bound's disc evenly, which gives 0.71 of its radius; right ones crowd at its centre.
 _MAX_RMSE_SHARE = 0.6
-# Words fall apart too often for the shares of descriptors to hold; what floats before a surface needs no likeness.
-_MAX_FLOATING_BY_WORDS = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +69,10 @@ def problem_of(found: Found, config: RelPoseConfig) -> tuple[str | None, float |
         problem = f"residual too large: {found.rmse_deg:.3f} deg > {rmse_limit:.3f} deg"
     elif sigma > config.max_sigma * depth:
         problem = f"too uncertain: position sigma {sigma:.3g} > {config.max_sigma:g} of the median depth {depth:.3g}"
-    elif found.by_words and floating > _MAX_FLOATING_BY_WORDS:
-        problem = f"contradicted: {floating:.0%} of the points float before a surface"
+    elif floating > config.max_floating:
+        problem = f"contradicted: {floating:.0%} of the points float before a surface > {config.max_floating:.0%}"
+    elif weighed and found.evidence.common < config.min_common:
+        problem = f"little in common: {found.evidence.common:.0%} of a view < {config.min_common:.0%}"
     elif weighed and deserted > config.max_deserted:
         problem = f"contradicted: {deserted:.0%} of the common view has no point alike > {config.max_deserted:.0%}"
     elif odds is not None and config.min_evidence is not None and odds < config.min_evidence:
@@ -85,7 +85,7 @@ def log_odds(found: Found, thickness: float) -> float:
     return float(WEIGHTS @ features(found, thickness))
 
 
-WEIGHTS = np.array([0.7, -0.5, -2.4, 3.6, 1.9, 4.2, -9.3])
+WEIGHTS = np.array([1.3, -0.5, -2.4, 3.6, 1.9, 4.2, -9.3])
 """Of :func:`features`: fitted on right and look-alike pairs of two rendered towns and three office floors, the signs
 given; the first was then lowered until 3 of the 1650 hardest look-alikes were left above 0."""
 # Share of descriptors of two views that are similar: the median, and how far its logarithm varies.
