@@ -8,30 +8,43 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class RelPoseConfig(BaseModel):
-    """Geometric verification of a place match (thesis section 3.5; the predecessor's values unless said otherwise)."""
+    """Geometric verification of a place match (thesis section 3.5). Bits are of 256; shorter descriptors scale them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    max_hamming: int = Field(50, ge=0, le=256, description="descriptor distance of a match at most, bits of 256")
+    max_hamming: int = Field(60, ge=0, le=256, description="descriptor distance of a match at most, bits of 256")
     ratio: float = Field(
-        0.8, gt=0, le=1, description="best over second best descriptor distance, at most; 1: not tested"
+        0.9, gt=0, le=1, description="best over second best descriptor distance, at most; 1: not tested"
     )
-    min_matches: int = Field(20, ge=3, description="fewer tentative matches are not worth a search")
-    min_inliers: int = Field(20, ge=3, description="inliers of an accepted match, at least")
+    min_matches: int = Field(8, ge=3, description="fewer tentative matches are not worth a search")
+    min_inliers: int = Field(8, ge=3, description="tentative matches that a pose must explain, at least")
+    min_word_inliers: int = Field(20, ge=3, description="the same where views are compared by words")
     search_angle_deg: float = Field(3.0, gt=0, le=20, description="bearing error of an inlier in the search, degrees")
-    inlier_angle_deg: float = Field(0.75, gt=0, le=20, description="the same under the refined pose, degrees")
+    inlier_angle_deg: float = Field(0.5, gt=0, le=20, description="the same under the refined pose, degrees")
     depth_ratio: float = Field(1.5, gt=1, description="depths of an inlier in one camera agree within this factor")
     samples: int = Field(20_000, ge=1, description="minimal sets drawn; if side lengths disagree, dropped unsolved")
     hypotheses: int = Field(400, ge=1, description="transforms scored, at most")
-    refined: int = Field(3, ge=1, description="best hypotheses that are refined")
-    guided_hamming: int = Field(64, ge=0, le=256, description="descriptor distance once the pose is known, bits of 256")
+    refined: int = Field(5, ge=1, description="best hypotheses that are refined")
+    guided_hamming: int = Field(80, ge=0, le=256, description="descriptor distance once the pose is known, bits of 256")
     loss_scale: float = Field(3.0, gt=0, description="scale of the Cauchy loss in refinement, standard deviations")
-    min_support: float = Field(0.1, ge=0, le=1, description="inliers over tentative matches both cameras see, at least")
+    min_evidence: float | None = Field(
+        0.0, description="log odds for a place match by all that both views see, at least; null: not weighed"
+    )
+    min_common: float = Field(
+        0.25, ge=0, le=1, description="share of a view's points that the other has in view, at least: less is no proof"
+    )
+    max_floating: float = Field(
+        0.15, ge=0, le=1, description="share of points before a surface that the other camera sees, at most"
+    )
+    max_deserted: float = Field(
+        0.3, ge=0, le=1, description="share of the common view without any point alike, at most; 5 % are so by chance"
+    )
     min_thickness: float = Field(
-        0.12,
+        0.1,
         ge=0,
         description="inliers' extent across their main plane over that within it; walls of one paint look alike",
     )
+    min_word_thickness: float = Field(0.12, ge=0, description="the same where views are compared by words")
     max_scale: float = Field(20.0, gt=1, description="a similarity's scale lies within 1/this and this")
     max_sigma: float = Field(0.1, gt=0, description="position 1 sigma, worst direction, over median depth, at most")
 

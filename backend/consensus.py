@@ -95,25 +95,41 @@ def _alike_triples(
 ) -> NDArray[np.intp]:
     """Sets of three matches ``(h, 3)`` whose triangles are most alike."""
     triples = rng.integers(0, len(points_M), size=(config.samples, 3))
-    sides_M, sides_Q = _sides(points_M[triples]), _sides(points_Q[triples])
-    proper = (_flatness(sides_M) > _MIN_FLATNESS) & (_flatness(sides_Q) > _MIN_FLATNESS)
-    triples, log_ratios = triples[proper], np.log(sides_M[proper] / sides_Q[proper])
-    if with_scale:
-        log_ratios = log_ratios - log_ratios.mean(axis=1, keepdims=True)
-    difference = np.abs(log_ratios).max(axis=1, initial=0.0)
-    order = np.argsort(difference, kind="stable")[: config.hypotheses]
-    return triples[order[difference[order] < np.log(config.depth_ratio)]]
+    difference = _unlikeness(np.ascontiguousarray(points_M), np.ascontiguousarray(points_Q), triples, with_scale)
+    alike = np.flatnonzero(difference < np.log(config.depth_ratio))
+    order = np.argsort(difference[alike], kind="stable")[: config.hypotheses]
+    return triples[alike[order]]
 
 
-def _sides(triangles: Array) -> Array:
-    return np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
+@njit(cache=True, nogil=True)
+def _unlikeness(points_M, points_Q, triples, with_scale):  # type: ignore[no-untyped-def]
+    """Largest log ratio ``(h,)`` of the sides of two triangles, after their common factor where there may be one;
+    infinite for triangles that say little."""
+    out = np.full(len(triples), np.inf)
+    sides, ratios = np.empty((2, 3)), np.empty(3)
+    for h in range(len(triples)):
+        for a in range(3):
+            i, j = triples[h, a], triples[h, (a + 1) % 3]
+            square = square_Q = 0.0
+            for c in range(3):
+                square += (points_M[i, c] - points_M[j, c]) ** 2
+                square_Q += (points_Q[i, c] - points_Q[j, c]) ** 2
+            sides[0, a], sides[1, a] = np.sqrt(square), np.sqrt(square_Q)
+        if _flatness(sides[0]) <= _MIN_FLATNESS or _flatness(sides[1]) <= _MIN_FLATNESS:
+            continue
+        for a in range(3):
+            ratios[a] = np.log(sides[0, a] / sides[1, a])
+        common = ratios.mean() if with_scale else 0.0
+        out[h] = np.abs(ratios - common).max()
+    return out
 
 
-def _flatness(sides: Array) -> Array:
-    """Height over longest side, of triangles given by their sides ``(n, 3)``; 0 for a point."""
-    a, b, c = np.sort(sides, axis=1).T
-    area = 0.25 * np.sqrt(np.maximum((a + b + c) * (-a + b + c) * (a - b + c) * (a + b - c), 0.0))
-    return 2.0 * area / np.maximum(c, 1e-12) ** 2
+@njit(cache=True, nogil=True)
+def _flatness(sides):  # type: ignore[no-untyped-def]
+    """Height over longest side of a triangle given by its sides ``(3,)``; 0 for a point."""
+    a, b, c = sides
+    area = 0.25 * np.sqrt(max((a + b + c) * (-a + b + c) * (a - b + c) * (a + b - c), 0.0))
+    return 2.0 * area / max(a, b, c, 1e-12) ** 2
 
 
 def _solve_triples(a: Array, b: Array, with_scale: bool) -> Transforms:

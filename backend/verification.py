@@ -11,22 +11,35 @@ from backend.alignment import ITERATIONS, Alignment, refine
 from backend.config import RelPoseConfig
 from backend.consensus import Transforms, agreeing, search
 from backend.errors import BackendError
+from backend.evidence import Evidence, weigh
 from backend.geometry import Array, Sim3
-from backend.matching import FAR, Distances, hamming_distances, mutual_matches, unique_word_matches
+from backend.judgement import Found, problem_of
+from backend.matching import (
+    FAR,
+    Candidates,
+    Distances,
+    hamming_distances,
+    mutual_candidates,
+    mutual_matches,
+    unique_word_matches,
+)
 
 # Gauss-Newton steps that are enough to compare hypotheses.
 _QUICK = 5
-# Less than this width over length and the rotation about the points' line is guesswork.
-_MIN_WIDTH = 0.01
+_BITS = 256
+# Matches under a pose that make it worth to look at more points.
+_PROMISE = 6
+DESCRIPTOR_BYTES = (8, 16, 32)
+"""Bytes that a descriptor may have: whole ORB, or its first half or quarter."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceView:
     """A key-frame's map points as its own camera sees them.
 
-    ``points_C`` ``(n, 3)`` in the camera's frame; ``descriptors`` ``(n, 32)`` uint8 ORB, or None; ``words`` ``(n,)``
-    vocabulary ids, or None (one of both must be there); ``metric`` False: the unit of length is the robot's own
-    (monocular).
+    ``points_C`` ``(n, 3)`` in the camera's frame; ``descriptors`` ``(n, w)`` uint8, ORB's first w = 32, 16 or 8 bytes,
+    or None; ``words`` ``(n,)`` vocabulary ids, or None (one of both must be there); ``metric`` False: the unit of
+    length is the robot's own (monocular).
     """
 
     points_C: Array
@@ -40,12 +53,25 @@ class PlaceView:
             raise BackendError(f"a place view needs (n, 3) finite points, got shape {self.points_C.shape}")
         if self.descriptors is None and self.words is None:
             raise BackendError("a place view needs descriptors or words")
-        if self.descriptors is not None and (self.descriptors.shape != (n, 32) or self.descriptors.dtype != np.uint8):
-            raise BackendError(
-                f"{n} points need ({n}, 32) uint8 descriptors, got {self.descriptors.shape} {self.descriptors.dtype}"
-            )
+        d = self.descriptors
+        if d is not None and (d.ndim != 2 or len(d) != n or d.shape[1] not in DESCRIPTOR_BYTES or d.dtype != np.uint8):
+            raise BackendError(f"{n} points need ({n}, 32) uint8 descriptors, or 16 or 8, got {d.shape} {d.dtype}")
         if self.words is not None and self.words.shape != (n,):
             raise BackendError(f"{n} points need ({n},) words, got shape {self.words.shape}")
+
+
+def joined(first: PlaceView, rest: PlaceView) -> PlaceView:
+    """One view of the points of two."""
+    both = (first, rest)
+    descriptors, words = [v.descriptors for v in both], [v.words for v in both]
+    return PlaceView(
+        np.concatenate([v.points_C for v in both]),
+        descriptors=np.concatenate([d for d in descriptors if d is not None]) if all(
+            d is not None for d in descriptors
+        ) else None,
+        words=np.concatenate([w for w in words if w is not None]) if all(w is not None for w in words) else None,
+        metric=first.metric,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +80,10 @@ class Verdict:
 
     ``reason`` is "accepted" or says what was too little and by how much; ``T_M_Q`` maps the query camera to the match
     camera (scale 1 when both are metric); ``matches`` tentative, of which ``inliers`` fit the refined pose; ``rmse``:
-    bearing error of the inliers in the match camera, degrees (NaN without a pose); ``information`` ``(6, 6)`` of the
-    rigid part, translation first, in the match's unit; ``guided``: matches made again under the pose, which refined it.
-    ``T_M_Q`` and ``information`` may be there without acceptance, for the record.
+    bearing error of the matches made again under the pose, of which there are ``guided``, degrees (NaN without a pose);
+    ``full_information`` ``(7, 7)`` of translation (match's unit), rotation and log scale, the last 0 when both are
+    metric; ``evidence``: what speaks for and against the pose, ``log_odds`` its sum (None where it is not weighed).
+    ``T_M_Q`` and the information may be there without acceptance, for the record.
     """
 
     accepted: bool
@@ -65,13 +92,38 @@ class Verdict:
     matches: int
     inliers: int
     rmse: float
-    information: Array | None
+    full_information: Array | None
     guided: int = 0
+    evidence: Evidence | None = None
+    log_odds: float | None = None
 
     @property
     def kind(self) -> str:
         """The reason without its figures, to count by: "too few inliers"."""
         return self.reason.partition(":")[0]
+
+    @property
+    def information(self) -> Array | None:
+        """``(6, 6)`` of the rigid part, translation first, in the match's unit; the scale is marginalised."""
+        full = self.full_information
+        return None if full is None or self.T_M_Q is None else Alignment(self.T_M_Q, full, 0.0, 0.0).information
+
+    @property
+    def scale_sigma(self) -> float:
+        """Standard deviation of the log scale; 0 where none was estimated, infinite where nothing determines it."""
+        full = self.full_information
+        if full is None or full[6, 6] <= 0:
+            return 0.0
+        rest = full[6, 6] - full[6, :6] @ np.linalg.pinv(full[:6, :6]) @ full[:6, 6]
+        return float(1.0 / np.sqrt(rest)) if rest > 1e-12 * full[6, 6] else float("inf")
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    """A settled pose, and the rows ``(g, 2)`` of the query and the match that are matched under it."""
+
+    alignment: Alignment
+    guided: NDArray[np.intp]
 
 
 def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng: np.random.Generator) -> Verdict:
@@ -79,45 +131,71 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
 
     Same inputs and the same state of ``rng``: same verdict, bit for bit.
     """
-    pairs, distances = _tentative(query, match, config)
+    pairs, distances, bits = _tentative(query, match, config)
     if len(pairs) < config.min_matches:
         return _rejected(f"too few matches: {len(pairs)} < {config.min_matches}", len(pairs))
     with_scale = not (query.metric and match.metric)
+    alike = config.guided_hamming * bits // _BITS
     points_Q, points_M = query.points_C[pairs[:, 0]], match.points_C[pairs[:, 1]]
-    inliers, found = 0, None
+    candidates = Candidates.within(distances, alike)
+    best: _Hypothesis | None = None
     for start in search(points_M, points_Q, with_scale, config, rng):
         settled = _settle(points_M, points_Q, start, with_scale, config, _QUICK)
-        if settled is not None and settled[0] > inliers:
-            inliers, found = settled
-    if found is None or inliers < config.min_inliers:
-        # Before matching again: under a wrong pose, textures that repeat would supply as many matches as are wanted.
-        return _rejected(f"too few inliers: {inliers} < {config.min_inliers}", len(pairs), inliers)
-    guided = _guided(query, match, distances, found.T_M_Q, config)
-    guided_Q, guided_M = query.points_C[guided[:, 0]], match.points_C[guided[:, 1]]
-    settled = _settle(guided_M, guided_Q, found.T_M_Q, with_scale, config)
-    guided_count, found = settled if settled is not None else (0, found)
-    inside = _inliers(found.T_M_Q, points_M, points_Q, config)
-    return _judge(found, points_M[inside], points_Q[inside], len(pairs), guided_count, config)
+        if settled is not None:
+            guided = _guided(query, match, candidates, settled.T_M_Q, config)
+            if best is None or len(guided) > len(best.guided):
+                best = _Hypothesis(settled, guided)
+    if best is None:
+        return _rejected("too few inliers: no pose explains four matches", len(pairs))
+    best = _again(best, query, match, candidates, with_scale, config)
+    pose = best.alignment
+    inside = _inliers(pose.T_M_Q, points_M, points_Q, config)
+    found = Found(
+        alignment=pose,
+        tentative=points_M[inside],
+        guided_M=match.points_C[best.guided[:, 1]],
+        guided_Q=query.points_C[best.guided[:, 0]],
+        evidence=weigh(
+            match.points_C, query.points_C, distances, pose.T_M_Q, config.inlier_angle_deg, alike, pose.depth_sigma
+        ),
+        similar=len(candidates.rows) / max(distances.size, 1),
+        by_words=bits == 0,
+    )
+    problem, log_odds = problem_of(found, config)
+    return Verdict(
+        problem is None, problem or "accepted", pose.T_M_Q, len(pairs), int(inside.sum()), found.rmse_deg,
+        pose.full_information, len(best.guided), found.evidence, log_odds,
+    )  # fmt: skip
 
 
-def _tentative(query: PlaceView, match: PlaceView, config: RelPoseConfig) -> tuple[NDArray[np.intp], Distances]:
-    """Pairs ``(k, 2)`` of query and match rows, and all distances ``(n_Q, n_M)`` for matching again later.
+def promising(verdict: Verdict) -> bool:
+    """Whether more points might turn a refusal into acceptance: some matches agree, and little contradicts them."""
+    return not verdict.accepted and verdict.guided >= _PROMISE
 
-    By descriptors where both views have them, else by words that occur once in either view; equal words count as
-    distance 0.
+
+def _tentative(
+    query: PlaceView, match: PlaceView, config: RelPoseConfig
+) -> tuple[NDArray[np.intp], Distances, int]:
+    """Pairs ``(k, 2)`` of query and match rows, all distances ``(n_Q, n_M)`` for matching again later, and how many
+    bits they count.
+
+    By descriptors where both views have them, as many bits as both have; else by words that occur once in either view
+    (0 bits; equal words count as distance 0).
     """
     if query.descriptors is not None and match.descriptors is not None:
-        distances = hamming_distances(query.descriptors, match.descriptors)
-        return mutual_matches(distances, config.max_hamming, config.ratio), distances
+        width = min(query.descriptors.shape[1], match.descriptors.shape[1])
+        distances = hamming_distances(query.descriptors[:, :width], match.descriptors[:, :width])
+        bits = 8 * width
+        return mutual_matches(distances, config.max_hamming * bits // _BITS, config.ratio), distances, bits
     if query.words is None or match.words is None:
         raise BackendError("the two views have neither descriptors nor words in common")
     distances = np.where(query.words[:, None] == match.words[None, :], np.int16(0), FAR)
-    return unique_word_matches(query.words, match.words), distances
+    return unique_word_matches(query.words, match.words), distances, 0
 
 
 def _settle(
     points_M: Array, points_Q: Array, start: Sim3, with_scale: bool, config: RelPoseConfig, iterations: int = ITERATIONS
-) -> tuple[int, Alignment] | None:
+) -> Alignment | None:
     """Refine on the inliers of the wide bound, then on those of the narrow one; None with too few to go on."""
     T, result = start, None
     for angle_deg in (config.search_angle_deg, config.inlier_angle_deg):
@@ -126,8 +204,21 @@ def _settle(
             return None
         result = refine(points_M[inside], points_Q[inside], T, with_scale, config.loss_scale, iterations)
         T = result.T_M_Q
-    assert result is not None
-    return int(_inliers(T, points_M, points_Q, config).sum()), result
+    return result
+
+
+def _again(
+    best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: Candidates, with_scale: bool,
+    config: RelPoseConfig,
+) -> _Hypothesis:  # fmt: skip
+    """Refine on the guided matches, and match again with what that gives."""
+    for _ in range(2):
+        points_Q, points_M = query.points_C[best.guided[:, 0]], match.points_C[best.guided[:, 1]]
+        settled = _settle(points_M, points_Q, best.alignment.T_M_Q, with_scale, config)
+        if settled is None:
+            break
+        best = _Hypothesis(settled, _guided(query, match, candidates, settled.T_M_Q, config))
+    return best
 
 
 def _inliers(T_M_Q: Sim3, points_M: Array, points_Q: Array, config: RelPoseConfig) -> NDArray[np.bool_]:
@@ -135,66 +226,11 @@ def _inliers(T_M_Q: Sim3, points_M: Array, points_Q: Array, config: RelPoseConfi
 
 
 def _guided(
-    query: PlaceView, match: PlaceView, distances: Distances, T_M_Q: Sim3, config: RelPoseConfig
+    query: PlaceView, match: PlaceView, candidates: Candidates, T_M_Q: Sim3, config: RelPoseConfig
 ) -> NDArray[np.intp]:
     """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
-    rows, columns = np.nonzero(distances <= config.guided_hamming)
-    near = _inliers(T_M_Q, match.points_C[columns], query.points_C[rows], config)
-    allowed = np.full_like(distances, FAR)
-    allowed[rows[near], columns[near]] = distances[rows[near], columns[near]]
-    return mutual_matches(allowed, config.guided_hamming)
-
-
-def _judge(
-    found: Alignment, points_M: Array, points_Q: Array, matches: int, guided: int, config: RelPoseConfig
-) -> Verdict:
-    """Everything that must hold of the refined pose and of those tentative matches that are its inliers."""
-    T, n = found.T_M_Q, len(points_M)
-    rmse_deg = _bearing_rmse_deg(T @ points_Q, points_M) if n else float("nan")
-    width, thickness = _shape(points_M)
-    sigma = _position_sigma(found.information)
-    depth = float(np.median(np.linalg.norm(points_M, axis=1))) if n else 1.0
-    # Chance inliers fill the bound's disc evenly, which gives 0.71 of its radius; right ones crowd at its centre.
-    rmse_limit = 0.6 * config.inlier_angle_deg
-    problem = None
-    if n < config.min_inliers:
-        problem = f"too few inliers: {n} < {config.min_inliers}"
-    elif width < _MIN_WIDTH:
-        problem = f"degenerate: points on a line, width over length {width:.4f} < {_MIN_WIDTH:g}"
-    elif thickness < config.min_thickness:
-        problem = f"ambiguous: points on one flat surface, thickness {thickness:.3f} < {config.min_thickness:g}"
-    elif not 1.0 / config.max_scale < T.scale < config.max_scale:
-        problem = f"implausible scale: {T.scale:.3g} outside {1 / config.max_scale:.3g} to {config.max_scale:.3g}"
-    elif rmse_deg > rmse_limit:
-        problem = f"residual too large: {rmse_deg:.3f} deg > {rmse_limit:.3f} deg"
-    elif n < config.min_support * matches:
-        problem = f"too little support: {n} inliers of {matches} matches < {config.min_support:.0%}"
-    elif sigma > config.max_sigma * depth:
-        problem = f"too uncertain: position sigma {sigma:.3g} > {config.max_sigma:g} of the median depth {depth:.3g}"
-    return Verdict(problem is None, problem or "accepted", T, matches, n, rmse_deg, found.information, guided)
-
-
-def _bearing_rmse_deg(predicted: Array, observed: Array) -> float:
-    cross = np.linalg.norm(np.cross(predicted, observed), axis=1)
-    angles = np.arctan2(cross, np.einsum("kc,kc->k", predicted, observed))
-    return float(np.degrees(np.sqrt(np.mean(angles**2))))
-
-
-def _shape(points: Array) -> tuple[float, float]:
-    """Second over first singular value of the points' scatter (0 for a line), and third over second (0 for a plane)."""
-    if len(points) < 4:
-        return 0.0, 0.0
-    length, width, thickness = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return float(width / max(length, 1e-12)), float(thickness / max(width, 1e-12))
-
-
-def _position_sigma(information: Array) -> float:
-    """One standard deviation of the position in its worst direction; infinite where the information is singular."""
-    values, vectors = np.linalg.eigh(information)
-    if values[0] <= 1e-12 * values[-1]:
-        return float("inf")
-    covariance = (vectors / values) @ vectors.T
-    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    near = _inliers(T_M_Q, match.points_C[candidates.columns], query.points_C[candidates.rows], config)
+    return mutual_candidates(candidates, near)
 
 
 def _rejected(reason: str, matches: int, inliers: int = 0) -> Verdict:

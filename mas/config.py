@@ -37,6 +37,16 @@ class PlacesConfig(_Section):
         "descriptors", description="what a verification sends for each point"
     )
     max_points: int = Field(500, ge=20, description="map points of a key-frame sent for verification, at most")
+    first_points: int = Field(
+        0, ge=0, description="so many of them at first, the rest only where those promise a match; 0: all at once"
+    )
+    first_evidence: float = Field(
+        3.0, description="log odds that the first points must bring to be believed without the rest"
+    )
+    point_code: Literal["float", "grid"] = Field(
+        "float", description="how positions travel: 12 bytes each, or 4 on a grid of directions and inverse depths"
+    )
+    descriptor_bytes: Literal[8, 16, 32] = Field(32, description="of each descriptor, its first bytes")
     gap_keyframes: int = Field(
         4, ge=0, description="own key-frames that pass between accepted matches with one agent; no verification sooner"
     )
@@ -53,6 +63,16 @@ class PlacesConfig(_Section):
 class ConsistencyConfig(_Section):
     """Which verified matches are used: those that agree with each other about how two tracks stand to each other."""
 
+    rule: Literal["together", "earlier"] = Field(
+        "together",
+        description="together: the largest set that agrees; earlier: the predecessor's, by those before it on the way",
+    )
+    earlier_m: float = Field(
+        20.0, gt=0, description="earlier: matches made at most this far back on the query's way are asked, metres"
+    )
+    earlier_apart_m: float = Field(
+        4.0, gt=0, description="earlier: positions agree within this, metres (indoors the predecessor took 2 over 10)"
+    )
     min_support: int = Field(
         1, ge=0, description="other matches between the same two tracks that must agree with a match"
     )

@@ -70,6 +70,10 @@ class Agreement:
     ``depth_share`` median depths plus ``drift`` times the ways driven between the two; rotations likewise. This is the
     thesis's consistency (3.3) as settled: it compares through ``T_M_Q``, not the two camera centres directly. All is
     relative to depth, so that it holds for any unit.
+
+    Rule "earlier" is the predecessor's consistency group instead: a match counts when at least ``min_support`` (its
+    value: 2) of those made in the last ``earlier_m`` of the way put the query within ``earlier_apart_m`` of where it
+    does; rotations are not compared, and lengths are metres.
     """
 
     def __init__(self, config: ConsistencyConfig) -> None:
@@ -102,6 +106,9 @@ class Agreement:
         by_others = s[:, None] * (R @ query) + t - last @ query
         of_others = s[:, None] * np.einsum("nij,nj->ni", R, queries) + t - last @ queries
         apart = np.linalg.norm([by_others, of_others], axis=2).max(axis=0)
+        if self.config.rule == "earlier":
+            recent = np.abs(way_Q - way_Q[-1]) <= self.config.earlier_m
+            return np.asarray(recent & (apart <= self.config.earlier_apart_m))
         cosine = (np.einsum("nij,ij->n", R, last.rotation) - 1.0) / 2.0
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
         near = apart <= self.config.depth_share * deeper + self.config.drift * travelled
@@ -117,6 +124,8 @@ class Agreement:
         which matches came does not matter, so both owners of a match come to the same set; and a match left out comes
         back when later ones support it.
         """
+        if self.config.rule == "earlier":
+            return self._by_earlier()
         counts = self._ok.sum(axis=1)
         order = sorted(range(len(self.ids)), key=lambda k: (-counts[k], self.ids[k]))
         best: list[int] = []
@@ -131,3 +140,13 @@ class Agreement:
             if len(clique) > len(best):
                 best = clique
         return {self.ids[k] for k in best} if len(best) > self.config.min_support else set()
+
+    def _by_earlier(self) -> set[MatchId]:
+        """Those that enough matches before them on the query's way agree with. The order in which they came to be known
+        does not matter: the way says which is earlier, and of equals the number."""
+        places = [(way, i) for (_, way, _), i in zip(self._figures, self.ids, strict=True)]
+        return {
+            self.ids[k]
+            for k in range(len(self.ids))
+            if sum(self._ok[k, j] for j in range(len(self.ids)) if places[j] < places[k]) >= self.config.min_support
+        }

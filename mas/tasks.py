@@ -8,6 +8,8 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from backend.quantise import RANGES
+from backend.verification import DESCRIPTOR_BYTES
 from mas.identities import (
     MAX_POINTS,
     MAX_VECTOR_BYTES,
@@ -20,7 +22,16 @@ from mas.identities import (
     Stamp,
 )
 from mas.maps.wire import MapDelivery, MapOrder
-from mas.tensors import Tensor, check, check_points, check_poses, check_sim3, check_sim3s
+from mas.tensors import (
+    MAX_TRANSLATION,
+    TRIANGLE,
+    Tensor,
+    check,
+    check_points,
+    check_poses,
+    check_sim3,
+    check_sim3s,
+)
 
 # -- tasks: what an award asks for ------------------------------------------------------------------------------------
 
@@ -47,9 +58,13 @@ class OwnerQuery(PlaceQuery, frozen=True, array_like=True, tag=5):
 
 
 class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
-    """Verify a place match by geometry: the query's map points in its camera, ``(n, 3)`` float32, with ORB descriptors
-    ``(n, 32)`` or vocabulary words ``(n,)``; ``T_T_Q``: the query camera in its own track, by
-    odometry, and ``way``: how far it had travelled by then."""
+    """Verify a place match by geometry: the query's map points in its camera, with ORB descriptors ``(n, w)``, whole or
+    their first 16 or 8 bytes, or vocabulary words ``(n,)``; ``T_T_Q``: the query camera in its own track, by odometry,
+    and ``way``: how far it had travelled by then.
+
+    ``points``: ``(n, 3)`` float32, or ``(n,)`` uint32 codes with their ``ranges`` ``(6,)`` (:mod:`backend.quantise`).
+    ``more``: points kept back, which the answer may ask for; ``rest``: these are they, and the first ones came before.
+    """
 
     match: MatchId
     track: Index
@@ -60,16 +75,35 @@ class VerifyTask(msgspec.Struct, frozen=True, array_like=True, tag=2):
     points: Tensor
     descriptors: Tensor | None
     words: Tensor | None
+    ranges: Tensor | None = None
+    more: Index = 0
+    rest: bool = False
 
     def __post_init__(self) -> None:
-        n = check_points("points", self.points, None)
+        n = self._check_points()
         check_poses("T_T_Q", self.T_T_Q, "<f8", ())
         if n > MAX_POINTS or (self.descriptors is None) == (self.words is None):
             raise ValueError(f"points: {n} of them, with exactly one of descriptors and words")
         if self.descriptors is not None:
-            check("descriptors", self.descriptors, "|u1", (n, 32))
+            check("descriptors", self.descriptors, "|u1", (n, None))
+            if self.descriptors.shape[1] not in DESCRIPTOR_BYTES:
+                raise ValueError(f"descriptors: {self.descriptors.shape[1]} bytes each, not one of {DESCRIPTOR_BYTES}")
         if self.words is not None:
             check("words", self.words, "<u2", (n,))
+
+    def _check_points(self) -> int:
+        """How many there are."""
+        if self.ranges is None:
+            return check_points("points", self.points, None)
+        ranges = check("ranges", self.ranges, "<f4", (RANGES,))
+        if (ranges[:3] > ranges[3:]).any() or np.abs(ranges).max() > MAX_TRANSLATION:
+            raise ValueError("ranges: low above high, or too far")
+        return len(check("points", self.points, "<u4", (None,)))
+
+    @property
+    def parts(self) -> tuple[Tensor, ...]:
+        """What it takes to describe the view."""
+        return tuple(t for t in (self.points, self.ranges, self.descriptors, self.words) if t is not None)
 
 
 class OptimiseTask(msgspec.Struct, frozen=True, array_like=True, tag=3):
@@ -127,9 +161,10 @@ class PlaceRedirect(msgspec.Struct, frozen=True, array_like=True, tag=6):
 
 
 class VerifyAnswer(msgspec.Struct, frozen=True, array_like=True, tag=2):
-    """The verdict on a match: ``T_M_Q`` (Sim(3)) and ``information`` ``(6, 6)`` where it holds; the match camera in its
-    own track by odometry, its way so far and its median depth, so that both sides can judge whether matches agree
-    with each other."""
+    """The verdict on a match: ``T_M_Q`` (Sim(3)) and ``information``, the upper triangle ``(21,)`` of the 6x6 matrix in
+    float32, where it holds; the match camera in its own track by odometry, its way so far and its median depth, so that
+    both sides can judge whether matches agree with each other. ``wants_more``: not decided, the points kept back are
+    asked for."""
 
     match: MatchId
     accepted: bool
@@ -144,6 +179,7 @@ class VerifyAnswer(msgspec.Struct, frozen=True, array_like=True, tag=2):
     T_T_M: Tensor
     way: Annotated[float, msgspec.Meta(ge=0)]
     depth: Annotated[float, msgspec.Meta(gt=0)]
+    wants_more: bool = False
 
     def __post_init__(self) -> None:
         check_poses("T_T_M", self.T_T_M, "<f8", ())
@@ -152,9 +188,9 @@ class VerifyAnswer(msgspec.Struct, frozen=True, array_like=True, tag=2):
         if self.T_M_Q is not None:
             check_sim3("T_M_Q", self.T_M_Q)
         if self.information is not None:
-            matrix = check("information", self.information, "<f8", (6, 6))
-            if np.abs(matrix - matrix.T).max() > 1e-6 * max(np.abs(matrix).max(), 1.0):
-                raise ValueError("information: not symmetric")
+            check("information", self.information, "<f4", (TRIANGLE,))
+        if self.accepted and self.wants_more:
+            raise ValueError("wants_more: of an accepted match")
 
 
 class OptimiseAnswer(msgspec.Struct, frozen=True, array_like=True, tag=3):

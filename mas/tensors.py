@@ -13,7 +13,7 @@ from backend.geometry import Sim3, is_se3, quat_wxyz_from_rotation, rotation_fro
 from mas.errors import MasError
 
 # Little-endian dtypes that may travel.
-DTYPES = ("<f4", "<f8", "|u1", "<u2", "<i4", "<i8")
+DTYPES = ("<f4", "<f8", "|u1", "<u2", "<u4", "<i4", "<i8")
 
 Shape = tuple[int | None, ...]
 
@@ -150,3 +150,18 @@ def check_sim3(name: str, tensor: Tensor) -> None:
     """One row as :func:`pack_sim3` makes it."""
     check(name, tensor, "<f8", (SIM3_WIDTH,))
     check_sim3s(name, Tensor(tensor.dtype, (1, SIM3_WIDTH), tensor.data), 1)
+
+
+TRIANGLE = 21
+
+
+def pack_information(matrix: NDArray[np.float64]) -> Tensor:
+    """The upper triangle of a symmetric ``(6, 6)`` matrix, float32."""
+    return Tensor.of(matrix[np.triu_indices(6)], "<f4")
+
+
+def unpack_information(tensor: Tensor) -> NDArray[np.float64]:
+    """Inverse of :func:`pack_information`."""
+    out = np.zeros((6, 6))
+    out[np.triu_indices(6)] = tensor.array()
+    return np.asarray(out + np.triu(out, 1).T)

@@ -81,7 +81,7 @@ def account(message: Message) -> tuple[Traffic, str, int]:
     elif isinstance(work, PlaceRedirect):
         payload = 8 + 4 + 1
     elif isinstance(work, VerifyTask):
-        payload = 1 + 4 + 4 + work.points.shape[0] * (12 + (32 if work.descriptors is not None else 2))
+        payload = 1 + 4 + 4 + sum(part.nbytes for part in work.parts)
     elif isinstance(work, VerifyAnswer):
         payload = 2 * 6 * 8
     elif isinstance(work, MapDelivery):

@@ -1,11 +1,13 @@
-"""``maslam bench``: what the odometry costs and how good it is (``vo``), what it keeps in memory (``memory``), and
-what the search of place vectors (``search``) and distributed optimisation (``pgo``) cost."""
+"""``maslam bench``: what the odometry costs and how good it is (``vo``), what it keeps in memory (``memory``), what
+the search of place vectors (``search``) and distributed optimisation (``pgo``) cost, and which place matches are
+believed (``relpose``)."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from tools.bench_relpose_command import add_relpose, run_relpose
 from tools.errors import ToolError, UsageError
 
 SECTION = "odometry"
@@ -100,6 +102,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     search.add_argument("--seed", type=int, default=0, help="of the vectors (default: %(default)s)")
     search.add_argument("--json", action="store_true", help="one JSON list instead of a table")
     search.add_argument("--quiet", action="store_true", help="no progress")
+    add_relpose(actions)
     pgo = actions.add_parser(
         "pgo",
         help="distributed optimisation: bytes, time and gap to the optimum, by number of robots",
@@ -117,6 +120,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Do the action asked for."""
+    if arguments.action == "relpose":
+        return run_relpose(arguments)
     return {"vo": _vo, "memory": _memory, "search": _search, "pgo": _pgo}[arguments.action](arguments)
 
 

@@ -122,7 +122,7 @@ def visit_places(
     renderer = Renderer(world)
     places: list[list[Visit]] = []
     while len(places) < config.places:
-        base, camera = _standpoint(world, config, rng), _camera(config, rng)
+        base, camera = standpoint(world, config, rng), _camera(config, rng)
         visits = [_render(renderer, base, camera, random_light(rng, 1.0, config.indoors), config, rng)]
         if _dull(visits[0], config):
             continue
@@ -222,7 +222,7 @@ def _camera(config: SamplerConfig, rng: np.random.Generator) -> PinholeCamera:
     return PinholeCamera(config.width, config.height, focal, focal, (config.width - 1) / 2, (config.height - 1) / 2)
 
 
-def _standpoint(world: World, config: SamplerConfig, rng: np.random.Generator) -> NDArray[np.float64]:
+def standpoint(world: World, config: SamplerConfig, rng: np.random.Generator) -> NDArray[np.float64]:
     """A pose on free ground; outdoors along the way, indoors towards anything that is not too near."""
     free = world.free
     rows, cols = np.nonzero(free.clearance >= config.clearance_m)

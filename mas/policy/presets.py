@@ -45,6 +45,7 @@ PRESETS: dict[str, MasConfig] = {
     "maslam": MasConfig(
         preset="maslam",
         ask_again=False,
+        places=PlacesConfig(max_points=600, first_points=200, point_code="grid", descriptor_bytes=16),
         merge=MergeConfig(form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0),
     ),
 }
@@ -54,7 +55,8 @@ PRESETS: dict[str, MasConfig] = {
 purchases once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases.
 ``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: does not ask where the answer
 could not be used, buys compact maps, less often while driving, lays them on place matches or rejects them, and sends
-place vectors as int8, a byte a number.
+place vectors as int8, a byte a number. A verification begins with 200 points of 20 bytes, and sends more where those
+promise a match.
 
 Distances below which places match belong to a network: all presets use the model's calibrated one, not the thesis's
 0.02 or the predecessor's 0.1.

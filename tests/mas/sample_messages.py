@@ -77,6 +77,12 @@ def examples() -> list[Message]:
         Award(PlaceQuery(3, "ab" * 8, "int8", vector)),
         Award(OwnerQuery(3, "ab" * 8, "int8", vector)),
         Award(verify_task()),
+        Award(
+            verify_task(
+                points=Tensor.of([1, 2, 3, 4], "<u4"), ranges=Tensor.of([0, 0, 0, 1, 1, 1], "<f4"),
+                descriptors=Tensor.of(np.zeros((4, 16)), "|u1"), more=300,
+            )
+        ),
         Confirmation(),
         Result(PlaceAnswer(4, 0.25)),
         Result(PlaceAnswer(None, 2.0)),

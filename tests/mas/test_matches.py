@@ -78,6 +78,28 @@ def test_both_owners_come_to_the_same_set() -> None:
     assert consistent(matches, CONFIG) == consistent(reversed(matches), CONFIG)
 
 
+PREDECESSOR = ConsistencyConfig(rule="earlier", min_support=2)
+
+
+def test_the_predecessors_group_wants_two_earlier_matches() -> None:
+    matches = matches_between(6)  # 4.5 m apart on the way: four of them lie within 20 m
+    assert consistent(matches, PREDECESSOR) == {m.id for m in matches[2:]}
+    assert consistent(matches[:2], PREDECESSOR) == set()
+    assert consistent(reversed(matches), PREDECESSOR) == {m.id for m in matches[2:]}
+    wrong = spoiled(matches[3], metres=6.0)
+    assert consistent([*matches, wrong], PREDECESSOR) == {m.id for m in matches[2:]}
+    near = spoiled(matches[3], metres=3.0)  # within its 4 m, which our own rule does not believe
+    assert near.id in consistent([*matches, near], PREDECESSOR)
+    assert near.id not in consistent([*matches, near], CONFIG)
+
+
+def test_the_predecessors_group_forgets_what_is_behind() -> None:
+    matches = matches_between(8)
+    sparse = [matches[0], matches[1], matches[7]]  # the last one is 27 m farther on
+    assert consistent(sparse, PREDECESSOR) == set()
+    assert consistent(sparse, PREDECESSOR.model_copy(update={"earlier_m": 40.0})) == {matches[7].id}
+
+
 def test_a_match_seen_from_the_other_side_says_the_same() -> None:
     a, b, *_ = matches_between(3)
     assert len(consistent([a, b.turned()], CONFIG)) == 2

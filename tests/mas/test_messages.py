@@ -68,6 +68,14 @@ BAD_VALUES = {
     "vector of doubles": lambda: PlaceQuery(0, "x", "int8", Tensor.of([1.0, 0.0], "<f8")),
     "fewer descriptors than points": lambda: verify_task(descriptors=Tensor.of(np.zeros((3, 32)), "|u1")),
     "neither descriptors nor words": lambda: verify_task(descriptors=None),
+    "descriptors of odd length": lambda: verify_task(descriptors=Tensor.of(np.zeros((4, 20)), "|u1")),
+    "codes without their ranges": lambda: verify_task(points=Tensor.of(np.ones(4), "<u4")),
+    "ranges upside down": lambda: verify_task(
+        points=Tensor.of(np.ones(4), "<u4"), ranges=Tensor.of([1, 0, 0, 0, 1, 1], "<f4")
+    ),
+    "endless ranges": lambda: verify_task(
+        points=Tensor.of(np.ones(4), "<u4"), ranges=Tensor.of([0, 0, 0, 1, 1, np.inf], "<f4")
+    ),
     "infinite points": lambda: verify_task(points=Tensor.of(np.full((4, 3), np.inf), "<f4")),
     "pose without rotation": lambda: verify_task(T_T_Q=Tensor.of(np.zeros(7), "<f8")),
     "shape larger than its bytes": lambda: verify_task(points=Tensor("<f4", (10**9, 3), b"")),

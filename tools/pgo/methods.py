@@ -12,6 +12,7 @@ from backend.config import CentralConfig, RobustConfig, SolverConfig
 from backend.distributed.exchange import optimise_distributed
 from backend.geometry import Array
 from backend.graph import NodeId, PoseGraph
+from backend.robust.noise import Noise
 from backend.robust.pcm import consistent_edges
 from backend.robust.select import optimise_robustly
 from tools.errors import UsageError
@@ -88,7 +89,10 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         # From odometry alone, which two robots tell each other once; these bytes are not counted.
         consistent = consistent_edges(graph, request.selection)
     if "gnc" in request.robust:
-        noise = max(consistent.noise, config.gnc_noise)
+        # The bound on a right edge's residual that the cycles tell, as a factor over the stated one.
+        beyond = 1.0 - config.gnc_confidence
+        bound, stated = consistent.noise.limit(beyond), Noise.stated(graph.dimension).limit(beyond)
+        noise = max((bound / stated) ** 0.5, config.gnc_noise)
         config = config.model_copy(update={"robust": "gnc", "gnc_noise": noise})
     if "pcm" in request.robust:
         weights = consistent.accepted.astype(np.float64)
