@@ -41,7 +41,7 @@ class PlacesConfig(_Section):
         0, ge=0, description="so many of them at first, the rest only where those promise a match; 0: all at once"
     )
     first_evidence: float = Field(
-        3.0, description="log odds that the first points must bring to be believed without the rest"
+        6.0, description="log odds that the first points must bring to be believed without the rest"
     )
     point_code: Literal["float", "grid"] = Field(
         "float", description="how positions travel: 12 bytes each, or 4 on a grid of directions and inverse depths"

@@ -18,8 +18,8 @@ _PREDECESSOR = MasConfig(
     places=PlacesConfig(
         code="float32x128", features="words", gap_keyframes=0, gap_m=10.0, own_age_s=30.0, own_age_keyframes=None
     ),
-    relpose=RelPoseConfig(search_angle_deg=5.0, hypotheses=300, ratio=0.75),
-    consistency=ConsistencyConfig(min_support=2),
+    relpose=RelPoseConfig(search_angle_deg=5.0, hypotheses=300, ratio=0.75, max_hamming=50, min_inliers=20),
+    consistency=ConsistencyConfig(rule="earlier", min_support=2),
     optimisation=OptimisationConfig(
         period_keyframes=1,
         solver=SolverConfig(method="dgs", relaxation=1.0, start="warm", rotation_sweeps=20, pose_sweeps=20),
@@ -46,6 +46,7 @@ PRESETS: dict[str, MasConfig] = {
         preset="maslam",
         ask_again=False,
         places=PlacesConfig(max_points=600, first_points=200, point_code="grid", descriptor_bytes=16),
+        optimisation=OptimisationConfig(solver=SolverConfig(method="elected", start="warm")),
         merge=MergeConfig(form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0),
     ),
 }

@@ -16,7 +16,7 @@ from mas.messages import Bid, Offer
 # What a result brings beside its figures: header, names, lengths.
 ENVELOPE_BYTES = 20
 PLACE_ANSWER_BYTES = 22
-VERIFY_ANSWER_BYTES = 500
+VERIFY_ANSWER_BYTES = 260
 # Until an agent has paid for an optimisation: about 20 sweeps with 6 or 9 numbers for each end of a match.
 SOLVER_BYTES_A_ROW = 1200.0
 

@@ -22,7 +22,7 @@ from mas.sequence import AgentSequence, Manifest
 from mas.solver_messages import SolverBody
 from mas.state import AgentState, Profile
 from mas.tasks import VerifyAnswer
-from mas.tensors import Tensor, pack_sim3, unpack_poses
+from mas.tensors import pack_information, pack_sim3, unpack_poses
 from mas.transport import InProcessTransport
 
 
@@ -63,7 +63,7 @@ class Liar(Saboteur):
         self.lies += 1
         changed = {
             "accepted": True, "reason": "accepted", "inliers": 300, "matches": 300, "rmse": 0.01,
-            "T_M_Q": pack_sim3(self.invented(outcome)), "information": Tensor.of(1e5 * np.eye(6), "<f8"),
+            "T_M_Q": pack_sim3(self.invented(outcome)), "information": pack_information(1e5 * np.eye(6)),
         }  # fmt: skip
         return msgspec.structs.replace(message, body=Result(msgspec.structs.replace(outcome, **changed)))
 
