@@ -16,7 +16,7 @@ from mas.solver_messages import SolverBody
 from mas.tasks import Outcome, Task
 from mas.tensors import EMPTY_SIM3S, MessageError, Tensor, check_sim3s
 
-VERSION = 2
+VERSION = 3
 
 # -- terms: what a bid offers -----------------------------------------------------------------------------------------
 

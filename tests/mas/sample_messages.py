@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from backend.distributed.messages import Stage
 from backend.geometry import Sim3
 from mas.identities import ContractId, FrameId, MatchId, Operation
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
@@ -68,7 +69,7 @@ def examples() -> list[Message]:
         SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
         SolverReport(2, 0, 1, float("inf"), 3.0),
         SolverReport(4, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
-        SolverSteps(4, 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
+        SolverSteps(int(Stage.DESCENT), 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
         SolverState(3, 2, Tensor.of(np.zeros((2, 6)), "<f4")),
         SolverStatus((SolverStanding(1, 2, 3, True, ((0, 4),)),)),
     ]
