@@ -233,9 +233,16 @@ class Optimisation(Trade):
                 del self._before[next(iter(self._before))]
 
     def resend(self) -> None:
-        """Say again what other members may have missed, if nothing goes on."""
+        """Say again what other members may have missed, if nothing goes on; give up where there is no end in sight."""
         session = self.session
         if session is not None and session.begun:
+            others = set(session.task.members) - {self.state.me}
+            patience_ns = self.desk.deadline_ns(Operation.DOPT, others) - self.desk.now_ns
+            if others and self.desk.now_ns > session.began_ns + patience_ns:
+                # The others are through, and their last word does not reach this agent.
+                self._leave(session)
+                self.attempts.failed(self.desk.now_ns, self.state.me)
+                return
             self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.desk.words.pace))
 
     def _run(self, session: Session) -> None:

@@ -20,6 +20,9 @@ from backend.distributed.messages import (
     Report,
     Round,
     Stage,
+    Standing,
+    State,
+    Status,
     Values,
     as_sent,
     decode,
@@ -180,3 +183,18 @@ def test_steps_survive_their_encoding():
     assert np.array_equal(back.steps, steps) and len(encode(message)) == 10 + message.payload_bytes == 42
     with pytest.raises(BackendError, match="not a solver message"):
         decode(encode(message)[:-3])
+
+
+@given(st.integers(0, 65_535), st.integers(0, 65_535), st.integers(0, 5), st.booleans())
+def test_messages_without_rounds_survive_their_encoding(version, used, rows, quiet):
+    at = Round(Stage.FREE)
+    values = np.arange(6.0 * rows).reshape(rows, 6)
+    state = State(1, 2, at, version, used, values)
+    back = decode(encode(state))
+    assert isinstance(back, State) and (back.version, back.used) == (version, used)
+    assert np.array_equal(back.values, values) and len(encode(state)) == 14 + state.payload_bytes
+    neighbours = tuple((n, version) for n in range(rows))
+    status = Status(3, 1, at, (Standing(3, used, version, quiet, neighbours), Standing(7, 1, 0, True, ())))
+    assert decode(encode(status)) == status and len(encode(status)) == 10 + status.payload_bytes
+    with pytest.raises(BackendError, match="not a solver message"):
+        decode(encode(status)[:-3])

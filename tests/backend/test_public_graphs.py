@@ -145,7 +145,9 @@ def test_wrong_matches_among_real_ones_are_rejected_and_the_real_ones_kept():
     assert kept >= 0.95 * (len(judged) - len(wrong))
 
 
-@pytest.mark.parametrize(("count", "staged"), [(4, 3.237336), (9, 6.804872)])
+@pytest.mark.parametrize(
+    ("count", "staged"), [(2, 0.595817), (4, 3.237336), (9, 6.804872), (16, 11.612956), (25, 20.783621)]
+)
 def test_over_relaxation_converges_to_the_two_stage_solution(count, staged):
     config = SolverConfig(method="sor", relaxation=1.5, rotation_threshold=1e-7, pose_threshold=1e-7, pose_sweeps=500)
     result = optimise_distributed(robots(count).with_unit_weights(), config.model_copy(update={"rotation_sweeps": 300}))

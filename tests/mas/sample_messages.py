@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from backend.distributed.messages import Stage
 from backend.geometry import Sim3
 from mas.identities import ContractId, FrameId, MatchId, Operation
 from mas.maps.wire import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
 from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
 from mas.solver_messages import (
+    SolverParcel,
     SolverReport,
     SolverStanding,
     SolverState,
@@ -94,9 +96,10 @@ def examples() -> list[Message]:
         Result(MapDelivery(FrameId(0, 0), (), pack_sim3s([]), (submap(),), (parcel(),))),
         SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
         SolverReport(2, 0, 1, float("inf"), 3.0),
-        SolverReport(5, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
-        SolverSteps(5, 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
+        SolverReport(4, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
+        SolverSteps(int(Stage.DESCENT), 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
         SolverState(3, 2, Tensor.of(np.zeros((2, 6)), "<f4")),
         SolverStatus((SolverStanding(1, 2, 3, True, ((0, 4),)),)),
+        SolverParcel(1, 0, b"whatever its kind lays out"),
     ]
     return [*(Message(0, 1, contract, b) for b in bodies), Message(0, 1, None, GroupNotice((0, 1, 2)))]

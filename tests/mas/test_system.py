@@ -50,6 +50,18 @@ def test_optimisation_makes_trajectories_better(played: tuple[Path, Summary]) ->
     assert np.mean(connected) < 0.01 * np.mean([p for p in summary.path_length_m if p is not None])
 
 
+def test_agents_that_descend_to_the_optimum_need_fewer_bytes(played: tuple[Path, Summary], tmp_path: Path) -> None:
+    _, two_stage = played
+    config = preset("default")
+    solver = config.optimisation.solver.model_copy(update={"method": "rbcd"})
+    optimisation = config.optimisation.model_copy(update={"solver": solver})
+    manifest, sequences = town(3, 36, spacing_m=14.0, drifting=0.03)
+    summary = run(manifest, sequences, config.model_copy(update={"optimisation": optimisation}), tmp_path / "run")
+    assert summary.optimisations.count == two_stage.optimisations.count
+    assert summary.optimisations.cost_after < 1.001 * two_stage.optimisations.cost_after
+    assert summary.traffic["dopt"].payload_bytes < 0.5 * two_stage.traffic["dopt"].payload_bytes
+
+
 def test_no_optimisation_raises_the_cost(played: tuple[Path, Summary]) -> None:
     out, summary = played
     events = [json.loads(line) for line in (out / "events.jsonl").read_text().splitlines()]
