@@ -10,6 +10,7 @@ import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,7 @@ class ProductBook:
         if not fits or len(np.unique(self.axes)) < len(self.axes) or not np.isfinite(self.centres).all():
             raise DescriptorError(f"no codebook: {len(self.axes)} axes, centres {self.centres.shape}")
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Eight hexadecimal digits that tell two books apart."""
         data = self.axes.astype("<i8").tobytes() + self.centres.astype("<f2").tobytes()

@@ -160,6 +160,7 @@ class Agent:
             since_matched={a: count - 1 - at for a, at in sorted(self.book.last_matched.items())},
             stale=frozenset(self.maps.stale),
             distances=dict(self.places.distances),
+            reachable=frozenset(a for a in self.state.profile.others if self.desk.may_call(a)),
             closing=self.desk.closing,
         )
 

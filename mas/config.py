@@ -22,6 +22,11 @@ class PlacesConfig(_Section):
         le=2,
         description="places match below this distance of unit vectors, 0 to 2; unset: the descriptor's own",
     )
+    certainty: Literal["candidate", "strict"] = Field(
+        "candidate",
+        description="which of the descriptor's own distances: candidate keeps nearly all right matches, strict lets "
+        "geometry verify fewer wrong ones",
+    )
     code: str = Field(
         "int8",
         description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16",
@@ -193,8 +198,9 @@ class MasConfig(_Section):
     """Everything that can be set; the resolved values stand in RUN/config.yaml."""
 
     preset: str = Field("default", description="the preset these values started from")
-    policy: Literal["query_all", "clustered", "logic", "selection"] = Field(
-        "query_all", description="who decides: no logic, the predecessor, Algorithms 2 and 3, those with Algorithm 4"
+    policy: Literal["query_all", "clustered", "logic", "selection", "directory"] = Field(
+        "query_all",
+        description="who decides: no logic, the predecessor, Algorithms 2 and 3, those with Algorithm 4, ours",
     )
     seed: int = Field(0, ge=0, description="seed of every random choice")
     step_s: float = Field(0.5, gt=0, description="logical time between two steps of the environment, seconds")

@@ -49,8 +49,11 @@ class PlaceRecognition(Trade):
     @property
     def threshold(self) -> float:
         """Distance below which two key-frames are candidates for the same place."""
-        configured = self.state.config.places.threshold
-        return self.state.profile.threshold if configured is None else configured
+        config, profile = self.state.config.places, self.state.profile
+        if config.threshold is not None:
+            return config.threshold
+        strict = profile.strict_threshold if config.certainty == "strict" else None
+        return profile.threshold if strict is None else strict
 
     def ask(self, keyframe: int, others: Iterable[int]) -> None:
         """Ask these agents about a key-frame, after those already waiting for them; the agent itself: where it owns

@@ -34,9 +34,9 @@ class Piece:
 class Profile:
     """What the agent was told about itself and the others when it was set up: no more than names.
 
-    ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance; ``coder``: how place vectors
-    travel, the same for all; ``centres`` ``(agents, d)``: of the clusters of place vectors, in the numbers that travel,
-    each agent the owner of its own; None where clusters have no owners.
+    ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance, ``strict_threshold``: the one
+    at which appearance alone decides; ``coder``: how place vectors travel, the same for all; ``centres`` ``(k, d)``: of
+    the clusters of place vectors that have owners, in the numbers that travel; None where clusters have no owners.
     """
 
     me: int
@@ -46,6 +46,7 @@ class Profile:
     threshold: float
     coder: Coder
     centres: NDArray[np.float32] | None = None
+    strict_threshold: float | None = None
 
     @property
     def short_model(self) -> str:

@@ -82,6 +82,7 @@ def write_sequences(
             sha256=model.sha256,
             dim=model.dim,
             threshold=model.candidate_threshold,
+            strict_threshold=model.threshold,
             min_std=model.min_std,
         ),
         agents=tuple(entries),

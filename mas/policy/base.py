@@ -20,7 +20,7 @@ class Outlook:
     key-frames since the last optimisation, and since the last purchase from each agent (absent: never);
     ``since_matched``: likewise since the last accepted match; ``stale``: agents whose maps should be newer since the
     last purchase (a match or an optimisation came between); ``distances``: how near each agent's last answer to a place
-    query came, 0 to 2; ``closing``: all sequences have ended.
+    query came, 0 to 2; ``reachable``: others that are worth a question; ``closing``: all sequences have ended.
     """
 
     news: int
@@ -29,6 +29,7 @@ class Outlook:
     since_matched: dict[int, int]
     stale: frozenset[int]
     distances: dict[int, float]
+    reachable: frozenset[int]
     closing: bool
 
 

@@ -32,7 +32,17 @@ def owner_of(vector: NDArray[np.float32], centres: NDArray[np.float32]) -> int:
     return int(np.linalg.norm(centres - vector, axis=1).argmin())
 
 
-def centres_before(
+def owners_before(
+    manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, coder: Coder
+) -> NDArray[np.float32] | None:
+    """Centres ``(k, d)`` of the clusters that have owners; None where nobody owns any. A directory owns all there is:
+    one cluster, wherever its centre."""
+    if config.policy == "directory":
+        return np.zeros((1, len(coder.cut(np.zeros((1, coder.dim), dtype=np.float32))[0])), dtype=np.float32)
+    return _centres_before(manifest, sequences, config, coder) if config.policy == "clustered" else None
+
+
+def _centres_before(
     manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, coder: Coder
 ) -> NDArray[np.float32]:
     """Centres of clusters of place vectors, one an agent, known before the run: from other images if the settings name

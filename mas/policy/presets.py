@@ -9,6 +9,7 @@ from mas.config import ConsistencyConfig, MasConfig, MergeConfig, OptimisationCo
 from mas.errors import MasError
 from mas.policy.autonomous import Autonomous
 from mas.policy.base import Policy
+from mas.policy.directory import Directory
 from mas.policy.predecessor import Predecessor
 from mas.policy.query_all import QueryAll
 
@@ -44,9 +45,17 @@ PRESETS: dict[str, MasConfig] = {
     "selection": _OPTIMISED.model_copy(update={"preset": "selection", "policy": "selection"}),
     "maslam": MasConfig(
         preset="maslam",
-        ask_again=False,
-        places=PlacesConfig(max_points=600, first_points=200, point_code="grid", descriptor_bytes=16),
-        optimisation=OptimisationConfig(solver=SolverConfig(method="elected", start="warm")),
+        policy="directory",
+        places=PlacesConfig(
+            code="pq32",
+            certainty="strict",
+            gap_keyframes=8,
+            max_points=600,
+            first_points=110,
+            point_code="grid",
+            descriptor_bytes=16,
+        ),
+        optimisation=OptimisationConfig(period_keyframes=40, solver=SolverConfig(method="elected", start="warm")),
         merge=MergeConfig(form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0),
     ),
 }
@@ -77,6 +86,8 @@ def policy_of(config: MasConfig, me: int) -> Policy:
         raise MasError(f"there is no preset {config.preset!r}; there are {', '.join(sorted(PRESETS))}")
     if config.policy == "clustered":
         return Predecessor()
+    if config.policy == "directory":
+        return Directory()
     if config.policy == "query_all":
         return QueryAll()
     return Autonomous(np.random.default_rng([config.seed, me]) if config.policy == "selection" else None)
