@@ -8,6 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from backend.config import RelPoseConfig, SolverConfig
 
+AUTO_CODE = "auto"
+"""The shortest place code that serves: product code where the model has codebooks, else int8."""
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -29,7 +32,8 @@ class PlacesConfig(_Section):
     )
     code: str = Field(
         "int8",
-        description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16",
+        description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16; "
+        "auto: pq32 where the model has codebooks, else int8",
     )
     latest_frames: int = Field(
         1, ge=1, description="key-frames of an asker that are matched: earlier queries again, unsent ones after a hit"

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from descriptors.card import model_path
-from descriptors.codes import Coder
+from descriptors.codes import PRODUCT_CODES, Coder
 from descriptors.errors import DescriptorError
 from mas.agent import Agent
-from mas.config import MasConfig
+from mas.config import AUTO_CODE, MasConfig
 from mas.errors import MasError
 from mas.faults import FaultyTransport, gone, present
 from mas.keyframe import KeyFrame, keyframes_of
@@ -201,9 +201,14 @@ def coder_of(manifest: Manifest, code: str) -> Coder:
     """How place vectors travel. Product codes look for their codebooks beside the model that preprocessing used; an
     error where they are not there or belong to other weights."""
     wanted = manifest.descriptor
-    model = str(manifest.settings.get("model", "default"))
+    model = model_path(str(manifest.settings.get("model", "default")))
+    if code == AUTO_CODE:
+        try:
+            return Coder.make(PRODUCT_CODES[0], wanted.dim, wanted.sha256, model)
+        except DescriptorError:  # no codebooks, or of other weights: what every model's vectors can be sent as
+            code = "int8"
     try:
-        return Coder.make(code, wanted.dim, wanted.sha256, model_path(model))
+        return Coder.make(code, wanted.dim, wanted.sha256, model)
     except DescriptorError as error:
         raise MasError(f"{error}, or choose another code (places.code)") from error
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from backend.config import RelPoseConfig, SolverConfig
-from mas.config import ConsistencyConfig, MasConfig, MergeConfig, OptimisationConfig, PlacesConfig
+from mas.config import AUTO_CODE, ConsistencyConfig, MasConfig, MergeConfig, OptimisationConfig, PlacesConfig
 from mas.errors import MasError
 from mas.policy.autonomous import Autonomous
 from mas.policy.base import Policy
@@ -47,7 +47,7 @@ PRESETS: dict[str, MasConfig] = {
         preset="maslam",
         policy="directory",
         places=PlacesConfig(
-            code="pq32",
+            code=AUTO_CODE,
             certainty="strict",
             gap_keyframes=8,
             max_points=600,
