@@ -49,7 +49,7 @@ PRESETS: dict[str, MasConfig] = {
         places=PlacesConfig(
             code=AUTO_CODE,
             certainty="strict",
-            gap_keyframes=8,
+            gap_keyframes=6,
             max_points=600,
             first_points=110,
             point_code="grid",
@@ -63,10 +63,10 @@ PRESETS: dict[str, MasConfig] = {
 
 ``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no
 purchases once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases.
-``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: does not ask where the answer
-could not be used, buys compact maps, less often while driving, lays them on place matches or rejects them, and sends
-place vectors as int8, a byte a number. A verification begins with 200 points of 20 bytes, and sends more where those
-promise a match.
+``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: each key-frame is
+told once, to one agent that keeps the place vectors of all, in 32 bytes where the model has codebooks; only pairs
+within the strict distance are verified, from 110 points of 20 bytes on, and more where those promise a match; one
+elected agent solves for the group; maps are compact, bought seldom, laid on place matches or rejected.
 
 Distances below which places match belong to a network: all presets use the model's calibrated one, not the thesis's
 0.02 or the predecessor's 0.1.

@@ -15,6 +15,8 @@ from backend.geometry import Array, se3, se3_exp, se3_inverse, so3_exp, transfor
 from descriptors.container import PlaceVectors
 from frontend.trajectory import Trajectory
 from frontend.vofiles import VoTrack
+from mas.config import MasConfig
+from mas.policy.presets import preset
 from mas.sequence import AgentEntry, AgentSequence, CameraEntry, DescriptorEntry, Manifest
 
 MODEL = "made-up"
@@ -200,6 +202,21 @@ def flipped(descriptors: NDArray[np.uint8], rng: np.random.Generator, bits: int 
     out = np.unpackbits(descriptors, axis=1)
     np.put_along_axis(out, at := rng.integers(0, 256, (len(out), bits)), 1 - np.take_along_axis(out, at, 1), 1)
     return np.packbits(out, axis=1)
+
+
+def talkative(**places: object) -> MasConfig:
+    """Our preset, but everyone asks everyone about each key-frame and optimises often: more contracts in the same
+    time."""
+    config = preset("maslam")
+    asks = {"code": "int8", "certainty": "candidate", "gap_keyframes": 4, "first_points": 200, **places}
+    return config.model_copy(
+        update={
+            "policy": "query_all",
+            "ask_again": False,
+            "places": config.places.model_copy(update=asks),
+            "optimisation": config.optimisation.model_copy(update={"period_keyframes": 5}),
+        }
+    )
 
 
 def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Manifest:

@@ -18,7 +18,7 @@ from mas.state import AgentState
 def outlook(**changes: object) -> Outlook:
     fields: dict[str, object] = {
         "news": 0, "since_optimised": 100, "since_bought": {}, "since_matched": {}, "stale": frozenset(),
-        "distances": {}, "closing": False,
+        "distances": {}, "reachable": frozenset(), "closing": False,
     }  # fmt: skip
     return Outlook(**{**fields, **changes})  # type: ignore[arg-type]
 

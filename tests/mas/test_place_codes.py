@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from factory import DIM, SHA256, town
+from factory import DIM, SHA256, talkative, town
 
 from descriptors.codebooks import train_codebooks
 from mas.agent import Agent
 from mas.config import MasConfig
-from mas.environment import make_agents, run
+from mas.environment import coder_of, make_agents, run
 from mas.errors import MasError
 from mas.keyframe import keyframes_of
 from mas.messages import Award, Failure, Message, Result
@@ -22,8 +22,7 @@ from mas.tensors import Tensor
 
 
 def with_code(code: str) -> MasConfig:
-    config = preset("maslam")
-    return config.model_copy(update={"places": config.places.model_copy(update={"code": code})})
+    return talkative(code=code)
 
 
 def candidates(run_folder: Path) -> list[tuple[str, ...]]:
@@ -128,4 +127,15 @@ def test_an_unknown_code_is_one_line(tmp_path: Path) -> None:
 
 def test_the_thesis_system_sends_what_the_thesis_counts() -> None:
     assert preset("default").places.code == "float32"
-    assert preset("maslam").places.code == "int8"
+
+
+@pytest.mark.parametrize("books", [True, False])
+def test_our_preset_takes_the_shortest_code_that_the_model_has_books_for(tmp_path: Path, books: bool) -> None:
+    manifest, _ = town(2, 4)
+    model = tmp_path / "made-up.onnx"
+    manifest = manifest.model_copy(update={"settings": {"model": str(model)}})
+    if books:
+        vectors = np.random.default_rng(0).normal(size=(400, DIM)).astype(np.float32)
+        unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        train_codebooks(unit, SHA256, "made up").save(model.with_suffix(".codes.npz"))
+    assert coder_of(manifest, preset("maslam").places.code).code == ("pq32" if books else "int8")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from factory import circuit, make_sequence, make_world, manifest_of, town
+from factory import circuit, make_sequence, make_world, manifest_of, talkative, town
 from saboteurs import Idler, Liar, Swindler, live
 
 from backend.trajectory_error import TrajectoryError
@@ -18,7 +18,7 @@ from mas.sequence import AgentSequence, Manifest
 from mas.standing import Regard
 from mas.trajectories import keyframe_trajectory
 
-CONFIG = preset("maslam")
+CONFIG = talkative()
 ODD = 2
 HONEST = (0, 1, 3)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from factory import town
+from factory import talkative, town
 from hypothesis import given
 from hypothesis import strategies as st
 from saboteurs import live
@@ -16,7 +16,6 @@ from mas.contract import Contract, State
 from mas.honesty import judged
 from mas.identities import ContractId, Operation
 from mas.messages import Award, Bid, Confirmation, Message, Offer, Result
-from mas.policy.presets import preset
 from mas.policy.utility import orders, utility
 from mas.retender import Retender
 from mas.solver_messages import SolverBody
@@ -166,7 +165,7 @@ def test_bids_state_what_results_take_on_the_air() -> None:
             assert ready_ns <= 20 * SECOND
 
     manifest, sequences = town(3, 24, spacing_m=9.0, drifting=0.03)
-    live(manifest, sequences, preset("maslam"), listen=listen)
+    live(manifest, sequences, talkative(), listen=listen)
     for operation in (Operation.DVPR, Operation.RELPOSE):
         assert ratios[operation] and min(ratios[operation]) > 0.7 and max(ratios[operation]) < 1.4
     # A bid offers all that the seller has; the buyer orders what is new.

@@ -1,0 +1,45 @@
+"""The directory: each key-frame travels once, and the agents live on without it."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from factory import town
+from saboteurs import live
+
+from mas.config import FaultsConfig
+from mas.environment import run
+from mas.metrics import groups_of
+from mas.policy.presets import preset
+from mas.transport import Traffic
+
+
+def test_each_key_frame_is_told_once_and_to_one_agent(tmp_path: Path) -> None:
+    manifest, sequences = town(4, 24, spacing_m=12.0, drifting=0.03)
+    summary = run(manifest, sequences, preset("maslam"), tmp_path / "run")
+    with open(tmp_path / "run" / "traffic.csv", newline="") as file:
+        queries = [r for r in csv.DictReader(file) if r["kind"] == "OwnerQuery"]
+    assert {r["recipient"] for r in queries} == {"0"}, "the lowest that answers"
+    assert len(queries) == sum(len(s.keyframe_stamps_ns) for s in sequences[1:]), "agent 0 needs no message"
+    assert summary.groups == [[0, 1, 2, 3]] and summary.matches.false_accepted == 0
+
+
+def test_bytes_of_place_recognition_grow_with_key_frames_not_with_agents_squared() -> None:
+    each = {}
+    for agents in (3, 6):
+        manifest, sequences = town(agents, 20, spacing_m=10.0, drifting=0.03)
+        environment, _ = live(manifest, sequences, preset("maslam"))
+        count = environment.transport.by_operation[Traffic.DVPR]
+        each[agents] = count.wire_bytes / sum(len(s.keyframe_stamps_ns) for s in sequences[1:])
+    assert each[6] < 1.1 * each[3]
+
+
+def test_where_the_directory_leaves_the_next_one_takes_over() -> None:
+    manifest, sequences = town(4, 40, spacing_m=12.0, drifting=0.03)
+    config = preset("maslam").model_copy(update={"faults": FaultsConfig.model_validate({"leave_s": {0: 2.0}})})
+    environment, onlooker = live(manifest, sequences, config)
+    assert any({1, 2, 3} <= set(group) for group in groups_of(environment.agents))
+    errors = onlooker.connected_errors(environment.agents)
+    assert max(errors[a].rmse_m for a in (1, 2, 3)) < 1.0
+    assert not any(environment.agents[a].desk.ledger.running() for a in (1, 2, 3))
