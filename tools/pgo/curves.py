@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from backend.config import SolverConfig
 from backend.costs import cost
+from backend.errors import BackendError
 from backend.graph import PoseGraph
 from tools.pgo.methods import CENTRAL, METHODS, TWO_STAGE, Request, solve
 
@@ -40,19 +42,26 @@ def curves(
 def _curve(graph: PoseGraph, request: Request, optimum: float) -> Curve:
     points, end = [], False
     for limit, stopped in _stops(request):
-        found = solve(graph, stopped)
+        try:
+            found = solve(graph, stopped)
+        except BackendError:
+            if limit is None:
+                raise
+            continue  # stopped so early that not every robot has heard of a neighbour
         reached = cost(graph.with_poses(found.poses), found.minimised)  # type: ignore[arg-type]
         points.append((found.payload_bytes, found.wire_bytes, max(reached / optimum - 1.0, 0.0)))
         end = limit is None or found.iterations < limit
         if end:
             break
-    payload, wire, gaps = zip(*points, strict=True)
+    payload, wire, gaps = zip(*points, strict=True) if points else ((), (), ())
     return Curve(request.method, payload, wire, gaps, end)
 
 
 def _stops(request: Request) -> Iterator[tuple[int | None, Request]]:
-    """The method with growing numbers of sweeps; those without sweeps once."""
+    """The method with growing numbers of sweeps (0: it never ends by itself), those without sweeps once (None)."""
     config = request.solver.model_copy(update={"method": request.method})
+    if request.method == "quick":
+        config = SolverConfig.quick()
     if request.method not in (*TWO_STAGE, "rbcd"):
         yield None, replace(request, solver=config)
         return
@@ -60,6 +69,6 @@ def _stops(request: Request) -> Iterator[tuple[int | None, Request]]:
         if request.method in TWO_STAGE:
             fixed = {"rotation_threshold": 0.0, "pose_threshold": 0.0}
             limits = {"rotation_sweeps": max(1, sweeps // 2), "pose_sweeps": sweeps}
-            yield 10**9, replace(request, solver=config.model_copy(update={**fixed, **limits}))
+            yield 0, replace(request, solver=config.model_copy(update={**fixed, **limits}))
         else:
             yield sweeps, replace(request, solver=config.model_copy(update={"descent_sweeps": sweeps}))
