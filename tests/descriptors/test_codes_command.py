@@ -12,7 +12,7 @@ import pytest
 
 from descriptors.card import MODELS
 from descriptors.codebooks import Codebooks
-from descriptors.codes import CODES, Coder
+from descriptors.codes import CODES, PRODUCT_CODES, Coder
 from descriptors.inference import NetVlad
 from tests.descriptors.conftest import textured_image
 from tests.descriptors.test_benchmarks import _street
@@ -39,8 +39,9 @@ def test_codebooks_from_pictures_and_worlds(model: Path, tmp_path: Path, capsys:
     options = ["--photos", str(photos), "--cache", str(cache)]
     assert main(["netvlad", "codes", str(model), *options, "--quiet", "--json"]) == 0
     records = json.loads(capsys.readouterr().out)
-    assert [(r["dataset"], r["code"]) for r in records] == [("town_9500", code) for code in CODES]
-    assert [r["bytes"] for r in records[-2:]] == [32, 16]
+    turned = [f"{code}-query" for code in PRODUCT_CODES]  # the query coded instead of the references
+    assert [(r["dataset"], r["code"]) for r in records] == [("town_9500", code) for code in (*CODES, *turned)]
+    assert [r["bytes"] for r in records[-4:]] == [32, 16, 32, 16]
     # Every view of a place of this street is the same picture: no code may lose it.
     assert {r["recall_at_1"] for r in records} == {1.0}
     books = Codebooks.load(model.with_suffix(".codes.npz"))
