@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from backend.distributed.methods import node_for
+from backend.config import SolverConfig
+from backend.distributed.methods import SolverNode, node_for
 from backend.distributed.share import Outcome as SolverOutcome
+from backend.distributed.share import Share
 from backend.errors import BackendError
 from mas.contract import Contract, ProtocolError, State
 from mas.desk import Desk, Trade, WorkError
@@ -110,7 +112,7 @@ class Optimisation(Trade):
             return
         self.attempts.missed |= bool(tender.missing)
         task = found.tasks[me]
-        node = node_for(share_of(self.state, task), self.state.config.optimisation.solver)
+        node = _node(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
         self.session = Session(tender.identity if others else None, task, node, unconfirmed=others)
         if not others:
@@ -159,7 +161,7 @@ class Optimisation(Trade):
         if self.busy:
             raise WorkError("busy with an optimisation")
         try:
-            node = node_for(share_of(self.state, task), self.state.config.optimisation.solver)
+            node = _node(share_of(self.state, task), self.state.config.optimisation.solver)
         except (BackendError, ValueError) as error:
             raise WorkError(f"cannot take part: {error}") from error
         self.session = Session(contract.id, task, node, contract)
@@ -299,6 +301,14 @@ class Optimisation(Trade):
                 cost_before=outcome.cost_before,
                 cost_after=outcome.cost_after,
             )
+
+
+def _node(share: Share, config: SolverConfig) -> SolverNode:
+    """This agent's part in the method that is set. Members with units of their own find these in agreed rounds: an
+    elected solver knows one unit."""
+    if share.arbitrary_scale and config.method == "elected":
+        config = config.model_copy(update={"method": "sor"})
+    return node_for(share, config)
 
 
 def _answer(outcome: SolverOutcome) -> OptimiseAnswer:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from factory import town
+from factory import circuit, make_sequence, make_world, manifest_of, town
 from saboteurs import live
 
 from mas.config import FaultsConfig
@@ -43,3 +43,13 @@ def test_where_the_directory_leaves_the_next_one_takes_over() -> None:
     errors = onlooker.connected_errors(environment.agents)
     assert max(errors[a].rmse_m for a in (1, 2, 3)) < 1.0
     assert not any(environment.agents[a].desk.ledger.running() for a in (1, 2, 3))
+
+
+def test_agents_with_one_camera_each_find_their_common_unit(tmp_path: Path) -> None:
+    """An elected solver knows one unit of length; members with units of their own agree in rounds instead."""
+    world = make_world(0)
+    sequences = [make_sequence(world, circuit(12.0 * a, 45.0), 0, a, scale=(0.5, 2.0, 1.3)[a]) for a in range(3)]
+    summary = run(manifest_of(sequences), sequences, preset("maslam"), tmp_path / "run")
+    assert summary.scale == "arbitrary" and summary.groups == [[0, 1, 2]] and summary.matches.false_accepted == 0
+    connected = [e for e in summary.ate_rmse_m.connected if e is not None]
+    assert len(connected) == 3 and max(connected) < 0.6
