@@ -5,10 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from backend.config import SolverConfig
-from backend.distributed.methods import SolverNode, node_for
 from backend.distributed.share import Outcome as SolverOutcome
-from backend.distributed.share import Share
 from backend.errors import BackendError
 from mas.contract import Contract, ProtocolError, State
 from mas.desk import Desk, Trade, WorkError
@@ -18,7 +15,7 @@ from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejecti
 from mas.plan import plan
 from mas.policy.utility import ENVELOPE_BYTES
 from mas.posegraph import Adoption, adopt, share_of
-from mas.sessions import Attempts, Session, Tender
+from mas.sessions import Attempts, Session, Tender, solver_node
 from mas.solver_messages import SolverBody, SolverMessage, decides, from_wire, to_wire
 from mas.solver_messages import payload_bytes as solver_payload
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
@@ -112,7 +109,7 @@ class Optimisation(Trade):
             return
         self.attempts.missed |= bool(tender.missing)
         task = found.tasks[me]
-        node = _node(share_of(self.state, task), self.state.config.optimisation.solver)
+        node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
         self.session = Session(tender.identity if others else None, task, node, unconfirmed=others)
         if not others:
@@ -161,7 +158,7 @@ class Optimisation(Trade):
         if self.busy:
             raise WorkError("busy with an optimisation")
         try:
-            node = _node(share_of(self.state, task), self.state.config.optimisation.solver)
+            node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
         except (BackendError, ValueError) as error:
             raise WorkError(f"cannot take part: {error}") from error
         self.session = Session(contract.id, task, node, contract)
@@ -301,14 +298,6 @@ class Optimisation(Trade):
                 cost_before=outcome.cost_before,
                 cost_after=outcome.cost_after,
             )
-
-
-def _node(share: Share, config: SolverConfig) -> SolverNode:
-    """This agent's part in the method that is set. Members with units of their own find these in agreed rounds: an
-    elected solver knows one unit."""
-    if share.arbitrary_scale and config.method == "elected":
-        config = config.model_copy(update={"method": "sor"})
-    return node_for(share, config)
 
 
 def _answer(outcome: SolverOutcome) -> OptimiseAnswer:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from backend.distributed.methods import SolverNode
+from backend.config import SolverConfig
+from backend.distributed.methods import SolverNode, node_for
+from backend.distributed.share import Share
 from mas.config import LinkConfig
 from mas.contract import Contract
 from mas.identities import ContractId
@@ -67,3 +69,11 @@ class Attempts:
     def hopeless(self) -> bool:
         """Whether it was tried so often in vain that there is no more waiting for it at the end."""
         return self.failures > 2 * (1 + self.config.retries)
+
+
+def solver_node(share: Share, config: SolverConfig) -> SolverNode:
+    """This agent's part in the method that is set. Members with units of their own find these in agreed rounds: an
+    elected solver knows one unit."""
+    if share.arbitrary_scale and config.method == "elected":
+        config = config.model_copy(update={"method": "sor"})
+    return node_for(share, config)
