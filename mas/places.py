@@ -124,12 +124,13 @@ class PlaceRecognition(Trade):
         other = contract.contractor
         self._consider(keyframe, other, outcome)
         self.distances[other] = outcome.distance
-        if outcome.distance < self.threshold and self.state.profile.centres is None:
+        sure = min(self.threshold, self.state.profile.strict_threshold or self.threshold)
+        if outcome.distance < sure and self.state.profile.centres is None:
             self._catch_up(other)
 
     def _catch_up(self, other: int) -> None:
-        """Where one key-frame was recognised, ask about those of the latest that this agent was not asked about:
-        one match may fail its verification or find no support (thesis section 4.3)."""
+        """Where one key-frame was recognised for certain, ask about those of the latest that this agent was not asked
+        about: one match may fail its verification or find no support (thesis section 4.3)."""
         newest, latest = len(self.state.keyframes) - 1, self.state.config.places.latest_frames
         if latest > 1:
             for keyframe in sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self._sent[other]):
