@@ -17,13 +17,13 @@ from backend.geometry import Array, Sim3
 
 ITERATIONS = 12
 # A tenth of a pixel of a common camera; noise below it is not believed.
-_MIN_ANGLE_SIGMA = np.radians(0.01)
-_START_ANGLE_SIGMA = np.radians(0.3)
+MIN_ANGLE_SIGMA = np.radians(0.01)
+START_ANGLE_SIGMA = np.radians(0.3)
 # Inverse depth noise, as a share of the inverse of the median depth: start value, and what is not believed.
-_START_DEPTH_SIGMA, _MIN_DEPTH_SIGMA = 0.1, 0.003
-_MAD_TO_SIGMA = 1.4826
+START_DEPTH_SIGMA, MIN_DEPTH_SIGMA = 0.1, 0.003
+MAD_TO_SIGMA = 1.4826
 # Points of one surface err alike: so many of them are worth one. Measured on rendered pairs (`maslam bench relpose`).
-_CORRELATED = 1.45
+CORRELATED = 1.45
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +61,12 @@ def refine(
     )  # fmt: skip
     if not with_scale:
         hessian[6], hessian[:, 6] = 0.0, 0.0
-    return Alignment(Sim3(rotation, translation, float(scale)), 0.5 / _CORRELATED * (hessian + hessian.T), angle, depth)
+    return Alignment(Sim3(rotation, translation, float(scale)), 0.5 / CORRELATED * (hessian + hessian.T), angle, depth)
 
 
 @njit(cache=True, nogil=True)
 def _gauss_newton(points_M, points_Q, R, t, s, size, unit, loss_scale, iterations):  # type: ignore[no-untyped-def]
-    angle, depth = _START_ANGLE_SIGMA, _START_DEPTH_SIGMA * unit
+    angle, depth = START_ANGLE_SIGMA, START_DEPTH_SIGMA * unit
     hessian = np.zeros((7, 7))
     for iteration in range(iterations):
         hessian, gradient, ratios = _normal_equations(points_M, points_Q, R, t, s, angle, depth, loss_scale)
@@ -81,9 +81,9 @@ def _gauss_newton(points_M, points_Q, R, t, s, size, unit, loss_scale, iteration
         s = s * np.exp(min(max(step[6], -1.0), 1.0))
         if iteration < ITERATIONS // 2:
             # The noise at which the typical residual is as large as its covariance says.
-            across = _MAD_TO_SIGMA * 0.5 * (np.median(ratios[:, 0]) + np.median(ratios[:, 1]))
-            angle = max(angle * across, _MIN_ANGLE_SIGMA)
-            depth = min(max(depth * _MAD_TO_SIGMA * np.median(ratios[:, 2]), _MIN_DEPTH_SIGMA * unit), unit)
+            across = MAD_TO_SIGMA * 0.5 * (np.median(ratios[:, 0]) + np.median(ratios[:, 1]))
+            angle = max(angle * across, MIN_ANGLE_SIGMA)
+            depth = min(max(depth * MAD_TO_SIGMA * np.median(ratios[:, 2]), MIN_DEPTH_SIGMA * unit), unit)
         elif np.abs(step).max() < 1e-10:
             break
     return R, t, s, hessian, angle, depth

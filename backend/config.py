@@ -12,6 +12,10 @@ class RelPoseConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    solver: Literal["points", "pnp"] = Field(
+        "points",
+        description="points: 3-D points of both views; pnp: of the match, with mere directions of the query",
+    )
     max_hamming: int = Field(60, ge=0, le=256, description="descriptor distance of a match at most, bits of 256")
     ratio: float = Field(
         0.9, gt=0, le=1, description="best over second best descriptor distance, at most; 1: not tested"

@@ -94,5 +94,6 @@ def as_sent(view: PlaceView, count: int, code: PointCode, descriptor_bytes: int)
         descriptors=None if descriptors is None else descriptors[rows, :descriptor_bytes],
         words=None if words is None else words[rows],
         metric=view.metric,
+        depth_known=None if view.depth_known is None else view.depth_known[rows],
     )
     return arrived, len(rows) * each + (4 * RANGES if code == "grid" else 0)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.alignment import ITERATIONS, Alignment, refine
+from backend.alignment import ITERATIONS, Alignment
 from backend.config import RelPoseConfig
-from backend.consensus import Transforms, agreeing, search
 from backend.errors import BackendError
 from backend.evidence import Evidence, weigh
 from backend.geometry import Array, Sim3
@@ -23,6 +22,7 @@ from backend.matching import (
     mutual_matches,
     unique_word_matches,
 )
+from backend.pose_solvers import PoseSolver, fitting, solver_for
 
 # Gauss-Newton steps that are enough to compare hypotheses.
 _QUICK = 5
@@ -39,13 +39,15 @@ class PlaceView:
 
     ``points_C`` ``(n, 3)`` in the camera's frame; ``descriptors`` ``(n, w)`` uint8, ORB's first w = 32, 16 or 8 bytes,
     or None; ``words`` ``(n,)`` vocabulary ids, or None (one of both must be there); ``metric`` False: the unit of
-    length is the robot's own (monocular).
+    length is the robot's own (monocular). ``depth_known`` ``(n,)``: rows that are points; the others are mere
+    directions of unit length, for the solver "pnp" (None: all are points).
     """
 
     points_C: Array
     descriptors: NDArray[np.uint8] | None = None
     words: NDArray[np.int32] | None = None
     metric: bool = True
+    depth_known: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points_C)
@@ -58,6 +60,25 @@ class PlaceView:
             raise BackendError(f"{n} points need ({n}, 32) uint8 descriptors, or 16 or 8, got {d.shape} {d.dtype}")
         if self.words is not None and self.words.shape != (n,):
             raise BackendError(f"{n} points need ({n},) words, got shape {self.words.shape}")
+        if self.depth_known is not None and (self.depth_known.shape != (n,) or self.depth_known.dtype != np.bool_):
+            raise BackendError(f"{n} points need ({n},) flags for known depths, got shape {self.depth_known.shape}")
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """``(n,)``: :attr:`depth_known`, spelled out."""
+        return np.ones(len(self.points_C), dtype=np.bool_) if self.depth_known is None else self.depth_known
+
+    def with_depth(self) -> PlaceView:
+        """The rows that are points."""
+        if self.depth_known is None:
+            return self
+        rows = self.depth_known
+        return PlaceView(
+            self.points_C[rows],
+            descriptors=None if self.descriptors is None else self.descriptors[rows],
+            words=None if self.words is None else self.words[rows],
+            metric=self.metric,
+        )
 
 
 def joined(first: PlaceView, rest: PlaceView) -> PlaceView:
@@ -71,6 +92,9 @@ def joined(first: PlaceView, rest: PlaceView) -> PlaceView:
         ) else None,
         words=np.concatenate([w for w in words if w is not None]) if all(w is not None for w in words) else None,
         metric=first.metric,
+        depth_known=None if first.depth_known is None and rest.depth_known is None else np.concatenate(
+            [v.known for v in both]
+        ),
     )  # fmt: skip
 
 
@@ -131,39 +155,44 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
 
     Same inputs and the same state of ``rng``: same verdict, bit for bit.
     """
+    match = match.with_depth()
+    query = query if config.solver == "pnp" else query.with_depth()
     pairs, distances, bits = _tentative(query, match, config)
     if len(pairs) < config.min_matches:
         return _rejected(f"too few matches: {len(pairs)} < {config.min_matches}", len(pairs))
-    with_scale = not (query.metric and match.metric)
+    solver = solver_for(not (query.metric and match.metric), config)
     alike = config.guided_hamming * bits // _BITS
     points_Q, points_M = query.points_C[pairs[:, 0]], match.points_C[pairs[:, 1]]
     candidates = Candidates.within(distances, alike)
     best: _Hypothesis | None = None
-    for start in search(points_M, points_Q, with_scale, config, rng):
-        settled = _settle(points_M, points_Q, start, with_scale, config, _QUICK)
+    for start in solver.search(points_M, points_Q, rng):
+        settled = _settle(solver, points_M, points_Q, start, config, _QUICK)
         if settled is not None:
-            guided = _guided(query, match, candidates, settled.T_M_Q, config)
+            guided = _guided(solver, query, match, candidates, settled.T_M_Q, config)
             if best is None or len(guided) > len(best.guided):
                 best = _Hypothesis(settled, guided)
     if best is None:
         return _rejected("too few inliers: no pose explains four matches", len(pairs))
-    best = _again(best, query, match, candidates, with_scale, config)
-    pose = best.alignment
-    inside = _inliers(pose.T_M_Q, points_M, points_Q, config)
+    best = _again(solver, best, query, match, candidates, config)
+    guided_Q, guided_M = query.points_C[best.guided[:, 0]], match.points_C[best.guided[:, 1]]
+    inside = _inliers(solver, best.alignment.T_M_Q, points_M, points_Q, config)
+    pose = solver.finish(best.alignment, guided_M, guided_Q, query.known[best.guided[:, 0]])
+    if isinstance(pose, str):
+        return _rejected(pose, len(pairs), int(inside.sum()))
+    T = pose.T_M_Q
+    surface = solver.surface(T, match.points_C, query.points_C)
     found = Found(
         alignment=pose,
         tentative=points_M[inside],
-        guided_M=match.points_C[best.guided[:, 1]],
-        guided_Q=query.points_C[best.guided[:, 0]],
-        evidence=weigh(
-            match.points_C, query.points_C, distances, pose.T_M_Q, config.inlier_angle_deg, alike, pose.depth_sigma
-        ),
+        guided_M=guided_M,
+        guided_Q=solver.placed(T, guided_M, guided_Q),
+        evidence=weigh(match.points_C, surface, distances, T, config.inlier_angle_deg, alike, pose.depth_sigma),
         similar=len(candidates.rows) / max(distances.size, 1),
         by_words=bits == 0,
     )
     problem, log_odds = problem_of(found, config)
     return Verdict(
-        problem is None, problem or "accepted", pose.T_M_Q, len(pairs), int(inside.sum()), found.rmse_deg,
+        problem is None, problem or "accepted", T, len(pairs), int(inside.sum()), found.rmse_deg,
         pose.full_information, len(best.guided), found.evidence, log_odds,
     )  # fmt: skip
 
@@ -194,42 +223,45 @@ def _tentative(
 
 
 def _settle(
-    points_M: Array, points_Q: Array, start: Sim3, with_scale: bool, config: RelPoseConfig, iterations: int = ITERATIONS
-) -> Alignment | None:
+    solver: PoseSolver, points_M: Array, points_Q: Array, start: Sim3, config: RelPoseConfig,
+    iterations: int = ITERATIONS,
+) -> Alignment | None:  # fmt: skip
     """Refine on the inliers of the wide bound, then on those of the narrow one; None with too few to go on."""
     T, result = start, None
     for angle_deg in (config.search_angle_deg, config.inlier_angle_deg):
-        inside = agreeing(Transforms.of(T), points_M, points_Q, angle_deg, config.depth_ratio)[0]
+        inside = fitting(solver, T, points_M, points_Q, angle_deg, config.depth_ratio)
         if inside.sum() < 4:
             return None
-        result = refine(points_M[inside], points_Q[inside], T, with_scale, config.loss_scale, iterations)
+        result = solver.refine(points_M[inside], points_Q[inside], T, iterations)
         T = result.T_M_Q
     return result
 
 
 def _again(
-    best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: Candidates, with_scale: bool,
+    solver: PoseSolver, best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: Candidates,
     config: RelPoseConfig,
 ) -> _Hypothesis:  # fmt: skip
     """Refine on the guided matches, and match again with what that gives."""
     for _ in range(2):
         points_Q, points_M = query.points_C[best.guided[:, 0]], match.points_C[best.guided[:, 1]]
-        settled = _settle(points_M, points_Q, best.alignment.T_M_Q, with_scale, config)
+        settled = _settle(solver, points_M, points_Q, best.alignment.T_M_Q, config)
         if settled is None:
             break
-        best = _Hypothesis(settled, _guided(query, match, candidates, settled.T_M_Q, config))
+        best = _Hypothesis(settled, _guided(solver, query, match, candidates, settled.T_M_Q, config))
     return best
 
 
-def _inliers(T_M_Q: Sim3, points_M: Array, points_Q: Array, config: RelPoseConfig) -> NDArray[np.bool_]:
-    return agreeing(Transforms.of(T_M_Q), points_M, points_Q, config.inlier_angle_deg, config.depth_ratio)[0]
+def _inliers(
+    solver: PoseSolver, T_M_Q: Sim3, points_M: Array, points_Q: Array, config: RelPoseConfig
+) -> NDArray[np.bool_]:
+    return fitting(solver, T_M_Q, points_M, points_Q, config.inlier_angle_deg, config.depth_ratio)
 
 
 def _guided(
-    query: PlaceView, match: PlaceView, candidates: Candidates, T_M_Q: Sim3, config: RelPoseConfig
+    solver: PoseSolver, query: PlaceView, match: PlaceView, candidates: Candidates, T_M_Q: Sim3, config: RelPoseConfig
 ) -> NDArray[np.intp]:
     """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
-    near = _inliers(T_M_Q, match.points_C[candidates.columns], query.points_C[candidates.rows], config)
+    near = _inliers(solver, T_M_Q, match.points_C[candidates.columns], query.points_C[candidates.rows], config)
     return mutual_candidates(candidates, near)
 
 
