@@ -1,4 +1,4 @@
-"""The only place that calls pycolmap: robust absolute pose by LO-RANSAC."""
+"""The only place of the front end that calls pycolmap: robust absolute pose by LO-RANSAC."""
 
 from __future__ import annotations
 

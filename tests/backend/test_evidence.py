@@ -1,6 +1,7 @@
 """What speaks for and against a pose, on scenes where it can be counted by hand."""
 
 import numpy as np
+import pytest
 from scenes import Noise, observe, random_descriptors
 
 from backend.config import RelPoseConfig
@@ -72,7 +73,8 @@ def test_a_cupboard_that_one_view_has_floats_before_the_wall_of_the_other():
     assert e.floating == e.query.floating_share and e.match.floating_share == 0.0
 
 
-def test_a_room_that_shares_a_corner_with_another_is_refused():
+@pytest.mark.parametrize("solver", ["points", "pnp"])
+def test_a_room_that_shares_a_corner_with_another_is_refused(solver):
     """All matches of a quarter of the view are right; the rest of the rooms differs."""
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -85,10 +87,10 @@ def test_a_room_that_shares_a_corner_with_another_is_refused():
         noise = Noise()
         match, _ = observe(points, d, np.eye(4), noise, rng)
         query, _ = observe(elsewhere, other, POSE, noise, rng)
-        verdict = relative_pose(query, match, RelPoseConfig(), np.random.default_rng(seed))
+        verdict = relative_pose(query, match, RelPoseConfig(solver=solver), np.random.default_rng(seed))
         assert not verdict.accepted and verdict.kind == "contradicted", verdict.reason
         assert verdict.inliers > 40
-        unweighed = RelPoseConfig(min_evidence=None, max_deserted=1.0)
+        unweighed = RelPoseConfig(solver=solver, min_evidence=None, max_deserted=1.0)
         assert relative_pose(query, match, unweighed, np.random.default_rng(seed)).accepted
 
 
