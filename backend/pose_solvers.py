@@ -16,6 +16,8 @@ from backend.geometry import Array, Sim3
 
 # Depths of the query that make its unit known.
 _MIN_DEPTHS = 6
+# The query's depths are believed as evidence when so many of its matches' lie within this factor of the match's.
+_SOUND_SHARE, _SOUND_RATIO = 0.8, 1.25
 
 
 class PoseSolver(Protocol):
@@ -31,8 +33,11 @@ class PoseSolver(Protocol):
     def placed(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
         """The query's side of matches ``(k, 3)`` with depths that this solver goes by."""
 
-    def surface(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
-        """All points of the query ``(n, 3)``, not matched to those of the match ``(m, 3)``, with such depths."""
+    def surface(
+        self, T_M_Q: Sim3, points_M: Array, points_Q: Array, known: NDArray[np.bool_], pairs: NDArray[np.intp]
+    ) -> Array:
+        """All points of the query ``(n, 3)`` as evidence: their depths may be ``known`` ``(n,)``, ``pairs`` ``(g, 2)``
+        are matched to those of the match ``(m, 3)``."""
 
     def finish(self, found: Alignment, points_M: Array, points_Q: Array, known: NDArray[np.bool_]) -> Alignment | str:
         """The result in both views' units, of final matches, of which the query's depth may be ``known`` ``(k,)``; or
@@ -54,7 +59,9 @@ class PointsSolver:
     def placed(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
         return points_Q
 
-    def surface(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
+    def surface(
+        self, T_M_Q: Sim3, points_M: Array, points_Q: Array, known: NDArray[np.bool_], pairs: NDArray[np.intp]
+    ) -> Array:
         return points_Q
 
     def finish(self, found: Alignment, points_M: Array, points_Q: Array, known: NDArray[np.bool_]) -> Alignment | str:
@@ -76,8 +83,17 @@ class BearingsSolver:
     def placed(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
         return lend_depths(T_M_Q, points_M, points_Q)
 
-    def surface(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
-        return lend_surface(T_M_Q, points_M, points_Q)
+    def surface(
+        self, T_M_Q: Sim3, points_M: Array, points_Q: Array, known: NDArray[np.bool_], pairs: NDArray[np.intp]
+    ) -> Array:
+        lent = lend_surface(T_M_Q, points_M, points_Q)
+        told = pairs[known[pairs[:, 0]]]
+        if len(told) < _MIN_DEPTHS:
+            return lent
+        own, points = points_Q[told[:, 0]], points_M[told[:, 1]]
+        logs = np.log(np.linalg.norm(lend_depths(T_M_Q, points, own), axis=1) / np.linalg.norm(own, axis=1))
+        sound = np.mean(np.abs(logs) < np.log(_SOUND_RATIO)) >= _SOUND_SHARE
+        return np.where(known[:, None], points_Q, lent) if sound else lent
 
     def finish(self, found: Alignment, points_M: Array, points_Q: Array, known: NDArray[np.bool_]) -> Alignment | str:
         if not self._scaled:

@@ -180,7 +180,7 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
     if isinstance(pose, str):
         return _rejected(pose, len(pairs), int(inside.sum()))
     T = pose.T_M_Q
-    surface = solver.surface(T, match.points_C, query.points_C)
+    surface = solver.surface(T, match.points_C, query.points_C, query.known, best.guided)
     found = Found(
         alignment=pose,
         tentative=points_M[inside],

@@ -120,6 +120,19 @@ def test_look_alikes_are_refused(kind, metric):
         assert verdict.kind in ("too few inliers", "ambiguous", "contradicted", "no scale")
 
 
+def test_depths_that_proved_right_are_evidence():
+    """Things before the street that only the query has float, if its depths can be told to be right."""
+    rng = np.random.default_rng(4)
+    query, match, _ = pair(rng, xi=np.array([0.5, 0.0, 1.0, 0.0, 0.05, 0.0]))
+    rays = np.column_stack([rng.uniform(-0.6, 0.6, 300), rng.uniform(-0.3, 0.3, 300), np.ones(300)])
+    with_things = joined(query, PlaceView(2.0 * rays, random_descriptors(rng, 300)))
+    blind = replace(with_things, depth_known=np.zeros(len(with_things.points_C), dtype=bool))
+    sound, wrong, none = (judge(view, match) for view in (with_things, wrong_depths(with_things, rng), blind))
+    assert sound.evidence.floating > 0.15 > 0.05 > wrong.evidence.floating
+    assert wrong.evidence == none.evidence
+    assert not sound.accepted and sound.kind == "contradicted"
+
+
 def test_a_wall_alone_is_no_place():
     rng = np.random.default_rng(2)
     wall = np.column_stack([rng.uniform(-3, 3, 200), rng.uniform(-1, 1, 200), np.full(200, 4.0)])
