@@ -202,7 +202,9 @@ class Agent:
     def _dispatch(self, message: Message) -> None:
         sender, identity, body = message.sender, message.contract, message.body
         if isinstance(body, GroupNotice):
-            if self.state.join(body.members):
+            known = set(self.state.group)
+            # Who knows no more than the sender has nothing to pass on: the sender has told them all.
+            if self.state.join(body.members) and not known <= set(body.members):
                 tell_group(self.desk)
         elif isinstance(body, SolverBody):
             self.optimisation.solver(sender, identity, body)

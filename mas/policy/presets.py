@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from backend.config import RelPoseConfig, SolverConfig
-from mas.config import AUTO_CODE, ConsistencyConfig, MasConfig, MergeConfig, OptimisationConfig, PlacesConfig
+from mas.config import ConsistencyConfig, MasConfig, MergeConfig, OptimisationConfig, PlacesConfig
 from mas.errors import MasError
 from mas.policy.autonomous import Autonomous
 from mas.policy.base import Policy
@@ -47,7 +47,7 @@ PRESETS: dict[str, MasConfig] = {
         preset="maslam",
         policy="directory",
         places=PlacesConfig(
-            code=AUTO_CODE,
+            code="int4",
             certainty="strict",
             gap_keyframes=6,
             max_points=600,
@@ -64,9 +64,9 @@ PRESETS: dict[str, MasConfig] = {
 ``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no
 purchases once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases.
 ``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: each key-frame is
-told once, to one agent that keeps the place vectors of all, in 32 bytes where the model has codebooks; only pairs
-within the strict distance are verified, from 110 points of 20 bytes on, and more where those promise a match; one
-elected agent solves for the group; maps are compact, bought seldom, laid on place matches or rejected.
+told once, to one agent that keeps the place vectors of all, in half a byte a number; only pairs within the strict
+distance are verified, from 110 points of 20 bytes on, and more where those promise a match; one elected agent solves
+for the group; maps are compact, bought seldom, laid on place matches or rejected.
 
 Distances below which places match belong to a network: all presets use the model's calibrated one, not the thesis's
 0.02 or the predecessor's 0.1.

@@ -11,7 +11,7 @@ from factory import DIM, SHA256, talkative, town
 
 from descriptors.codebooks import train_codebooks
 from mas.agent import Agent
-from mas.config import MasConfig
+from mas.config import AUTO_CODE, MasConfig
 from mas.environment import coder_of, make_agents, run
 from mas.errors import MasError
 from mas.keyframe import keyframes_of
@@ -130,7 +130,7 @@ def test_the_thesis_system_sends_what_the_thesis_counts() -> None:
 
 
 @pytest.mark.parametrize("books", [True, False])
-def test_our_preset_takes_the_shortest_code_that_the_model_has_books_for(tmp_path: Path, books: bool) -> None:
+def test_auto_is_the_shortest_code_that_the_model_has_books_for(tmp_path: Path, books: bool) -> None:
     manifest, _ = town(2, 4)
     model = tmp_path / "made-up.onnx"
     manifest = manifest.model_copy(update={"settings": {"model": str(model)}})
@@ -138,4 +138,4 @@ def test_our_preset_takes_the_shortest_code_that_the_model_has_books_for(tmp_pat
         vectors = np.random.default_rng(0).normal(size=(400, DIM)).astype(np.float32)
         unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         train_codebooks(unit, SHA256, "made up").save(model.with_suffix(".codes.npz"))
-    assert coder_of(manifest, preset("maslam").places.code).code == ("pq32" if books else "int8")
+    assert coder_of(manifest, AUTO_CODE).code == ("pq32" if books else "int8")

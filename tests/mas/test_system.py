@@ -139,13 +139,23 @@ def test_same_input_same_bytes(played: tuple[Path, Summary], tmp_path: Path) -> 
     assert first.model_dump(exclude=timed) == second.model_dump(exclude=timed)
 
 
+def test_our_preset_is_nearly_as_accurate_as_asking_everyone(tmp_path: Path) -> None:
+    """Odometry that drifts by 3 %; one town says little, as few matches decide."""
+    errors: dict[str, list[float]] = {"default": [], "maslam": []}
+    for seed in range(3):
+        manifest, sequences = town(3, 36, seed=seed, spacing_m=14.0, drifting=0.03)
+        for name, found in errors.items():
+            mean = run(manifest, sequences, preset(name), tmp_path / f"{name}{seed}").ate_rmse_m.mean_agents
+            assert mean is not None
+            found.append(mean)
+    assert np.mean(errors["maslam"]) < 1.1 * np.mean(errors["default"])
+
+
 def test_our_preset_finds_as_much_for_fewer_bytes(played: tuple[Path, Summary], tmp_path: Path) -> None:
     _, default = played
     manifest, sequences = town(3, 36, spacing_m=14.0, drifting=0.03)
     ours = run(manifest, sequences, preset("maslam"), tmp_path / "ours")
     assert ours.groups == default.groups
-    assert ours.ate_rmse_m.mean_agents is not None and default.ate_rmse_m.mean_agents is not None
-    assert ours.ate_rmse_m.mean_agents < 1.1 * default.ate_rmse_m.mean_agents
     assert ours.traffic["total"].wire_bytes < 0.1 * default.traffic["total"].wire_bytes
     assert min(ours.exploration_percent) >= min(default.exploration_percent)
     assert {(c.holder, c.owner) for c in ours.map_copies} == {(c.holder, c.owner) for c in default.map_copies}
