@@ -59,11 +59,8 @@ def check(method: str, robust: str) -> None:
     """Refuse what does not go together."""
     if robust in LOSSES and method != CENTRAL:
         raise UsageError(f"--robust {robust} works with --method central, not {method}")
-    if "gnc" in robust and method in (*TWO_STAGE, "quick"):
-        raise UsageError(
-            f"--robust {robust} works with --method central, {' or '.join(TO_THE_OPTIMUM)}; "
-            f"the two stages of {method} are not solved again for other weights"
-        )
+    if "gnc" in robust and method not in (CENTRAL, "rbcd"):
+        raise UsageError(f"--robust {robust} works with --method central or rbcd, not {method}; pcm works with all")
 
 
 def solve(graph: PoseGraph, request: Request) -> Solution:
