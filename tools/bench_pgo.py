@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from backend.central import optimise
-from backend.config import CentralConfig, RobustConfig, SolverConfig
+from backend.config import CentralConfig, RobustConfig
 from backend.costs import cost
 from tools.columns import aligned
 from tools.pgo.city import city
-from tools.pgo.methods import Request, solve
+from tools.pgo.methods import Request, solve, solver_of
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,7 @@ def measure(
         optimum = optimise(graph, CentralConfig()).cost_after
         central_s = time.process_time() - start
         for method in methods:
-            solver = SolverConfig.quick() if method == "quick" else SolverConfig(method=method)
-            request = Request(method, "none", False, CentralConfig(), solver, RobustConfig())
+            request = Request(method, "none", False, CentralConfig(), solver_of(method), RobustConfig())
             start = time.process_time()
             found = solve(graph, request)
             cpu_s = time.process_time() - start

@@ -87,19 +87,13 @@ def main(arguments: argparse.Namespace) -> None:
 
 def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
     """What the command line asks for, of this graph."""
-    from backend.config import CentralConfig, RobustConfig, SolverConfig
-    from tools.pgo.methods import LOSSES, Request
+    from backend.config import CentralConfig, RobustConfig
+    from tools.pgo.methods import LOSSES, Request, solver_of
 
     unit = arguments.weights == "unit" or (arguments.weights == "auto" and _is_unweighted(graph))
     loss = arguments.robust if arguments.robust in LOSSES else "none"
     central = build(CentralConfig(cost="U" if unit else "F", loss=loss), arguments, prefix="central")
-    if arguments.method == "quick":
-        base = SolverConfig.quick()
-    elif arguments.method == "central":
-        base = SolverConfig()
-    else:
-        base = SolverConfig(method=arguments.method)
-    solver = build(base, arguments, prefix="solver")
+    solver = build(solver_of(arguments.method), arguments, prefix="solver")
     selection = build(RobustConfig(), arguments, prefix="robust")
     return Request(arguments.method, arguments.robust, unit, central, solver, selection)
 

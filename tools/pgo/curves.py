@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from backend.config import SolverConfig
 from backend.costs import cost
 from backend.errors import BackendError
 from backend.graph import PoseGraph
-from tools.pgo.methods import CENTRAL, METHODS, TWO_STAGE, Request, solve
+from tools.pgo.methods import CENTRAL, METHODS, TWO_STAGE, Request, solve, solver_of
 
 _SWEEPS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224)
 
@@ -61,7 +60,7 @@ def _stops(request: Request) -> Iterator[tuple[int | None, Request]]:
     """The method with growing numbers of sweeps (0: it never ends by itself), those without sweeps once (None)."""
     config = request.solver.model_copy(update={"method": request.method})
     if request.method == "quick":
-        config = SolverConfig.quick()
+        config = solver_of("quick")
     if request.method not in (*TWO_STAGE, "rbcd"):
         yield None, replace(request, solver=config)
         return

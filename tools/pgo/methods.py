@@ -55,6 +55,13 @@ class Solution:
     unreached_poses: int = 0
 
 
+def solver_of(method: str) -> SolverConfig:
+    """The solver's settings that the name of a method stands for, before any option changes them."""
+    if method == CENTRAL:
+        return SolverConfig()
+    return SolverConfig.quick() if method == "quick" else SolverConfig.model_validate({"method": method})
+
+
 def check(method: str, robust: str) -> None:
     """Refuse what does not go together."""
     if robust in LOSSES and method != CENTRAL:
