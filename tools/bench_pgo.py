@@ -12,6 +12,7 @@ from backend.central import optimise
 from backend.config import CentralConfig, RobustConfig
 from backend.costs import cost
 from tools.columns import aligned
+from tools.errors import UsageError
 from tools.pgo.city import city
 from tools.pgo.methods import Request, solve, solver_of
 
@@ -51,6 +52,11 @@ def measure(
             start = time.process_time()
             found = solve(graph, request)
             cpu_s = time.process_time() - start
+            if found.unreached_poses:  # the gap would measure who met whom, not the method
+                raise UsageError(
+                    f"seed {seed}, {robots} robots of {poses} poses: {found.unreached_poses} poses met no robot that "
+                    "knows the first one; take more --poses or another --seed"
+                )
             excess = cost(graph.with_poses(found.poses), "F") - optimum
             gap = excess / optimum if optimum > 0 else 0.0  # without a loop every measurement can be met
             out.append(

@@ -115,3 +115,11 @@ def test_the_benchmark_counts_what_grows(capsys):
     ]  # fmt: skip
     assert all(r["gap"] > -1e-6 and r["wire_bytes"] > r["payload_bytes"] for r in rows)
     assert cli.main(["bench", "pgo", "--methods", "magic"]) == 2
+
+
+def test_the_benchmark_refuses_a_city_in_two_parts(capsys):
+    graph, _ = city(4, 40, seed=0)
+    met = {robot for e in graph.edges if e.is_separator for robot in (e.i.robot, e.j.robot)}
+    assert 0 not in met  # the first robot met nobody
+    assert cli.main(["bench", "pgo", "--robots", "4", "--poses", "40", "--methods", "quick", "--quiet"]) == 2
+    assert "120 poses" in capsys.readouterr().err
