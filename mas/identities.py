@@ -13,6 +13,7 @@ MAX_POINTS = 1_000_000
 MAX_VECTOR_BYTES = 65_536
 Agent = Annotated[int, msgspec.Meta(ge=0, lt=MAX_AGENTS)]
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
+Language = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 Stamp = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 Reason = Annotated[str, msgspec.Meta(max_length=200)]
 Members = Annotated[tuple[Agent, ...], msgspec.Meta(max_length=MAX_AGENTS)]

@@ -14,9 +14,11 @@ import msgspec
 from mas.identities import MAX_AGENTS, Agent, ContractId, FrameId, Index, MatchId, Members, Operation, Reason, Stamp
 from mas.solver_messages import SolverBody
 from mas.tasks import Outcome, Task
-from mas.tensors import EMPTY_SIM3S, MessageError, Tensor, check_sim3s
+from mas.tensors import MessageError, Tensor, check_sim3s, pack_sim3s
 
-VERSION = 3
+VERSION = 4
+LINK_DTYPE = "<f4"
+_NO_ROWS = pack_sim3s([], LINK_DTYPE)
 
 # -- terms: what a bid offers -----------------------------------------------------------------------------------------
 
@@ -26,21 +28,22 @@ class Links(msgspec.Struct, frozen=True, array_like=True):
 
     ``poses`` ``(n, 8)``: the owner's key-frames in ``frames`` as it believes now, Sim(3) with the owner's unit as
     scale; ``query``: which rows are the query's end, and for those, in order, ``transforms`` ``(q, 8)``: ``T_M_Q``.
+    Single precision: they tell how members stand to each other when an optimisation starts, and what contradicts what.
     """
 
     matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)] = ()
     tracks: Annotated[tuple[Index, ...], msgspec.Meta(max_length=100_000)] = ()
     frames: Annotated[tuple[FrameId, ...], msgspec.Meta(max_length=100_000)] = ()
     query: Annotated[tuple[bool, ...], msgspec.Meta(max_length=100_000)] = ()
-    poses: Tensor = EMPTY_SIM3S
-    transforms: Tensor = EMPTY_SIM3S
+    poses: Tensor = _NO_ROWS
+    transforms: Tensor = _NO_ROWS
 
     def __post_init__(self) -> None:
         n = len(self.matches)
         if not n == len(self.tracks) == len(self.frames) == len(self.query):
             raise ValueError(f"links: {n} matches with other numbers of tracks, frames and ends")
-        check_sim3s("poses", self.poses, n)
-        check_sim3s("transforms", self.transforms, sum(self.query))
+        check_sim3s("poses", self.poses, n, LINK_DTYPE)
+        check_sim3s("transforms", self.transforms, sum(self.query), LINK_DTYPE)
 
 
 class PieceTerms(msgspec.Struct, frozen=True, array_like=True):
@@ -76,7 +79,7 @@ class Bid(msgspec.Struct, frozen=True, array_like=True, tag=2):
 
     cost_bytes: Index
     ready_ns: Stamp
-    links: Links = Links()
+    links: Links | None = None
     pieces: Annotated[tuple[PieceTerms, ...], msgspec.Meta(max_length=4096)] = ()
     offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
 

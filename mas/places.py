@@ -21,7 +21,6 @@ from mas.policy.utility import PLACE_ANSWER_BYTES
 from mas.relpose import Verification, kind_of, verify, view_of
 from mas.retender import Retender
 from mas.tasks import EarlierAnswer, Outcome, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect, Task
-from mas.tensors import Tensor
 
 _FARTHEST = 2.0
 
@@ -77,9 +76,9 @@ class PlaceRecognition(Trade):
             self.desk.say(contract, Rejection("no longer wanted"))
             return
         profile = self.state.profile
-        code = Tensor.of(self._coded(keyframe), "|u1")
         kind = PlaceQuery if profile.centres is None else OwnerQuery
-        self.desk.say(contract, Award(kind(keyframe, profile.short_model, profile.coder.key, code)))
+        query = kind(keyframe, profile.language, self._coded(keyframe).tobytes())
+        self.desk.say(contract, Award(query))
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, PlaceQuery):
@@ -108,12 +107,11 @@ class PlaceRecognition(Trade):
 
     def _decoded(self, query: PlaceQuery) -> NDArray[np.float32]:
         profile = self.state.profile
-        if query.model != profile.short_model:
-            raise WorkError(f"descriptors of another model: {query.model}, mine is {profile.short_model}")
-        if query.code != profile.coder.key:
-            raise WorkError(f"place vector in another code: {query.code}, mine is {profile.coder.key}")
+        if query.language != profile.language:
+            mine = f"{profile.coder.key} of {profile.model[:16]} ({profile.language:08x})"
+            raise WorkError(f"place vector of another model or in another code ({query.language:08x}), mine is {mine}")
         try:
-            return profile.coder.decode(query.vector.array()[None])[0]
+            return profile.coder.decode(np.frombuffer(query.vector, dtype=np.uint8)[None])[0]
         except DescriptorError as error:
             raise WorkError(str(error)) from error
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from backend.geometry import Sim3
 from mas.identities import FrameId, MatchId
-from mas.messages import Bid
+from mas.messages import Bid, Links
 from mas.tasks import OptimiseTask
 from mas.tensors import pack_sim3s, unpack_sim3s
 from mas.testimony import contradicted
@@ -82,7 +82,7 @@ def _usable(bids: Mapping[int, Bid]) -> dict[MatchId, Joint]:
     matched: dict[MatchId, End] = {}
     queries: dict[MatchId, tuple[End, Sim3]] = {}
     for agent in sorted(bids):
-        links = bids[agent].links
+        links = bids[agent].links or Links()
         transforms = iter(unpack_sim3s(links.transforms))
         ends = zip(links.matches, links.tracks, links.frames, links.query, unpack_sim3s(links.poses), strict=True)
         for match, track, frame, is_query, pose in ends:

@@ -12,7 +12,7 @@ from backend.graph import Edge, EdgeKind, NodeId, PoseGraph
 from mas.config import OptimisationConfig
 from mas.identities import FrameId, MatchId
 from mas.matches import Match
-from mas.messages import Bid, Links, PieceTerms
+from mas.messages import LINK_DTYPE, Bid, Links, PieceTerms
 from mas.state import AgentState, Piece, stretched
 from mas.tasks import OptimiseTask
 from mas.tensors import pack_sim3s, unpack_sim3s
@@ -37,7 +37,7 @@ def terms(state: AgentState, now_ns: int) -> Bid:
         pieces = [max(pieces, key=lambda p: (len(state.members(p.track)), -p.track))]
     links = _links(state, {p.track for p in pieces})
     return Bid(
-        cost_bytes=48 * len(links.matches),
+        cost_bytes=0,
         ready_ns=now_ns,
         links=links,
         pieces=tuple(PieceTerms(p.track, p.frame, p.unit) for p in pieces),
@@ -57,8 +57,8 @@ def _links(state: AgentState, tracks: set[int]) -> Links:
         tracks=tuple(p.track for p in pieces),
         frames=tuple(p.frame for p in pieces),
         query=tuple(query for _, _, query in rows),
-        poses=pack_sim3s([state.pose(index) for _, index, _ in rows]),
-        transforms=pack_sim3s([state.verified[m].T_M_Q for m, _, query in rows if query]),
+        poses=pack_sim3s([state.pose(index) for _, index, _ in rows], LINK_DTYPE),
+        transforms=pack_sim3s([state.verified[m].T_M_Q for m, _, query in rows if query], LINK_DTYPE),
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,10 +50,10 @@ class Profile:
     centres: NDArray[np.float32] | None = None
     strict_threshold: float | None = None
 
-    @property
-    def short_model(self) -> str:
-        """As much of the model's hash as goes with every query: 64 bits."""
-        return self.model[:16]
+    @cached_property
+    def language(self) -> int:
+        """What goes with every place query for its model and code: 32 bits of a hash of both."""
+        return int.from_bytes(hashlib.sha256(f"{self.model} {self.coder.key}".encode()).digest()[:4], "big")
 
 
 @dataclass

@@ -16,6 +16,7 @@ from mas.identities import (
     Agent,
     FrameId,
     Index,
+    Language,
     MatchId,
     Members,
     Reason,
@@ -37,19 +38,13 @@ from mas.tensors import (
 
 
 class PlaceQuery(msgspec.Struct, frozen=True, array_like=True, tag=1):
-    """Which of your key-frames looks most like this one? ``vector`` ``(bytes,)``: its place vector in ``code``
-    (:mod:`descriptors.codes`); ``model``: the first digits of the hash of the network that made it. Who speaks another
-    code or model refuses the work."""
+    """Which of your key-frames looks most like this one? ``vector``: its place vector, coded
+    (:mod:`descriptors.codes`); ``language``: 32 bits that stand for the network that made it and the code. Who speaks
+    another refuses the work."""
 
     keyframe: Index
-    model: Annotated[str, msgspec.Meta(max_length=64)]
-    code: Annotated[str, msgspec.Meta(min_length=1, max_length=32)]
-    vector: Tensor
-
-    def __post_init__(self) -> None:
-        count = len(check("vector", self.vector, "|u1", (None,)))
-        if not 0 < count <= MAX_VECTOR_BYTES:
-            raise ValueError(f"vector: {count} bytes, expected 1 to {MAX_VECTOR_BYTES}")
+    language: Language
+    vector: Annotated[bytes, msgspec.Meta(min_length=1, max_length=MAX_VECTOR_BYTES)]
 
 
 class OwnerQuery(PlaceQuery, frozen=True, array_like=True, tag=5):

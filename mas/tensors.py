@@ -68,7 +68,6 @@ POSE_WIDTH = 7
 SIM3_WIDTH = 8
 MAX_TRANSLATION = 1e9
 MAX_SCALE = 1e6
-EMPTY_SIM3S = Tensor("<f8", (0, SIM3_WIDTH), b"")
 
 
 def pack_poses(poses: ArrayLike, dtype: str = "<f8") -> Tensor:
@@ -105,28 +104,28 @@ def check_poses(name: str, tensor: Tensor, dtype: str, shape: Shape) -> None:
         raise ValueError(f"{name}: a quaternion's length is not 1")
 
 
-def pack_sim3s(transforms: Sequence[Sim3]) -> Tensor:
+def pack_sim3s(transforms: Sequence[Sim3], dtype: str = "<f8") -> Tensor:
     """Rows ``tx ty tz qw qx qy qz scale``, ``(n, 8)``."""
     if not transforms:
-        return EMPTY_SIM3S
+        return Tensor(dtype, (0, SIM3_WIDTH), b"")
     q = quat_wxyz_from_rotation(np.array([t.rotation for t in transforms]))
     t = np.array([t.translation for t in transforms])
     s = np.array([[t.scale] for t in transforms])
-    return Tensor.of(np.concatenate([t, q, s], axis=1), "<f8")
+    return Tensor.of(np.concatenate([t, q, s], axis=1), dtype)
 
 
 def unpack_sim3s(tensor: Tensor) -> list[Sim3]:
     """Inverse of :func:`pack_sim3s`."""
-    rows = tensor.array()
+    rows = tensor.array().astype(np.float64)
     if not len(rows):
         return []
     rotations = rotation_from_quat_wxyz(rows[:, 3:7])
     return [Sim3(rotation, row[:3].copy(), float(row[7])) for rotation, row in zip(rotations, rows, strict=True)]
 
 
-def check_sim3s(name: str, tensor: Tensor, count: int) -> None:
+def check_sim3s(name: str, tensor: Tensor, count: int, dtype: str = "<f8") -> None:
     """``count`` rows as :func:`pack_sim3s` makes them."""
-    rows = check(name, tensor, "<f8", (count, SIM3_WIDTH))
+    rows = check(name, tensor, dtype, (count, SIM3_WIDTH))
     if not count:
         return
     if np.abs(rows).max() > MAX_TRANSLATION or rows[:, 7].max() > MAX_SCALE or rows[:, 7].min() * MAX_SCALE < 1.0:

@@ -25,7 +25,8 @@ class Terms:
         state, now_ns = self.desk.state, self.desk.now_ns
         if self._made is None or self._made[0] != state.version:
             bid = terms(state, now_ns)
-            cost = ENVELOPE_BYTES + round(self._bytes_a_row * len(bid.links.matches))
+            rows = 0 if bid.links is None else len(bid.links.matches)
+            cost = ENVELOPE_BYTES + round(self._bytes_a_row * rows)
             self._made = (state.version, replace(bid, cost_bytes=cost))
         return replace(self._made[1], ready_ns=now_ns + self._took_ns)
 

@@ -71,9 +71,9 @@ def account(message: Message) -> tuple[Traffic, str, int]:
     work = body.task if isinstance(body, Award) else body.outcome
     payload = 0
     if isinstance(work, OwnerQuery):
-        payload = work.vector.nbytes + 1 + 4
+        payload = len(work.vector) + 1 + 4
     elif isinstance(work, PlaceQuery):
-        payload = work.vector.nbytes
+        payload = len(work.vector)
     elif isinstance(work, PlaceAnswer):
         payload = 8 + 4
     elif isinstance(work, EarlierAnswer):

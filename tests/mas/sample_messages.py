@@ -8,7 +8,7 @@ from backend.distributed.messages import Stage
 from backend.geometry import Sim3
 from mas.identities import ContractId, FrameId, MatchId, Operation
 from mas.maps.wire import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
-from mas.messages import Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
+from mas.messages import LINK_DTYPE, Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
 from mas.solver_messages import (
     SolverParcel,
     SolverReport,
@@ -70,14 +70,15 @@ def parcel(**changes: object) -> Parcel:
 
 def examples() -> list[Message]:
     contract = ContractId(0, 7)
-    vector = Tensor.of(np.arange(16), "|u1")
-    links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), *[pack_sim3s([Sim3.identity()])] * 2)
+    vector = bytes(range(16))
+    rows = pack_sim3s([Sim3.identity()], LINK_DTYPE)
+    links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), rows, rows)
     bodies = [
         Call(Operation.DOPT, 5_000_000_000, (0, 1)),
         Bid(100, 0, links),
         Refusal("busy"),
-        Award(PlaceQuery(3, "ab" * 8, "int8", vector)),
-        Award(OwnerQuery(3, "ab" * 8, "int8", vector)),
+        Award(PlaceQuery(3, 0xAB12CD34, vector)),
+        Award(OwnerQuery(3, 0xAB12CD34, vector)),
         Award(verify_task()),
         Award(
             verify_task(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from mas.keyframe import keyframes_of
 from mas.messages import Award, Failure, Message, Result
 from mas.policy.presets import preset
 from mas.tasks import PlaceQuery
-from mas.tensors import Tensor
 
 
 def with_code(code: str) -> MasConfig:
@@ -71,8 +71,8 @@ def test_the_answer_is_the_nearest_to_what_was_sent(code: str) -> None:
     award = asked(agents)
     query = award.body.task
     coder = agents[1].state.profile.coder
-    assert query.vector.nbytes == coder.bytes and query.code == code
-    sent = coder.decode(query.vector.array()[None])[0]
+    assert len(query.vector) == coder.bytes and query.language == agents[1].state.profile.language
+    sent = coder.decode(np.frombuffer(query.vector, dtype=np.uint8)[None])[0]
     own = coder.cut(np.array([k.vector for k in agents[1].state.keyframes]))
     apart = np.linalg.norm(own - sent, axis=1)
     (outcome,) = [m.body.outcome for m in agents[1].handle(award) if isinstance(m.body, Result)]
@@ -83,10 +83,9 @@ def test_the_answer_is_the_nearest_to_what_was_sent(code: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"model": "ef" * 8}, "descriptors of another model: efef"),
-        ({"code": "float32"}, "place vector in another code: float32, mine is int8"),
-        ({"vector": Tensor.of(np.ones(DIM - 1), "|u1")}, f"int8 has {DIM} bytes, got"),
-        ({"vector": Tensor.of(np.zeros(DIM), "|u1")}, "no direction"),
+        ({"language": 0xEF}, "of another model or in another code (000000ef), mine is int8 of "),
+        ({"vector": bytes([1] * (DIM - 1))}, f"int8 has {DIM} bytes, got"),
+        ({"vector": bytes(DIM)}, "no direction"),
     ],
 )
 def test_a_query_that_cannot_be_read_fails_with_its_reason(changes: dict[str, object], reason: str) -> None:
@@ -98,6 +97,13 @@ def test_a_query_that_cannot_be_read_fails_with_its_reason(changes: dict[str, ob
     (said,) = [m.body for m in agents[1].handle(changed) if isinstance(m.body, Failure | Result)]
     assert isinstance(said, Failure) and reason in said.reason
     assert not agents[1].refused
+
+
+def test_another_model_or_code_is_another_language() -> None:
+    mine = agents_with("int8")[0].state.profile
+    others = [agents_with("float32")[0].state.profile, replace(mine, model="ef" * 32)]
+    assert len({p.language for p in (mine, *others)}) == 3
+    assert agents_with("int8")[1].state.profile.language == mine.language
 
 
 def test_product_codes_use_the_books_beside_the_model(tmp_path: Path) -> None:

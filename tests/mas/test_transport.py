@@ -61,14 +61,14 @@ class TestInProcess(TransportContract):
 def test_payload_is_counted_as_the_published_tables_do() -> None:
     """Expected figures worked out by hand from the table of byte accounting."""
     contract = ContractId(0, 0)
-    vector = np.ones(4 * 128)
+    vector = bytes(4 * 128)
     words = verify_task(descriptors=None, words=Tensor.of(np.zeros(4), "<u2"))
     cases = [
-        (Award(PlaceQuery(0, "x", "float32", Tensor.of(vector, "|u1"))), Traffic.DVPR, 4 * 128),
-        (Award(PlaceQuery(0, "x", "pq32", Tensor.of(vector[:32], "|u1"))), Traffic.DVPR, 32),
+        (Award(PlaceQuery(0, 7, vector)), Traffic.DVPR, 4 * 128),
+        (Award(PlaceQuery(0, 7, vector[:32])), Traffic.DVPR, 32),
         (Result(PlaceAnswer(1, 0.1)), Traffic.DVPR, 8 + 4),
         (Result(EarlierAnswer(0, 1, 0.1)), Traffic.DVPR, 8 + 4 + 4),
-        (Award(OwnerQuery(0, "x", "float32", Tensor.of(vector, "|u1"))), Traffic.DVPR, 4 * 128 + 1 + 4),
+        (Award(OwnerQuery(0, 7, vector)), Traffic.DVPR, 4 * 128 + 1 + 4),
         (Result(PlaceRedirect(2, 1, 0.1)), Traffic.DVPR, 8 + 4 + 1),
         (Award(verify_task()), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (32 + 12)),
         (Award(words), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (2 + 12)),
