@@ -59,6 +59,9 @@ class PlacesConfig(_Section):
     gap_keyframes: int = Field(
         4, ge=0, description="own key-frames that pass between accepted matches with one agent; no verification sooner"
     )
+    gap_most_keyframes: int | None = Field(
+        None, ge=0, description="grown up to so many where matches come as expected, so that they tell little; null: no"
+    )
     gap_m: float = Field(
         0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"
     )

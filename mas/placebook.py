@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from backend.geometry import Sim3
 from descriptors.search import NearestIndex
+from mas.gain import worth_after
 from mas.identities import MatchId
 from mas.keyframe import KeyFrame
 from mas.matches import Fate
@@ -35,7 +36,8 @@ class Candidate:
 
 @dataclass
 class PlaceBook:
-    """Candidates of the agent's own queries, and when it was last matched with whom.
+    """Candidates of the agent's own queries, and when it was last matched with whom. ``gaps``: own key-frames until a
+    next match with that agent is worth it.
 
     ``whole``, ``kept``: vectors of its own key-frames, and what the place code keeps of them; one and the same where
     that is everything.
@@ -46,6 +48,7 @@ class PlaceBook:
     kept: NearestIndex = field(default_factory=NearestIndex)
     candidates: dict[MatchId, Candidate] = field(default_factory=dict)
     last_matched: dict[int, int] = field(default_factory=dict)
+    gaps: dict[int, int] = field(default_factory=dict)
     verified: dict[int, list[int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -103,10 +106,30 @@ class PlaceBook:
 
     def matched(self, match: MatchId) -> None:
         """An accepted match: from now on the gap to the next verification with the other agent counts."""
-        me = self.state.me
-        mine = match.query if match.query_agent == me else match.match
-        other = match.match_agent if match.query_agent == me else match.query_agent
+        mine, other = self._own_end(match)
         self.last_matched[other] = max(mine, self.last_matched.get(other, mine))
+        self.gaps[other] = self._gap_after(match)
+
+    def _own_end(self, match: MatchId) -> tuple[int, int]:
+        """The own key-frame, and the other agent."""
+        mine = match.query_agent == self.state.me
+        return (match.query, match.match_agent) if mine else (match.match, match.query_agent)
+
+    def _gap_after(self, match: MatchId) -> int:
+        """What the last two matches with the same track of the other say about odometry decides how soon the next is
+        worth it."""
+        config, latest = self.state.config.places, self.state.verified[match]
+        mine, other = self._own_end(match)
+        if config.gap_most_keyframes is None or other == self.state.me:
+            return config.gap_keyframes
+        same = (m for m in self.state.accepted_matches() if set(m.tracks) == set(latest.tracks))
+        before = [m for m in same if self._own_end(m.id)[0] < mine]
+        if not before:
+            return config.gap_keyframes
+        last = max(before, key=lambda m: (self._own_end(m.id)[0], m.id))
+        way = mine - self._own_end(last.id)[0]
+        gap = round(way * worth_after(last, latest, self.state.config.optimisation))
+        return min(max(gap, config.gap_keyframes), config.gap_most_keyframes)
 
     def fate(self, candidate: Candidate) -> tuple[Fate, str]:
         """What became of a candidate, and why, as it stands now."""
@@ -128,7 +151,7 @@ class PlaceBook:
         last = self.last_matched.get(match.match_agent)
         if last is None or match.query < last:
             return ""
-        if match.query - last <= config.gap_keyframes:
+        if match.query - last <= self.gaps[match.match_agent]:
             return "soon after an accepted match"
         if self.state.travelled[match.query] - self.state.travelled[last] < config.gap_m:
             return "soon after an accepted match"
