@@ -23,7 +23,7 @@ def worth_after(earlier: Match, latest: Match, config: OptimisationConfig) -> fl
     before = earlier if earlier.tracks == latest.tracks else earlier.turned()
     query = latest.T_T_Q[:3, 3]
     apart = float(np.linalg.norm(before.joins() @ query - latest.joins() @ query))
-    noise = float(np.hypot(*(_noise(m, config) * latest.depth for m in (earlier, latest))))
+    noise = latest.depth * float(np.hypot(_noise(earlier, config), _noise(latest, config)))
     return _WORTH * noise / (apart + noise)
 
 
