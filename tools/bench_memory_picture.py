@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tools.bench_memory import MemoryReport
-from tools.bench_picture import dress, saved_figure
+from tools.figures import dress, saved_figure
 from tools.svg import colour_of
 
 

@@ -91,8 +91,8 @@ def as_json(results: Sequence[Measured]) -> str:
 
 def draw(results: Sequence[Measured], path: Path) -> None:
     """Bytes a robot, processor time a robot, and the gap, against the number of robots."""
-    from tools.bench_picture import saved_figure
-    from tools.svg import FAINT, GRID, INK, colour_of
+    from tools.figures import dress, saved_figure
+    from tools.svg import colour_of
 
     panels: list[tuple[str, Callable[[Measured], float]]] = [
         ("kB on the wire a robot", lambda r: r.wire_bytes / 1e3 / r.robots),
@@ -111,10 +111,5 @@ def draw(results: Sequence[Measured], path: Path) -> None:
             sizes = sorted({r.robots for r in results})
             axes.set_xticks(sizes, labels=[str(size) for size in sizes])
             axes.set_xticks([], minor=True)
-            axes.set_xlabel("robots", color=INK)
-            axes.set_ylabel(label, color=INK)
-            axes.grid(color=GRID)
-            axes.tick_params(colors=FAINT)
-            for spine in axes.spines.values():
-                spine.set_color(GRID)
+            dress(axes, "", "robots", label)
         figure.axes[0].legend(frameon=False)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,11 @@ import numpy as np
 
 from tools.bench_accuracy import LENGTHS_M, Accuracy
 from tools.bench_result import OURS, BenchResult
+from tools.figures import dress, saved_figure
 from tools.report_charts import TRUTH, plane_of
-from tools.svg import FAINT, GRID, INK, colour_of, dash_of
+from tools.svg import FAINT, INK, colour_of, dash_of
 
-_ROW_INCHES, _BAR_INCHES, _WIDTH_INCHES, _DPI = 3.4, 0.42, 11.5, 110
+_ROW_INCHES, _BAR_INCHES, _WIDTH_INCHES = 3.4, 0.42, 11.5
 _AXES = "xyz"
 STAGE_COLOURS = {
     "decode": "#8d99a6",
@@ -42,25 +42,6 @@ def draw_bench(results: Sequence[BenchResult], path: Path) -> None:
             _paths(figure.add_subplot(grid[row, 0]), result)
             _errors(figure.add_subplot(grid[row, 1]), result)
         _costs(figure.add_subplot(grid[len(results), :]), results)
-
-
-@contextmanager
-def saved_figure(path: Path, inches: tuple[float, float]) -> Iterator[Any]:
-    """A matplotlib figure to draw in, written to ``path`` at the end: the same bytes for the same drawing."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context({"svg.hashsalt": "maslam", "font.size": 9}):
-        figure = plt.figure(figsize=inches, facecolor="white", layout="constrained")
-        try:
-            yield figure
-            path.parent.mkdir(parents=True, exist_ok=True)
-            undated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-            figure.savefig(path, dpi=_DPI, metadata=undated.get(path.suffix))
-        finally:
-            plt.close(figure)
 
 
 def _systems(result: BenchResult) -> list[tuple[str, Accuracy | None]]:
@@ -151,15 +132,3 @@ def _costs(axes: Any, results: Sequence[BenchResult]) -> None:
 def _dashes(index: int) -> tuple[float, ...] | tuple[None, None]:
     pattern = dash_of(index)
     return tuple(float(word) for word in pattern.split()) if pattern else (None, None)
-
-
-def dress(axes: Any, title: str, x: str, y: str) -> None:
-    """Title and labels, in the house's colours."""
-    axes.set_title(title, fontsize=10, color=INK, loc="left")
-    axes.set_xlabel(x, color=FAINT)
-    axes.set_ylabel(y, color=FAINT)
-    axes.tick_params(colors=FAINT, labelsize=8)
-    axes.grid(color=GRID)
-    axes.set_axisbelow(True)
-    for spine in axes.spines.values():
-        spine.set_color("#d5dde4")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.calibration import judge, precision_recall
-from tools.bench_picture import dress, saved_figure
+from tools.figures import dress, saved_figure
 from tools.netvlad_data import PlaceBenchmark
 from tools.netvlad_eval import Evaluation, as_records
 from tools.svg import FAINT, INK, colour_of

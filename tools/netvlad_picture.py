@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.card import Calibration, ModelCard, OperatingPoint
-from tools.bench_picture import dress, saved_figure
 from tools.errors import ToolError
+from tools.figures import dress, saved_figure
 from tools.svg import FAINT, INK, colour_of
 
 _NOT_VALIDATION = ("step", "loss", "right", "scale")

@@ -13,9 +13,10 @@ import numpy as np
 from frontend.cameras import RigKind
 from frontend.datasets import open_dataset
 from tools.errors import ToolError
+from tools.figures import dress
 from tools.report_charts import TRUTH, plane_of
 from tools.report_data import RunData, read_run
-from tools.svg import FAINT, INK, colour_of
+from tools.svg import INK, colour_of
 
 SHOWN = 4
 INCHES, DPI = (13.2, 4.7), 90
@@ -79,14 +80,8 @@ def _map(axes: Any, data: RunData) -> None:
     matches = data.summary["matches"]
     errors = f"mean ATE {after:.3f} m, odometry alone {before:.3f} m"
     title = f"One frame: {errors}; {matches['accepted']} matches, {matches['false_accepted']} false"
-    axes.set_title(title, fontsize=11, color=INK, loc="left")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.tick_params(colors=FAINT, labelsize=9)
-    axes.set_xlabel("metres", color=FAINT)
-    axes.grid(color="#e4e9ee")
-    axes.set_axisbelow(True)
-    for spine in axes.spines.values():
-        spine.set_color("#d5dde4")
+    dress(axes, title, "metres", "")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 # Okabe and Ito's colours, told apart by colour-blind readers, without the yellow that vanishes on white.
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#6A51A3", "#8C6D31")
 DASHES = ("", "6 3", "2 3", "8 3 2 3")  # when the colours are used up
-INK, FAINT, GRID = "#22303c", "#6b7a89", "#e4e9ee"
+INK, FAINT, GRID, FRAME = "#22303c", "#6b7a89", "#e4e9ee", "#d5dde4"
 MAX_VERTICES = 3000  # of one line: beyond this a screen shows no more
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.bench_picture import saved_figure
+from tools.figures import dress, saved_figure
 from tools.pgo.curves import Curve
-from tools.svg import FAINT, GRID, INK, colour_of
+from tools.svg import FAINT, INK, colour_of
 
 _FLOOR = 1e-7
 """Gaps below it are drawn on the edge: the optimum is known to about that."""
@@ -28,11 +28,6 @@ def draw_convergence(made: Sequence[Curve], title: str, path: Path) -> None:
                           fontsize=8, color=FAINT)  # fmt: skip
             axes.set_xscale("log")
             axes.set_yscale("log")
-            axes.set_xlabel(label, color=INK)
-            axes.set_ylabel("cost above the optimum, share", color=INK)
-            axes.grid(color=GRID)
-            axes.tick_params(colors=FAINT)
-            for spine in axes.spines.values():
-                spine.set_color(GRID)
+            dress(axes, "", label, "cost above the optimum, share")
         figure.axes[0].legend(frameon=False, fontsize=8)
         figure.suptitle(title, x=0.01, ha="left", color=INK)

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tools.bench_picture import saved_figure
+from tools.figures import dress, saved_figure
 from tools.report_charts import TRUTH, plane_of
 from tools.report_data import read_run
-from tools.svg import FAINT, GRID, INK, colour_of
+from tools.svg import FAINT, INK, colour_of
 from tools.sweep.rows import Group
 
 _OPERATIONS = ("dvpr", "relpose", "dopt", "mapmerge", "negotiation")
@@ -56,7 +56,7 @@ def _against_agents(groups: Sequence[Group], sequence: str, path: Path) -> Path:
                     colour = colour_of(number)
                     axes.errorbar(x, y, half, marker="o", ms=4, lw=1.6, capsize=2, color=colour, label=preset)
             axes.set_ylim(bottom=0)
-            _dress(axes, "agents", label)
+            dress(axes, "", "agents", label)
         figure.axes[0].legend(frameon=False, fontsize=8)
         figure.suptitle(f"KITTI {sequence}" if sequence.isdigit() else sequence, x=0.01, ha="left", color=INK)
     return path
@@ -75,7 +75,7 @@ def _regret(groups: Sequence[Group], path: Path) -> Path:
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.legend(frameon=False)
-        _dress(axes, "bytes over the reference's", "mean ATE over the reference's")
+        dress(axes, "", "bytes over the reference's", "mean ATE over the reference's")
     return path
 
 
@@ -115,7 +115,7 @@ def _paths(axes: Any, data: Any, chosen: Any, plane: tuple[int, int]) -> None:
         xyz = data.in_world[k]
         axes.plot(xyz[:, a], xyz[:, b], color=colour_of(k), lw=1.4)
     axes.set_aspect("equal")
-    _dress(axes, "", "")
+    dress(axes, "", "", "")
 
 
 def _over_time(run: Path, title: str, path: Path) -> Path:
@@ -135,21 +135,11 @@ def _over_time(run: Path, title: str, path: Path) -> Path:
                 values = np.array([float(row[name]) if row[name] else np.nan for row in rows])
                 axes.plot(time, values, color=colour_of(number), lw=1.1)
             axes.set_ylim(bottom=0)
-            _dress(axes, "s", label)
+            dress(axes, "", "s", label)
         axes = figure.add_subplot(1, 3, 3)
         stack = [np.array([float(row[f"{name}_wire_bytes"]) for row in rows]) / 1e6 for name in _OPERATIONS]
         axes.stackplot(time, stack, labels=_OPERATIONS, colors=[_COLOURS[n] for n in _OPERATIONS])
         axes.legend(frameon=False, fontsize=8, loc="upper left")
-        _dress(axes, "s", "MB on the wire")
+        dress(axes, "", "s", "MB on the wire")
         figure.suptitle(title, x=0.01, ha="left", color=INK)
     return path
-
-
-def _dress(axes: Any, x: str, y: str) -> None:
-    axes.set_xlabel(x, color=INK)
-    axes.set_ylabel(y, color=INK)
-    axes.tick_params(colors=FAINT, labelsize=8)
-    axes.grid(color=GRID)
-    axes.set_axisbelow(True)
-    for spine in axes.spines.values():
-        spine.set_color(GRID)
