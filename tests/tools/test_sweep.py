@@ -55,6 +55,13 @@ def test_ours_stands_beside_what_the_thesis_prints() -> None:
     assert "-" in report(grouped([row(regret_ate=None)]))
 
 
+def test_the_systems_of_the_thesis_stand_beside_each_other() -> None:
+    ours = {"optimised": (90.0, 20.0, 40), "selection": (80.0, 9.0, 38), "default": (45.0, 30.0, 30)}
+    rows = [row(preset=p, explored=e, payload_dvpr=d, accepted=a) for p, (e, d, a) in ours.items()]
+    assert "| 00 | 20 | 2.00 | 0.45 | 0.95 | - |" in report(grouped(rows))
+    assert "beside each other" not in report(grouped([row()]))
+
+
 def test_the_printed_tables_say_what_the_text_of_the_thesis_says() -> None:
     selection, optimised = TABLES["selection"][1], TABLES["optimised"][1]
     assert (selection["00", 20].dvpr, optimised["00", 20].dvpr) == (34.75, 63.81)  # section 4.4

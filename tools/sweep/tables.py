@@ -27,7 +27,7 @@ def report(groups: Sequence[Group]) -> str:
         title = f"## Preset {preset}" + (f": the thesis's Table {number}" if number else "")
         chosen = [group for group in groups if group.preset == preset]
         parts += [title, _thesis_table(chosen, printed), _true_table(chosen)]
-    return "\n\n".join([*parts, *_town(groups)]) + "\n"
+    return "\n\n".join([*parts, *_directions(groups), *_town(groups)]) + "\n"
 
 
 _HOW = (
@@ -65,6 +65,35 @@ def _true_table(groups: Sequence[Group]) -> str:
     ]
     heads = ["sequence", "agents", *(name for name, _ in figures)]
     return markdown(heads, [[g.sequence, str(g.agents), *(figure(g) for _, figure in figures)] for g in groups])
+
+
+def _directions(groups: Sequence[Group]) -> list[str]:
+    """What the thesis says of its systems, each against the one before it (4.3, 4.4), and of clusters (2.2.3)."""
+    by_preset = {(g.sequence, g.agents, g.preset): g for g in groups}
+    lines = []
+    for sequence, agents in dict.fromkeys((g.sequence, g.agents) for g in groups):
+        predecessor, default, optimised, selection = (
+            by_preset.get((sequence, agents, name)) for name in ("predecessor", "default", "optimised", "selection")
+        )
+        found = [
+            _ratio(optimised, default, "explored"),
+            _ratio(selection, optimised, "payload_dvpr"),
+            _ratio(selection, optimised, "accepted"),
+            _ratio(default, predecessor, "payload_dvpr"),
+        ]
+        if any(ratio is not None for ratio in found):
+            lines.append([sequence, str(agents), *("-" if ratio is None else f"{ratio:.2f}" for ratio in found)])
+    heads = [
+        "sequence", "agents", "explored: optimised / default", "DVPR bytes: selection / optimised",
+        "accepted matches: selection / optimised", "DVPR bytes: default / predecessor",
+    ]  # fmt: skip
+    return ["## The thesis's systems beside each other", markdown(heads, lines)] if lines else []
+
+
+def _ratio(group: Group | None, other: Group | None, name: str) -> float | None:
+    """Of two presets' means."""
+    ours, theirs = (None if g is None else g[name] for g in (group, other))
+    return ours.mean / theirs.mean if ours is not None and theirs is not None and theirs.mean else None
 
 
 def _town(groups: Sequence[Group]) -> list[str]:
