@@ -12,11 +12,12 @@ from backend.trajectory_error import TrajectoryError
 from mas.agent import Agent
 from mas.citizens import fault_figures, standings
 from mas.config import MasConfig
+from mas.copies import map_copies
 from mas.identities import MatchId
 from mas.matches import Fate
 from mas.metrics import MatchError, Onlooker, groups_of, odometry_frames
 from mas.sequence import AgentSequence
-from mas.summary import Errors, MapCopy, MatchFigures, OptimisationFigures, Summary, TrafficFigures
+from mas.summary import Errors, MatchFigures, OptimisationFigures, Summary, TrafficFigures
 from mas.trajectories import frame_trajectory
 from mas.transport import Count, Transport
 
@@ -62,7 +63,7 @@ def summarise(
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
         optimisations=_optimisations(agents),
-        map_copies=[c for a, (_, each) in zip(agents, maps, strict=True) for c in _copies(a, each)],
+        map_copies=map_copies(agents, [{o: (e.rmse_m, e.mean_m) for o, e in each.items()} for _, each in maps]),
         refused_messages=len(transport.refused) + sum(len(a.refused) for a in agents),
         standing=standings(agents),
         faults=fault_figures(agents, transport),
@@ -111,21 +112,6 @@ def _optimisations(agents: Sequence[Agent]) -> OptimisationFigures:
         cost_before=float(sum(d["cost_before"] for d in done)),
         cost_after=float(sum(d["cost_after"] for d in done)),
     )
-
-
-def _copies(agent: Agent, each: dict[int, TrajectoryError]) -> list[MapCopy]:
-    return [
-        MapCopy(
-            holder=agent.state.me,
-            owner=owner,
-            version=held.version,
-            keyframes=len(held.poses),
-            points=len(held.references),
-            ate_rmse_m=each[owner].rmse_m if owner in each else None,
-            ate_mean_m=each[owner].mean_m if owner in each else None,
-        )
-        for owner, held in sorted(agent.maps.held.items())
-    ]
 
 
 def _version() -> str:

@@ -53,7 +53,8 @@ class OptimisationFigures(_Figures):
 
 
 class MapCopy(_Figures):
-    """One map copy under its holder's alignment."""
+    """One map copy: errors under its holder's alignment; ``points_off_m``: median distance of its points from where
+    their owner has them at the end (null: in other coordinates)."""
 
     holder: int
     owner: int
@@ -62,6 +63,7 @@ class MapCopy(_Figures):
     points: int
     ate_rmse_m: float | None
     ate_mean_m: float | None
+    points_off_m: float | None
 
 
 class StandingFigures(_Figures):

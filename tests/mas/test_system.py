@@ -161,6 +161,8 @@ def test_our_preset_finds_as_much_for_fewer_bytes(played: tuple[Path, Summary], 
     assert {(c.holder, c.owner) for c in ours.map_copies} == {(c.holder, c.owner) for c in default.map_copies}
     assert ours.traffic["mapmerge"].wire_bytes < 0.05 * default.traffic["mapmerge"].wire_bytes
     assert sum(c.points for c in ours.map_copies) >= 30 * sum(c.keyframes for c in ours.map_copies)
+    # Half a per cent of the distance (merge.point_error), 10 m at the median here, and as much for poses.
+    assert max(c.points_off_m for c in ours.map_copies) < 0.1
     events = [json.loads(line) for line in (tmp_path / "ours" / "events.jsonl").read_text().splitlines()]
     last = [e for e in events if e["event"] == "map_checked" and e["final"]]
     assert {(e["agent"], e["owner"]) for e in last} == {(c.holder, c.owner) for c in ours.map_copies}

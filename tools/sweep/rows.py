@@ -17,7 +17,9 @@ _OPERATIONS = ("dvpr", "relpose", "dopt", "mapmerge", "negotiation", "total")
 class Row:
     """One run. Errors in metres (means over the agents), MB = 10^6 bytes: ``payload_*`` as published, ``wire_*`` true;
     percent explored, and of what connectivity allows; ``reference_*``: the omniscient reference's; ``regret_ate``:
-    error over its error, ``regret_bytes``: wire bytes over its bytes. None without truth or reference."""
+    error over its error, ``regret_bytes``: wire bytes over its bytes. Of map copies: map points a key-frame, and the
+    median over all of how far their points are from where their owner has them. None without truth, reference,
+    copies."""
 
     sequence: str
     agents: int
@@ -44,6 +46,8 @@ class Row:
     accepted: int
     false_accepted: int | None
     largest_group: int
+    points_a_keyframe: float | None
+    points_off_m: float | None
     wall_s: float
     reference_ate: float | None
     reference_mb: float | None
@@ -62,6 +66,8 @@ def row_of(cell: Cell, summary: Mapping[str, Any], reference: Mapping[str, Any] 
     ate, best = summary["ate_rmse_m"]["mean_agents"], reference["mean_ate_m"] if reference else None
     size = reference["bytes"] / 1e6 if reference else None
     explored = summary["exploration_percent"]
+    copies = summary["map_copies"]
+    off = [copy["points_off_m"] for copy in copies if copy["points_off_m"] is not None]
     possible = reference["exploration_percent"] if reference else None
     return Row(
         sequence=cell.sequence,
@@ -77,6 +83,8 @@ def row_of(cell: Cell, summary: Mapping[str, Any], reference: Mapping[str, Any] 
         accepted=summary["matches"]["accepted"],
         false_accepted=summary["matches"]["false_accepted"],
         largest_group=max(len(group) for group in summary["groups"]),
+        points_a_keyframe=sum(c["points"] for c in copies) / sum(c["keyframes"] for c in copies) if copies else None,
+        points_off_m=float(np.median(off)) if off else None,
         wall_s=summary["wall_s"],
         reference_ate=best,
         reference_mb=size,

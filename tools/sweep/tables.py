@@ -57,6 +57,8 @@ def _true_table(groups: Sequence[Group]) -> str:
         ("regret", lambda g: _text(g["regret_ate"], 3)),
         ("wire, MB", lambda g: _text(g["wire_total"])),
         ("of it maps", lambda g: _text(g["wire_mapmerge"])),
+        ("points a key-frame", lambda g: _text(g["points_a_keyframe"], 0)),
+        ("off, m", lambda g: _text(g["points_off_m"], 3)),
         ("reference, MB", lambda g: _text(g["reference_mb"])),
         ("explored of possible, %", lambda g: _text(g["explored_of_possible"], 1)),
         ("in one frame", lambda g: f"{min(r.largest_group for r in g.rows)} of {g.agents}"),

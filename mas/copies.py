@@ -1,0 +1,55 @@
+"""How good copies of maps are, measured by who sees all agents: against the owner's own map as it stands at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from backend.geometry import Array
+from mas.agent import Agent
+from mas.maps.held import HeldMap
+from mas.state import AgentState
+from mas.summary import MapCopy
+
+# Key-frames of a copy that are looked at, spread evenly.
+_SAMPLE = 16
+
+
+def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, tuple[float, float]]]) -> list[MapCopy]:
+    """Every copy that is held; ``errors``: of each holder's copies by owner, RMSE and mean under its alignment."""
+    states = {agent.state.me: agent.state for agent in agents}
+    return [
+        MapCopy(
+            holder=agent.state.me,
+            owner=owner,
+            version=held.version,
+            keyframes=len(held.poses),
+            points=len(held.references),
+            ate_rmse_m=each[owner][0] if owner in each else None,
+            ate_mean_m=each[owner][1] if owner in each else None,
+            points_off_m=points_off(held, agent.state, states[owner]),
+        )
+        for agent, each in zip(agents, errors, strict=True)
+        for owner, held in sorted(agent.maps.held.items())
+    ]
+
+
+def points_off(held: HeldMap, holder: AgentState, owner: AgentState) -> float | None:
+    """Median distance of a copy's points from where their owner has them, in the unit of their frame; None where the
+    two are in different coordinates, or the copy has no points.
+
+    A copied point is the one of the owner's key-frame that is nearest to it in the camera.
+    """
+    if holder.frame != owner.frame:
+        return None
+    apart: list[Array] = []
+    rows = np.linspace(0, len(held.keyframes) - 1, min(_SAMPLE, len(held.keyframes))).astype(int)
+    for row in rows.tolist():
+        index = int(held.keyframes[row])
+        copied = held.points_C[held.references == row]
+        own = owner.keyframes[index].points_C.astype(np.float64)
+        if len(copied) and len(own):
+            nearest = np.linalg.norm(copied[:, None] - own, axis=2).argmin(axis=1)
+            apart.append(np.linalg.norm(held.pose(row) @ copied - owner.pose(index) @ own[nearest], axis=1))
+    return float(np.median(np.concatenate(apart))) if apart else None
