@@ -18,12 +18,12 @@ from mas.faults import FaultyTransport, gone, present
 from mas.keyframe import KeyFrame, keyframes_of
 from mas.messages import Message
 from mas.metrics import Onlooker, groups_of
-from mas.policy.clusters import owners_before
+from mas.policy.clusters import centres_before, ownership_of
 from mas.policy.presets import policy_of
 from mas.recorder import Recorder, match_errors
 from mas.report import summarise
 from mas.sequence import AgentSequence, Manifest
-from mas.state import Profile
+from mas.state import Ownership, Profile
 from mas.summary import Summary
 from mas.transport import InProcessTransport, Sent, Traffic, Transport
 
@@ -180,7 +180,9 @@ def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: 
         raise MasError("no agents to run")
     wanted = manifest.descriptor
     coder = coder_of(manifest, config.places.code)
-    centres = owners_before(manifest, sequences, config, coder)
+    ownership = ownership_of(config)
+    clustered = ownership is Ownership.CLUSTERS
+    centres = centres_before(manifest, sequences, config, coder) if clustered else None
     agents = []
     for me, sequence in enumerate(sequences):
         if (sequence.places.sha256, sequence.places.dim) != (wanted.sha256, wanted.dim):
@@ -191,7 +193,7 @@ def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: 
         if sequence.metric != (manifest.scale == "metric"):
             raise MasError(f"{sequence.name}: its scale is not {manifest.scale} like that of the others")
         others = tuple(a for a in range(len(sequences)) if a != me)
-        limits = (wanted.threshold, coder, centres, wanted.strict_threshold)
+        limits = (wanted.threshold, coder, ownership, centres, wanted.strict_threshold)
         profile = Profile(me, others, sequence.metric, wanted.sha256, *limits)
         agents.append(Agent(profile, config, policy_of(config, me)))
     return agents

@@ -20,6 +20,7 @@ from mas.placelog import ClusterLog, LatestQueries
 from mas.policy.utility import PLACE_ANSWER_BYTES
 from mas.relpose import Verification, kind_of, verify, view_of
 from mas.retender import Retender
+from mas.state import Ownership
 from mas.tasks import EarlierAnswer, Outcome, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect, Task
 
 _FARTHEST = 2.0
@@ -76,7 +77,7 @@ class PlaceRecognition(Trade):
             self.desk.say(contract, Rejection("no longer wanted"))
             return
         profile = self.state.profile
-        kind = PlaceQuery if profile.centres is None else OwnerQuery
+        kind = PlaceQuery if profile.ownership is Ownership.NONE else OwnerQuery
         query = kind(keyframe, profile.language, self._coded(keyframe).tobytes())
         self.desk.say(contract, Award(query))
 
@@ -123,7 +124,7 @@ class PlaceRecognition(Trade):
         self._consider(keyframe, other, outcome)
         self.distances[other] = outcome.distance
         sure = min(self.threshold, self.state.profile.strict_threshold or self.threshold)
-        if outcome.distance < sure and self.state.profile.centres is None:
+        if outcome.distance < sure and self.state.profile.ownership is Ownership.NONE:
             self._catch_up(other)
 
     def _catch_up(self, other: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from backend.geometry import Array, Sim3, se3_inverse
 from descriptors.codes import Coder
 from mas.config import MasConfig
+from mas.errors import MasError
 from mas.identities import FrameId, MatchId
 from mas.keyframe import KeyFrame
 from mas.matches import Agreement, Match
@@ -32,13 +34,22 @@ class Piece:
     unit: float = 1.0
 
 
+class Ownership(StrEnum):
+    """Who keeps place vectors of others and answers for them: nobody, each agent those of one cluster, or one agent at
+    a time all there are."""
+
+    NONE = "none"
+    CLUSTERS = "clusters"
+    DIRECTORY = "directory"
+
+
 @dataclass(frozen=True)
 class Profile:
     """What the agent was told about itself and the others when it was set up: no more than names.
 
     ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance, ``strict_threshold``: the one
-    at which appearance alone decides; ``coder``: how place vectors travel, the same for all; ``centres`` ``(k, d)``: of
-    the clusters of place vectors that have owners, in the numbers that travel; None where clusters have no owners.
+    at which appearance alone decides; ``coder``: how place vectors travel, the same for all; ``ownership``: who keeps
+    them; ``centres`` ``(k, d)``: of the clusters that have owners, in the numbers that travel, else None.
     """
 
     me: int
@@ -47,8 +58,13 @@ class Profile:
     model: str
     threshold: float
     coder: Coder
+    ownership: Ownership = Ownership.NONE
     centres: NDArray[np.float32] | None = None
     strict_threshold: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.ownership is Ownership.CLUSTERS) != (self.centres is not None):
+            raise MasError(f"agent {self.me}: centres are for owners of clusters, not for ownership {self.ownership}")
 
     @cached_property
     def language(self) -> int:

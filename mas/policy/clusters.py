@@ -16,6 +16,7 @@ from descriptors.errors import DescriptorError
 from mas.config import MasConfig
 from mas.errors import MasError
 from mas.sequence import AgentSequence, Manifest
+from mas.state import Ownership
 
 _ITERATIONS = 30
 
@@ -32,17 +33,12 @@ def owner_of(vector: NDArray[np.float32], centres: NDArray[np.float32]) -> int:
     return int(np.linalg.norm(centres - vector, axis=1).argmin())
 
 
-def owners_before(
-    manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, coder: Coder
-) -> NDArray[np.float32] | None:
-    """Centres ``(k, d)`` of the clusters that have owners; None where nobody owns any. A directory owns all there is:
-    one cluster, wherever its centre."""
-    if config.policy == "directory":
-        return np.zeros((1, len(coder.cut(np.zeros((1, coder.dim), dtype=np.float32))[0])), dtype=np.float32)
-    return _centres_before(manifest, sequences, config, coder) if config.policy == "clustered" else None
+def ownership_of(config: MasConfig) -> Ownership:
+    """Who keeps place vectors under the policy that is set."""
+    return {"clustered": Ownership.CLUSTERS, "directory": Ownership.DIRECTORY}.get(config.policy, Ownership.NONE)
 
 
-def _centres_before(
+def centres_before(
     manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, coder: Coder
 ) -> NDArray[np.float32]:
     """Centres of clusters of place vectors, one an agent, known before the run: from other images if the settings name
