@@ -112,6 +112,8 @@ class Agent:
             self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
             if self.state.config.places.own_loops:
                 self.places.close_own_loop(keyframe)
+        if self._new or self.desk.closing:
+            self.places.recall(self.policy.recall(self.state, self.outlook(), len(self._new)))
         self._new = []
         self.places.resume()
         self.places.verification.resume()
@@ -138,7 +140,7 @@ class Agent:
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
         busy = self.optimisation.busy or bool(self.desk.ledger.running()) or bool(self._new)
-        return self.desk.closing and not busy and not self._news() and not self._searching
+        return self.desk.closing and not busy and not self._news() and not self._searching and not self._behind()
 
     @property
     def waiting(self) -> bool:
@@ -162,7 +164,12 @@ class Agent:
             distances=dict(self.places.distances),
             reachable=frozenset(a for a in self.state.profile.others if self.desk.may_call(a)),
             closing=self.desk.closing,
+            delivered=dict(self.places.told.delivered),
         )
+
+    def _behind(self) -> bool:
+        """Whether others wait to be told of earlier key-frames."""
+        return any(self.places.told.untold(a) for a in self.policy.recall(self.state, self.outlook(), 0))
 
     def _news(self) -> set[MatchId]:
         """Matches accepted or withdrawn since the last optimisation; none when it failed too often at the end."""
@@ -189,7 +196,7 @@ class Agent:
             lull = not self.maps.something_new and self.maps.stale.isdisjoint(sellers)
             if rounds >= limit or (lull and rounds & (rounds - 1)):
                 sellers = []
-            self._searching = bool(sellers) and (self.maps.something_new or self.maps.rounds == 0)
+            self._searching = bool(sellers) and (not lull or rounds == 0)
             self.maps.rounds += 1
             if not self._searching:
                 self.maps.final_round()
@@ -272,6 +279,7 @@ class Agent:
                 self.news.used(adoption.matches)
                 self.maps.realign(adoption)
                 self.maps.stale.update(self.state.partners())
+                self._searching = True
             if self.optimisation.attempts.missed and not self.optimisation.busy:
                 self.optimisation.attempts.missed = False
                 self.news.call_again()

@@ -39,6 +39,8 @@ class PlaceBook:
     """Candidates of the agent's own queries, and when it was last matched with whom. ``gaps``: own key-frames until a
     next match with that agent is worth it.
 
+    ``recalled``: own key-frames that others were told of later than they were made.
+
     ``whole``, ``kept``: vectors of its own key-frames, and what the place code keeps of them; one and the same where
     that is everything.
     """
@@ -50,6 +52,7 @@ class PlaceBook:
     last_matched: dict[int, int] = field(default_factory=dict)
     gaps: dict[int, int] = field(default_factory=dict)
     verified: dict[int, list[int]] = field(default_factory=dict)
+    recalled: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         if self.state.profile.coder.whole:
@@ -148,11 +151,19 @@ class PlaceBook:
         recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
         if len(recent) > self.state.config.consistency.min_support:
             return "soon after verified matches"
+        if match.query in self.recalled:
+            matched = self._matched_with(match.match_agent)
+            return "near an accepted match" if any(self._near(match.query, k, config.gap_keyframes) for k in matched) else ""
         last = self.last_matched.get(match.match_agent)
         if last is None or match.query < last:
             return ""
-        if match.query - last <= self.gaps[match.match_agent]:
-            return "soon after an accepted match"
-        if self.state.travelled[match.query] - self.state.travelled[last] < config.gap_m:
-            return "soon after an accepted match"
-        return ""
+        return "soon after an accepted match" if self._near(match.query, last, self.gaps[match.match_agent]) else ""
+
+    def _near(self, one: int, other: int, gap: int) -> bool:
+        """Whether two own key-frames are within ``gap`` of each other, or within ``gap_m``."""
+        way = self.state.travelled
+        return abs(one - other) <= gap or abs(way[one] - way[other]) < self.state.config.places.gap_m
+
+    def _matched_with(self, other: int) -> list[int]:
+        """Own key-frames of the accepted matches with another agent."""
+        return [self._own_end(m)[0] for m in self.state.accepted if other in m.agents]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from mas.relpose import Verification, kind_of, verify, view_of
 from mas.retender import Retender
 from mas.state import Ownership
 from mas.tasks import EarlierAnswer, Outcome, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect, Task
+from mas.told import Told
 
 _FARTHEST = 2.0
 
@@ -42,7 +43,7 @@ class PlaceRecognition(Trade):
         self._asked: dict[ContractId, int] = {}
         self._cluster = ClusterLog()
         self._latest = LatestQueries(book, desk.state.config.places.latest_frames)
-        self._sent: dict[int, set[int]] = {}
+        self.told = Told()
         self.distances: dict[int, float] = {}
         self._again = Retender(desk.state.config.link.retries)
 
@@ -61,12 +62,22 @@ class PlaceRecognition(Trade):
         if not self.state.keyframes[keyframe].textured:
             return
         asked = set(others)
+        self.told.remember(keyframe)
+        for other in asked:
+            self.told.tell(other, keyframe)
         if self.state.me in asked:
             self._ask_own_log(keyframe)
         for other in sorted(asked - {self.state.me}):
             self._waiting.setdefault(other, deque()).append(keyframe)
-            self._sent.setdefault(other, set()).add(keyframe)
         self._next(sorted(self._waiting))
+
+    def recall(self, wanted: Mapping[int, int]) -> None:
+        """Tell these agents of so many earlier key-frames each that they do not know, the oldest first, and only when
+        no others wait for them: new ones go first."""
+        for other, count in sorted(wanted.items()):
+            for keyframe in [] if self._waiting.get(other) else self.told.untold(other)[:count]:
+                self.book.recalled.add(keyframe)
+                self.ask(keyframe, [other])
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
         return Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.desk.now_ns)
@@ -85,6 +96,9 @@ class PlaceRecognition(Trade):
         if not isinstance(task, PlaceQuery):
             raise WorkError("not a place query")
         vector = self._decoded(task)
+        if self.state.profile.ownership is Ownership.DIRECTORY:
+            # Others take this agent for the directory: its own key-frames belong there too, and need no message.
+            self.recall({self.state.me: len(self.state.keyframes)})
         respond = self._answer_as_owner if isinstance(task, OwnerQuery) else self._answer
         answer: Outcome = respond(contract.manager, task.keyframe, vector)
         self.desk.say(contract, Confirmation())
@@ -132,13 +146,13 @@ class PlaceRecognition(Trade):
         about: one match may fail its verification or find no support (thesis section 4.3)."""
         newest, latest = len(self.state.keyframes) - 1, self.state.config.places.latest_frames
         if latest > 1:
-            for keyframe in sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self._sent[other]):
+            for keyframe in sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self.told.to(other)):
                 self.ask(keyframe, [other])
 
     def _consider(self, keyframe: int, other: int, answer: PlaceAnswer | EarlierAnswer | PlaceRedirect) -> None:
         """Have the match that an answer names verified, if it is near enough."""
         if isinstance(answer, EarlierAnswer):
-            if answer.query not in self._sent.get(other, ()):
+            if answer.query not in self.told.to(other):
                 raise WorkError(f"agent {other} was not asked about key-frame {answer.query}")
             keyframe = answer.query
         elif isinstance(answer, PlaceRedirect) and answer.agent is not None:
@@ -158,8 +172,11 @@ class PlaceRecognition(Trade):
         if contract.manager != self.state.me:
             return
         keyframe = self._asked.get(contract.id)
-        if keyframe is not None and self._again.wanted(contract, keyframe):
-            self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
+        if keyframe is not None:
+            again = self._again.wanted(contract, keyframe)
+            self.told.ended(contract, keyframe, again)
+            if again:
+                self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
         if not self.desk.ledger.managed(contract.id):
             self._asked.pop(contract.id, None)
         self._next([contract.contractor])

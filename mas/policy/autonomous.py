@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mas.policy.base import Outlook, default_sellers, optimisation_due
+from mas.policy.base import Outlook, Policy, default_sellers, optimisation_due
 from mas.policy.logic import Numbers, Situation, decide
 from mas.policy.selection import draw, weights
 from mas.state import AgentState
 
 
-class Autonomous:
+class Autonomous(Policy):
     """Algorithms 2 and 3 decide anew at each key-frame; with a generator, Algorithm 4 draws whom to ask, without one
     those whom it asked least often come first: the thesis does not say, and nobody may be left out for good.
 

@@ -6,7 +6,7 @@ into calls for proposals. The thesis's agent logic and selection (sections 3.9.1
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from mas.state import AgentState
@@ -20,7 +20,8 @@ class Outlook:
     key-frames since the last optimisation, and since the last purchase from each agent (absent: never);
     ``since_matched``: likewise since the last accepted match; ``stale``: agents whose maps should be newer since the
     last purchase (a match or an optimisation came between); ``distances``: how near each agent's last answer to a place
-    query came, 0 to 2; ``reachable``: others that are worth a question; ``closing``: all sequences have ended.
+    query came, 0 to 2; ``reachable``: others that are worth a question; ``closing``: all sequences have ended;
+    ``delivered``: place queries that each agent answered since the last that it did not.
     """
 
     news: int
@@ -31,6 +32,7 @@ class Outlook:
     distances: dict[int, float]
     reachable: frozenset[int]
     closing: bool
+    delivered: dict[int, int] = field(default_factory=dict)
 
 
 class Policy(Protocol):
@@ -38,6 +40,11 @@ class Policy(Protocol):
 
     def ask(self, state: AgentState, outlook: Outlook, keyframe: int) -> list[int]:
         """Agents to ask whether they know the place of this key-frame."""
+
+    def recall(self, state: AgentState, outlook: Outlook, fresh: int) -> dict[int, int]:
+        """Agents to tell of earlier key-frames that they do not know, and of how many, after ``fresh`` new ones; no
+        policy of the thesis does."""
+        return {}
 
     def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to optimise with, itself included; empty: not now."""

@@ -4,12 +4,12 @@ the cluster, optimise as soon as there is something new."""
 from __future__ import annotations
 
 from mas.errors import MasError
-from mas.policy.base import Outlook
+from mas.policy.base import Outlook, Policy
 from mas.policy.clusters import owner_of
 from mas.state import AgentState
 
 
-class Predecessor:
+class Predecessor(Policy):
     """No decisions: one agent is asked, whoever owns the vector's cluster, perhaps itself; the whole group optimises
     automatically whenever the last optimisation has ended and a match is new; no map is bought."""
 

@@ -3,11 +3,11 @@ has met."""
 
 from __future__ import annotations
 
-from mas.policy.base import Outlook, default_sellers, optimisation_due
+from mas.policy.base import Outlook, Policy, default_sellers, optimisation_due
 from mas.state import AgentState
 
 
-class QueryAll:
+class QueryAll(Policy):
     """No logic beyond the order of operations: place recognition, then optimisation, then map merging.
 
     With ``ask_again`` off, an agent that was matched within the last ``gap_keyframes`` key-frames is not asked: its

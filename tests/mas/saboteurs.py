@@ -13,7 +13,7 @@ from mas.agent import Agent
 from mas.config import MasConfig
 from mas.environment import Environment, make_agents, make_transport
 from mas.keyframe import keyframes_of
-from mas.messages import Message, Result
+from mas.messages import Message, Result, encode
 from mas.metrics import Onlooker
 from mas.policy.base import Outlook, Policy
 from mas.policy.presets import policy_of
@@ -23,7 +23,7 @@ from mas.solver_messages import SolverBody
 from mas.state import AgentState, Profile
 from mas.tasks import VerifyAnswer
 from mas.tensors import pack_information, pack_sim3, unpack_poses
-from mas.transport import InProcessTransport
+from mas.transport import Transport
 
 
 class Saboteur(Agent):
@@ -104,14 +104,31 @@ def _sim3(outcome: VerifyAnswer) -> Sim3:
     return unpack_sim3(outcome.T_M_Q)
 
 
-class _Overheard(InProcessTransport):
-    def __init__(self, max_message_bytes: int, listen: Callable[[Message, int], None]) -> None:
-        super().__init__(max_message_bytes)
-        self._listen = listen
+class Sleeper(Saboteur):
+    """Neither hears nor says anything between the two times of ``ASLEEP_S``."""
 
-    def send(self, message: Message, now_ns: int) -> None:
-        super().send(message, now_ns)
-        self._listen(message, len(self._queue[-1][1]))
+    ASLEEP_S = (0.0, 0.0)
+
+    @property
+    def asleep(self) -> bool:
+        return self.ASLEEP_S[0] <= self.desk.now_ns / 1e9 < self.ASLEEP_S[1]
+
+    def handle(self, message: Message) -> list[Message]:
+        return [] if self.asleep else super().handle(message)
+
+    def spoil(self, messages: list[Message]) -> list[Message]:
+        return [] if self.asleep else messages
+
+
+def _overheard(transport: Transport, listen: Callable[[Message, int], None]) -> None:
+    """Have ``listen`` hear every message that is sent, whether it arrives or not, with its wire bytes."""
+    send = transport.send
+
+    def heard(message: Message, now_ns: int) -> None:
+        send(message, now_ns)
+        listen(message, len(encode(message)))
+
+    transport.send = heard  # type: ignore[method-assign]
 
 
 def live(
@@ -130,7 +147,7 @@ def live(
         agents[number] = kind(agents[number].state.profile, config, policy_of(config, number))
     transport = make_transport(config, lambda sent: None)
     if listen is not None:
-        transport = _Overheard(transport.max_message_bytes, listen)
+        _overheard(transport, listen)
     environment = Environment(agents, [keyframes_of(s) for s in sequences], transport, config)
     for step in range(limit):
         environment.step(step)

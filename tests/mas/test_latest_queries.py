@@ -11,7 +11,7 @@ from mas.environment import make_agents
 from mas.keyframe import KeyFrame, keyframes_of
 from mas.messages import Award, Message, Result
 from mas.placelog import LatestQueries
-from mas.policy.base import Outlook
+from mas.policy.base import Outlook, Policy
 from mas.policy.presets import preset
 from mas.state import AgentState
 from mas.tasks import EarlierAnswer, PlaceAnswer, PlaceQuery
@@ -131,7 +131,7 @@ def asked_about(agents: list[Agent], mail: list[Message]) -> list[int]:
     return keyframes
 
 
-class OnlyTheLast:
+class OnlyTheLast(Policy):
     """A policy that asks about one key-frame."""
 
     def __init__(self, keyframe: int) -> None:
