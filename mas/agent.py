@@ -84,7 +84,7 @@ class Agent:
 
     def finish(self) -> None:
         """The environment's word that all sequences are over: from now on the agent only settles what it knows."""
-        self.desk.closing = True
+        self.desk.close()
 
     def handle(self, message: Message) -> list[Message]:
         """Act on a message; one that makes no sense here is refused and remembered, and changes nothing."""

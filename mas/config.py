@@ -157,6 +157,13 @@ class MergeConfig(_Section):
         description="a map that no place match agrees with within this is rejected, metres; the thesis's is 5; "
         "null: never",
     )
+    accuracy_share: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="so is one of whose place matches, beside those that placed it, less than this share agree; 0: the "
+        "thesis's rule only",
+    )
     closing_rounds: int = Field(
         32, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
     )

@@ -42,6 +42,7 @@ class Desk:
     outbox: list[Message] = field(default_factory=list)
     diary: list[Event] = field(default_factory=list)
     ended: list[Contract] = field(default_factory=list)
+    _last_probes: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.words = Words(self.me, self.state.config.link)
@@ -69,9 +70,17 @@ class Desk:
     def may_call(self, other: int, operation: Operation = Operation.DVPR) -> bool:
         """Whether a call to the other is worth its bytes. Probes of who is in bad standing are small questions, never
         a part in an optimisation or a sale, and end with the sequences."""
-        if self.closing or operation in (Operation.DOPT, Operation.MAPMERGE):
-            return self.standing.regard(other) is Regard.GOOD
+        small = operation not in (Operation.DOPT, Operation.MAPMERGE)
+        if self.closing or not small:
+            return self.standing.regard(other) is Regard.GOOD or (small and other in self._last_probes)
         return self.standing.may_call(other, self.now_ns)
+
+    def close(self) -> None:
+        """All sequences have ended. Who is silent is asked once more: it may have come since the last probe."""
+        if not self.closing:
+            self.closing = True
+            others = self.state.profile.others
+            self._last_probes = {a for a in others if self.standing.regard(a) is Regard.SILENT}
 
     def serves(self, other: int, operation: Operation) -> bool:
         """Whether to work for the other: questions about places always, they let it come back."""
@@ -88,6 +97,7 @@ class Desk:
         identity, free = self.ledger.call(operation, worth, deadline_ns)
         for contract in self.ledger.managed(identity) if free else []:
             self.standing.called(contract.contractor, self.now_ns)
+            self._last_probes.discard(contract.contractor)
             self._say(contract, contract.contractor, Call(operation, deadline_ns, members))
         return identity, free
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from backend.geometry import Sim3
 from mas.identities import MatchId
 from mas.maps.checks import Standing, Witness, best_motion, standing, tolerance, witnesses
@@ -61,11 +63,26 @@ def _judged(held: HeldMap, found: list[Witness], state: AgentState, placed_by: M
     """Consistency, then accuracy."""
     held, found, aligned_by = aligned(held, found, state)
     limit = tolerance(state.config.merge.accuracy_m, state)
-    how = standing(w for w in found if w.match not in (placed_by, aligned_by)) if limit is not None else None
-    if how is not None and limit is not None and how.least_m > limit:
-        reason = f"no place match agrees: {how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
-        return Admission(None, how, reason)
+    judges = _judges(found, state, {placed_by, aligned_by})
+    how = standing(judges) if limit is not None else None
+    if how is not None and limit is not None:
+        agree = sum(w.metres <= limit for w in judges)
+        off = f"{how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
+        if not agree:
+            return Admission(None, how, f"no place match agrees: {off}")
+        if agree < state.config.merge.accuracy_share * len(judges):
+            return Admission(None, how, f"few place matches agree: {agree} of {off}")
     return Admission(held, standing(found), aligned_by=aligned_by)
+
+
+def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None]) -> list[Witness]:
+    """The witnesses but those that placed the map. Where a share of them must agree, those of the same key-frame of the
+    map say nothing new either: it is there already, however wrong the rest of the map is."""
+    judges = [w for w in found if w.match not in placing]
+    if not state.config.merge.accuracy_share:
+        return judges
+    there = [w.found.translation for w in found if w.match in placing]
+    return [w for w in judges if not any(np.array_equal(w.found.translation, p) for p in there)] or judges
 
 
 def aligned(

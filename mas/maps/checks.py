@@ -21,6 +21,8 @@ from mas.state import AgentState
 
 # Witnesses of one map that are asked.
 ENOUGH = 16
+# Matches that must be there to judge a map although none of them is accepted.
+_SEVERAL = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +76,20 @@ def witnesses(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -
     """The accepted matches between the map and the agent itself; where there are none, those that came with maps
     between it and other held ones. In order of id; of many, :data:`ENOUGH` spread evenly.
 
-    Own matches come first because they were verified here; another map may be wrong itself.
+    Own matches come first because they were verified here; another map may be wrong itself. Where a share of the
+    witnesses must agree, several own matches that were verified and not accepted count as well: that they contradict
+    each other is what a bent map looks like.
     """
-    own = [i for i in state.accepted if held.owner in i.agents and state.me in i.agents]
+    own = _between(state.accepted, state.me, held.owner)
+    if not own and state.config.merge.accuracy_share:
+        verified = _between(state.verified, state.me, held.owner)
+        own = verified if len(verified) >= _SEVERAL else []
     found = _own(held, state, _some(sorted(own)))
     return found or _bought(held, others)
+
+
+def _between(matches: Iterable[MatchId], one: int, other: int) -> list[MatchId]:
+    return [i for i in matches if one in i.agents and other in i.agents]
 
 
 def _own(held: HeldMap, state: AgentState, matches: list[MatchId]) -> list[Witness]:

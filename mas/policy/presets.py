@@ -57,7 +57,9 @@ PRESETS: dict[str, MasConfig] = {
             descriptor_bytes=16,
         ),
         optimisation=OptimisationConfig(period_keyframes=40, solver=SolverConfig(method="elected", start="warm")),
-        merge=MergeConfig(form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0),
+        merge=MergeConfig(
+            form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0, accuracy_share=0.5
+        ),
     ),
 }
 """The thesis's four systems, and ours.

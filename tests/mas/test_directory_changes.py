@@ -133,7 +133,7 @@ def test_loss_alone_moves_no_directory() -> None:
 def test_on_a_link_that_fails_often_there_is_no_storm() -> None:
     """Half of all words are lost and patience is short: others are taken for gone that are not. Each key-frame goes to
     whom its agent takes for the directory, at most one earlier one goes with it, and at the end the last directory is
-    told the rest: three times as many tellings as without loss at most, each said 1 / (1 - p) times until it arrives."""
+    told the rest: three times as many tellings as without loss at most, each 1 / (1 - p) times until it arrives."""
     loss, keyframes = 0.5, 40
     whole, _, _ = play(preset("maslam"), keyframes, 32.0)
     link = LinkConfig(silence_s=0.05, retries=1)

@@ -164,6 +164,48 @@ def test_the_match_that_placed_a_map_cannot_judge_it() -> None:
     assert admit(held(1, bent), None, state, {}, placed_by=first).held is None
 
 
+def test_a_match_of_the_key_frame_that_a_map_was_laid_on_does_not_judge_the_rest() -> None:
+    """Both stand where the map begins; what is nine times too large is right there, and nowhere else."""
+    wrong = ROAD.copy()
+    wrong[:, :3, 3] = ROAD[2][:3, 3] + 9.0 * (ROAD[:, :3, 3] - ROAD[2][:3, 3])
+    for share, kept in ((0.0, True), (0.5, False)):
+        state = holder(accuracy_m=5.0, accuracy_share=share)
+        first = matched(state, 1, 1, 2, ROAD[2], True)
+        matched(state, 2, 1, 2, ROAD[2], True)
+        matched(state, 3, 1, 6, ROAD[6], True)
+        assert (admit(held(1, wrong), None, state, {}, placed_by=first).held is not None) == kept
+        assert admit(held(1, ROAD), None, state, {}, placed_by=first).held is not None
+    state = holder(accuracy_m=5.0, accuracy_share=0.5)
+    first = matched(state, 1, 1, 2, ROAD[2], True)
+    matched(state, 2, 1, 2, ROAD[2], True)
+    assert admit(held(1, wrong), None, state, {}, placed_by=first).held is not None, "nothing else is known"
+
+
+def test_half_of_the_places_must_agree() -> None:
+    bent = ROAD.copy()
+    bent[4:, :3, 3] += [0.0, 0.0, 40.0]
+    for others, kept in (((3,), True), ((3, 6), True), ((3, 6, 7), False)):
+        state = holder(accuracy_m=5.0, accuracy_share=0.5)
+        first = matched(state, 1, 1, 2, ROAD[2], True)
+        for own, index in enumerate(others, start=2):
+            matched(state, own, 1, index, ROAD[index], True)
+        verdict = admit(held(1, bent), None, state, {}, placed_by=first)
+        assert (verdict.held is not None) == kept
+    assert verdict.reason.startswith("few place matches agree: 1 of 3 of them")
+
+
+def test_verified_matches_that_contradict_each_other_reject_a_map_without_accepted_ones() -> None:
+    state = holder(accuracy_m=5.0, accuracy_share=0.5)
+    for own, index, apart_m in ((1, 2, 0.0), (2, 4, 20.0), (3, 6, -30.0)):
+        place = ROAD[index].copy()
+        place[2, 3] += apart_m
+        matched(state, own, 1, index, place, True)
+    state.accepted.clear()
+    assert admit(held(1, ROAD), None, state, {}).held is None
+    del state.verified[MatchId(0, 3, 1, 6)]
+    assert admit(held(1, ROAD), None, state, {}).held is not None, "two are too few to tell who is wrong"
+
+
 def test_a_held_map_is_given_up_when_a_later_match_contradicts_it() -> None:
     state = holder(accuracy_m=5.0)
     bent = ROAD.copy()
