@@ -152,8 +152,8 @@ class PlaceBook:
         if len(recent) > self.state.config.consistency.min_support:
             return "soon after verified matches"
         if match.query in self.recalled:
-            matched = self._matched_with(match.match_agent)
-            return "near an accepted match" if any(self._near(match.query, k, config.gap_keyframes) for k in matched) else ""
+            near = (self._near(match.query, k, config.gap_keyframes) for k in self._matched_with(match.match_agent))
+            return "near an accepted match" if any(near) else ""
         last = self.last_matched.get(match.match_agent)
         if last is None or match.query < last:
             return ""
