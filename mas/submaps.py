@@ -18,6 +18,7 @@ from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
 from mas.maps.admission import Admission, admit, recheck, seller_frame
 from mas.maps.held import HeldMap, held_of_stock, held_of_submap
+from mas.maps.increments import completed, runs_of
 from mas.maps.shop import Shop, own_end
 from mas.maps.stock import stock_of
 from mas.maps.wire import MapDelivery, MapOrder, Parcel
@@ -121,12 +122,10 @@ class MapTrade(Trade):
         if not owners:
             self.desk.say(contract, Rejection("nothing new"))
             return
-        editions = [0 if o in self._spoilt or o not in self.held else self._edition(self.held[o]) for o in owners]
-        self.desk.say(contract, Award(MapOrder(owners, tuple(editions), self.state.frame)))
-
-    @staticmethod
-    def _edition(held: HeldMap) -> int:
-        return 0 if held.stock is None else held.version
+        copies = [None if o in self._spoilt else self.held.get(o) for o in owners]
+        editions = tuple(0 if c is None or c.stock is None else c.version for c in copies)
+        known = tuple(() if c is None or c.stock is not None else runs_of(c.keyframes) for c in copies)
+        self.desk.say(contract, Award(MapOrder(owners, editions, self.state.frame, known if any(known) else ())))
 
     def _wants(self, seller: int, offer: Offer) -> bool:
         """Newer than what I hold. The owner's own word counts more than another's: a copy that is newer than the
@@ -159,23 +158,33 @@ class MapTrade(Trade):
         T_mine_seller, placed_by = found
         now = self.desk.now_ns
         for submap in outcome.maps:
-            self._take(held_of_submap(submap, outcome.frame, T_mine_seller, seller, now), placed_by)
+            try:
+                whole = completed(submap, self.held.get(submap.owner))
+            except ValueError as error:
+                self._misfit(seller, submap.owner, submap.version, bool(submap.known), str(error))
+                continue
+            self._spoilt.discard(submap.owner)
+            self._take(held_of_submap(whole, outcome.frame, T_mine_seller, seller, now), placed_by)
         for parcel in outcome.parcels:
             self._unpack(parcel, T_mine_seller, seller, placed_by)
 
+    def _misfit(self, seller: int, owner: int, version: int, partial: bool, reason: str) -> None:
+        """What came makes no map: where it was only what is new, the whole is ordered next time."""
+        if partial:
+            self._spoilt.add(owner)
+            self.stale.add(seller)
+            self.something_new = True  # at the end, another round
+        else:
+            self._rejected.add((seller, owner, version))
+        self.desk.note("map_refused", seller=seller, owner=owner, reason=reason)
+
     def _unpack(self, parcel: Parcel, T_mine_seller: Sim3, seller: int, placed_by: MatchId | None) -> None:
-        """A copy made of patches; where they do not fit, the whole map is ordered next time."""
-        held = self.held.get(parcel.owner)
+        """A copy made of patches."""
+        held, patches = self.held.get(parcel.owner), parcel.patches
         try:
-            stock = stock_of(parcel.owner, None if held is None else held.stock, parcel.patches)
+            stock = stock_of(parcel.owner, None if held is None else held.stock, patches)
         except ValueError as error:
-            if parcel.patches[0].base:
-                self._spoilt.add(parcel.owner)
-                self.stale.add(seller)
-                self.something_new = True  # at the end, another round
-            else:
-                self._rejected.add((seller, parcel.owner, parcel.patches[-1].edition))
-            self.desk.note("map_refused", seller=seller, owner=parcel.owner, reason=str(error))
+            self._misfit(seller, parcel.owner, patches[-1].edition, bool(patches[0].base), str(error))
             return
         self._spoilt.discard(parcel.owner)
         placement = Sim3(np.eye(3), np.zeros(3), stock.map.unit)
@@ -260,7 +269,7 @@ class MapTrade(Trade):
         offers = self.shop.offers(self.held, self.desk.closing)
         if not offers:
             return Refusal("nothing to sell yet")
-        return Bid(cost_bytes=self.shop.estimate(offers), ready_ns=self.desk.now_ns, offers=offers)
+        return Bid(cost_bytes=self.shop.estimate(offers, self.held), ready_ns=self.desk.now_ns, offers=offers)
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, MapOrder):

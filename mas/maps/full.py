@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.geometry import Sim3
+from mas.keyframe import KeyFrame
 from mas.maps.held import HeldMap, held_of_submap
 from mas.maps.wire import SubMap
 from mas.state import AgentState, thinned
@@ -16,7 +18,7 @@ def own_submap(state: AgentState, max_points: int) -> SubMap:
     at most ``max_points`` with a key-frame."""
     indices = state.placed()
     keyframes = [state.keyframes[i] for i in indices]
-    fresh = [thinned(np.flatnonzero(k.first_seen & (k.points_C[:, 2] > 0)), max_points) for k in keyframes]
+    fresh = [fresh_rows(k, max_points) for k in keyframes]
     counts = [len(rows) for rows in fresh]
     stack = [k.points_C[rows] for k, rows in zip(keyframes, fresh, strict=True)]
     descriptors = [k.descriptors[rows] for k, rows in zip(keyframes, fresh, strict=True)]
@@ -34,6 +36,11 @@ def own_submap(state: AgentState, max_points: int) -> SubMap:
         matches=tuple(m.id for m in state.accepted_matches()),
         transforms=pack_sim3s([m.T_M_Q for m in state.accepted_matches()]),
     )
+
+
+def fresh_rows(keyframe: KeyFrame, max_points: int) -> NDArray[np.int64]:
+    """The points that a key-frame is sold with, always the same ones: seen first by it, at most ``max_points``."""
+    return thinned(np.flatnonzero(keyframe.first_seen & (keyframe.points_C[:, 2] > 0)), max_points)
 
 
 def own_map(state: AgentState) -> HeldMap:

@@ -7,16 +7,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mas.identities import MatchId
-from mas.maps.full import own_submap
+from mas.maps.full import fresh_rows, own_submap
 from mas.maps.held import HeldMap, submap_of
+from mas.maps.increments import without
 from mas.maps.publisher import Publisher
-from mas.maps.wire import MapDelivery, MapOrder, Parcel, SubMap
+from mas.maps.wire import MapDelivery, MapOrder, Parcel, Runs, SubMap
 from mas.messages import Offer
 from mas.state import AgentState
 from mas.tensors import pack_sim3, pack_sim3s
 
 # What a key-frame's pose and a point take in a compact map, roughly: for the estimate in a bid.
 _POSE_BYTES, _POINT_BYTES = 8, 2
+# Likewise in full: a key-frame's index, time and pose, a point with reference and descriptor, a match, all the rest.
+_FULL_POSE_BYTES, _FULL_POINT_BYTES, _FULL_MATCH_BYTES, _FULL_MAP_BYTES = 68, 48, 74, 150
 
 
 class Shop:
@@ -26,6 +29,7 @@ class Shop:
         self.state = state
         self._publisher = Publisher(state)
         self._full: SubMap | None = None
+        self._points: list[int] = []
 
     @property
     def _compact(self) -> bool:
@@ -44,10 +48,25 @@ class Shop:
         placed = len(self.state.placed())
         return Offer(self.state.me, self.state.version, placed) if placed else None
 
-    def estimate(self, offers: Sequence[Offer]) -> int:
-        """Bytes that all of it would take, roughly."""
-        each = _POSE_BYTES + _POINT_BYTES * self.state.config.merge.max_points
-        return sum(each * o.keyframes for o in offers)
+    def estimate(self, offers: Sequence[Offer], held: Mapping[int, HeldMap]) -> int:
+        """Bytes that all of it would take, roughly, for a buyer who has nothing: a bid does not know what that is."""
+        if self._compact:
+            each = _POSE_BYTES + _POINT_BYTES * self.state.config.merge.max_points
+            return sum(each * o.keyframes for o in offers)
+        total = 0
+        for offer in offers:
+            copy = held.get(offer.owner)
+            points = self._own_points() if copy is None else len(copy.references)
+            matches = len(self.state.accepted) if copy is None else len(copy.matches)
+            total += _FULL_POSE_BYTES * offer.keyframes + _FULL_POINT_BYTES * points
+            total += _FULL_MATCH_BYTES * matches + _FULL_MAP_BYTES
+        return total
+
+    def _own_points(self) -> int:
+        """How many points the agent's own map has now."""
+        limit = self.state.config.merge.max_points
+        self._points += [len(fresh_rows(k, limit)) for k in self.state.keyframes[len(self._points) :]]
+        return sum(self._points[i] for i in self.state.placed())
 
     def delivery(self, buyer: int, order: MapOrder, held: Mapping[int, HeldMap], closing: bool) -> MapDelivery:
         """What was ordered, in the agent's coordinates; where the buyer has others, with what to place it by.
@@ -57,12 +76,14 @@ class Shop:
                 raise ValueError(f"no map of agent {owner} here")
         maps: list[SubMap] = []
         parcels: list[Parcel] = []
-        for owner, edition in zip(order.owners, order.held or (0,) * len(order.owners), strict=True):
+        editions = order.held or (0,) * len(order.owners)
+        nothing: tuple[Runs, ...] = ((),) * len(order.owners)
+        for owner, edition, runs in zip(order.owners, editions, order.known or nothing, strict=True):
             goods = self._own(edition, closing) if owner == self.state.me else self._resold(held[owner], edition)
             if isinstance(goods, Parcel):
                 parcels.append(goods)
             else:
-                maps.append(goods)
+                maps.append(without(goods, runs))
         needed = bool(maps) or order.frame != self.state.frame
         ties = self._ties(buyer) if needed else ()
         poses = pack_sim3s([self.state.pose(i) for i in ties])

@@ -3,28 +3,48 @@ in."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from mas.identities import MAX_AGENTS, Agent, FrameId, Index, MatchId, Members
 from mas.tensors import MAX_SCALE, Tensor, check, check_points, check_poses, check_sim3, check_sim3s
 
 Unit = Annotated[float, msgspec.Meta(ge=1.0 / MAX_SCALE, le=MAX_SCALE)]
+Runs = Annotated[tuple[Index, ...], msgspec.Meta(max_length=8192)]
+"""Ascending key-frame indices, as first and count of each run without a gap."""
+_MOST_KEYFRAMES = 1_000_000
+
+
+def indices_of(runs: Runs) -> NDArray[np.int64]:
+    """The indices that runs stand for; ValueError where they are none."""
+    pairs = np.array(runs, dtype=np.int64).reshape(-1, 2) if len(runs) % 2 == 0 else None
+    if pairs is None or (pairs[:, 1] < 1).any() or (pairs[1:, 0] <= pairs[:-1].sum(axis=1)).any():
+        raise ValueError(f"runs of key-frames: {runs[:6]} are not ascending pairs of first and count")
+    if pairs[:, 1].sum() > _MOST_KEYFRAMES:
+        raise ValueError(f"runs of key-frames: more than {_MOST_KEYFRAMES} of them")
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(a, a + n) for a, n in pairs.tolist())])
 
 
 class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
     """Deliver the maps of these owners, as they stood in the bid. ``held``: which edition of each the buyer has, 0 for
-    none, so that only what is new need come (empty: none of any); ``frame``: the buyer's coordinates."""
+    none, so that only what is new need come (empty: none of any); ``frame``: the buyer's coordinates; ``known``: in
+    the thesis's form, the key-frames of each map that the buyer has, of whatever version (empty: none of any)."""
 
     owners: Members
     held: Annotated[tuple[Index, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
     frame: FrameId | None = None
+    known: Annotated[tuple[Runs, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
 
     def __post_init__(self) -> None:
         if self.held and len(self.held) != len(self.owners):
             raise ValueError(f"held: {len(self.held)} editions for {len(self.owners)} owners")
+        if self.known and len(self.known) != len(self.owners):
+            raise ValueError(f"known: key-frames of {len(self.known)} maps for {len(self.owners)} owners")
+        for runs in self.known:
+            indices_of(runs)
 
 
 class SubMap(msgspec.Struct, frozen=True, array_like=True):
@@ -34,7 +54,8 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
     ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``;
     ``references`` ``(P,)`` int32: row of the key-frame that saw the point first; ``points`` ``(P, 3)`` float32 in that
     camera, owner's unit; ``descriptors`` ``(P, 32)``; ``matches``: the owner's accepted ones, with
-    ``transforms`` ``(m, 8)``: their ``T_M_Q``.
+    ``transforms`` ``(m, 8)``: their ``T_M_Q``. ``known``: key-frames whose points were left out because the buyer has
+    them, with the checksum ``check`` of all points (:mod:`mas.maps.increments`).
     """
 
     owner: Agent
@@ -49,6 +70,8 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
     matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)]
     transforms: Tensor
     route: Members = ()
+    known: Runs = ()
+    check: Annotated[int, msgspec.Meta(ge=0, lt=2**32)] = 0
 
     def __post_init__(self) -> None:
         k = len(check("keyframes", self.keyframes, "<i4", (None,)))
@@ -62,6 +85,14 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
         if k and (np.diff(self.keyframes.array()) <= 0).any():
             raise ValueError("keyframes: not ascending")
         check_sim3s("transforms", self.transforms, len(self.matches))
+        self._check_known(references)
+
+    def _check_known(self, references: NDArray[Any]) -> None:
+        known = np.isin(self.keyframes.array(), indices := indices_of(self.known))
+        if known.sum() != len(indices):
+            raise ValueError("known: a key-frame that is not in the map")
+        if known[references].any():
+            raise ValueError("known: a key-frame whose points are there")
 
     @property
     def payload_bytes(self) -> int:
