@@ -60,7 +60,7 @@ class Agent:
         self.book = PlaceBook(self.state)
         verification = Verification(self.desk, self.book)
         self.places = PlaceRecognition(self.desk, self.book, verification)
-        self.optimisation = Optimisation(self.desk)
+        self.optimisation = Optimisation(self.desk, lambda: policy.peer_to_peer(self.state, self.outlook()))
         self.maps = MapTrade(self.desk)
         self.refused: list[Refused] = []
         self._trades: dict[Operation, Trade] = {
@@ -184,7 +184,7 @@ class Agent:
         outlook = self.outlook()
         members = self.policy.optimise(self.state, outlook)
         if members:
-            self.news.offered()
+            self.news.offered(members)
             self.optimisation.start(members)
             return
         sellers = self.policy.buy(self.state, outlook)

@@ -75,13 +75,15 @@ class Call(msgspec.Struct, frozen=True, array_like=True, tag=1):
 
 class Bid(msgspec.Struct, frozen=True, array_like=True, tag=2):
     """I can do it: ``cost_bytes`` that the result will take (estimate), by ``ready_ns``; with the state the operation
-    needs: ``links`` and ``pieces`` (optimisation), ``offers`` (maps)."""
+    needs: ``links`` and ``pieces`` (optimisation), ``offers`` (maps). ``peer_to_peer``: an optimisation of two, with
+    the manager alone; the links are those with it."""
 
     cost_bytes: Index
     ready_ns: Stamp
     links: Links | None = None
     pieces: Annotated[tuple[PieceTerms, ...], msgspec.Meta(max_length=4096)] = ()
     offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
+    peer_to_peer: bool = False
 
 
 class Refusal(msgspec.Struct, frozen=True, array_like=True, tag=3):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from mas.identities import MatchId
 from mas.state import AgentState
 
@@ -22,9 +24,11 @@ class News:
         """Matches accepted or withdrawn since the last optimisation."""
         return self.state.accepted ^ self._used
 
-    def offered(self) -> None:
-        """What is accepted now goes into an optimisation: it counts as used afterwards, even if others lack it."""
-        self._offered = set(self.state.accepted)
+    def offered(self, members: Iterable[int]) -> None:
+        """What is accepted now among these agents goes into an optimisation: it counts as used afterwards, even if
+        others lack it."""
+        among = {self.state.me, *members}
+        self._offered = {m for m in self.state.accepted if among.issuperset(m.agents)}
 
     def used(self, matches: frozenset[MatchId]) -> None:
         """An optimisation was adopted."""

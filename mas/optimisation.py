@@ -3,7 +3,7 @@ only."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from backend.distributed.share import Outcome as SolverOutcome
 from backend.errors import BackendError
@@ -33,8 +33,10 @@ class Optimisation(Trade):
     of before and after lie in the same one. Its contract ends without a result, and the manager calls again.
     """
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: Desk, peer_to_peer: Callable[[], bool] = lambda: False) -> None:
+        """``peer_to_peer``: whether the agent takes part in others' optimisations with their managers only."""
         super().__init__(desk)
+        self._peer_to_peer = peer_to_peer
         self.tender: Tender | None = None
         self.session: Session | None = None
         self.adoptions: list[Adoption] = []
@@ -104,6 +106,9 @@ class Optimisation(Trade):
                 self.desk.say(contract, Award(found.tasks[contract.contractor]))
             elif contract.state is State.BID:
                 self.desk.say(contract, Rejection("not connected"))
+        pairs = [a for a, bid in sorted(tender.bids.items()) if bid.peer_to_peer]
+        if pairs:
+            self.desk.note("peer_to_peer", bidders=pairs, members=list(found.members))
         if tender.missing and found.members == (me,):
             self.attempts.failed(self.desk.now_ns, self.state.me)
             return
@@ -144,7 +149,7 @@ class Optimisation(Trade):
             if given_up.identity is not None:
                 self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
         self._bid_ns[contract.manager] = self.desk.now_ns
-        return self.terms.bid()
+        return self.terms.bid(contract.manager if self._peer_to_peer() else None)
 
     def _bid_to_lower(self, contract: Contract) -> bool:
         """Whether a bid to a lower manager is still open: that one goes first."""

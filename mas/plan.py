@@ -53,9 +53,10 @@ class Plan:
 def plan(manager: int, bids: Mapping[int, Bid], depths: Mapping[Track, float] | None = None) -> Plan:
     """Tasks for the agents whose tracks hang together with the manager's largest set of joined tracks.
 
-    Only matches that both owners list are used: both must hold the same edges. Coordinates that differ are aligned with
-    the anchor's through the first such match (thesis section 3.5), so that the optimisation starts with all agents in
-    one frame. ``depths``: the manager's median depths by track, to judge what contradicts what (:mod:`mas.testimony`).
+    Only matches that both owners list are used: both must hold the same edges, and who bids peer-to-peer lists those
+    with the manager only. All are brought into the lowest coordinates among them through the first match that joins
+    theirs (thesis section 3.5): whoever shared them with agents that take no part shares them afterwards. ``depths``:
+    the manager's median depths by track, to judge what contradicts what (:mod:`mas.testimony`).
     """
     held = _usable(bids)
     wrong = contradicted(held, depths or {})
@@ -64,9 +65,10 @@ def plan(manager: int, bids: Mapping[int, Bid], depths: Mapping[Track, float] | 
     members = tuple(sorted({agent for agent, _ in component}))
     anchor = min(component)
     terms = {(a, p.track): p for a, bid in bids.items() for p in bid.pieces}
-    frame, unit = terms[anchor].frame, terms[anchor].unit
+    frame = min(terms[t].frame for t in component)
     inside = {m: j for m, j in joints.items() if j.match.track in component and j.query.track in component}
     placed = _placements(frame, inside)
+    unit = terms[anchor].unit * placed[terms[anchor].frame].scale
     tasks = {}
     for agent in members:
         tracks = tuple(sorted(t for a, t in component if a == agent))

@@ -26,8 +26,9 @@ class Adoption:
     matches: frozenset[MatchId]
 
 
-def terms(state: AgentState, now_ns: int) -> Bid:
-    """A bid for an optimisation: the agent's tracks and its accepted matches with the key-frames' present poses.
+def terms(state: AgentState, now_ns: int, peer: int | None = None) -> Bid:
+    """A bid for an optimisation: the agent's tracks and its accepted matches with the key-frames' present poses;
+    peer-to-peer those with ``peer`` only, beside its own loops.
 
     A monocular agent brings its longest track only: the tracks of one agent have different units of length, and the
     solver knows one for each agent.
@@ -35,19 +36,22 @@ def terms(state: AgentState, now_ns: int) -> Bid:
     pieces = state.pieces
     if not state.profile.metric and pieces:
         pieces = [max(pieces, key=lambda p: (len(state.members(p.track)), -p.track))]
-    links = _links(state, {p.track for p in pieces})
+    around = {state.me, peer} if peer is not None else None
+    matches = [m for m in sorted(state.accepted) if around is None or around.issuperset(m.agents)]
+    links = _links(state, {p.track for p in pieces}, matches)
     return Bid(
         cost_bytes=0,
         ready_ns=now_ns,
         links=links,
         pieces=tuple(PieceTerms(p.track, p.frame, p.unit) for p in pieces),
+        peer_to_peer=peer is not None,
     )
 
 
-def _links(state: AgentState, tracks: set[int]) -> Links:
+def _links(state: AgentState, tracks: set[int], matches: list[MatchId]) -> Links:
     """Both ends of own loops, the own end of all others."""
     rows: list[tuple[MatchId, int, bool]] = []
-    for m in sorted(state.accepted):
+    for m in matches:
         ends = ((m.match_agent, m.match, False), (m.query_agent, m.query, True))
         rows += [(m, index, query) for agent, index, query in ends if agent == state.me]
     rows = [r for r in rows if state.keyframes[r[1]].track in tracks]

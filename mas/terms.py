@@ -18,16 +18,17 @@ class Terms:
         self.desk = desk
         self._bytes_a_row = SOLVER_BYTES_A_ROW
         self._took_ns = 0
-        self._made: tuple[int, Bid] | None = None
+        self._made: tuple[tuple[int, int | None], Bid] | None = None
 
-    def bid(self) -> Bid:
-        """Made once for each state the agent is in: several managers may call at the same time."""
+    def bid(self, peer: int | None = None) -> Bid:
+        """Made once for each state the agent is in: several managers may call at the same time. ``peer``: of an
+        optimisation with this agent only."""
         state, now_ns = self.desk.state, self.desk.now_ns
-        if self._made is None or self._made[0] != state.version:
-            bid = terms(state, now_ns)
+        if self._made is None or self._made[0] != (state.version, peer):
+            bid = terms(state, now_ns, peer)
             rows = 0 if bid.links is None else len(bid.links.matches)
             cost = ENVELOPE_BYTES + round(self._bytes_a_row * rows)
-            self._made = (state.version, replace(bid, cost_bytes=cost))
+            self._made = ((state.version, peer), replace(bid, cost_bytes=cost))
         return replace(self._made[1], ready_ns=now_ns + self._took_ns)
 
     def paid(self, session: Session) -> None:

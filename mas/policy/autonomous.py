@@ -3,12 +3,17 @@ Algorithm 4 also whom to ask."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mas.policy.base import Outlook, Policy, default_sellers, optimisation_due
 from mas.policy.logic import Numbers, Situation, decide
 from mas.policy.selection import draw, weights
 from mas.state import AgentState
+
+# Agents in an optimisation peer-to-peer.
+_PAIR = 2
 
 
 class Autonomous(Policy):
@@ -48,10 +53,15 @@ class Autonomous(Policy):
             return []
         if outlook.closing:
             return sorted(state.group)
-        # Who shares a match with this agent has most to gain; then lower numbers.
-        partners = set(state.partners())
-        others = sorted(state.group - {state.me}, key=lambda a: (a not in partners, a))
-        return sorted([state.me, *others[: max(self._numbers.optimise - 1, 0)]])
+        # Who shares a match with this agent has most to gain, the last one most of all; then lower numbers.
+        partners, since = set(state.partners()), outlook.since_matched
+        others = sorted(state.group - {state.me}, key=lambda a: (a not in partners, since.get(a, math.inf), a))
+        # It may have met the first other agent since it decided, and alone there is nothing to optimise.
+        return sorted([state.me, *others[: max(self._numbers.optimise, _PAIR) - 1]])
+
+    def peer_to_peer(self, state: AgentState, outlook: Outlook) -> bool:
+        """The number decided at the last key-frame holds for its bids too: two are the manager and itself."""
+        return not outlook.closing and self._numbers.optimise <= _PAIR
 
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         sellers = default_sellers(state, outlook)

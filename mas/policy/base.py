@@ -49,6 +49,10 @@ class Policy(Protocol):
     def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to optimise with, itself included; empty: not now."""
 
+    def peer_to_peer(self, state: AgentState, outlook: Outlook) -> bool:
+        """Whether to bid for an optimisation with its manager only, instead of the group's (thesis sections 3.6,
+        3.9.1)."""
+
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to buy maps from; empty: not now."""
 
