@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +88,30 @@ def test_place_recognition_costs_less_from_system_to_system(six: dict[str, Playe
     assert bytes_of["predecessor"] < bytes_of["selection"] < bytes_of["optimised"] < bytes_of["default"]
 
 
+@pytest.mark.parametrize("name", ["default", "optimised", "selection"])
+def test_only_places_within_the_strict_distance_are_verified_and_that_costs_few_matches(
+    six: dict[str, Played], tmp_path: Path, name: str
+) -> None:
+    """Against the same town without a strict distance, where all candidates go to geometry."""
+    strict = 0.25
+    manifest, sequences = town(6, 22, spacing_m=12.0, drifting=0.03)
+    descriptor = manifest.descriptor.model_copy(update={"strict_threshold": strict})
+    config = fitting(name)
+    config = config.model_copy(update={"merge": config.merge.model_copy(update={"enabled": False})})
+    summary = run(manifest.model_copy(update={"descriptor": descriptor}), sequences, config, tmp_path / "strict")
+    loose = six[name]
+    assert farthest(tmp_path / "strict") < strict < farthest(loose.folder)
+    assert summary.matches.false_accepted == 0
+    assert summary.matches.accepted >= 0.9 * loose.summary.matches.accepted
+    assert summary.traffic["relpose"].payload_bytes < loose.summary.traffic["relpose"].payload_bytes
+
+
+def farthest(folder: Path) -> float:
+    """The largest distance of appearance between two key-frames that were candidates of two agents."""
+    with (folder / "matches.csv").open() as file:
+        return max(float(row["distance"]) for row in csv.DictReader(file) if row["query_agent"] != row["match_agent"])
+
+
 def slowest_answer_s(played: Played) -> float:
     """The longest logical time from a match's acceptance to an optimisation of both its agents."""
     lines = (played.folder / "events.jsonl").read_text().splitlines()
@@ -128,6 +153,7 @@ def test_another_seed_draws_others(six: dict[str, Played], tmp_path: Path) -> No
 def test_the_predecessors_published_values() -> None:
     config = preset("predecessor")
     assert config.places.code == "float32x128" and config.places.features == "words"
+    assert all(c.places.certainty == "strict" for c in PRESETS.values())
     assert (config.places.gap_m, config.places.gap_keyframes) == (10.0, 0)
     assert (config.places.own_age_s, config.places.own_age_keyframes) == (30.0, None)
     assert config.relpose.min_inliers == 20 and config.relpose.hypotheses == 300
