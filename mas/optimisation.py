@@ -15,14 +15,11 @@ from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejecti
 from mas.plan import plan
 from mas.policy.utility import ENVELOPE_BYTES
 from mas.posegraph import Adoption, adopt, share_of
-from mas.sessions import Attempts, Session, Tender, solver_node
+from mas.sessions import Attempts, Past, Session, Tender, solver_node
 from mas.solver_messages import SolverBody, SolverMessage, decides, from_wire, to_wire
 from mas.solver_messages import payload_bytes as solver_payload
 from mas.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 from mas.terms import Terms
-
-# Optimisations an agent remembers: to tell late messages from wrong ones, and to help who is still in one.
-_REMEMBERED = 16
 
 
 class Optimisation(Trade):
@@ -43,7 +40,7 @@ class Optimisation(Trade):
         self.attempts = Attempts(desk.state.config.link)
         self.repeated = 0
         self._bid_ns: dict[int, int] = {}
-        self._before: dict[ContractId, Session | None] = {}
+        self._before = Past()
         self.terms = Terms(desk)
 
     @property
@@ -80,6 +77,8 @@ class Optimisation(Trade):
         if self.tender is None or self.tender.identity != contract.id:
             self.desk.say(contract, Rejection("no longer wanted"))
             return
+        if bid.peer_to_peer:
+            self.desk.note("peer_to_peer", bidder=contract.contractor)
         self.tender.bids[contract.contractor] = bid
         self._answered(contract.contractor)
 
@@ -106,9 +105,6 @@ class Optimisation(Trade):
                 self.desk.say(contract, Award(found.tasks[contract.contractor]))
             elif contract.state is State.BID:
                 self.desk.say(contract, Rejection("not connected"))
-        pairs = [a for a, bid in sorted(tender.bids.items()) if bid.peer_to_peer]
-        if pairs:
-            self.desk.note("peer_to_peer", bidders=pairs, members=list(found.members))
         if tender.missing and found.members == (me,):
             self.attempts.failed(self.desk.now_ns, self.state.me)
             return
@@ -228,13 +224,7 @@ class Optimisation(Trade):
     def _leave(self, session: Session) -> None:
         """Out of an optimisation that did not come to its end; late messages of it are ignored."""
         self.session = None
-        self._remember(session.identity, None)
-
-    def _remember(self, identity: ContractId | None, session: Session | None) -> None:
-        if identity is not None:
-            self._before[identity] = session
-            if len(self._before) > _REMEMBERED:
-                del self._before[next(iter(self._before))]
+        self._before.remember(session.identity, None)
 
     def resend(self) -> None:
         """Say again what other members may have missed, if nothing goes on; give up where there is no end in sight."""
@@ -287,7 +277,7 @@ class Optimisation(Trade):
             return
         self.session = None
         self.attempts.succeeded()
-        self._remember(session.identity, session)
+        self._before.remember(session.identity, session)
         self.terms.paid(session)
         self.adoptions.append(adopt(self.state, session.task, outcome))
         if session.contract is not None:

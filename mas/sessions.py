@@ -15,6 +15,8 @@ from mas.solver_link import SolverLink
 from mas.solver_messages import SolverBody
 from mas.tasks import OptimiseTask
 
+_REMEMBERED = 16
+
 
 @dataclass
 class Tender:
@@ -43,6 +45,17 @@ class Session:
     sent_bytes: int = 0
     began_ns: int = 0
     link: SolverLink = field(default_factory=SolverLink)
+
+
+class Past(dict[ContractId, Session | None]):
+    """The last optimisations, None where this agent left before the end: to tell late messages from wrong ones, and to
+    help who is still in one."""
+
+    def remember(self, identity: ContractId | None, session: Session | None) -> None:
+        if identity is not None:
+            self[identity] = session
+            if len(self) > _REMEMBERED:
+                del self[next(iter(self))]
 
 
 class Attempts:
