@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2
 
 from backend.config import RobustConfig
 from backend.geometry import Array
+from backend.robust import chi_square
 
 # With fewer residual degrees of freedom than this, the residuals say nothing.
 _ENOUGH = 12
@@ -53,7 +52,7 @@ class Noise:
 
     def limit(self, exceeding: float) -> float:
         """The squared distance that a right edge exceeds with this probability."""
-        return self.scale * float(chi2.isf(exceeding, self.freedom))
+        return self.scale * chi_square.exceeded(exceeding, self.freedom)
 
     def fitted(self, squared: Array, config: RobustConfig) -> Noise:
         """After a look at the squared distances ``(k,)`` of what is believed now; the same where it has settled.
@@ -62,12 +61,14 @@ class Noise:
         """
         if not len(squared):
             return self
+        from scipy.optimize import brentq  # a tenth of a second to import
+
         middle, upper = np.quantile(squared, [0.5, 0.75])
         freedom = float(self.full)
         if len(squared) >= _ENOUGH_FOR_SHAPE and upper > middle * _spread(freedom):
             wanted = min(upper / max(middle, 1e-12), _spread(1.0))
             freedom = float(brentq(lambda h: _spread(h) - wanted, 1.0, freedom)) if wanted < _spread(1.0) else 1.0
-        scale = float(middle / chi2.ppf(0.5, freedom))
+        scale = float(middle / chi_square.below(0.5, freedom))
         return self._wider(scale, freedom, self.full * len(squared), config)
 
     def grown(self, mean: float, freedom: int, config: RobustConfig) -> Noise:
@@ -84,4 +85,4 @@ class Noise:
 
 def _spread(freedom: float) -> float:
     """Upper quartile of chi-square over its median: 1.5 for six degrees, 2.9 for one."""
-    return float(chi2.ppf(0.75, freedom) / chi2.ppf(0.5, freedom))
+    return chi_square.below(0.75, freedom) / chi_square.below(0.5, freedom)

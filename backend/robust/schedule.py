@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from backend.geometry import Array
+from backend.robust import chi_square
 
 # How fast the surrogate sharpens, as published.
 GROWTH = 1.4
@@ -19,7 +19,7 @@ GROWTH = 1.4
 
 def truncation(confidence: float, degrees_of_freedom: int = 6) -> float:
     """``bound``: the squared residual that a right edge stays below with probability ``confidence``."""
-    return float(chi2.ppf(confidence, degrees_of_freedom))
+    return chi_square.below(confidence, degrees_of_freedom)
 
 
 def first_mu(largest_squared: float, bound: float) -> float | None:

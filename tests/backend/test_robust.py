@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from graphs import loops, measured
+from scipy.stats import chi2
 
 from backend.central import optimise
 from backend.config import CentralConfig, RobustConfig
@@ -17,6 +18,7 @@ from backend.costs import cost, edge_cost
 from backend.g2o import read_g2o
 from backend.geometry import rotation_angle_deg, se3, se3_exp, se3_inverse, se3_log, so3_exp, so3_log
 from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from backend.robust import chi_square
 from backend.robust.chains import adjoint, chains
 from backend.robust.clique import largest_clique
 from backend.robust.pcm import consistent_edges
@@ -58,6 +60,13 @@ def test_the_schedule():
     grid = np.linspace(0, 1, 100_001)
     best = grid[np.argmin(grid * 7.0 + mu * (1 - grid) / (mu + grid) * c)]
     assert tls_weight(np.array([7.0]), c, mu)[0] == pytest.approx(best, abs=1e-4)
+
+
+@pytest.mark.parametrize("freedom", [1.0, 2.5, 3.0, 6.0, 40.0])
+def test_quantiles_of_chi_square_are_those_of_scipy(freedom):
+    for probability in (1e-9, 0.01, 0.5, 0.75, 0.999):
+        assert chi_square.below(probability, freedom) == pytest.approx(chi2.ppf(probability, freedom), rel=1e-12)
+        assert chi_square.exceeded(probability, freedom) == pytest.approx(chi2.isf(probability, freedom), rel=1e-12)
 
 
 def test_the_largest_clique_is_the_largest():
