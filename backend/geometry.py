@@ -30,7 +30,7 @@ def skew(vectors: ArrayLike) -> Array:
 def so3_exp(phi: ArrayLike) -> Array:
     """Rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)`` in radians."""
     w = np.asarray(phi, dtype=np.float64)
-    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    angle = _norms(w)[..., None]
     small = angle < _SMALL_ANGLE_RAD
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
@@ -43,7 +43,7 @@ def so3_log(rotations: ArrayLike) -> Array:
     """Rotation vectors ``(..., 3)`` in radians, norm at most pi, of rotation matrices ``(..., 3, 3)``."""
     q = quat_wxyz_from_rotation(rotations)
     q = np.where(q[..., :1] < 0.0, -q, q)
-    sin_half = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    sin_half = _norms(q[..., 1:])
     half = np.arctan2(sin_half, q[..., :1])
     small = sin_half < _SMALL_ANGLE_RAD
     factor = np.where(small, 2.0 + sin_half**2 / 3.0, 2.0 * half / np.where(small, 1.0, sin_half))
@@ -79,7 +79,7 @@ def se3_log(transforms: ArrayLike) -> Array:
 def se3(rotation: ArrayLike, translation: ArrayLike) -> Array:
     """Rigid transforms ``(..., 4, 4)`` from rotations ``(..., 3, 3)`` and translations ``(..., 3)``."""
     r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
-    out = np.zeros((*np.broadcast_shapes(r.shape[:-2], t.shape[:-1]), 4, 4))
+    out = np.zeros((*np.broadcast(r[..., 0], t).shape[:-1], 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = r, t, 1.0
     return out
 
@@ -120,24 +120,19 @@ def project_to_so3(matrices: ArrayLike) -> Array:
 def quat_wxyz_from_rotation(rotations: ArrayLike) -> Array:
     """Unit quaternions ``(..., 4)``, w first, of rotation matrices ``(..., 3, 3)``; stable at every angle."""
     r = np.asarray(rotations, dtype=np.float64)
-    d = np.diagonal(r, axis1=-2, axis2=-1)
-    trace = d.sum(axis=-1)
-    # Squared components times 4; the largest one is divided by, so no case ever divides by nearly zero.
-    squares = np.stack([1 + trace, *(1 + 2 * d[..., i] - trace for i in range(3))], axis=-1)
-    w_xyz = np.stack([r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]], axis=-1)
-    xy, xz, yz = r[..., 0, 1] + r[..., 1, 0], r[..., 0, 2] + r[..., 2, 0], r[..., 1, 2] + r[..., 2, 1]
-    rows = np.stack(
-        [
-            np.stack([squares[..., 0], w_xyz[..., 0], w_xyz[..., 1], w_xyz[..., 2]], axis=-1),
-            np.stack([w_xyz[..., 0], squares[..., 1], xy, xz], axis=-1),
-            np.stack([w_xyz[..., 1], xy, squares[..., 2], yz], axis=-1),
-            np.stack([w_xyz[..., 2], xz, yz, squares[..., 3]], axis=-1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(squares, axis=-1)[..., None, None]
-    q = np.take_along_axis(rows, best, axis=-2)[..., 0, :]
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+    # q q^T times 4: each row is the quaternion times one of its components. The one with the largest component is
+    # taken, so no case ever divides by nearly zero.
+    outer = np.empty((*r.shape[:-2], 4, 4))
+    trace = r[..., 0, 0] + r[..., 1, 1] + r[..., 2, 2]
+    outer[..., 0, 0] = 1 + trace
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
+        outer[..., i + 1, i + 1] = 1 + 2 * r[..., i, i] - trace
+        outer[..., 0, i + 1] = outer[..., i + 1, 0] = r[..., k, j] - r[..., j, k]
+        outer[..., j + 1, k + 1] = outer[..., k + 1, j + 1] = r[..., j, k] + r[..., k, j]
+    flat = outer.reshape(-1, 4, 4)
+    best = np.argmax(np.diagonal(flat, axis1=-2, axis2=-1), axis=-1)
+    q = flat[np.arange(len(flat)), best].reshape(*r.shape[:-2], 4)
+    return np.asarray(q / _norms(q))
 
 
 def rotation_from_quat_wxyz(quaternions: ArrayLike) -> Array:
@@ -147,6 +142,11 @@ def rotation_from_quat_wxyz(quaternions: ArrayLike) -> Array:
     w, v = q[..., :1, None], q[..., 1:]
     k = skew(v)
     return np.eye(3) + 2.0 * w * k + 2.0 * (k @ k)
+
+
+def _norms(vectors: Array) -> Array:
+    """Lengths ``(..., 1)`` of ``(..., n)`` vectors; for one vector several times as fast as ``np.linalg.norm``."""
+    return np.sqrt(np.add.reduce(vectors * vectors, axis=-1, keepdims=True))
 
 
 def rotation_angle_deg(rotations: ArrayLike) -> Array:

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from backend.errors import BackendError
 from backend.geometry import Array, se3, se3_inverse, so3_exp, so3_log
@@ -53,9 +54,10 @@ class Writer:
     def weights(self, kappa: float, tau: float) -> None:
         self._out += _WEIGHTS.pack(kappa, tau)
 
-    def steps(self, values: Iterable[int]) -> None:
+    def steps(self, values: Iterable[float]) -> None:
+        """Whole numbers that come as floating-point ones."""
         for value in values:
-            self.signed(value)
+            self.signed(int(value))
 
 
 class Reader:
@@ -88,10 +90,10 @@ class Reader:
         return float(struct.unpack("<f", self._take(4))[0])
 
     def pose(self) -> Array:
-        return _matrix(_POSE.unpack(self._take(_POSE.size)))
+        return _matrices(_POSE.unpack(self._take(_POSE.size)))
 
     def rough_pose(self) -> Array:
-        return _matrix(_START.unpack(self._take(_START.size)))
+        return _matrices(_START.unpack(self._take(_START.size)))
 
     def weights(self) -> tuple[float, float]:
         kappa, tau = _WEIGHTS.unpack(self._take(_WEIGHTS.size))
@@ -108,23 +110,25 @@ class Reader:
         return part
 
 
-def step_sizes(kappa: float, tau: float, fineness: float) -> Array:
-    """Steps ``(6,)`` in metres and radians: ``fineness`` of them are one standard deviation of F's noise."""
-    shift, turn = 1.0 / (np.sqrt(tau) * fineness), 1.0 / (np.sqrt(2.0 * kappa) * fineness)
-    return np.array([shift] * 3 + [turn] * 3)
+def step_sizes(kappa: ArrayLike, tau: ArrayLike, fineness: float) -> Array:
+    """Steps ``(..., 6)`` in metres and radians of weights ``(...)``: ``fineness`` of them are one standard deviation of
+    F's noise."""
+    shift, turn = 1.0 / (np.sqrt(tau) * fineness), 1.0 / (np.sqrt(2.0 * np.asarray(kappa)) * fineness)
+    return np.stack([shift] * 3 + [turn] * 3, axis=-1)
 
 
-def to_steps(T: Array, predicted: Array, sizes: Array) -> list[int]:
-    """Whole steps ``(6,)`` from ``predicted`` to ``T`` (both ``(4, 4)``)."""
+def to_steps(T: Array, predicted: Array, sizes: Array) -> Array:
+    """Whole steps ``(..., 6)`` from ``predicted`` to ``T`` (both ``(..., 4, 4)``), of ``sizes`` ``(..., 6)``."""
     moved = se3_inverse(predicted) @ T
-    return [int(v) for v in np.rint(np.concatenate([moved[:3, 3], so3_log(moved[:3, :3])]) / sizes)]
+    return np.asarray(np.rint(np.concatenate([moved[..., :3, 3], so3_log(moved[..., :3, :3])], axis=-1) / sizes))
 
 
-def from_steps(steps: list[int], predicted: Array, sizes: Array) -> Array:
+def from_steps(steps: ArrayLike, predicted: Array, sizes: Array) -> Array:
     """Inverse of :func:`to_steps`, up to half a step."""
-    return np.asarray(predicted @ _matrix(np.array(steps, dtype=np.float64) * sizes))
+    return np.asarray(predicted @ _matrices(np.asarray(steps, dtype=np.float64) * sizes))
 
 
-def _matrix(values: Iterable[float]) -> Array:
-    v = np.array(list(values))
-    return se3(so3_exp(v[3:]), v[:3])
+def _matrices(values: ArrayLike) -> Array:
+    """Poses ``(..., 4, 4)`` of ``(..., 6)`` numbers: position, rotation vector."""
+    v = np.asarray(values, dtype=np.float64)
+    return se3(so3_exp(v[..., 3:]), v[..., :3])

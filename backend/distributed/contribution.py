@@ -83,21 +83,24 @@ def encode(c: Contribution) -> bytes:
     for kappa, tau in table:
         out.weights(kappa, tau)
     known = {pair: k for k, pair in enumerate(table)}
-    out.count(len(c.graph.ends))
+    edges = len(c.graph.ends)
+    measured = np.concatenate([c.graph.measured, np.array([b.T_i_j for b in c.between]).reshape(-1, 4, 4)])
+    steps = to_steps(measured, np.eye(4), step_sizes(*_columns(rounded), fineness)).tolist()
+    out.count(edges)
     last = 0
-    for (i, j), T, pair in zip(c.graph.ends.tolist(), c.graph.measured, rounded, strict=False):
+    for (i, j), pair, moved in zip(c.graph.ends.tolist(), rounded[:edges], steps[:edges], strict=True):
         out.signed(i - last)
         out.signed(j - i)
         out.count(known[pair])
-        out.steps(to_steps(T, np.eye(4), step_sizes(*pair, fineness)))
+        out.steps(moved)
         last = i
     out.count(len(c.between))
-    for b, pair in zip(c.between, rounded[len(c.graph.ends) :], strict=True):
+    for b, pair, moved in zip(c.between, rounded[edges:], steps[edges:], strict=True):
         for n in (b.i, b.j):
             out.count(n.robot)
             out.count(n.index)
         out.count(known[pair])
-        out.steps(to_steps(b.T_i_j, np.eye(4), step_sizes(*pair, fineness)))
+        out.steps(moved)
     for n in sorted(c.start):
         out.count(n.index)
         out.rough_pose(c.start[n])
@@ -116,27 +119,36 @@ def decode(data: bytes, robot: int) -> Contribution:
         nodes.append(NodeId(robot, index))
     first_pose, cost = source.pose(), source.number()
     table = [source.weights() for _ in range(source.count())]
-    ends, measured, pairs, last = [], [], [], 0
+    ends, pairs, steps, last = [], [], [], 0
     for _ in range(source.count()):
         last += source.signed()
         ends.append((last, last + source.signed()))
         pairs.append(table[source.count()])
-        measured.append(from_steps(source.steps(), np.eye(4), step_sizes(*pairs[-1], fineness)))
-    between = []
+        steps.append(source.steps())
+    others = []
     for _ in range(source.count()):
-        i, j = (NodeId(source.count(), source.count()) for _ in range(2))
-        pair = table[source.count()]
-        T = from_steps(source.steps(), np.eye(4), step_sizes(*pair, fineness))
-        between.append(Between(i, j, T, *pair, off))
+        others.append([NodeId(source.count(), source.count()) for _ in range(2)])
+        pairs.append(table[source.count()])
+        steps.append(source.steps())
+    sizes = step_sizes(*_columns(pairs), fineness)
+    measured = from_steps(np.array(steps, dtype=np.float64).reshape(-1, 6), np.eye(4), sizes)
+    edges = len(ends)
+    between = [
+        Between(i, j, T, *pair, off) for (i, j), T, pair in zip(others, measured[edges:], pairs[edges:], strict=True)
+    ]
     start = {}
     while not source.empty:
         n = NodeId(robot, source.count())
         start[n] = source.rough_pose()
-    weights = np.array(pairs).reshape(-1, 2)
     graph = Condensed(
-        nodes, np.array(ends, dtype=np.intp).reshape(-1, 2), np.array(measured).reshape(-1, 4, 4), *weights.T
+        nodes, np.array(ends, dtype=np.intp).reshape(-1, 2), measured[:edges], *_columns(pairs[:edges])
     )
     return Contribution(robot, graph, tuple(between), start, first_pose, cost, fineness)
+
+
+def _columns(pairs: list[tuple[float, float]]) -> Array:
+    """``(2, n)``: all ``kappa``, all ``tau``."""
+    return np.array(pairs, dtype=np.float64).reshape(-1, 2).T
 
 
 def encode_solution(graph: Condensed, poses: Array, reached: NDArray[np.bool_], fineness: float) -> bytes:
@@ -157,7 +169,7 @@ def encode_solution(graph: Condensed, poses: Array, reached: NDArray[np.bool_], 
             known[k] = poses[k]
             continue
         steps = to_steps(poses[k], predicted, sizes)
-        out.steps(steps)
+        out.steps(steps.tolist())
         known[k] = from_steps(steps, predicted, sizes)
     return out.bytes()
 
@@ -187,8 +199,10 @@ def _walk(
     for k, (i, j) in enumerate(graph.ends.tolist()):
         links[i].append((j, k))
         links[j].append((i, k))
-    kappa, tau = (_stiffness(graph, w) for w in (graph.kappa, graph.tau))
-    seen = ~reached
+    sizes = step_sizes(_stiffness(graph, graph.kappa), _stiffness(graph, graph.tau), fineness)
+    backwards = se3_inverse(graph.measured)
+    starts = graph.ends[:, 0].tolist()
+    seen = (~reached).tolist()
     for root in range(len(graph.nodes)):
         if seen[root]:
             continue
@@ -200,8 +214,8 @@ def _walk(
             for j, k in links[i]:
                 if not seen[j]:
                     seen[j] = True
-                    T = graph.measured[k] if graph.ends[k, 0] == i else se3_inverse(graph.measured[k])
-                    yield j, i, known[i] @ T, step_sizes(float(kappa[j]), float(tau[j]), fineness)
+                    T = graph.measured[k] if starts[k] == i else backwards[k]
+                    yield j, i, known[i] @ T, sizes[j]
                     queue.append(j)
 
 
