@@ -85,7 +85,7 @@ def encode(c: Contribution) -> bytes:
     known = {pair: k for k, pair in enumerate(table)}
     edges = len(c.graph.ends)
     measured = np.concatenate([c.graph.measured, np.array([b.T_i_j for b in c.between]).reshape(-1, 4, 4)])
-    steps = to_steps(measured, np.eye(4), step_sizes(*_columns(rounded), fineness)).tolist()
+    steps = to_steps(measured, np.eye(4), _sizes(rounded, fineness)).tolist()
     out.count(edges)
     last = 0
     for (i, j), pair, moved in zip(c.graph.ends.tolist(), rounded[:edges], steps[:edges], strict=True):
@@ -130,8 +130,8 @@ def decode(data: bytes, robot: int) -> Contribution:
         others.append([NodeId(source.count(), source.count()) for _ in range(2)])
         pairs.append(table[source.count()])
         steps.append(source.steps())
-    sizes = step_sizes(*_columns(pairs), fineness)
-    measured = from_steps(np.array(steps, dtype=np.float64).reshape(-1, 6), np.eye(4), sizes)
+    moved = np.array(steps, dtype=np.float64).reshape(-1, 6)
+    measured = from_steps(moved, np.eye(4), _sizes(pairs, fineness))
     edges = len(ends)
     between = [
         Between(i, j, T, *pair, off) for (i, j), T, pair in zip(others, measured[edges:], pairs[edges:], strict=True)
@@ -149,6 +149,11 @@ def decode(data: bytes, robot: int) -> Contribution:
 def _columns(pairs: list[tuple[float, float]]) -> Array:
     """``(2, n)``: all ``kappa``, all ``tau``."""
     return np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+
+
+def _sizes(pairs: list[tuple[float, float]], fineness: float) -> Array:
+    kappa, tau = _columns(pairs)
+    return step_sizes(kappa, tau, fineness)
 
 
 def encode_solution(graph: Condensed, poses: Array, reached: NDArray[np.bool_], fineness: float) -> bytes:
