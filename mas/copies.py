@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from backend.geometry import Array
+from backend.trajectory_error import TrajectoryError
 from mas.agent import Agent
 from mas.maps.held import HeldMap
 from mas.state import AgentState
@@ -16,8 +17,8 @@ from mas.summary import MapCopy
 _SAMPLE = 16
 
 
-def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, tuple[float, float]]]) -> list[MapCopy]:
-    """Every copy that is held; ``errors``: of each holder's copies by owner, RMSE and mean under its alignment."""
+def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, TrajectoryError]]) -> list[MapCopy]:
+    """Every copy that is held; ``errors``: of each holder's copies by owner, under its alignment."""
     states = {agent.state.me: agent.state for agent in agents}
     return [
         MapCopy(
@@ -26,8 +27,8 @@ def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, tuple[float, 
             version=held.version,
             keyframes=len(held.poses),
             points=len(held.references),
-            ate_rmse_m=each[owner][0] if owner in each else None,
-            ate_mean_m=each[owner][1] if owner in each else None,
+            ate_rmse_m=each[owner].rmse_m if owner in each else None,
+            ate_mean_m=each[owner].mean_m if owner in each else None,
             points_off_m=points_off(held, agent.state, states[owner]),
         )
         for agent, each in zip(agents, errors, strict=True)

@@ -234,11 +234,9 @@ def _play(environment: Environment, onlooker: Onlooker, recorder: Recorder, prog
 
 def timeline_row(number: int, environment: Environment, onlooker: Onlooker) -> list[object]:
     """What ``timeline.csv`` says about a step; errors are empty without truth."""
-    from mas.trajectories import keyframe_trajectory
-
     agents = environment.agents
-    own = [onlooker.error_of(a.state.me, keyframe_trajectory(a.state)) for a in agents]
-    maps = [onlooker.map_error(a)[0] for a in agents]
+    own = [onlooker.keyframe_error(a) for a in agents]
+    maps = [onlooker.map_error(a) for a in agents]
     accepted = len({m for a in agents for m in a.state.accepted})
     counts = [environment.transport.by_operation[t] for t in Traffic]
     return [

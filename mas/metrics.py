@@ -15,7 +15,10 @@ from mas.agent import Agent
 from mas.maps.held import HeldMap
 from mas.matches import Match
 from mas.sequence import STAMP_TOLERANCE_NS, AgentSequence
+from mas.state import AgentState
 from mas.trajectories import keyframe_trajectory
+
+_Pair = tuple[Array, Array]  # estimated and true positions (n, 3)
 
 # An estimated pose and a true one belong together within this; ground truth is often sampled at its own times.
 TRUTH_TOLERANCE_NS = 20_000_000
@@ -50,6 +53,9 @@ class Onlooker:
     def __init__(self, sequences: Sequence[AgentSequence]) -> None:
         self.sequences = list(sequences)
         self._scales: dict[int, float] = {}
+        # What was paired last, and of what: while that is the same, so are the pairs.
+        self._own_pairs: dict[int, tuple[AgentState, int, _Pair | None]] = {}
+        self._copy_pairs: dict[tuple[int, int], tuple[HeldMap, _Pair | None]] = {}
         self._frames = [self._frame_names(i) for i in range(len(self.sequences))]
         self._all_frames = set().union(*self._frames) if self._frames else set()
 
@@ -62,22 +68,27 @@ class Onlooker:
 
     def error_of(self, agent: int, trajectory: Trajectory) -> TrajectoryError | None:
         """ATE of a trajectory of this agent under its own alignment; None without enough truth."""
-        pair = self._paired(agent, trajectory.stamps_ns, trajectory.centres)
-        return None if pair is None or len(pair[0]) < MIN_POSES else trajectory_error(*pair, self.with_scale)
+        return self._error(self._paired(agent, trajectory.stamps_ns, trajectory.centres))
 
-    def map_error(self, agent: Agent) -> tuple[TrajectoryError | None, dict[int, TrajectoryError]]:
-        """ATE of own key-frames and all map copies under one alignment, and each copy's share of it."""
-        pairs = {agent.state.me: self._own_pair(agent)}
-        for owner, held in sorted(agent.maps.held.items()):
-            pairs[owner] = self._paired(owner, self._times(held), held.poses[:, :3, 3])
-        known = {a: p for a, p in pairs.items() if p is not None and len(p[0])}
+    def keyframe_error(self, agent: Agent) -> TrajectoryError | None:
+        """ATE of the agent's placed key-frames."""
+        return self._error(self._own_pair(agent))
+
+    def map_error(self, agent: Agent) -> TrajectoryError | None:
+        """ATE of own key-frames and all map copies under one alignment."""
+        known = self._map_pairs(agent)
         if sum(len(p[0]) for p in known.values()) < MIN_POSES:
-            return None, {}
-        each = connected_error(
-            {a: p[0] for a, p in known.items()}, {a: p[1] for a, p in known.items()}, self.with_scale
-        )
+            return None
         estimate, truth = (np.vstack([p[k] for p in known.values()]) for k in (0, 1))
-        return trajectory_error(estimate, truth, self.with_scale), each
+        return trajectory_error(estimate, truth, self.with_scale)
+
+    def copy_errors(self, agent: Agent) -> dict[int, TrajectoryError]:
+        """Each map copy's share of that, and the own key-frames'."""
+        known = self._map_pairs(agent)
+        if sum(len(p[0]) for p in known.values()) < MIN_POSES:
+            return {}
+        estimates, truths = ({a: p[k] for a, p in known.items()} for k in (0, 1))
+        return connected_error(estimates, truths, self.with_scale)
 
     def connected_errors(self, agents: Sequence[Agent]) -> dict[int, TrajectoryError]:
         """Each agent's error under one alignment for all agents in the same coordinates."""
@@ -157,15 +168,37 @@ class Onlooker:
 
     # -- pairing ------------------------------------------------------------------------------------------------------
 
-    def _own_pair(self, agent: Agent) -> tuple[Array, Array] | None:
-        trajectory = keyframe_trajectory(agent.state)
-        return self._paired(agent.state.me, trajectory.stamps_ns, trajectory.centres)
+    def _error(self, pair: _Pair | None) -> TrajectoryError | None:
+        return None if pair is None or len(pair[0]) < MIN_POSES else trajectory_error(*pair, self.with_scale)
+
+    def _map_pairs(self, agent: Agent) -> dict[int, _Pair]:
+        """Own key-frames and map copies, by owner, as far as there is truth."""
+        pairs = {agent.state.me: self._own_pair(agent)}
+        for owner, held in sorted(agent.maps.held.items()):
+            pairs[owner] = self._copy_pair(agent.state.me, held)
+        return {a: p for a, p in pairs.items() if p is not None and len(p[0])}
+
+    def _own_pair(self, agent: Agent) -> _Pair | None:
+        state = agent.state
+        known, version, pair = self._own_pairs.get(state.me, (None, -1, None))
+        if known is not state or version != state.version:
+            trajectory = keyframe_trajectory(state)
+            pair = self._paired(state.me, trajectory.stamps_ns, trajectory.centres)
+            self._own_pairs[state.me] = state, state.version, pair
+        return pair
+
+    def _copy_pair(self, holder: int, held: HeldMap) -> _Pair | None:
+        known, pair = self._copy_pairs.get((holder, held.owner), (None, None))
+        if known is not held:
+            pair = self._paired(held.owner, self._times(held), held.poses[:, :3, 3])
+            self._copy_pairs[holder, held.owner] = held, pair
+        return pair
 
     def _times(self, held: HeldMap) -> NDArray[np.int64]:
         stamps: NDArray[np.int64] = held.stamps_ns.astype(np.int64)
         return stamps - self.sequences[held.owner].start_ns
 
-    def _paired(self, agent: int, times_ns: NDArray[np.int64], centres: Array) -> tuple[Array, Array] | None:
+    def _paired(self, agent: int, times_ns: NDArray[np.int64], centres: Array) -> _Pair | None:
         truth = self.sequences[agent].groundtruth
         if truth is None or not len(truth):
             return None

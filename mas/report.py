@@ -36,7 +36,7 @@ def summarise(
     odometry = [onlooker.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
     maps = [onlooker.map_error(a) for a in agents]
     connected = onlooker.connected_errors(agents)
-    columns = (own, [m[0] for m in maps], [connected.get(a.state.me) for a in agents])
+    columns = (own, maps, [connected.get(a.state.me) for a in agents])
     rmse = [None if e is None else e.rmse_m for e in odometry]
     traffic = {t.value: _traffic([count]) for t, count in transport.by_operation.items()}
     return Summary(
@@ -63,7 +63,7 @@ def summarise(
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
         optimisations=_optimisations(agents),
-        map_copies=map_copies(agents, [{o: (e.rmse_m, e.mean_m) for o, e in each.items()} for _, each in maps]),
+        map_copies=map_copies(agents, [onlooker.copy_errors(a) for a in agents]),
         refused_messages=len(transport.refused) + sum(len(a.refused) for a in agents),
         standing=standings(agents),
         faults=fault_figures(agents, transport),
