@@ -72,18 +72,28 @@ class Standing:
     def __init__(self, config: StandingConfig) -> None:
         self.config = config
         self.records: dict[int, Record] = {}
+        # Whose figures may have changed since :meth:`changes` looked last.
+        self._touched: set[int] = set()
 
     def of(self, other: int) -> Record:
-        """The record of one agent; a stranger's is empty."""
-        return self.records.setdefault(other, Record())
+        """The record of one agent, to look at; a stranger's is empty."""
+        record = self.records.get(other)
+        if record is None:
+            record = self.records[other] = Record()
+        return record
+
+    def _touch(self, other: int) -> Record:
+        """The record of one agent, to change it."""
+        self._touched.add(other)
+        return self.of(other)
 
     def heard(self, other: int) -> None:
         """A word of the other, whatever it is: it is there."""
-        self.of(other).unheard = 0
+        self._touch(other).unheard = 0
 
     def ended(self, contract: Contract) -> None:
         """A contract that I managed has ended. What I ended myself, or never awarded, is not held against anybody."""
-        record = self.of(contract.contractor)
+        record = self._touch(contract.contractor)
         if contract.state is State.DONE:
             record.delivered += 1
             self._count(record, good=1.0)
@@ -101,16 +111,16 @@ class Standing:
     def left_waiting(self, contract: Contract) -> None:
         """An optimisation that I took part in never ended: its manager answers for that."""
         if contract.operation is Operation.DOPT and contract.state is State.EXPIRED and Confirmation in contract.said:
-            self._count(self.of(contract.manager), poor=_STUCK)
+            self._count(self._touch(contract.manager), poor=_STUCK)
 
     def judged(self, other: int, borne_out: int, contradicted: int) -> None:
         """How many of the other's results now agree with the rest of what is known, and how many do not."""
-        record = self.of(other)
+        record = self._touch(other)
         record.t, record.f = float(borne_out), float(contradicted)
 
     def blame(self, other: int, weight: float = 1.0) -> None:
         """One more bad result, of a kind that is judged once: a map that was rejected."""
-        self.of(other).blamed += weight
+        self._touch(other).blamed += weight
 
     def may_call(self, other: int, now_ns: int) -> bool:
         """Whether a call is worth its bytes now."""
@@ -138,8 +148,9 @@ class Standing:
     def changes(self, now_ns: int) -> list[tuple[int, Record]]:
         """Agents that are regarded otherwise than when this was asked last; the first probe waits its time."""
         out = []
-        for other, record in sorted(self.records.items()):
-            regard = self.regard(other)
+        touched, self._touched = self._touched, set()
+        for other in sorted(touched):
+            record, regard = self.of(other), self.regard(other)
             if regard is not record.regard:
                 if record.regard is Regard.GOOD:
                     record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
