@@ -33,9 +33,8 @@ class BitWriter:
         self._parts: list[NDArray[np.uint8]] = []
 
     def put(self, values: ArrayLike, contexts: ArrayLike) -> None:
-        """Append numbers ``(n,)``, each 0 to 2^32 - 1, each under its context (one for all, or ``(n,)``)."""
-        v, c = np.broadcast_arrays(np.asarray(values, dtype=np.int64), np.asarray(contexts, dtype=np.int64))
-        v, c = np.ascontiguousarray(v.ravel()), np.ascontiguousarray(c.ravel())
+        """Append numbers, each 0 to 2^32 - 1, under these contexts in turn, over and over."""
+        v, c = _whole(values), _whole(contexts)
         if len(v) and (v.min() < 0 or v.max() > _LARGEST):
             raise BitsError(f"numbers from {v.min()} to {v.max()} cannot be coded")
         bits = np.zeros(len(v) * (_ESCAPE + 1 + _WORD), dtype=np.uint8)
@@ -61,15 +60,13 @@ class BitReader:
         self._at = 0
 
     def get(self, contexts: ArrayLike, count: int | None = None) -> NDArray[np.int64]:
-        """The next ``count`` numbers (else one for each of the contexts)."""
-        c = np.asarray(contexts, dtype=np.int64)
-        if count is not None:
-            # A number takes a bit at least: this bounds what a hostile count can ask for.
-            if count > len(self._bits) - self._at:
-                raise BitsError(f"{count} numbers announced in {len(self._bits) - self._at} bits")
-            c = np.resize(c, count)
-        out = np.zeros(c.size, dtype=np.int64)
-        self._at = _decode(self._bits, self._at, np.ascontiguousarray(c.ravel()), self._state, out)
+        """The next ``count`` numbers (else one for each of the contexts), under these contexts in turn."""
+        c = _whole(contexts)
+        # A number takes a bit at least: this bounds what a hostile count can ask for.
+        if count is not None and count > len(self._bits) - self._at:
+            raise BitsError(f"{count} numbers announced in {len(self._bits) - self._at} bits")
+        out = np.zeros(c.size if count is None else count, dtype=np.int64)
+        self._at = _decode(self._bits, self._at, c, self._state, out)
         if self._at < 0:
             raise BitsError("the bits end too early")
         return out
@@ -90,6 +87,11 @@ class BitReader:
         """Nothing but the padding of the last byte may be left."""
         if len(self._bits) - self._at >= 8:
             raise BitsError(f"{len(self._bits) - self._at} bits too many")
+
+
+def _whole(values: ArrayLike) -> NDArray[np.int64]:
+    """``(n,)``, one after the other."""
+    return np.asarray(values, dtype=np.int64).reshape(-1)
 
 
 def _fresh() -> NDArray[np.int64]:
@@ -118,9 +120,10 @@ def _learn(state, c, v):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _encode(values, contexts, state, bits):  # type: ignore[no-untyped-def]
     """Fill ``bits`` (one a byte), return how many."""
-    at = 0
+    at = turn = 0
     for i in range(len(values)):
-        v, c = values[i], contexts[i]
+        v, c = values[i], contexts[turn]
+        turn = (turn + 1) if turn + 1 < len(contexts) else 0
         k = _parameter(state, c)
         unary = min(v >> k, _ESCAPE)
         plain = _WORD if unary == _ESCAPE else k
@@ -138,8 +141,10 @@ def _encode(values, contexts, state, bits):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _decode(bits, at, contexts, state, out):  # type: ignore[no-untyped-def]
     """Fill ``out``, return where reading stopped; -1 where the bits end too early or make no number."""
-    for i in range(len(contexts)):
-        c = contexts[i]
+    turn = 0
+    for i in range(len(out)):
+        c = contexts[turn]
+        turn = (turn + 1) if turn + 1 < len(contexts) else 0
         k = _parameter(state, c)
         unary = 0
         while at < len(bits) and bits[at] == 1:

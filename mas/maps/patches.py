@@ -70,13 +70,13 @@ def _write(base: LatticeMap | None, made: LatticeMap, mode: int, anchors: NDArra
         moves = (made.poses[:old] - base.poses)[anchors]
         out.put([len(anchors) - 2 if old > 1 else 0], _HEAD)
         out.put(np.diff(anchors)[:-1] - 1, _HEAD)
-        out.put_signed(np.diff(moves, axis=0, prepend=0), np.broadcast_to(_MOVE, moves.shape))
+        out.put_signed(np.diff(moves, axis=0, prepend=0), _MOVE)
     before = 0 if not old else int(made.keyframes[old - 1]) + 1
     out.put(np.diff(made.keyframes[old:], prepend=before - 1) - 1, _INDEX)
     _write_ticks(out, made.ticks, old)
     start = 0 if mode == ANEW else old
     rest = made.poses[start:]
-    out.put_signed(rest - _expected(made.poses, start), np.broadcast_to(_POSE, rest.shape))
+    out.put_signed(rest - _expected(made.poses, start), _POSE)
     _write_points(out, made, old, int(made.counts[:old].sum()))
     _write_matches(out, base, made)
     return out.data
@@ -137,7 +137,7 @@ def _write_matches(out: BitWriter, base: LatticeMap | None, made: LatticeMap) ->
     new, transforms = made.matches[known:], made.transforms[known:]
     out.put([int(kept), len(new)], _HEAD)
     out.put_signed(np.diff(new, axis=0, prepend=0), _MATCH)
-    out.put_signed(transforms, np.broadcast_to(_TRANSFORM, transforms.shape))
+    out.put_signed(transforms, _TRANSFORM)
 
 
 def decode(
