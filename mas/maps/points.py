@@ -30,19 +30,18 @@ def well_spread(points_C: NDArray[Any], rows: NDArray[np.int64], limit: int) -> 
     if len(rows) <= limit:
         return np.sort(rows)
     p = np.asarray(points_C, dtype=np.float64)[rows]
-    cells = _cells(p[:, 0] / p[:, 2], _COLUMNS) * _ROWS
-    direction = p[:, 1] / p[:, 2]
-    for column in np.unique(cells):
-        inside = cells == column
-        cells[inside] += _cells(direction[inside], _ROWS)
+    columns = _cells(p[:, 0] / p[:, 2], np.zeros(len(p), dtype=np.int64), _COLUMNS)
+    cells = columns * _ROWS + _cells(p[:, 1] / p[:, 2], columns, _ROWS)
     order = np.lexsort((rows, p[:, 2], cells))
     turn = np.arange(len(order)) - np.searchsorted(cells[order], cells[order], side="left")
     chosen = order[np.lexsort((p[order, 2], turn))[:limit]]
     return np.sort(rows[chosen])
 
 
-def _cells(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """Cell 0 to ``count - 1`` of each value; cells hold about the same number."""
+def _cells(values: NDArray[np.float64], groups: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Cell 0 to ``count - 1`` of each value within its group; a group's cells hold about the same number."""
+    sizes = np.bincount(groups)
+    order = np.lexsort((values, groups))
     rank = np.empty(len(values), dtype=np.int64)
-    rank[np.argsort(values, kind="stable")] = np.arange(len(values))
-    return rank * count // max(len(values), 1)
+    rank[order] = np.arange(len(values)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return rank * count // sizes[groups]
