@@ -115,16 +115,21 @@ def adopt(state: AgentState, task: OptimiseTask, outcome: Outcome) -> Adoption:
 
 def odometry_edges(state: AgentState, track: int) -> list[Edge]:
     """Edges between key-frames of one track that follow each other, as odometry measured them, own unit."""
-    config = state.config.optimisation
-    edges = []
-    for index in list(state.members(track))[1:]:
-        keyframe = state.keyframes[index]
-        step = state.odometry_step(keyframe)
-        length = float(np.linalg.norm(step[:3, 3]))
-        sigma = config.odometry_sigma_share * length + config.odometry_sigma_depth * keyframe.depth
-        information = _diagonal(sigma, config.odometry_sigma_deg)
-        edges.append(Edge(NodeId(state.me, index - 1), NodeId(state.me, index), step, information))
-    return edges
+    later = state.members(track)[1:]
+    for index in later:
+        if index not in state.odometry:
+            state.odometry[index] = _odometry_edge(state, index)
+    return [state.odometry[index] for index in later]
+
+
+def _odometry_edge(state: AgentState, index: int) -> Edge:
+    """The edge from the key-frame before to this one."""
+    config, keyframe = state.config.optimisation, state.keyframes[index]
+    step = state.odometry_step(keyframe)
+    length = float(np.linalg.norm(step[:3, 3]))
+    sigma = config.odometry_sigma_share * length + config.odometry_sigma_depth * keyframe.depth
+    information = _diagonal(sigma, config.odometry_sigma_deg)
+    return Edge(NodeId(state.me, index - 1), NodeId(state.me, index), step, information)
 
 
 def match_edge(match: Match, config: OptimisationConfig) -> Edge:

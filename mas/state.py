@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.geometry import Array, Sim3, se3_inverse
+from backend.graph import Edge
 from descriptors.codes import Coder
 from mas.config import MasConfig
 from mas.errors import MasError
@@ -88,6 +89,8 @@ class AgentState:
     version: int = 0
     distrusted: set[int] = field(default_factory=set)
     contradicted: frozenset[MatchId] = frozenset()
+    # By its second key-frame: an odometry edge stays what it was made.
+    odometry: dict[int, Edge] = field(default_factory=dict)
     _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
     _mine: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 
