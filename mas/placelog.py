@@ -12,6 +12,9 @@ from mas.placebook import PlaceBook
 
 Vector = NDArray[np.float32]
 
+# By how much squared distances by way of products may be off, far more than they are: vectors are of unit length.
+_ROUGH = 1e-3
+
 
 @dataclass(eq=False)
 class ClusterLog:
@@ -20,9 +23,10 @@ class ClusterLog:
 
     _who: list[tuple[int, int]] = field(default_factory=list)
     _known: set[tuple[int, int]] = field(default_factory=set)
-    # Room for vectors (n, d) and whose they are (n,), doubled when it is full.
+    # Room for vectors (n, d), whose they are (n,) and their squared lengths (n,), doubled when it is full.
     _vectors: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.float32))
     _agents: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _squares: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
 
     def remember(self, agent: int, keyframe: int, vector: Vector) -> None:
         """Log a key-frame, decoded ``(d,)``; one that is known stays as it is."""
@@ -34,19 +38,23 @@ class ClusterLog:
             if row:
                 room[:row] = self._vectors
             self._vectors, self._agents = room, np.resize(self._agents, len(room))
-        self._vectors[row], self._agents[row] = vector, agent
+            self._squares = np.resize(self._squares, len(room))
+        self._vectors[row], self._agents[row], self._squares[row] = vector, agent, vector @ vector
         self._who.append((agent, keyframe))
         self._known.add((agent, keyframe))
 
     def nearest(self, vector: Vector, asker: int) -> tuple[int, int, float] | None:
         """Agent, key-frame and Euclidean distance of the nearest logged one that is not the asker's own; the older of
         equals; None where there is none."""
-        others = np.flatnonzero(self._agents[: len(self._who)] != asker)
-        if not len(others):
+        count = len(self._who)
+        others = self._agents[:count] != asker
+        if not others.any():
             return None
-        apart = np.linalg.norm(self._vectors[others] - vector, axis=1)
+        rough = self._squares[:count] - 2.0 * (self._vectors[:count] @ vector)
+        near = np.flatnonzero(others & (rough <= rough[others].min() + _ROUGH))
+        apart = np.linalg.norm(self._vectors[near] - vector, axis=1)
         best = int(apart.argmin())
-        return *self._who[int(others[best])], float(apart[best])
+        return *self._who[int(near[best])], float(apart[best])
 
 
 @dataclass(eq=False)
