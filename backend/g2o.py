@@ -137,17 +137,17 @@ def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
         raise BackendError(f"{path}: plain ids cannot tell {len(graph.robots)} robots apart")
     flat = graph.dimension == 2
     with open(path, "w", encoding="ascii") as out:
-        for node in graph.nodes:
-            tag = "VERTEX_SE2" if flat else "VERTEX_SE3:QUAT"
-            out.write(f"{tag} {_id(node, plain_ids)} {_pose_text(graph.poses[node], flat)}\n")
-        for e in graph.edges:
-            tag, pair = "EDGE_SE2" if flat else "EDGE_SE3:QUAT", f"{_id(e.i, plain_ids)} {_id(e.j, plain_ids)}"
-            out.write(f"{tag} {pair} {_pose_text(e.T_i_j, flat)} {_upper_text(e.information, flat)}\n")
+        tag = "VERTEX_SE2" if flat else "VERTEX_SE3:QUAT"
+        for node, pose in zip(graph.nodes, _pose_texts([graph.poses[n] for n in graph.nodes], flat), strict=True):
+            out.write(f"{tag} {_id(node, plain_ids)} {pose}\n")
+        tag = "EDGE_SE2" if flat else "EDGE_SE3:QUAT"
+        for e, pose in zip(graph.edges, _pose_texts([e.T_i_j for e in graph.edges], flat), strict=True):
+            pair = f"{_id(e.i, plain_ids)} {_id(e.j, plain_ids)}"
+            out.write(f"{tag} {pair} {pose} {_upper_text(e.information, flat)}\n")
         if graph.priors and not flat:
             out.write("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n")
-        for p in graph.priors:
-            tag, which = ("EDGE_PRIOR_SE2", "") if flat else ("EDGE_SE3_PRIOR", "0 ")
-            pose = _pose_text(p.T_O_i, flat)
+        tag, which = ("EDGE_PRIOR_SE2", "") if flat else ("EDGE_SE3_PRIOR", "0 ")
+        for p, pose in zip(graph.priors, _pose_texts([p.T_O_i for p in graph.priors], flat), strict=True):
             out.write(f"{tag} {_id(p.node, plain_ids)} {which}{pose} {_upper_text(p.information, flat)}\n")
 
 
@@ -218,12 +218,19 @@ def _measurement(values: Array, where: str) -> tuple[Array, Array]:
 
 def _upper_text(information: Array, flat: bool) -> str:
     shown = information[_PLANAR] if flat else information
-    return " ".join(f"{v:.12g}" for v in shown[np.triu_indices(len(shown))])
+    return _numbers_text(shown[np.triu_indices(len(shown))].tolist())
 
 
-def _pose_text(T: Array, flat: bool) -> str:
+def _pose_texts(poses: Sequence[Array], flat: bool) -> list[str]:
+    T = np.array(poses).reshape(-1, 4, 4)
     if flat:
-        return " ".join(f"{v:.12g}" for v in (T[0, 3], T[1, 3], so3_log(T[:3, :3])[2]))
-    w, x, y, z = quat_wxyz_from_rotation(T[:3, :3])
-    sign = -1.0 if w < 0 else 1.0
-    return " ".join(f"{v:.12g}" for v in (*T[:3, 3], sign * x, sign * y, sign * z, sign * w))
+        rows = np.column_stack([T[:, :2, 3], so3_log(T[:, :3, :3])[:, 2]])
+    else:
+        q = quat_wxyz_from_rotation(T[:, :3, :3])
+        q = np.where(q[:, :1] < 0, -1.0, 1.0) * q
+        rows = np.column_stack([T[:, :3, 3], q[:, 1:], q[:, 0]])
+    return [_numbers_text(row) for row in rows.tolist()]
+
+
+def _numbers_text(values: Sequence[float]) -> str:
+    return " ".join([f"{v:.12g}" for v in values])

@@ -21,6 +21,7 @@ from mas.sequence import CameraEntry
 
 _PINHOLE = 1
 _HALF_PX = 0.5
+_IMAGE, _COUNT = struct.Struct("<I7dI"), struct.Struct("<Q")
 _POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
@@ -28,7 +29,7 @@ def write_colmap(folder: Path, one: FusedMap, cameras: Mapping[int, CameraEntry]
     """Write the model into ``folder``; ``cameras``: of each owner. Translations and points are in the holder's unit."""
     folder.mkdir(parents=True, exist_ok=True)
     owners = [m.owner for m in one.maps]
-    (folder / "cameras.bin").write_bytes(_table([_camera(o, cameras[o]) for o in owners]))
+    (folder / "cameras.bin").write_bytes(_table(len(owners), [_camera(o, cameras[o]) for o in owners]))
     sizes = [len(m.references) for m in one.maps]
     firsts = np.cumsum([0, *[len(m.keyframes) for m in one.maps]])
     labels = np.split(one.labels, np.cumsum(sizes)[:-1])
@@ -39,12 +40,12 @@ def write_colmap(folder: Path, one: FusedMap, cameras: Mapping[int, CameraEntry]
         rows = held.references[order]
         place = np.arange(len(rows)) - np.searchsorted(rows, rows, side="left")
         tracks.append(np.column_stack([mine[order], first + rows + 1, place]))
-    (folder / "images.bin").write_bytes(_table(images))
+    (folder / "images.bin").write_bytes(_table(int(firsts[-1]), images))
     (folder / "points3D.bin").write_bytes(_points(one, np.concatenate([np.zeros((0, 3), dtype=np.int64), *tracks])))
 
 
-def _table(rows: list[bytes]) -> bytes:
-    return struct.pack("<Q", len(rows)) + b"".join(rows)
+def _table(rows: int, parts: list[bytes]) -> bytes:
+    return _COUNT.pack(rows) + b"".join(parts)
 
 
 def _camera(owner: int, c: CameraEntry) -> bytes:
@@ -61,13 +62,14 @@ def _images(
     table["xy"], table["point"] = xy, labels + 1
     bounds = np.searchsorted(held.references[order], np.arange(len(held.keyframes) + 1))
     T_C_F = se3_inverse(held.poses)
-    q = quat_wxyz_from_rotation(T_C_F[:, :3, :3]) if len(T_C_F) else np.zeros((0, 4))
+    poses = np.concatenate([quat_wxyz_from_rotation(T_C_F[:, :3, :3]), T_C_F[:, :3, 3]], axis=1).tolist()
+    seen, ends = table.tobytes(), (bounds * table.itemsize).tolist()
+    sizes = np.diff(bounds).tolist()
     out = []
     for row, stamp in enumerate(held.stamps_ns.tolist()):
-        mine = table[bounds[row] : bounds[row + 1]]
         name = f"agent_{held.owner:02d}/{stamp}.png".encode("ascii") + b"\0"
-        head = struct.pack("<I7dI", first + row + 1, *q[row], *T_C_F[row, :3, 3], held.owner + 1)
-        out.append(head + name + struct.pack("<Q", len(mine)) + mine.tobytes())
+        head = _IMAGE.pack(first + row + 1, *poses[row], held.owner + 1)
+        out += [head, name, _COUNT.pack(sizes[row]), seen[ends[row] : ends[row + 1]]]
     return out
 
 
@@ -76,7 +78,7 @@ def _points(one: FusedMap, tracks: NDArray[np.int64]) -> bytes:
     tracks = tracks[np.argsort(tracks[:, 0], kind="stable")]
     lengths = np.bincount(tracks[:, 0], minlength=len(one.points))
     starts = np.cumsum(lengths) - lengths
-    parts = [struct.pack("<Q", len(one.points))]
+    parts = [_COUNT.pack(len(one.points))]
     for length in np.unique(lengths):
         chosen = np.flatnonzero(lengths == length)
         table = np.zeros(

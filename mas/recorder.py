@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
+import numpy as np
 import yaml
 
 from backend.g2o import write_g2o
@@ -188,7 +189,8 @@ class Recorder:
         for held in copies:
             owner, stamps = held.owner, held.stamps_ns.astype("int64")
             write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, held.poses))
-            write_ply(folder / "maps" / f"agent_{owner:02d}.ply", held.points(), [owner] * len(held.points()))
+            points = held.points()
+            write_ply(folder / "maps" / f"agent_{owner:02d}.ply", points, np.full(len(points), owner))
 
     def summary(self, summary: Summary) -> None:
         """``summary.json``."""
