@@ -98,12 +98,12 @@ class Ledger:
 
     def managed(self, identity: ContractId) -> list[Contract]:
         """The running contracts of one of my calls, by contractor."""
-        return [c for (i, _), c in sorted(self._running.items()) if i == identity and c.manager == self.me]
+        mine = [c for (i, _), c in self._running.items() if i == identity and c.manager == self.me]
+        return sorted(mine, key=lambda c: c.contractor)
 
     def running(self, operation: Operation | None = None) -> list[Contract]:
-        """All running contracts, of one operation or of all, sorted."""
-        found = [c for c in self._running.values() if operation is None or c.operation is operation]
-        return sorted(found, key=lambda c: (c.id, c.contractor))
+        """All running contracts, of one operation or of all, in the order in which they were opened."""
+        return [c for c in self._running.values() if operation is None or c.operation is operation]
 
     def _keep(self, contract: Contract) -> None:
         key = (contract.id, contract.contractor)
