@@ -24,7 +24,7 @@ def frame_trajectory(state: AgentState, sequence: AgentSequence) -> Trajectory:
     """
     raw = sequence.trajectory
     tracks = sequence.track_of(raw.stamps_ns)
-    stamps, poses = [], []
+    stamps, poses = [raw.stamps_ns[:0]], [raw.poses[:0]]
     for piece in state.pieces:
         if piece.frame != state.frame:
             continue
@@ -32,10 +32,10 @@ def frame_trajectory(state: AgentState, sequence: AgentSequence) -> Trajectory:
         times = np.array([state.keyframes[i].time_ns for i in members], dtype=np.int64)
         rows = np.flatnonzero(tracks == piece.track)
         at_keyframes = raw.nearest(times, STAMP_TOLERANCE_NS)
-        for row in rows:
-            k = max(int(np.searchsorted(times, raw.stamps_ns[row] + STAMP_TOLERANCE_NS, side="right")) - 1, 0)
-            leader = raw.poses[at_keyframes[k]] if at_keyframes[k] >= 0 else state.keyframes[members[k]].T_T_C
-            step = stretched(se3_inverse(leader) @ raw.poses[row], piece.unit)
-            stamps.append(int(raw.stamps_ns[row]))
-            poses.append(state.poses[members[k]] @ step)
-    return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses).reshape(-1, 4, 4))
+        leaders = np.array([raw.poses[at] if at >= 0 else state.keyframes[i].T_T_C
+                            for i, at in zip(members, at_keyframes, strict=True)])  # fmt: skip
+        k = np.maximum(np.searchsorted(times, raw.stamps_ns[rows] + STAMP_TOLERANCE_NS, side="right") - 1, 0)
+        steps = stretched(se3_inverse(leaders)[k] @ raw.poses[rows], piece.unit)
+        stamps.append(raw.stamps_ns[rows])
+        poses.append(np.array([state.poses[i] for i in members])[k] @ steps)
+    return Trajectory(np.concatenate(stamps), np.concatenate(poses))

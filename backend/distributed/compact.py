@@ -45,11 +45,11 @@ class Writer:
 
     def pose(self, T: Array) -> None:
         """In full."""
-        self._out += _POSE.pack(*T[:3, 3], *so3_log(T[:3, :3]))
+        self._out += _POSE.pack(*numbers_of(T))
 
-    def rough_pose(self, T: Array) -> None:
-        """In single precision."""
-        self._out += _START.pack(*T[:3, 3], *so3_log(T[:3, :3]))
+    def rough_pose(self, numbers: Iterable[float]) -> None:
+        """Of a pose's six :func:`numbers_of` it, in single precision."""
+        self._out += _START.pack(*numbers)
 
     def weights(self, kappa: float, tau: float) -> None:
         self._out += _WEIGHTS.pack(kappa, tau)
@@ -73,7 +73,10 @@ class Reader:
     def count(self) -> int:
         value = shift = 0
         while True:
-            byte = self._take(1)[0]
+            if self.empty:
+                raise self._too_short()
+            byte = self._data[self._at]
+            self._at += 1
             value |= (byte & 0x7F) << shift
             shift += 7
             if not byte & 0x80:
@@ -90,10 +93,11 @@ class Reader:
         return float(struct.unpack("<f", self._take(4))[0])
 
     def pose(self) -> Array:
-        return _matrices(_POSE.unpack(self._take(_POSE.size)))
+        return poses_of(_POSE.unpack(self._take(_POSE.size)))
 
-    def rough_pose(self) -> Array:
-        return _matrices(_START.unpack(self._take(_START.size)))
+    def rough_pose(self) -> tuple[float, ...]:
+        """The six numbers of a pose."""
+        return _START.unpack(self._take(_START.size))
 
     def weights(self) -> tuple[float, float]:
         kappa, tau = _WEIGHTS.unpack(self._take(_WEIGHTS.size))
@@ -105,9 +109,12 @@ class Reader:
     def _take(self, size: int) -> bytes:
         part = self._data[self._at : self._at + size]
         if len(part) != size:
-            raise BackendError(f"a message of {len(self._data)} bytes ends too early")
+            raise self._too_short()
         self._at += size
         return part
+
+    def _too_short(self) -> BackendError:
+        return BackendError(f"a message of {len(self._data)} bytes ends too early")
 
 
 def step_sizes(kappa: ArrayLike, tau: ArrayLike, fineness: float) -> Array:
@@ -119,16 +126,20 @@ def step_sizes(kappa: ArrayLike, tau: ArrayLike, fineness: float) -> Array:
 
 def to_steps(T: Array, predicted: Array, sizes: Array) -> Array:
     """Whole steps ``(..., 6)`` from ``predicted`` to ``T`` (both ``(..., 4, 4)``), of ``sizes`` ``(..., 6)``."""
-    moved = se3_inverse(predicted) @ T
-    return np.asarray(np.rint(np.concatenate([moved[..., :3, 3], so3_log(moved[..., :3, :3])], axis=-1) / sizes))
+    return np.asarray(np.rint(numbers_of(se3_inverse(predicted) @ T) / sizes))
 
 
 def from_steps(steps: ArrayLike, predicted: Array, sizes: Array) -> Array:
     """Inverse of :func:`to_steps`, up to half a step."""
-    return np.asarray(predicted @ _matrices(np.asarray(steps, dtype=np.float64) * sizes))
+    return np.asarray(predicted @ poses_of(np.asarray(steps, dtype=np.float64) * sizes))
 
 
-def _matrices(values: ArrayLike) -> Array:
-    """Poses ``(..., 4, 4)`` of ``(..., 6)`` numbers: position, rotation vector."""
-    v = np.asarray(values, dtype=np.float64)
+def numbers_of(T: Array) -> Array:
+    """``(..., 6)`` of poses ``(..., 4, 4)``: position, rotation vector."""
+    return np.concatenate([T[..., :3, 3], so3_log(T[..., :3, :3])], axis=-1)
+
+
+def poses_of(numbers: ArrayLike) -> Array:
+    """Inverse of :func:`numbers_of`."""
+    v = np.asarray(numbers, dtype=np.float64)
     return se3(so3_exp(v[..., 3:]), v[..., :3])

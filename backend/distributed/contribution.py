@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.distributed.compact import Reader, Writer, from_steps, step_sizes, to_steps
+from backend.distributed.compact import Reader, Writer, from_steps, numbers_of, poses_of, step_sizes, to_steps
 from backend.distributed.condense import Condensed, OwnGraph, weights_of
 from backend.distributed.share import Share
 from backend.geometry import Array, se3_inverse
@@ -84,7 +84,7 @@ def encode(c: Contribution) -> bytes:
         out.weights(kappa, tau)
     known = {pair: k for k, pair in enumerate(table)}
     edges = len(c.graph.ends)
-    measured = np.concatenate([c.graph.measured, np.array([b.T_i_j for b in c.between]).reshape(-1, 4, 4)])
+    measured = np.concatenate([c.graph.measured, _stacked([b.T_i_j for b in c.between])])
     steps = to_steps(measured, np.eye(4), _sizes(rounded, fineness)).tolist()
     out.count(edges)
     last = 0
@@ -101,9 +101,10 @@ def encode(c: Contribution) -> bytes:
             out.count(n.index)
         out.count(known[pair])
         out.steps(moved)
-    for n in sorted(c.start):
+    starts = sorted(c.start)
+    for n, numbers in zip(starts, numbers_of(_stacked([c.start[n] for n in starts])).tolist(), strict=True):
         out.count(n.index)
-        out.rough_pose(c.start[n])
+        out.rough_pose(numbers)
     return out.bytes()
 
 
@@ -136,14 +137,19 @@ def decode(data: bytes, robot: int) -> Contribution:
     between = [
         Between(i, j, T, *pair, off) for (i, j), T, pair in zip(others, measured[edges:], pairs[edges:], strict=True)
     ]
-    start = {}
+    separators, numbers = [], []
     while not source.empty:
-        n = NodeId(robot, source.count())
-        start[n] = source.rough_pose()
+        separators.append(NodeId(robot, source.count()))
+        numbers.append(source.rough_pose())
+    start = dict(zip(separators, poses_of(np.array(numbers).reshape(-1, 6)), strict=True))
     graph = Condensed(
         nodes, np.array(ends, dtype=np.intp).reshape(-1, 2), measured[:edges], *_columns(pairs[:edges])
     )
     return Contribution(robot, graph, tuple(between), start, first_pose, cost, fineness)
+
+
+def _stacked(poses: list[Array]) -> Array:
+    return np.array(poses).reshape(-1, 4, 4)
 
 
 def _columns(pairs: list[tuple[float, float]]) -> Array:
