@@ -162,8 +162,11 @@ def _sizes(pairs: list[tuple[float, float]], fineness: float) -> Array:
     return step_sizes(kappa, tau, fineness)
 
 
-def encode_solution(graph: Condensed, poses: Array, reached: NDArray[np.bool_], fineness: float) -> bytes:
-    """The ``poses`` ``(n, 4, 4)`` of a member's nodes, those ``reached`` ``(n,)``: steps from what its own edges say.
+def encode_solution(
+    graph: Condensed, poses: Array, reached: NDArray[np.bool_], fineness: float
+) -> tuple[bytes, dict[NodeId, Array]]:
+    """The ``poses`` ``(n, 4, 4)`` of a member's nodes, those ``reached`` ``(n,)``: steps from what its own edges say;
+    and the poses that it will read from them.
 
     ``graph`` as it arrived, so that the member can say the same.
     """
@@ -177,12 +180,12 @@ def encode_solution(graph: Condensed, poses: Array, reached: NDArray[np.bool_], 
     for k, before, predicted, sizes in _walk(graph, reached, known, fineness):
         if before < 0:
             out.pose(poses[k])
-            known[k] = poses[k]
+            known[k] = poses_of(numbers_of(poses[k]))
             continue
         steps = to_steps(poses[k], predicted, sizes)
         out.steps(steps.tolist())
         known[k] = from_steps(steps, predicted, sizes)
-    return out.bytes()
+    return out.bytes(), _named(graph, known)
 
 
 def decode_solution(data: bytes, graph: Condensed) -> dict[NodeId, Array]:
@@ -197,6 +200,10 @@ def decode_solution(data: bytes, graph: Condensed) -> dict[NodeId, Array]:
     known: dict[int, Array] = {}
     for k, before, predicted, sizes in _walk(graph, reached, known, fineness):
         known[k] = source.pose() if before < 0 else from_steps(source.steps(), predicted, sizes)
+    return _named(graph, known)
+
+
+def _named(graph: Condensed, known: dict[int, Array]) -> dict[NodeId, Array]:
     return {graph.nodes[k]: T for k, T in sorted(known.items())}
 
 

@@ -190,8 +190,8 @@ class ElectedNode:
                 self._known |= mine
                 self._costs[me] = self._complete(mine)
                 continue
-            body = parcel.encode_solution(c.graph, poses, reached, fineness)
-            self._known |= parcel.decode_solution(body, c.graph)
+            body, known = parcel.encode_solution(c.graph, poses, reached, fineness)
+            self._known |= known
             out += self._to([robot], Kind.SOLUTION, body)
         self._say(out)
         return [*out, *self._try_decide()]
