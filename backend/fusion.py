@@ -100,12 +100,9 @@ def _mutual(pairs: NDArray[np.intp], points: Array) -> NDArray[np.intp]:
         return pairs
     distance = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
     order = np.lexsort((pairs[:, 1], pairs[:, 0], distance))
-    best = np.full(len(points), -1)
-    for side in range(2):
-        ends = pairs[order, side]
-        node, place = np.unique(ends, return_index=True)
-        better = (best[node] < 0) | (place < best[node])
-        best[node[better]] = place[better]
     rank = np.arange(len(order))
+    best = np.full(len(points), len(order))
+    for side in range(2):
+        np.minimum.at(best, pairs[order, side], rank)
     mutual = (best[pairs[order, 0]] == rank) & (best[pairs[order, 1]] == rank)
     return pairs[order[mutual]]
