@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from frontend.errors import FrontendError
 
-_LARGE = 100_000  # bytes; to read less than this takes not as long as to load a compiled reader
 _NEWLINE = ord("\n")
 _BYTES = [str(value) for value in range(256)]
 
@@ -26,40 +25,24 @@ def read_table(path: Path, columns: int | Sequence[int], what: str) -> NDArray[n
     :class:`FrontendError` with file and line for anything that is not a finite number, and for a row of another
     length. An empty table has as many columns as the first number allowed.
     """
-    data = read_bytes(path)
-    if len(data) > _LARGE:
-        from frontend.plain_numbers import plain_floats
-
-        table = plain_floats(data)
-        if table is not None and table.shape[1] in _allowed(columns):
-            return table
-    return _read(path, data, columns, what, np.float64).astype(np.float64, copy=False)
+    values, width = _read(path, columns, what, np.float64)
+    return values.reshape(-1, width).astype(np.float64, copy=False)
 
 
 def read_integer_table(path: Path, columns: int | Sequence[int], what: str) -> NDArray[np.int64]:
     """As :func:`read_table` for whole numbers, several times faster; ``1.0`` and ``1e0`` are whole numbers too."""
-    data = read_bytes(path)
-    if len(data) > _LARGE:
-        from frontend.plain_numbers import plain_integers
-
-        table = plain_integers(data)
-        if table is not None and table.shape[1] in _allowed(columns):
-            return table
-    values = _read(path, data, columns, what, np.int64)
+    values, width = _read(path, columns, what, np.int64)
     whole = np.rint(values)
     if (whole != values).any():
-        row = int(np.argwhere(whole != values)[0, 0])
+        row = int(np.flatnonzero(whole != values)[0]) // width
         raise FrontendError(f"{path}:{row_line(path, row)}: not a whole number")
-    return whole.astype(np.int64)
+    return whole.astype(np.int64).reshape(-1, width)
 
 
-def _allowed(columns: int | Sequence[int]) -> tuple[int, ...]:
-    return (columns,) if isinstance(columns, int) else tuple(columns)
-
-
-def _read(path: Path, data: bytes, columns: int | Sequence[int], what: str, dtype: type) -> NDArray[Any]:
-    """The table, whatever is unusual in it; where it is broken, the error that says where."""
-    allowed = _allowed(columns)
+def _read(path: Path, columns: int | Sequence[int], what: str, dtype: type) -> tuple[NDArray[Any], int]:
+    """All numbers in one row, and the number of columns."""
+    allowed = (columns,) if isinstance(columns, int) else tuple(columns)
+    data = read_bytes(path)
     if b"," in data:
         data = data.replace(b",", b" ")
     per_line = _tokens_per_line(data)
@@ -71,7 +54,7 @@ def _read(path: Path, data: bytes, columns: int | Sequence[int], what: str, dtyp
         data = b"\n".join(line for i, line in enumerate(lines) if i not in drop)
     used = np.flatnonzero(per_line)
     if not len(used):
-        return np.zeros((0, allowed[0]))
+        return np.zeros(0), allowed[0]
     width = int(per_line[used[0]])
     wrong = used[per_line[used] != width] if width in allowed else used
     if len(wrong):
@@ -82,7 +65,7 @@ def _read(path: Path, data: bytes, columns: int | Sequence[int], what: str, dtyp
         values = _parse(data, len(used) * width, np.float64)
     if values is None or not np.isfinite(values).all():
         raise _first_bad_number(path)
-    return values.reshape(-1, width)
+    return values, width
 
 
 def read_bytes(path: Path) -> bytes:

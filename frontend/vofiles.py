@@ -149,8 +149,9 @@ def _read_observations(path: Path, keyframes: int, points: int) -> NDArray[np.in
 
 
 def _check_range(path: Path, values: NDArray[np.int64], low: int, high: int, what: str) -> None:
-    if values.min(initial=low) < low or values.max(initial=high) > high:
-        row, column = np.argwhere((values < low) | (values > high))[0]
+    wrong = (values < low) | (values > high)
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
         raise FrontendError(
             f"{path}:{tables.row_line(path, row)}: {what} is {values[row, column]}, allowed are {low} to {high}"
         )
