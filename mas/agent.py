@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from mas.config import MasConfig
 from mas.contract import Contract, LateMessage, ProtocolError, Repeated
 from mas.desk import Desk, Event, Trade, WorkError
+from mas.final_purchases import FinalPurchases
 from mas.identities import ContractId, MatchId, Operation
 from mas.keyframe import KeyFrame
 from mas.ledger import Ledger
@@ -23,6 +24,7 @@ from mas.messages import (
     ContractBody,
     Failure,
     GroupNotice,
+    MapNotice,
     Message,
     Rejection,
     Result,
@@ -72,7 +74,7 @@ class Agent:
         self.pool = Pool(self.desk, self._trades)
         self._new: list[KeyFrame] = []
         self.news = News(self.state)
-        self._searching = True
+        self.final = FinalPurchases(self.desk, self.maps)
 
     # -- what comes in ------------------------------------------------------------------------------------------------
 
@@ -140,7 +142,7 @@ class Agent:
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
         busy = self.optimisation.busy or bool(self.desk.ledger.running()) or bool(self._new)
-        return self.desk.closing and not busy and not self._news() and not self._searching and not self._behind()
+        return self.desk.closing and not busy and not self._news() and self.final.over and not self._behind()
 
     @property
     def waiting(self) -> bool:
@@ -188,19 +190,8 @@ class Agent:
             self.optimisation.start(members)
             return
         sellers = self.policy.buy(self.state, outlook)
-        if self.desk.closing and self.desk.calling(Operation.MAPMERGE):
-            return
         if self.desk.closing:
-            # Nothing new: look again now and then, somebody else may still get something.
-            rounds, limit = self.maps.rounds, self.state.config.merge.closing_rounds
-            lull = not self.maps.something_new and self.maps.stale.isdisjoint(sellers)
-            if rounds >= limit or (lull and rounds & (rounds - 1)):
-                sellers = []
-            self._searching = bool(sellers) and (not lull or rounds == 0)
-            self.maps.rounds += 1
-            if not self._searching:
-                self.maps.final_round()
-        self.maps.something_new = False
+            sellers = [] if self.desk.calling(Operation.MAPMERGE) else self.final.choose(sellers)
         if sellers:
             self.maps.buy(sellers)
 
@@ -213,6 +204,8 @@ class Agent:
             # Who knows no more than the sender has nothing to pass on: the sender has told them all.
             if self.state.join(body.members) and not known <= set(body.members):
                 tell_group(self.desk)
+        elif isinstance(body, MapNotice):
+            self.maps.hear_of(sender, body.offers)
         elif isinstance(body, SolverBody):
             self.optimisation.solver(sender, identity, body)
         elif isinstance(body, Begin):
@@ -279,7 +272,7 @@ class Agent:
                 self.news.used(adoption.matches)
                 self.maps.realign(adoption)
                 self.maps.stale.update(self.state.partners())
-                self._searching = True
+                self.final.searching = True
             if self.optimisation.attempts.missed and not self.optimisation.busy:
                 self.optimisation.attempts.missed = False
                 self.news.call_again()

@@ -165,7 +165,7 @@ class MergeConfig(_Section):
         "thesis's rule only",
     )
     closing_rounds: int = Field(
-        32, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
+        256, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
     )
 
 

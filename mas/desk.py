@@ -18,6 +18,8 @@ from mas.words import Words
 
 # Answers waited for one after the other in an optimisation, losses included.
 _ROUNDS = 150
+# And at most so many times the usual time.
+_LONGEST = 4.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,9 @@ class Desk:
             return self.now_ns + round(config.deadline_s * 1e9)
         others = list(contractors)
         slowest = max((self.words.pace.wait_ns(c) for c in others), default=0)
-        longest = max(config.optimisation.deadline_s * 1e9, float(_ROUNDS * slowest))
+        usual = config.optimisation.deadline_s * 1e9
+        # Of few answers even the quickest may have been late, because words were lost on the way.
+        longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
         return self.now_ns + round(longest * max(1.0, len(others) / 2))
 
     def calling(self, operation: Operation) -> bool:

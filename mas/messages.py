@@ -136,8 +136,14 @@ class GroupNotice(msgspec.Struct, frozen=True, array_like=True, tag=11):
     members: Members
 
 
+class MapNotice(msgspec.Struct, frozen=True, array_like=True, tag=12):
+    """These maps are new here, and may be bought."""
+
+    offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)]
+
+
 ContractBody = Call | Bid | Refusal | Award | Rejection | Confirmation | Result | Failure | Cancel
-Body = ContractBody | Begin | GroupNotice | SolverBody
+Body = ContractBody | Begin | GroupNotice | MapNotice | SolverBody
 
 
 class Message(msgspec.Struct, frozen=True, array_like=True):

@@ -11,7 +11,7 @@ from mas.contract import Contract, ProtocolError, State
 from mas.desk import Desk, Trade, WorkError
 from mas.honesty import hold_against
 from mas.identities import ContractId, Operation
-from mas.messages import Award, Begin, Bid, Call, Confirmation, Refusal, Rejection, Result
+from mas.messages import Award, Begin, Bid, Call, Confirmation, Failure, Refusal, Rejection, Result
 from mas.plan import plan
 from mas.policy.utility import ENVELOPE_BYTES
 from mas.posegraph import Adoption, adopt, share_of
@@ -236,6 +236,8 @@ class Optimisation(Trade):
                 # The others are through, and their last word does not reach this agent.
                 self._leave(session)
                 self.attempts.failed(self.desk.now_ns, self.state.me)
+                if session.contract is not None:
+                    self.desk.say(session.contract, Failure("the last word did not arrive"))
                 return
             self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.desk.words.pace))
 

@@ -17,6 +17,7 @@ from mas.contract import Contract, State
 from mas.desk import Desk, Trade, WorkError
 from mas.identities import ContractId, MatchId, Operation
 from mas.maps.admission import Admission, admit, recheck, seller_frame
+from mas.maps.announcements import Announcements
 from mas.maps.held import HeldMap, held_of_stock, held_of_submap
 from mas.maps.increments import completed, runs_of
 from mas.maps.shop import Shop, own_end
@@ -48,9 +49,8 @@ class MapTrade(Trade):
         self.held: dict[int, HeldMap] = {}
         self.last_bought: dict[int, int] = {}
         self.stale: set[int] = set()
-        self.something_new = False
-        self.rounds = 0
         self.shop = Shop(desk.state)
+        self.announcements = Announcements()
         self._again = Retender(desk.state.config.link.retries)
         self._tenders: dict[ContractId, Tender] = {}
         self._rejected: set[tuple[int, int, int]] = set()
@@ -68,12 +68,24 @@ class MapTrade(Trade):
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
 
+    def hear_of(self, seller: int, offers: tuple[Offer, ...]) -> None:
+        """Somebody tells what is new at its place."""
+        self.announcements.told(seller, offers)
+        if any(self._wants(seller, offer) for offer in offers):
+            self.stale.add(seller)
+
+    @property
+    def refused_owners(self) -> set[int]:
+        """Agents of whose maps one was not kept."""
+        return {owner for _, owner, _ in self._rejected}
+
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         tender = self._tenders.get(contract.id)
         if tender is None:
             self.desk.say(contract, Rejection("no longer wanted"))
             return
         tender.bids[contract.contractor] = bid
+        self.announcements.told(contract.contractor, bid.offers)
         self._answered(contract)
 
     def on_end(self, contract: Contract) -> None:
@@ -84,7 +96,6 @@ class MapTrade(Trade):
         if self._again.wanted(contract, Operation.MAPMERGE):
             self.stale.add(contract.contractor)
             self.last_bought.pop(contract.contractor, None)
-            self.something_new = True
 
     def tick(self) -> None:
         """Half of a contract's time is enough to wait for those who do not answer; the others' bids would expire with
@@ -173,7 +184,6 @@ class MapTrade(Trade):
         if partial:
             self._spoilt.add(owner)
             self.stale.add(seller)
-            self.something_new = True  # at the end, another round
         else:
             self._rejected.add((seller, owner, version))
         self.desk.note("map_refused", seller=seller, owner=owner, reason=reason)
@@ -206,7 +216,6 @@ class MapTrade(Trade):
             self._refuse(new, verdict.reason)
             return
         self.held[owner] = verdict.held
-        self.something_new = True
         known = 0 if old is None else len(old.keyframes)
         self.desk.note(
             "map_bought", seller=seller, owner=owner, version=version, keyframes=len(new.keyframes),
@@ -269,6 +278,7 @@ class MapTrade(Trade):
         offers = self.shop.offers(self.held, self.desk.closing)
         if not offers:
             return Refusal("nothing to sell yet")
+        self.announcements.told(contract.manager, offers)
         return Bid(cost_bytes=self.shop.estimate(offers, self.held), ready_ns=self.desk.now_ns, offers=offers)
 
     def work(self, contract: Contract, task: Task) -> None:

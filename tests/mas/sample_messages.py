@@ -8,7 +8,20 @@ from backend.distributed.messages import Stage
 from backend.geometry import Sim3
 from mas.identities import ContractId, FrameId, MatchId, Operation
 from mas.maps.wire import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
-from mas.messages import LINK_DTYPE, Award, Bid, Call, Confirmation, GroupNotice, Links, Message, Refusal, Result
+from mas.messages import (
+    LINK_DTYPE,
+    Award,
+    Bid,
+    Call,
+    Confirmation,
+    GroupNotice,
+    Links,
+    MapNotice,
+    Message,
+    Offer,
+    Refusal,
+    Result,
+)
 from mas.solver_messages import (
     SolverParcel,
     SolverReport,
@@ -103,4 +116,5 @@ def examples() -> list[Message]:
         SolverStatus((SolverStanding(1, 2, 3, True, ((0, 4),)),)),
         SolverParcel(1, 0, b"whatever its kind lays out"),
     ]
-    return [*(Message(0, 1, contract, b) for b in bodies), Message(0, 1, None, GroupNotice((0, 1, 2)))]
+    notices = [GroupNotice((0, 1, 2)), MapNotice((Offer(0, 7, 40), Offer(2, 3, 20)))]
+    return [*(Message(0, 1, contract, b) for b in bodies), *(Message(0, 1, None, b) for b in notices)]
