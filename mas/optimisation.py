@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from backend.distributed.share import Outcome as SolverOutcome
 from backend.errors import BackendError
 from mas.contract import Contract, ProtocolError, State
 from mas.desk import Desk, Trade, WorkError
@@ -282,21 +281,18 @@ class Optimisation(Trade):
         self._before.remember(session.identity, session)
         self.terms.paid(session)
         self.adoptions.append(adopt(self.state, session.task, outcome))
+        sweeps = outcome.rotation_sweeps + outcome.pose_sweeps
         if session.contract is not None:
-            self.desk.say(session.contract, Result(_answer(outcome)))
+            answer = OptimiseAnswer(outcome.accepted, outcome.cost_before, outcome.cost_after, sweeps)
+            self.desk.say(session.contract, Result(answer))
         else:
             self.desk.note(
                 "optimised",
                 members=list(session.task.members),
                 matches=len(session.task.matches),
-                sweeps=outcome.rotation_sweeps + outcome.pose_sweeps,
+                sweeps=sweeps,
                 improved=outcome.accepted,
                 reason=outcome.reason,
                 cost_before=outcome.cost_before,
                 cost_after=outcome.cost_after,
             )
-
-
-def _answer(outcome: SolverOutcome) -> OptimiseAnswer:
-    sweeps = outcome.rotation_sweeps + outcome.pose_sweeps
-    return OptimiseAnswer(outcome.accepted, outcome.cost_before, outcome.cost_after, sweeps)
