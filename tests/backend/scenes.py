@@ -72,3 +72,21 @@ def pair(rng, noise=None, xi=None, outliers=0.0, scale=1.0, metric=True, points=
     swapped = query.descriptors.copy()
     swapped[wrong] = query.descriptors[np.roll(wrong, 1)]
     return PlaceView(query.points_C, swapped, metric=metric), match, Sim3(T_M_Q[:3, :3], T_M_Q[:3, 3], scale)
+
+
+LOOK_ALIKES = ("permuted", "another street", "lattice")
+
+
+def look_alikes(kind, rng, metric=True):
+    """Query and match views with the same descriptors at other points: hundreds of tentative matches, none right."""
+    if kind == "lattice":
+        x, y, z = np.meshgrid(np.arange(-8, 9, 1.0), [1.6], np.arange(3, 60, 1.0), indexing="ij")
+        points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+        here, there = rng.permutation(points), rng.permutation(points)
+    else:
+        here = street(rng)
+        there = rng.permutation(here) if kind == "permuted" else street(rng)
+    descriptors = random_descriptors(rng, len(here))
+    match, _ = observe(here, descriptors, np.eye(4), Noise(), rng, metric=metric)
+    query, _ = observe(there, descriptors, np.eye(4), Noise(), rng, metric=metric)
+    return query, match

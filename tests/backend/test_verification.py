@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import Noise, observe, pair, random_descriptors, street
+from scenes import LOOK_ALIKES, Noise, look_alikes, observe, pair, random_descriptors, street
 
 from backend.config import RelPoseConfig
 from backend.errors import BackendError
@@ -71,21 +71,11 @@ def test_the_uncertainty_is_honest():
 
 
 @pytest.mark.parametrize("metric", [True, False])
-@pytest.mark.parametrize("kind", ["permuted", "another street", "lattice"])
+@pytest.mark.parametrize("kind", LOOK_ALIKES)
 def test_look_alikes_are_refused(kind, metric):
     """The same descriptors at other points: hundreds of tentative matches, none of them right."""
     for seed in range(25):
-        rng = np.random.default_rng(seed)
-        if kind == "lattice":
-            x, y, z = np.meshgrid(np.arange(-8, 9, 1.0), [1.6], np.arange(3, 60, 1.0), indexing="ij")
-            points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-            here, there = rng.permutation(points), rng.permutation(points)
-        else:
-            here = street(rng)
-            there = rng.permutation(here) if kind == "permuted" else street(rng)
-        descriptors = random_descriptors(rng, len(here))
-        match, _ = observe(here, descriptors, np.eye(4), Noise(), rng, metric=metric)
-        query, _ = observe(there, descriptors, np.eye(4), Noise(), rng, metric=metric)
+        query, match = look_alikes(kind, np.random.default_rng(seed), metric)
         verdict = judge(query, match, seed)
         assert not verdict.accepted and verdict.matches > 200
         assert verdict.kind in ("too few inliers", "ambiguous", "contradicted")
