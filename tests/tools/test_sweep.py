@@ -85,6 +85,7 @@ def test_a_sweep_is_taken_up_again(tmp_path: Path, capsys: pytest.CaptureFixture
     with open(out / "results.csv", newline="") as file:
         assert [r["preset"] for r in csv.DictReader(file)] == [r["preset"] for r in rows]
     assert len(list((out / "figures").glob("*.png"))) >= 5
+    assert list((out / "runs").rglob("trajectory.tum")) and not list((out / "runs").rglob("*.ply"))
     before = {p: p.stat().st_mtime_ns for p in (out / "runs").rglob("summary.json")}
     (out / "runs" / "town_002_maslam_1" / "cell.json").write_text("{}")
     assert cli.main(command) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -135,7 +136,16 @@ def run_cell(job: Job, advance: Callable[[int], None]) -> None:
     manifest, sequences = load_sequences(job.sequences)
     (job.out / STAMP).unlink(missing_ok=True)
     run(manifest, sequences, config, job.out, lambda done, total: advance(100 * done // max(total, 1)))
+    _without_maps(job.out)
     (job.out / STAMP).write_text(json.dumps(job.stamp()) + "\n", encoding="utf-8")
+
+
+def _without_maps(run: Path) -> None:
+    """Figures and trajectories are kept, point clouds are not: in the thesis's form those of 20 agents take a gigabyte
+    a run."""
+    for agent in run.glob("agent_*"):
+        (agent / "map.ply").unlink(missing_ok=True)
+        shutil.rmtree(agent / "maps", ignore_errors=True)
 
 
 def _materials(plan: SweepPlan) -> list[Cell]:
