@@ -1,6 +1,7 @@
 """One sequence shared out over several agents, as the predecessor does it (dslam_open; thesis sections 3.3 and 4.1).
 
-Frames are cut in N consecutive blocks of equal length, the last may be shorter. Each block is extended by ``overlap``
+Frames are cut in N consecutive blocks of equal length, the last may be shorter; where that leaves none for the last,
+the blocks' lengths differ by one. Each block is extended by ``overlap``
 key-frames into both neighbours, so that agents can meet there. Every agent gets its own origin (its first key-frame's
 camera) and its own map points.
 """
@@ -8,6 +9,7 @@ camera) and its own map points.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +38,13 @@ def share_out(frames: int, keyframe_indices: list[NDArray[np.int64]], agents: in
     if not 1 <= agents <= max(frames, 1):
         raise UsageError(f"--agents {agents}: the sequence has {frames} frames to share out")
     length = -(-frames // agents)
-    if (agents - 1) * length >= frames:
-        raise UsageError(f"--agents {agents}: blocks of {length} frames leave none of {frames} for the last agent")
+    starts = [agent * length for agent in range(agents)]
+    if starts[-1] >= frames:
+        starts = [agent * frames // agents for agent in range(agents)]
     every = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *keyframe_indices]))
     shares = []
-    for agent in range(agents):
-        first, last = agent * length, min((agent + 1) * length, frames) - 1
+    for agent, (first, end) in enumerate(pairwise([*starts, frames])):
+        last = end - 1
         lower, upper = int(np.searchsorted(every, first)), int(np.searchsorted(every, last + 1))
         if lower < upper and agent > 0 and overlap:
             first = min(first, int(every[max(lower - overlap, 0)]))

@@ -49,7 +49,15 @@ def test_a_block_in_which_nothing_was_tracked_has_no_keyframes() -> None:
     assert shares[1].keyframes == (slice(3, 3),)
 
 
-@pytest.mark.parametrize(("frames", "agents"), [(3, 4), (9, 6), (5, 0)])
+def test_where_equal_blocks_leave_none_for_the_last_they_differ_by_one() -> None:
+    shares = share_out(9, [np.arange(9)], agents=6, overlap=0)
+    assert [s.last - s.first + 1 for s in shares] == [1, 2, 1, 2, 1, 2]
+    many = share_out(4541, [np.arange(4541)], agents=100, overlap=0)
+    assert {s.last - s.first + 1 for s in many} == {45, 46}
+    assert (many[0].first, many[-1].last) == (0, 4540)
+
+
+@pytest.mark.parametrize(("frames", "agents"), [(3, 4), (5, 0)])
 def test_too_many_agents_is_a_usage_error(frames: int, agents: int) -> None:
     with pytest.raises(UsageError, match=f"--agents {agents}"):
         share_out(frames, [np.arange(frames)], agents, overlap=0)
