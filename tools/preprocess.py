@@ -139,6 +139,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     from frontend.cameras import RigKind
     from frontend.datasets import open_dataset
     from tools.sequences import write_sequences
+    from tools.split import check_shares
     from tools.tracked_store import take_tracked, track_job
     from tools.workers import core_count, run_jobs
 
@@ -147,6 +148,8 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     if settings.agents is not None and len(dataset.sequences) > 1:
         count = len(dataset.sequences)
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
+    if settings.agents is not None and dataset.sequences:
+        check_shares(len(dataset.sequences[0]), settings.agents)
     _claim(out)
     jobs, problems = _plan(dataset, out, settings)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}

@@ -30,13 +30,18 @@ class Share:
     keyframes: tuple[slice, ...]
 
 
+def check_shares(frames: int, agents: int) -> None:
+    """Each agent must get a frame at least."""
+    if not 1 <= agents <= max(frames, 1):
+        raise UsageError(f"--agents {agents}: the sequence has {frames} frames to share out")
+
+
 def share_out(frames: int, keyframe_indices: list[NDArray[np.int64]], agents: int, overlap: int) -> list[Share]:
     """Shares of ``agents`` agents; ``keyframe_indices`` holds the ascending frame numbers of each track's key-frames.
 
     A block in which nothing was tracked gives a share without key-frames.
     """
-    if not 1 <= agents <= max(frames, 1):
-        raise UsageError(f"--agents {agents}: the sequence has {frames} frames to share out")
+    check_shares(frames, agents)
     length = -(-frames // agents)
     starts = [agent * length for agent in range(agents)]
     if starts[-1] >= frames:
