@@ -37,16 +37,18 @@ def draw_all(groups: Sequence[Group], runs: dict[tuple[str, int, str], Path], ou
 
 
 def _against_agents(groups: Sequence[Group], sequence: str, path: Path) -> Path:
-    """Bytes by operation, exploration, error and time against the number of agents, a colour a preset."""
+    """Bytes, exploration, error and time against the number of agents, a colour a preset. Bytes and times of presets
+    differ by powers of ten."""
     presets = list(dict.fromkeys(group.preset for group in groups))
     panels = [
-        ("MB on the wire", "wire_total"),
-        ("explored, %", "explored"),
-        ("mean ATE, m", "ate_agents"),
-        ("s of the multi-agent part", "wall_s"),
+        ("MB on the wire", "wire_total", True),
+        ("explored, %", "explored", False),
+        ("mean ATE, m", "ate_agents", False),
+        ("s of the multi-agent part", "wall_s", True),
     ]
+    numbers = sorted({group.agents for group in groups})
     with saved_figure(path, (13.0, 3.6)) as figure:
-        for k, (label, name) in enumerate(panels):
+        for k, (label, name, powers) in enumerate(panels):
             axes = figure.add_subplot(1, len(panels), k + 1)
             for number, preset in enumerate(presets):
                 rows = [(g.agents, g[name]) for g in groups if g.preset == preset]
@@ -55,7 +57,13 @@ def _against_agents(groups: Sequence[Group], sequence: str, path: Path) -> Path:
                     x, y, half = map(np.array, zip(*known, strict=True))
                     colour = colour_of(number)
                     axes.errorbar(x, y, half, marker="o", ms=4, lw=1.6, capsize=2, color=colour, label=preset)
-            axes.set_ylim(bottom=0)
+            axes.set_xscale("log")
+            axes.set_xticks(numbers, labels=[str(number) for number in numbers])
+            axes.set_xticks([], minor=True)
+            if powers:
+                axes.set_yscale("log")
+            else:
+                axes.set_ylim(bottom=0)
             dress(axes, "", "agents", label)
         figure.axes[0].legend(frameon=False, fontsize=8)
         figure.suptitle(f"KITTI {sequence}" if sequence.isdigit() else sequence, x=0.01, ha="left", color=INK)
