@@ -8,6 +8,9 @@ from backend.errors import BackendError
 from backend.graph import NodeId
 
 _SYMBOL_SHIFT = 56
+# Robots beyond the letters: how often the alphabet was gone through stands in the next byte.
+_ROUND_SHIFT = 48
+_ROUNDS = 256
 _LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
@@ -15,7 +18,7 @@ class Ids:
     """The scheme of a set of files, found from all ids in it.
 
     - Symbols (gtsam's: a letter in the top byte) where any id is one. Robots are counted a to z, then A to Z; in ASCII
-      upper case would come first. Ids without a letter belong to robot 0.
+      upper case would come first. Robot 52 is a again, with 1 in the next byte. Ids without a letter belong to robot 0.
     - Else plain numbers, of any size. In one file they are all robot 0's. In a set, each file is a robot: a node
       belongs to the file that holds its vertex; where several do (each robot counts from 0), every file means its own.
     """
@@ -40,16 +43,18 @@ class Ids:
         robot = _letter(number)
         if robot < 0:
             raise BackendError(f"{where}: id {number} is neither a plain number nor a symbol of a letter and an index")
-        return NodeId(robot, number & ((1 << _SYMBOL_SHIFT) - 1))
+        rounds = (number >> _ROUND_SHIFT) % _ROUNDS
+        return NodeId(robot + rounds * len(_LETTERS), number & ((1 << _ROUND_SHIFT) - 1))
 
 
 def symbol(node: NodeId) -> int:
     """The gtsam symbol of a node."""
-    if node.robot >= len(_LETTERS):
-        raise BackendError(f"g2o symbols can name {len(_LETTERS)} robots, not robot {node.robot}")
-    if node.index >> _SYMBOL_SHIFT:
+    rounds, letter = divmod(node.robot, len(_LETTERS))
+    if rounds >= _ROUNDS:
+        raise BackendError(f"g2o symbols can name {_ROUNDS * len(_LETTERS)} robots, not robot {node.robot}")
+    if node.index >> _ROUND_SHIFT:
         raise BackendError(f"g2o symbols cannot hold the index of node {node}")
-    return (ord(_LETTERS[node.robot]) << _SYMBOL_SHIFT) | node.index
+    return (ord(_LETTERS[letter]) << _SYMBOL_SHIFT) | (rounds << _ROUND_SHIFT) | node.index
 
 
 def _letter(number: int) -> int:

@@ -61,6 +61,20 @@ def test_robots_beyond_26_come_after_z(tmp_path):
     assert str((ord("a") << 56) | 7) in text and str((ord("A") << 56) | 7) in text
 
 
+def test_there_are_more_robots_than_letters(tmp_path):
+    gtsam = pytest.importorskip("gtsam")
+    robots = [0, 51, 52, 98, 4095]
+    write_g2o(tmp_path / "many.g2o", PoseGraph({NodeId(r, 7): se3(np.eye(3), [r, 0.0, 0.0]) for r in robots}, ()))
+    graph = read_g2o(tmp_path / "many.g2o")
+    assert graph.robots == robots and graph.poses[NodeId(98, 7)][0, 3] == 98
+    # For gtsam, robot 98 is letter 46 with an index of its own.
+    values = gtsam.readG2o(str(tmp_path / "many.g2o"), True)[1]
+    assert values.size() == len(robots)
+    assert values.atPose3(gtsam.symbol("U", (1 << 48) + 7)).x() == 98
+    with pytest.raises(BackendError, match="can name 13312 robots, not robot 13312"):
+        write_g2o(tmp_path / "many.g2o", PoseGraph({NodeId(13312, 0): np.eye(4)}, ()))
+
+
 def test_gtsam_reads_what_is_written(tmp_path):
     gtsam = pytest.importorskip("gtsam")
     graph, _ = loops(np.random.default_rng(1), robots=2, length=5)
