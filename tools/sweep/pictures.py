@@ -81,7 +81,9 @@ def _regret(groups: Sequence[Group], path: Path) -> Path:
             axes.plot(x, y, "o", ms=6, color=colour_of(number), label=preset, alpha=0.85)
         axes.axhline(1.0, color=FAINT, lw=1)
         axes.set_xscale("log")
-        axes.set_yscale("log")
+        low, high = axes.get_xlim()
+        axes.set_xlim(low / 3.0, high * 3.0)  # there is a power of ten in it, and so a label
+        axes.set_ylim(0.0, 1.05 * axes.get_ylim()[1])
         axes.legend(frameon=False)
         dress(axes, "", "bytes over the reference's", "mean ATE over the reference's")
     return path
