@@ -42,3 +42,12 @@ def dress(axes: Any, title: str, x: str, y: str) -> None:
     axes.set_axisbelow(True)
     for spine in axes.spines.values():
         spine.set_color(FRAME)
+
+
+def plain_powers(axis: Any) -> None:
+    """Plain numbers on a logarithmic axis: 1, 2, 5, 10, ..."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

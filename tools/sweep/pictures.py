@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tools.figures import dress, saved_figure
+from tools.figures import dress, plain_powers, saved_figure
 from tools.report_charts import TRUTH, plane_of
 from tools.report_data import read_run
 from tools.svg import FAINT, INK, colour_of
@@ -62,6 +62,7 @@ def _against_agents(groups: Sequence[Group], sequence: str, path: Path) -> Path:
             axes.set_xticks([], minor=True)
             if powers:
                 axes.set_yscale("log")
+                plain_powers(axes.yaxis)
             else:
                 axes.set_ylim(bottom=0)
             dress(axes, "", "agents", label)
@@ -81,8 +82,7 @@ def _regret(groups: Sequence[Group], path: Path) -> Path:
             axes.plot(x, y, "o", ms=6, color=colour_of(number), label=preset, alpha=0.85)
         axes.axhline(1.0, color=FAINT, lw=1)
         axes.set_xscale("log")
-        low, high = axes.get_xlim()
-        axes.set_xlim(low / 3.0, high * 3.0)  # there is a power of ten in it, and so a label
+        plain_powers(axes.xaxis)
         axes.set_ylim(0.0, 1.05 * axes.get_ylim()[1])
         axes.legend(frameon=False)
         dress(axes, "", "bytes over the reference's", "mean ATE over the reference's")
