@@ -27,16 +27,17 @@ class FinalPurchases:
     @property
     def over(self) -> bool:
         """Whether there is nothing to buy, as far as the agent knows."""
-        return not self.searching and not (self._allowed and self.maps.stale.intersection(self.desk.state.partners()))
+        return not self.searching and not self.maps.stale.intersection(self._open(self.desk.state.partners()))
 
-    @property
-    def _allowed(self) -> bool:
+    def _open(self, sellers: list[int]) -> list[int]:
+        """Those of them from whom it may still buy."""
         config = self.desk.state.config.merge
-        return config.enabled and self._rounds < config.closing_rounds
+        allowed = config.enabled and self._rounds < config.closing_rounds
+        return [a for a in sellers if self.desk.may_call(a, Operation.MAPMERGE)] if allowed else []
 
     def choose(self, sellers: list[int]) -> list[int]:
         """Whom of these to buy from now."""
-        sellers = [a for a in sellers if self._allowed and self.desk.may_call(a, Operation.MAPMERGE)]
+        sellers = self._open(sellers)
         wanted = [a for a in sellers if self._rounds == 0 or a in self.maps.stale]
         lacking = bool(self.desk.state.group - {self.desk.me} - self.maps.held.keys() - self.maps.refused_owners)
         self._idle = 0 if wanted else self._idle + 1

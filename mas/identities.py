@@ -47,6 +47,10 @@ class MatchId(msgspec.Struct, frozen=True, array_like=True, order=True):
     def agents(self) -> tuple[int, int]:
         return self.query_agent, self.match_agent
 
+    def end_of(self, agent: int) -> tuple[int, int]:
+        """This agent's key-frame (of a loop of its own: the query's), and the other agent."""
+        return (self.query, self.match_agent) if self.query_agent == agent else (self.match, self.query_agent)
+
 
 class FrameId(msgspec.Struct, frozen=True, array_like=True, order=True):
     """A coordinate frame O: the camera of the first key-frame of one agent's track; its unit is that track's own."""

@@ -109,28 +109,23 @@ class PlaceBook:
 
     def matched(self, match: MatchId) -> None:
         """An accepted match: from now on the gap to the next verification with the other agent counts."""
-        mine, other = self._own_end(match)
+        mine, other = match.end_of(self.state.me)
         self.last_matched[other] = max(mine, self.last_matched.get(other, mine))
         self.gaps[other] = self._gap_after(match)
-
-    def _own_end(self, match: MatchId) -> tuple[int, int]:
-        """The own key-frame, and the other agent."""
-        mine = match.query_agent == self.state.me
-        return (match.query, match.match_agent) if mine else (match.match, match.query_agent)
 
     def _gap_after(self, match: MatchId) -> int:
         """What the last two matches with the same track of the other say about odometry decides how soon the next is
         worth it."""
         config, latest = self.state.config.places, self.state.verified[match]
-        mine, other = self._own_end(match)
+        mine, other = match.end_of(self.state.me)
         if config.gap_most_keyframes is None or other == self.state.me:
             return config.gap_keyframes
         same = (m for m in self.state.accepted_matches() if set(m.tracks) == set(latest.tracks))
-        before = [m for m in same if self._own_end(m.id)[0] < mine]
+        before = [m for m in same if m.id.end_of(self.state.me)[0] < mine]
         if not before:
             return config.gap_keyframes
-        last = max(before, key=lambda m: (self._own_end(m.id)[0], m.id))
-        way = mine - self._own_end(last.id)[0]
+        last = max(before, key=lambda m: (m.id.end_of(self.state.me)[0], m.id))
+        way = mine - last.id.end_of(self.state.me)[0]
         gap = round(way * worth_after(last, latest, self.state.config.optimisation))
         return min(max(gap, config.gap_keyframes), config.gap_most_keyframes)
 
@@ -166,4 +161,4 @@ class PlaceBook:
 
     def _matched_with(self, other: int) -> list[int]:
         """Own key-frames of the accepted matches with another agent."""
-        return [self._own_end(m)[0] for m in self.state.accepted if other in m.agents]
+        return [m.end_of(self.state.me)[0] for m in self.state.accepted if other in m.agents]

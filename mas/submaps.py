@@ -20,7 +20,7 @@ from mas.maps.admission import Admission, admit, recheck, seller_frame
 from mas.maps.announcements import Announcements
 from mas.maps.held import HeldMap, held_of_stock, held_of_submap
 from mas.maps.increments import completed, runs_of
-from mas.maps.shop import Shop, own_end
+from mas.maps.shop import Shop
 from mas.maps.stock import stock_of
 from mas.maps.wire import MapDelivery, MapOrder, Parcel
 from mas.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
@@ -266,7 +266,7 @@ class MapTrade(Trade):
     def _anchor(self, held: HeldMap, adoption: Adoption) -> int:
         me = self.state.me
         for other in (held.owner, held.seller):
-            mine = [own_end(m, me) for m in self.state.accepted if set(m.agents) == {me, other}]
+            mine = [m.end_of(me)[0] for m in self.state.accepted if set(m.agents) == {me, other}]
             mine = [i for i in mine if i in adoption.before]
             if mine:
                 return max(mine)

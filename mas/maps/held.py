@@ -64,7 +64,7 @@ class HeldMap:
         """The owner's matches with each other agent."""
         found: dict[int, list[tuple[MatchId, Sim3]]] = {}
         for match, T_M_Q in self.matches:
-            other = match.match_agent if match.query_agent == self.owner else match.query_agent
+            other = match.end_of(self.owner)[1]
             found.setdefault(other, []).append((match, T_M_Q))
         return found
 

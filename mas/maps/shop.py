@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mas.identities import MatchId
 from mas.maps.full import fresh_rows, own_submap
 from mas.maps.held import HeldMap, submap_of
 from mas.maps.increments import without
@@ -114,10 +113,5 @@ class Shop:
     def _ties(self, buyer: int) -> tuple[int, ...]:
         """Own key-frames that the buyer can place the maps by."""
         placed = set(self.state.placed())
-        mine = {own_end(m, self.state.me) for m in self.state.accepted if set(m.agents) == {self.state.me, buyer}}
+        mine = {m.end_of(self.state.me)[0] for m in self.state.accepted if set(m.agents) == {self.state.me, buyer}}
         return tuple(sorted(mine & placed))
-
-
-def own_end(match: MatchId, me: int) -> int:
-    """My key-frame of a match with another agent."""
-    return match.query if match.query_agent == me else match.match

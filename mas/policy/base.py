@@ -51,7 +51,8 @@ class Policy(Protocol):
 
     def peer_to_peer(self, state: AgentState, outlook: Outlook) -> bool:
         """Whether to bid for an optimisation with its manager only, instead of the group's (thesis sections 3.6,
-        3.9.1)."""
+        3.9.1); without agent logic never."""
+        return False
 
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to buy maps from; empty: not now."""

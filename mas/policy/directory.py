@@ -34,9 +34,6 @@ class Directory(Policy):
     def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
         return sorted(state.group) if optimisation_due(state, outlook) else []
 
-    def peer_to_peer(self, state: AgentState, outlook: Outlook) -> bool:
-        return False
-
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         return default_sellers(state, outlook)
 

@@ -22,8 +22,5 @@ class Predecessor(Policy):
     def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
         return sorted(state.group) if outlook.news else []
 
-    def peer_to_peer(self, state: AgentState, outlook: Outlook) -> bool:
-        return False
-
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         return []

@@ -124,3 +124,19 @@ def grid(rng, robots_across=2, side=3, sigma=0.05):
                 edges.append(measured(truth, i, j, kind, np.full(6, sigma), np.eye(6), rng))
     start = {n: T @ se3_exp(0.3 * rng.normal(size=6)) for n, T in truth.items()}
     return PoseGraph(start, tuple(edges)), truth
+
+
+def spoiled(rng, wrong=10, **kwargs):
+    """Robots on loops with ``wrong`` separators of random poses; the graph, which edges are right, and the truth."""
+    graph, truth = loops(rng, **kwargs)
+    nodes, edges = graph.nodes, list(graph.edges)
+    information = edges[0].information
+    while len(edges) < len(graph.edges) + wrong:
+        i, j = sorted(nodes[k] for k in rng.choice(len(nodes), 2, replace=False))
+        if i.robot != j.robot or j.index - i.index > 5:
+            T = se3(so3_exp(np.pi * rng.uniform(-0.5, 0.5, 3)), rng.uniform(-8, 8, 3))
+            kind = EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP
+            edges.append(Edge(i, j, T, information, kind))
+    right = np.arange(len(edges)) < len(graph.edges)
+    order = rng.permutation(len(edges))
+    return replace(graph, edges=tuple(edges[k] for k in order)), right[order], truth

@@ -150,7 +150,7 @@ def test_everyone_is_placed_in_the_lowest_members_frame() -> None:
         assert task.frame == FrameId(2, 0)
         placed = unpack_sim3s(task.placements)[0]
         # Bids tell poses in single precision.
-        np.testing.assert_allclose(placed.matrix(), T_2_frame[agent].matrix(), atol=1e-4)
+        np.testing.assert_allclose(placed.matrix(), T_2_frame[agent].matrix(), atol=1e-5)
     assert len(found.tasks[5].matches) == 2 and len(found.tasks[2].matches) == 1
 
 
