@@ -24,7 +24,8 @@ KEPT = 9
 """What is kept: 19 x 19 pixels, enough for a turn of 45 degrees or a view from 1.5 times as far away."""
 _SIDE, _KEPT_SIDE = 2 * HALF + 1, 2 * KEPT + 1
 _LANE = 16
-"""Rows are padded to this many samples of no weight: whole vectors of the processor."""
+"""Rows are padded to this many samples of no weight, and each column has sums of its own until the end: whole vectors
+of the processor, and the same order of summation on all of them."""
 _STEPS = 12
 _CONVERGED_PX = 0.01
 _COARSE_CONVERGED_PX = 0.02
@@ -33,8 +34,6 @@ _REFINE_PX = 4.0
 """The coarse search leaves no more than this to the fine one."""
 _SAME_VIEW_PX = 0.05
 """A turn that moves the patch's border by less is none."""
-_REORDER = {"reassoc", "contract", "arcp", "nsz"}
-"""What the compiler may do to sums for speed; NaN must stay NaN."""
 _FLAT = 1.2
 """Smallest eigenvalue of the mean gradient matrix, grey levels squared a pixel squared, of a patch that has a place."""
 
@@ -117,7 +116,7 @@ def _turned(kept: NDArray[np.uint8], fx: float, fy: float, A: Array, det: float,
             out[r, c] = np.float32((top << eight) + b * (bottom - top)) * grey
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, nogil=True)
 def _shifted(kept: NDArray[np.uint8], fx: float, fy: float, out: NDArray[np.float32]) -> None:
     """:func:`_turned` without a turn: all samples share their weights."""
     x0, y0 = int(np.floor(KEPT + fx)), int(np.floor(KEPT + fy))
@@ -136,36 +135,50 @@ def _shifted(kept: NDArray[np.uint8], fx: float, fy: float, out: NDArray[np.floa
             )
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, nogil=True)
 def _template(
     P: NDArray[np.float32],
     inside: NDArray[np.float32],
     T: NDArray[np.float32],
     gx: NDArray[np.float32],
     gy: NDArray[np.float32],
+    acc: NDArray[np.float32],
 ) -> tuple[Sums, Sums]:
     """Patch less its middle pixel, and its gradients, ``(11 * 16)``, of a turned patch, zero in the padding. Returns
     the middle pixel and the three sums; the sums of products about the means: of the patch with itself and with each
     gradient, and of the gradients. The means come out of the sums, not of the arrays: that takes one pass."""
     count, half, zero = np.float32(_SIDE * _SIDE), np.float32(0.5), np.float32(0.0)
+    one, two, lane = np.uint64(1), np.uint64(2), np.uint64(_LANE)
     middle = P[HALF + 1, HALF + 1]
-    st, sx, sy, tt, tx, ty, xx, xy, yy = zero, zero, zero, zero, zero, zero, zero, zero, zero
+    acc[:] = zero
     for r in range(_SIDE):
-        for c in range(_LANE):
-            k = r * _LANE + c
+        for j in range(_LANE):
+            c = np.uint64(j)
+            k = np.uint64(r * _LANE) + c
             w = inside[k]
-            t = (P[r + 1, c + 1] - middle) * w
-            x, y = half * w * (P[r + 1, c + 2] - P[r + 1, c]), half * w * (P[r + 2, c + 1] - P[r, c + 1])
+            t = (P[r + 1, c + one] - middle) * w
+            x, y = half * w * (P[r + 1, c + two] - P[r + 1, c]), half * w * (P[r + 2, c + one] - P[r, c + one])
             T[k], gx[k], gy[k] = t, x, y
-            st, sx, sy = st + t, sx + x, sy + y
-            tt, tx, ty = tt + t * t, tx + t * x, ty + t * y
-            xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+            acc[c] += t
+            acc[c + lane] += x
+            acc[c + np.uint64(2) * lane] += y
+            acc[c + np.uint64(3) * lane] += t * t
+            acc[c + np.uint64(4) * lane] += t * x
+            acc[c + np.uint64(5) * lane] += t * y
+            acc[c + np.uint64(6) * lane] += x * x
+            acc[c + np.uint64(7) * lane] += x * y
+            acc[c + np.uint64(8) * lane] += y * y
+    st, sx, sy, tt, tx, ty, xx, xy, yy = zero, zero, zero, zero, zero, zero, zero, zero, zero
+    for j in range(_LANE):
+        st, sx, sy = st + acc[j], sx + acc[j + _LANE], sy + acc[j + 2 * _LANE]
+        tt, tx, ty = tt + acc[j + 3 * _LANE], tx + acc[j + 4 * _LANE], ty + acc[j + 5 * _LANE]
+        xx, xy, yy = xx + acc[j + 6 * _LANE], xy + acc[j + 7 * _LANE], yy + acc[j + 8 * _LANE]
     tt, tx, ty = tt - st * st / count, tx - st * sx / count, ty - st * sy / count
     xx, xy, yy = xx - sx * sx / count, xy - sx * sy / count, yy - sy * sy / count
     return (middle, st, sx, sy), (tt, tx, ty, xx, xy, yy)
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, nogil=True)
 def _compare(
     flat: NDArray[np.uint8],
     width: int,
@@ -176,6 +189,7 @@ def _compare(
     gx: NDArray[np.float32],
     gy: NDArray[np.float32],
     inside: NDArray[np.float32],
+    acc: NDArray[np.float32],
 ) -> Sums:
     """Sums over the image's patch at ``(u, v)``, ``offset`` taken off: of its values, of their squares, and of their
     products with the template and its gradients."""
@@ -183,7 +197,7 @@ def _compare(
     a, b = np.float32(u - x0), np.float32(v - y0)
     one = np.float32(1.0)
     w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
-    total = squares = cross = bx = by = np.float32(0.0)
+    acc[: 5 * _LANE] = 0.0
     for r in range(_SIDE):
         # Padding may read on into the next row: there is one, and it has no weight.
         at = np.uint64((y0 + r - HALF) * width + x0 - HALF)
@@ -199,11 +213,18 @@ def _compare(
                 - offset
             )
             weighted = value * inside[k + c]
-            total += weighted
-            squares += weighted * value
-            cross += value * T[k + c]
-            bx += value * gx[k + c]
-            by += value * gy[k + c]
+            acc[c] += weighted
+            acc[c + np.uint64(_LANE)] += weighted * value
+            acc[c + np.uint64(2 * _LANE)] += value * T[k + c]
+            acc[c + np.uint64(3 * _LANE)] += value * gx[k + c]
+            acc[c + np.uint64(4 * _LANE)] += value * gy[k + c]
+    total = squares = cross = bx = by = np.float32(0.0)
+    for j in range(_LANE):
+        total += acc[j]
+        squares += acc[j + _LANE]
+        cross += acc[j + 2 * _LANE]
+        bx += acc[j + 3 * _LANE]
+        by += acc[j + 4 * _LANE]
     return total, squares, cross, bx, by
 
 
@@ -228,6 +249,7 @@ def _align_level(
     P = np.zeros((_SIDE + 2, _LANE + 2), dtype=np.float32)
     T, inside = np.zeros(_SIDE * _LANE, dtype=np.float32), np.zeros(_SIDE * _LANE, dtype=np.float32)
     gx, gy = np.zeros(_SIDE * _LANE, dtype=np.float32), np.zeros(_SIDE * _LANE, dtype=np.float32)
+    acc = np.zeros(9 * _LANE, dtype=np.float32)
     for r in range(_SIDE):
         inside[r * _LANE : r * _LANE + _SIDE] = 1.0
     kept = pixels.reshape(n, pixels.shape[1], _KEPT_SIDE * _KEPT_SIDE)
@@ -242,7 +264,7 @@ def _align_level(
             _shifted(kept[i, level], fx, fy, P)
         else:
             _turned(kept[i, level], fx, fy, A, det, P)
-        (offset, sum_T, sum_gx, sum_gy), (var_T, own_x, own_y, hxx, hxy, hyy) = _template(P, inside, T, gx, gy)
+        (offset, sum_T, sum_gx, sum_gy), (var_T, own_x, own_y, hxx, hxy, hyy) = _template(P, inside, T, gx, gy, acc)
         det_h = hxx * hyy - hxy * hxy
         smallest = 0.5 * (hxx + hyy - np.sqrt((hxx - hyy) ** 2 + 4.0 * hxy * hxy))
         if smallest < _FLAT * count or det_h <= 0.0:
@@ -252,7 +274,7 @@ def _align_level(
             if not (u >= HALF and v >= HALF and u < width - HALF - 1 and v < height - HALF - 2):
                 score[i] = -1.0
                 break
-            total, squares, cross, bx, by = _compare(flat, width, u, v, offset, T, gx, gy, inside)
+            total, squares, cross, bx, by = _compare(flat, width, u, v, offset, T, gx, gy, inside, acc)
             mean = total / count
             var_I = squares - mean * total
             if var_I < 1e-2:

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from backend.geometry import is_se3, se3, se3_inverse
+from backend.geometry import is_se3, product, se3, se3_inverse
 from frontend.calibration import Distortion, RawCamera, RawRig
 from frontend.errors import FrontendError
 from frontend.tables import read_bytes
@@ -193,7 +193,9 @@ def _transform_of_rectified(pair: Sequence[tuple[NDArray[np.float64], NDArray[np
     """``T_left_right`` of two cameras given by rectifying rotations and projection matrices after rectification."""
     (R_left, P_left), (R_right, P_right) = pair
     x = (P_left[0, 3] - P_right[0, 3]) / P_right[0, 0]
-    return se3_inverse(se3(R_left, np.zeros(3))) @ se3(np.eye(3), [x, 0.0, 0.0]) @ se3(R_right, np.zeros(3))
+    return product(
+        product(se3_inverse(se3(R_left, np.zeros(3))), se3(np.eye(3), [x, 0.0, 0.0])), se3(R_right, np.zeros(3))
+    )
 
 
 def _kalibr(data: Fields) -> RawRig:

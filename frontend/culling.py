@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3_inverse
+from backend.geometry import se3_inverse, transform_points
 from frontend.cameras import PinholeCamera
 from frontend.features import EDGE_PX
 
@@ -31,7 +31,7 @@ def found_ratio(poses: Array, points: Array, observations: NDArray[np.integer], 
     chances = np.zeros(len(points), dtype=np.int64)
     for k, T_C_W in enumerate(se3_inverse(poses)):
         near = np.flatnonzero((k >= first - BEFORE) & (k <= last + AFTER))
-        x, y, z = (points[near] @ T_C_W[:3, :3].T + T_C_W[:3, 3]).T
+        x, y, z = (transform_points(T_C_W, points[near])).T
         ahead = z > 0
         u, v = camera.fx * x[ahead] / z[ahead] + camera.cx, camera.fy * y[ahead] / z[ahead] + camera.cy
         inside = (u >= EDGE_PX) & (u < camera.width - EDGE_PX) & (v >= EDGE_PX) & (v < camera.height - EDGE_PX)

@@ -14,6 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from backend.geometry import product, se3_inverse
+from frontend.linear_algebra import times3, times3_transposed, weighted_gram
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Depth = NDArray[np.float32]
@@ -90,7 +93,7 @@ def align_surfaces(
         one, other = surfaces[a], surfaces[b]
         if one is None or other is None or one.places.shape != other.places.shape:
             continue
-        T_A_B = poses[a] @ np.linalg.inv(poses[b])
+        T_A_B = product(poses[a], se3_inverse(poses[b]))
         H, g, cost, hits, tried = _point_to_plane(one.places, other.places, T_A_B, cam, one.block, sigma_m)
         if hits >= max(_MIN_PLACES, _MIN_SHARE * tried):
             found.append(((a, b), T_A_B, H / correlated, g / correlated, cost / correlated))
@@ -192,10 +195,12 @@ def _point_to_plane(
 @njit(cache=True, nogil=True)
 def _moved(T_A: Array, T_B: Array, T_A_B: Array) -> tuple[Array, Array]:
     """The relative pose now, ``(4, 4)``, and its left update ``(6,)`` since ``T_A_B``, to second order."""
-    R = np.ascontiguousarray(T_A[:3, :3]) @ np.ascontiguousarray(T_B[:3, :3].T)
-    t = T_A[:3, 3] - R @ np.ascontiguousarray(T_B[:3, 3])
-    E = R @ np.ascontiguousarray(T_A_B[:3, :3].T)
-    s = t - E @ np.ascontiguousarray(T_A_B[:3, 3])
+    R = times3_transposed(T_A, T_B)
+    E = times3_transposed(R, T_A_B)
+    t, s = T_A[:3, 3].copy(), np.zeros(3)
+    for i in range(3):
+        t[i] -= R[i, 0] * T_B[0, 3] + R[i, 1] * T_B[1, 3] + R[i, 2] * T_B[2, 3]
+        s[i] = t[i] - (E[i, 0] * T_A_B[0, 3] + E[i, 1] * T_A_B[1, 3] + E[i, 2] * T_A_B[2, 3])
     now, x = np.eye(4), np.zeros(6)
     now[:3, :3], now[:3, 3] = R, t
     x[3], x[4], x[5] = 0.5 * (E[2, 1] - E[1, 2]), 0.5 * (E[0, 2] - E[2, 0]), 0.5 * (E[1, 0] - E[0, 1])
@@ -230,24 +235,30 @@ def add_alignment(
     poses: Array, slot: Ints, pairs: Ints, T_A_B: Array, H: Array, g: Array, U: Array, b_c: Array
 ) -> None:
     """Add the linearised pairs to the poses' normal equations ``U``, ``b_c`` (6 unknowns for each ``slot``)."""
+    ones = np.ones(6)
     for k in range(len(pairs)):
         a, b = slot[pairs[k, 0]], slot[pairs[k, 1]]
         now, x = _moved(poses[pairs[k, 0]], poses[pairs[k, 1]], T_A_B[k])
         t = now[:3, 3]
         across = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-        R = np.ascontiguousarray(now[:3, :3])
-        info = np.ascontiguousarray(H[k])
+        R, info = now[:3, :3], H[k]
         B = np.zeros((6, 6))  # what the update of B does to the pair's: -Ad(T_A_B)
-        B[:3, :3], B[3:, 3:], B[:3, 3:] = -R, -R, -(across @ R)
-        e = g[k] + info @ x
-        HB = info @ B
+        B[:3, :3], B[3:, 3:], B[:3, 3:] = -R, -R, -times3(across, now)
+        e, HB = g[k].copy(), np.zeros((6, 6))
+        for r in range(6):
+            for c in range(6):
+                e[r] += info[r, c] * x[c]
+                for q in range(6):
+                    HB[r, c] += info[r, q] * B[q, c]
         i, j = 6 * a, 6 * b
         if a >= 0:
             U[i : i + 6, i : i + 6] += info
             b_c[i : i + 6] += e
         if b >= 0:
-            U[j : j + 6, j : j + 6] += B.T @ HB
-            b_c[j : j + 6] += B.T @ e
+            U[j : j + 6, j : j + 6] += weighted_gram(B, ones, HB)
+            for r in range(6):
+                for c in range(6):
+                    b_c[j + r] += B[c, r] * e[c]
         if a >= 0 and b >= 0:
             U[i : i + 6, j : j + 6] += HB
             U[j : j + 6, i : i + 6] += HB.T

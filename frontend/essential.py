@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3_inverse
+from backend.geometry import product, se3_inverse
 from frontend.vofiles import VoTrack
 
 STRONG = 100
@@ -48,7 +48,7 @@ def essential_graph(track: VoTrack, strong: int = STRONG) -> EssentialGraph:
     in_tree[parents, np.arange(1, k)] = True
     ends = np.argwhere(wanted | in_tree).astype(np.int64)
     i, j = ends.T
-    T_i_j = se3_inverse(track.poses[i]) @ track.poses[j]
+    T_i_j = product(se3_inverse(track.poses[i]), track.poses[j])
     return EssentialGraph(ends, T_i_j, shared[i, j].astype(np.int64), in_tree[i, j])
 
 

@@ -182,7 +182,7 @@ def spread_cells(
     return _spread(uv, merit, taken, width, height, cell, 1, 6.0)
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@njit(cache=True, nogil=True)
 def _orientation(image: NDArray[np.uint8], xy: NDArray[np.float64]) -> NDArray[np.float32]:
     """Intensity-centroid angles in degrees, 0 to 360 (Rublee et al., ORB, ICCV 2011). All sums are whole numbers that
     float32 holds exactly."""

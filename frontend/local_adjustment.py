@@ -8,6 +8,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from backend.geometry import product
 from frontend.config import OdometryConfig
 from frontend.depth_alignment import Alignment, align_surfaces
 from frontend.map import Array, Ints, KeyFrame, Map
@@ -162,7 +163,7 @@ def _move_points_seen_once(map_: Map, ranging: Ranging, keyframes: list[KeyFrame
     p_C = ranging.back_project(uv, disparity)
     good = np.isfinite(p_C[:, 0])
     T_W_C = np.stack([k.T_W_C for k in keyframes])[kf[good]]
-    map_.xyz[point[good]] = np.einsum("nij,nj->ni", T_W_C[:, :3, :3], p_C[good]) + T_W_C[:, :3, 3]
+    map_.xyz[point[good]] = product(T_W_C[:, :3, :3], p_C[good][:, :, None])[:, :, 0] + T_W_C[:, :3, 3]
 
 
 def _drop_outliers(

@@ -8,6 +8,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from backend.geometry import product, se3_inverse, transform_points
 from frontend.depth_alignment import Surface
 
 Array = NDArray[np.float64]
@@ -44,10 +45,7 @@ class KeyFrame:
 
     @property
     def T_W_C(self) -> Array:
-        R = self.T_C_W[:3, :3]
-        out = np.eye(4)
-        out[:3, :3], out[:3, 3] = R.T, -R.T @ self.T_C_W[:3, 3]
-        return out
+        return se3_inverse(self.T_C_W)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +169,7 @@ class Map:
             True,
             keyframe.level[rows],
         )
-        self.depth[ids] = (self.xyz[ids] @ keyframe.T_C_W[2, :3]) + keyframe.T_C_W[2, 3]
+        self.depth[ids] = transform_points(keyframe.T_C_W, self.xyz[ids])[:, 2]
 
     def drop_observation(self, number: int, row: int) -> None:
         keyframe = self.keyframes[number]
@@ -212,14 +210,14 @@ class Map:
         for row in np.flatnonzero(keyframe.point >= 0).tolist():
             self.observers[keyframe.point[row]].remove((number, row))
         self.views[keyframe.point[keyframe.point >= 0]] -= 1
-        self.culled[number] = CulledKeyFrame(parent, keyframe.T_C_W @ self.keyframes[parent].T_W_C)
+        self.culled[number] = CulledKeyFrame(parent, product(keyframe.T_C_W, self.keyframes[parent].T_W_C))
 
     def pose(self, number: int) -> Array:
         """``T_C_W`` of a key-frame, also of a culled one."""
         if number in self.keyframes:
             return self.keyframes[number].T_C_W
         gone = self.culled[number]
-        return gone.T_C_P @ self.pose(gone.parent)
+        return product(gone.T_C_P, self.pose(gone.parent))
 
     def covisible(self, point_ids: Ints, exclude: set[int]) -> list[int]:
         """Key-frames that see the most of these points, most first (ties: newest first), with at least 15 of them."""

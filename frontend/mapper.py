@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.geometry import rotation_angle_deg, se3_inverse, transform_points
+from backend.geometry import product, rotation_angle_deg, se3_inverse, transform_points
 from frontend.config import OdometryConfig
 from frontend.features import Detector, Keypoints, Pyramid, describe, spread_cells, undescribed
 from frontend.frames import Frame
@@ -99,7 +99,7 @@ class Mapper:
         settings = self.config.keyframes
         if kept is None or settings.policy == "thesis":
             return True
-        step = T_C_W @ se3_inverse(kept.T_C_W)
+        step = product(T_C_W, se3_inverse(kept.T_C_W))
         _, depth = self.ranging.project(T_C_W, self.map.xyz[point])
         median_depth = float(np.nanmedian(depth)) if np.isfinite(depth).any() else 1.0
         far = float(np.linalg.norm(step[:3, 3])) >= settings.keep_distance * median_depth

@@ -10,6 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from frontend.linear_algebra import solve_symmetric, times3, times3_transposed
+
 Array = NDArray[np.float64]
 HUBER_UV = 2.0
 HUBER_D = 1.5
@@ -27,16 +29,17 @@ def exp_update(delta: Array, T: Array) -> Array:
         a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
         c = (1.0 - a) / angle2
     K = np.array([[0.0, -p2, p1], [p2, 0.0, -p0], [-p1, p0, 0.0]])
-    K2 = K @ K
+    K2 = times3(K, K)
     R = np.eye(3) + a * K + b * K2
     V = np.eye(3) + b * K + c * K2
     out = np.eye(4)
-    turned = R @ np.ascontiguousarray(T[:3, :3])
+    turned = times3(R, T)
     # One Newton step to the nearest rotation: velocities are made with transposes for inverses, and there rounding
-    # errors would
-    # grow sixfold from frame to frame.
-    out[:3, :3] = 1.5 * turned - 0.5 * turned @ (turned.T @ turned)
-    out[:3, 3] = R @ np.ascontiguousarray(T[:3, 3]) + V @ delta[:3]
+    # errors would grow sixfold from frame to frame.
+    out[:3, :3] = 1.5 * turned - 0.5 * times3(times3_transposed(turned, turned), turned)
+    for i in range(3):
+        for k in range(3):
+            out[i, 3] += R[i, k] * T[k, 3] + V[i, k] * delta[k]
     return out
 
 
@@ -85,7 +88,7 @@ def refine_pose(
             H, b = _normal_equations(pose, points, uv, disparity, sigma, sigma_d, cam, inlier, scale)
             for k in range(6):
                 H[k, k] += 1e-6 * H[k, k] + 1e-9
-            delta = np.linalg.solve(H, -b)
+            delta = solve_symmetric(H, -b.reshape(6, 1))[:, 0]
             pose = exp_update(delta, pose)
             if np.abs(delta).max() < 1e-7:
                 break

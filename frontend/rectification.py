@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from backend.geometry import product, se3_inverse
 from frontend.calibration import Distortion, RawCamera, RawRig
 from frontend.cameras import PinholeCamera, RigKind
 
@@ -86,11 +87,11 @@ def stereo_rotations(T_left_right: Array) -> tuple[Array, Array, float]:
     Each camera is turned by half their relative rotation, then both so that x runs along the baseline (Bouguet's
     method, as ``cv2.stereoRectify``). A right camera that stands left of the left one gives a negative baseline.
     """
-    T_right_left = np.linalg.inv(T_left_right)
+    T_right_left = se3_inverse(T_left_right)
     none, K = np.zeros(4), np.eye(3)
     rotation, position = T_right_left[:3, :3].copy(), T_right_left[:3, 3:].copy()
     R_left, R_right, *_ = cv2.stereoRectify(K, none, K, none, (2, 2), rotation, position)
-    return np.asarray(R_left), np.asarray(R_right), float((R_left @ T_left_right[:3, 3])[0])
+    return np.asarray(R_left), np.asarray(R_right), float(product(R_left, T_left_right[:3, 3])[0])
 
 
 def common_camera(cameras: list[tuple[RawCamera, Array]], size: tuple[int, int]) -> PinholeCamera:
@@ -129,7 +130,7 @@ def _directions(camera: RawCamera, rotation: Array, u: Array, v: Array) -> Array
     else:
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
         xy = cv2.undistortPoints(points, camera.K, np.array(camera.coefficients), criteria=criteria)[:, 0]
-    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ rotation.T
+    rays = product(np.concatenate([xy, np.ones((len(xy), 1))], axis=1), rotation.T)
     return rays[:, :2] / rays[:, 2:]
 
 

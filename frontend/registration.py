@@ -8,7 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from backend.geometry import product
 from frontend.cameras import PinholeCamera
+from frontend.linear_algebra import inverse3
 
 Array = NDArray[np.float64]
 Depth = NDArray[np.float32]
@@ -52,14 +54,14 @@ class DepthRegistration:
 def _transfer(depth_camera: PinholeCamera, camera: PinholeCamera, T_C_D: Array) -> tuple[Array, Array]:
     """``H`` ``(3, 3)`` and ``h`` ``(3,)``: the pixel ``(u, v)`` with depth ``z`` lies at ``z * H @ (u, v, 1) + h``, in
     homogeneous pixels of the image, whose third component is the depth there."""
-    H = camera.K @ T_C_D[:3, :3] @ np.linalg.inv(depth_camera.K)
-    return H, camera.K @ T_C_D[:3, 3]
+    H = product(product(camera.K, T_C_D[:3, :3]), inverse3(depth_camera.K))
+    return H, product(camera.K, T_C_D[:3, 3])
 
 
 def _tilt(H: Array, depth_camera: PinholeCamera) -> Array:
     """``(2,)`` how far half a pixel's row moves its column in the image, and half its column its row, at most."""
     width, height = depth_camera.width - 1.0, depth_camera.height - 1.0
-    corners = H @ np.array([[0.0, width, 0.0, width], [0.0, 0.0, height, height], [1.0, 1.0, 1.0, 1.0]])
+    corners = product(H, np.array([[0.0, width, 0.0, width], [0.0, 0.0, height, height], [1.0, 1.0, 1.0, 1.0]]))
     u, v, w = corners[0] / corners[2], corners[1] / corners[2], corners[2]
     return 0.5 * np.array([np.abs((H[0, 1] - u * H[2, 1]) / w).max(), np.abs((H[1, 0] - v * H[2, 0]) / w).max()])
 

@@ -14,8 +14,6 @@ from frontend.pose import HUBER_D, HUBER_UV
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_REORDER = {"reassoc", "contract"}
-"""What the compiler may do to sums for speed; NaN must stay NaN."""
 
 
 @njit(cache=True, nogil=True)
@@ -36,7 +34,7 @@ def robust_weights(e_uv2: float, e_d: float, s: float, s_d: float) -> tuple[floa
     return w, w_d, cost
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, nogil=True)
 def _linearise(T: Array, p: Array, cam: Array, w: float, w_d: float, Jc: Array, Jp: Array) -> None:
     """Jacobians ``(3, 6)`` by the pose (left update) and ``(3, 3)`` by the point, rows times the roots of the weights
     (0 where there is no disparity), written in place."""
@@ -69,7 +67,7 @@ def _invert3(A: Array, out: Array) -> None:
     out[2, 0], out[2, 1], out[2, 2] = out[0, 2], out[1, 2], (a * d - b * b) * inv
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, nogil=True)
 def assemble(
     poses: Array,
     slot: Ints,
@@ -142,7 +140,7 @@ def assemble(
             U[a, c] = U[c, a]
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, nogil=True)
 def _subtract(S: Array, row: int, column: int, Y: Array, W: Array) -> None:
     """``S[row:, column:] -= Y @ W.T`` for blocks ``(m, 3)``, ``(n, 3)``."""
     for a in range(len(Y)):
@@ -151,7 +149,7 @@ def _subtract(S: Array, row: int, column: int, Y: Array, W: Array) -> None:
             S[row + a, column + c] -= y0 * W[c, 0] + y1 * W[c, 1] + y2 * W[c, 2]
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, nogil=True)
 def _times(W: Array, Vi: Array, b: Array, rhs: Array, row: int, Y: Array) -> None:
     """``Y = W @ Vi`` for a block ``(m, 3)``, and ``rhs[row:] -= Y @ b``."""
     for a in range(len(W)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3_inverse
+from backend.geometry import product, se3_inverse
 from frontend.cameras import Rig
 from frontend.config import OdometryConfig
 from frontend.framelog import PoseLog
@@ -35,7 +35,9 @@ class Segment:
     def record(self, frame: Frame, T_C_W: Array) -> None:
         """Note a tracked frame, relative to the latest key-frame."""
         assert self.latest is not None
-        self.frames.note(frame.index, frame.stamp_ns, self.latest.number, T_C_W @ se3_inverse(self.latest.T_C_W))
+        self.frames.note(
+            frame.index, frame.stamp_ns, self.latest.number, product(T_C_W, se3_inverse(self.latest.T_C_W))
+        )
 
     def since_keyframe(self, frame: Frame, rig: Rig) -> SinceKeyframe:
         """What happened since the latest key-frame, for the key-frame policy."""
@@ -62,8 +64,8 @@ class Segment:
         previous = None
         if self.tracker.motion is not None and len(self.frames) > 1:
             # The map has just moved: the velocity must come from poses of the same map.
-            T_C_W = self.frames.T_C_K(-2) @ self.map.pose(self.frames.keyframe(-2))
-            previous = latest.T_C_W @ se3_inverse(T_C_W)
+            T_C_W = product(self.frames.T_C_K(-2), self.map.pose(self.frames.keyframe(-2)))
+            previous = product(latest.T_C_W, se3_inverse(T_C_W))
         self.tracker.start(frame, latest.T_C_W, latest.point[rows], latest.uv[rows])
         self.tracker.motion = previous
         self._reference_points = int(np.isfinite(self.map.xyz[latest.point[rows], 0]).sum())
@@ -87,5 +89,5 @@ class Segment:
     def trajectory(self) -> Trajectory:
         """``T_W_C`` of every frame, through its key-frame's final pose."""
         frames = self.frames
-        T_C_W = [frames.T_C_K(i) @ self.map.pose(frames.keyframe(i)) for i in range(len(frames))]
+        T_C_W = [product(frames.T_C_K(i), self.map.pose(frames.keyframe(i))) for i in range(len(frames))]
         return Trajectory(frames.stamps_ns(), se3_inverse(np.stack(T_C_W)))

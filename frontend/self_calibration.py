@@ -22,6 +22,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from backend.geometry import product
+from frontend.linear_algebra import solve_symmetric, weighted_gram
+
 Array = NDArray[np.float64]
 LENS = ("k1", "k2", "p1", "p2")
 RIGHT = ("wx", "wy", "wz", "cx", "cy", "q1", "q2", "m1")
@@ -104,7 +107,7 @@ def lens_shift(uv: Array, cam: Array, lens: Array) -> Array:
 
 def pair_shift(uv: Array, disparity: Array, cam: Array, parameters: Array) -> Array:
     """``(n, 2)`` pixels: what the parameters add to a disparity and to a row difference; 0 where it is NaN."""
-    return np.einsum("nrc,c->nr", basis(uv, disparity, cam, len(parameters))[:, 2:], parameters)
+    return product(basis(uv, disparity, cam, len(parameters))[:, 2:], parameters)
 
 
 def prior_information(
@@ -116,8 +119,13 @@ def prior_information(
     uv = np.stack([grid[0].ravel(), grid[1].ravel()], axis=1)
     rows = basis(uv, np.zeros(len(uv)), cam, count).reshape(-1, count)
     rigid = rows[:, [N_LENS + RIGHT.index(name) for name in ("cx", "cy", "wz") if count > N_LENS]]
-    beyond = rows - rigid @ np.linalg.lstsq(rigid, rows, rcond=None)[0] if rigid.size else rows
-    return (rows.T @ rows / shift_px**2 + beyond.T @ beyond / distortion_px**2) / len(uv)
+    one = np.ones(len(rows))
+    beyond = rows
+    if rigid.size:
+        fitted = solve_symmetric(weighted_gram(rigid, one, rigid), weighted_gram(rigid, one, rows))
+        beyond = rows - product(rigid, fitted)
+    together, rest = weighted_gram(rows, one, rows), weighted_gram(beyond, one, beyond)
+    return (together / shift_px**2 + rest / distortion_px**2) / len(uv)
 
 
 def physical(parameters: Array, cam: Array) -> dict[str, float]:
@@ -141,12 +149,12 @@ def with_rows(
 
     Robust: weights of Cauchy's function, begun at the parameters ``start``.
     """
-    rows = basis(uv, disparity, cam, len(start))[:, 3]
+    rows = np.ascontiguousarray(basis(uv, disparity, cam, len(start))[:, 3])
     mean, H = start, information
     for _ in range(_REWEIGHTED):
-        weight = 1.0 / (1.0 + ((row - rows @ mean) / (2.0 * sigma_px)) ** 2) / sigma_px**2
-        H = information + rows.T @ (rows * weight[:, None])
-        mean = np.linalg.solve(H, rows.T @ (row * weight))
+        weight = 1.0 / (1.0 + ((row - product(rows, mean)) / (2.0 * sigma_px)) ** 2) / sigma_px**2
+        H = information + weighted_gram(rows, weight, rows)
+        mean = solve_symmetric(H, weighted_gram(rows, weight, np.ascontiguousarray(row)[:, None]))[:, 0]
     return mean, H
 
 
@@ -165,11 +173,11 @@ class Belief:
 
     @classmethod
     def at_start(cls, prior: Array) -> Belief:
-        drift = np.asarray(_DRIFT**2 * np.linalg.inv(prior), dtype=np.float64)
+        drift = np.asarray(_DRIFT**2 * solve_symmetric(prior, np.eye(len(prior))), dtype=np.float64)
         return cls(np.zeros(len(prior)), prior, drift)
 
     def after(self, mean: Array, gained: Array) -> Belief:
         """With an estimate and the information ``gained`` ``(C, C)`` by its window."""
-        spread = np.linalg.inv(self.information + gained) + self.drift
-        information = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+        spread = solve_symmetric(self.information + gained, np.eye(len(gained))) + self.drift
+        information = np.asarray(solve_symmetric(spread, np.eye(len(spread))), dtype=np.float64)
         return Belief(mean, np.asarray(0.5 * (information + information.T), dtype=np.float64), self.drift)

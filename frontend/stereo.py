@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from backend.geometry import transform_points
 from frontend.align import align, cut_patches, half_sized
 from frontend.cameras import Rig, RigKind
 from frontend.config import FlowConfig, StereoConfig
@@ -42,7 +43,7 @@ def coarse_disparity(
     return _search_rows(left, right, mean_left, mean_right, xy, reach, rows)
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, nogil=True)
 def _search_rows(
     left: NDArray[np.uint8],
     right: NDArray[np.uint8],
@@ -262,7 +263,7 @@ class Ranging:
         """Pixels ``(n, 2)`` where world points show, and depths ``(n,)``; pixels are NaN behind the camera or where the
         point is unknown."""
         fx, fy, cx, cy, _ = self.cam
-        p = points @ T_C_W[:3, :3].T + T_C_W[:3, 3]
+        p = transform_points(T_C_W, points)
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
         ideal = np.stack([fx * p[:, 0] / z + cx, fy * p[:, 1] / z + cy], axis=1)
         return bend(ideal, self.cam, self.calib) if self.calib.any() else ideal, p[:, 2]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3, se3_inverse
+from backend.geometry import product, se3, se3_inverse, transform_points
 from frontend.align import align, cut_patches, half_sized
 from frontend.colmap import absolute_pose
 from frontend.config import OdometryConfig
@@ -90,7 +90,7 @@ class Tracker:
         uv, ok, result, inlier = self._look_again(image, xyz, predicted, uv, ok, result, inlier)
         assert result.T_C_W is not None
         uv, ok = self._follow_unknown(frame, xyz, uv, ok, result.T_C_W)
-        self.motion, self.step_s = result.T_C_W @ se3_inverse(self.T_C_W), dt
+        self.motion, self.step_s = product(result.T_C_W, se3_inverse(self.T_C_W)), dt
         self.image, self.stamp_ns, self.T_C_W = image, frame.stamp_ns, result.T_C_W
         known = np.isfinite(xyz[:, 0])
         self.found = np.where(known, inlier, ok & self.found)
@@ -105,7 +105,7 @@ class Tracker:
         regular = (
             self.step_s > 0.0 and 0.3 * self.step_s < dt < 3.0 * self.step_s and dt <= self.config.pose.max_frame_gap_s
         )
-        return self.motion @ self.T_C_W if self.motion is not None and regular else self.T_C_W
+        return product(self.motion, self.T_C_W) if self.motion is not None and regular else self.T_C_W
 
     def _find(
         self, image: list[NDArray[np.uint8]], xyz: Array, T_C_W: Array, only: NDArray[np.bool_] | None = None
@@ -125,8 +125,8 @@ class Tracker:
     def _projected(self, xyz: Array, T_C_W: Array) -> tuple[Array, Array]:
         """Where points show, and how a step around them in the key-frame shows there: as on a plane parallel to its
         image."""
-        T = T_C_W @ se3_inverse(self.anchor_T)
-        p = xyz @ self.anchor_T[:3, :3].T + self.anchor_T[:3, 3]
+        T = product(T_C_W, se3_inverse(self.anchor_T))
+        p = transform_points(self.anchor_T, xyz)
         guess, _ = self.ranging.project(T, p)
         warp = np.empty((len(p), 2, 2))
         for k in range(2):
@@ -202,7 +202,7 @@ class Tracker:
         index = np.flatnonzero(np.isnan(xyz[:, 0]) & self.found)
         if not len(index):
             return uv, ok
-        turn = T_C_W[:3, :3] @ self.T_C_W[:3, :3].T
+        turn = product(T_C_W[:3, :3], self.T_C_W[:3, :3].T)
         start = self.uv[index]
         far, _ = self.ranging.project(se3(turn, np.zeros(3)), self.ranging.rays(start))
         uv, ok = uv.copy(), ok.copy()
@@ -213,10 +213,10 @@ class Tracker:
         return uv, ok
 
     def _on_epipolar_line(self, before: Array, after: Array, T_C_W: Array) -> NDArray[np.bool_]:
-        T = T_C_W @ se3_inverse(self.T_C_W)
+        T = product(T_C_W, se3_inverse(self.T_C_W))
         a, b = self.ranging.rays(before), self.ranging.rays(after)
         if np.linalg.norm(T[:3, 3]) < 1e-9:
             return np.ones(len(after), dtype=bool)
-        line = np.cross(T[:3, 3], a @ T[:3, :3].T)
+        line = np.cross(T[:3, 3], product(a, T[:3, :3].T))
         scale = np.hypot(line[:, 0], line[:, 1]) / self.ranging.cam[0]
         return np.abs((line * b).sum(axis=1)) < _EPIPOLAR_PX * scale + 1e-12

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import project_to_so3, se3
+from backend.geometry import product, project_to_so3, se3, transform_points
 from frontend.config import MonoConfig
+from frontend.linear_algebra import inverse3
 from frontend.triangulate import triangulate
 
 Array = NDArray[np.float64]
@@ -49,8 +50,8 @@ def solve_two_views(uv1: Array, uv2: Array, K: Array, sigma_px: float, config: M
     E, _ = cv2.findEssentialMat(uv1, uv2, K, cv2.RANSAC, 0.999, 2.0 * sigma_px)
     if E is None or E.shape != (3, 3):
         return refuse("no essential matrix fits the points")
-    K_inv = np.linalg.inv(K)
-    F = K_inv.T @ E @ K_inv
+    K_inv = inverse3(K)
+    F = product(product(K_inv.T, E), K_inv)
     score_F, inlier_F = score_fundamental(F, uv1, uv2, sigma_px)
     score_H, inlier_H = score_homography(H, uv1, uv2, sigma_px) if H is not None else (0.0, none)
     share = score_H / max(score_H + score_F, 1e-12)
@@ -94,8 +95,8 @@ def residual_after_rotation(uv1: Array, uv2: Array, K: Array) -> float:
     weight = np.ones(len(a))
     rest = np.zeros(len(a))
     for _ in range(10):
-        R = project_to_so3((b * weight[:, None]).T @ a)
-        turned = a @ R.T @ K.T
+        R = project_to_so3(product((b * weight[:, None]).T, a))
+        turned = product(product(a, R.T), K.T)
         rest = np.linalg.norm(turned[:, :2] / turned[:, 2:] - uv2, axis=1)
         weight = 1.0 / (1.0 + (rest / max(float(np.median(rest)), 0.1)) ** 2)
     return float(np.median(rest))
@@ -104,8 +105,8 @@ def residual_after_rotation(uv1: Array, uv2: Array, K: Array) -> float:
 def score_homography(H: Array, uv1: Array, uv2: Array, sigma_px: float) -> tuple[float, NDArray[np.bool_]]:
     """Symmetric transfer score (Mur-Artal et al., ORB-SLAM, 2015, eq. 2) and the inliers."""
     total, inlier = 0.0, np.ones(len(uv1), dtype=bool)
-    for M, a, b in ((H, uv1, uv2), (np.linalg.inv(H), uv2, uv1)):
-        p = np.c_[a, np.ones(len(a))] @ M.T
+    for M, a, b in ((H, uv1, uv2), (inverse3(H), uv2, uv1)):
+        p = product(np.c_[a, np.ones(len(a))], M.T)
         e2 = ((p[:, :2] / p[:, 2:] - b) ** 2).sum(axis=1) / sigma_px**2
         total += float(np.where(e2 < _CHI2_POINT, _CHI2_POINT - e2, 0.0).sum())
         inlier &= e2 < _CHI2_POINT
@@ -116,7 +117,7 @@ def score_fundamental(F: Array, uv1: Array, uv2: Array, sigma_px: float) -> tupl
     """Symmetric epipolar score, same scale as the homography's, and the inliers."""
     total, inlier = 0.0, np.ones(len(uv1), dtype=bool)
     for M, a, b in ((F, uv1, uv2), (F.T, uv2, uv1)):
-        line = np.c_[a, np.ones(len(a))] @ M.T
+        line = product(np.c_[a, np.ones(len(a))], M.T)
         distance = (line * np.c_[b, np.ones(len(b))]).sum(axis=1)
         e2 = distance**2 / np.maximum((line[:, :2] ** 2).sum(axis=1), 1e-18) / sigma_px**2
         total += float(np.where(e2 < _CHI2_LINE, _CHI2_POINT - e2, 0.0).sum())
@@ -140,7 +141,7 @@ def _try(
     points, parallax = triangulate(np.stack([np.eye(4), T]), np.arange(0, 2 * n + 1, 2), np.tile([0, 1], n), rays)
     good = inlier & np.isfinite(points[:, 0])
     for pose, uv in ((np.eye(4), uv1), (T, uv2)):
-        p = (points @ pose[:3, :3].T + pose[:3, 3]) @ K.T
+        p = product(transform_points(pose, points), K.T)
         with np.errstate(invalid="ignore", divide="ignore"):
             good &= np.linalg.norm(p[:, :2] / p[:, 2:] - uv, axis=1) < 4.0 * sigma_px
     return T, points, good, float(np.degrees(np.median(parallax[good]))) if good.any() else 0.0

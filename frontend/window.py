@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from frontend.depth_alignment import add_alignment, alignment_cost
+from frontend.linear_algebra import solve_symmetric, weighted_gram
 from frontend.pose import exp_update
 from frontend.schur import Array, Ints, assemble, back_substitute, reduce_points, robust_weights
 
@@ -147,7 +148,7 @@ def adjust_window(
                     b_c[6 * free + a] += calib_info[a, c] * (calib[c] - calib_mean[c])
             add_alignment(poses, slot, pairs, T_A_B, pair_info, pair_gradient, U, b_c)
         S, rhs = reduce_points(slot, start, kf, n_c, free, U, b_c, V, b_p, W, Wc, V_inv, damping)
-        delta = np.linalg.solve(S, -rhs)
+        delta = solve_symmetric(S, -rhs.reshape(m, 1))[:, 0]
         new_poses, new_points, new_calib = poses.copy(), points.copy(), calib.copy()
         for k in range(len(poses)):
             if slot[k] >= 0:
@@ -178,5 +179,6 @@ def _marginal(S: Array, first: int) -> Array:
     """Information of the unknowns from ``first`` on when all others are left free."""
     if first == 0 or first == len(S):
         return S[first:, first:].copy()
-    across = np.ascontiguousarray(S[:first, first:])
-    return S[first:, first:] - across.T @ np.linalg.solve(np.ascontiguousarray(S[:first, :first]), across)
+    across = S[:first, first:].copy()
+    solved = solve_symmetric(S[:first, :first].copy(), across)
+    return S[first:, first:] - weighted_gram(across, np.ones(first), solved)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.g2o import write_g2o
-from backend.geometry import se3_inverse
+from backend.geometry import product, se3_inverse
 from backend.graph import Edge, NodeId, PoseGraph
 from descriptors.container import PlaceVectors
 from descriptors.inference import NetVlad
@@ -143,7 +143,7 @@ def _write_track(folder: Path, number: int, plan: _AgentPlan, k: int) -> Traject
     write_track(folder, number, cut)
     write_g2o(folder / f"essential_{number}.g2o", _essential(cut), plain_ids=True)
     frames = _during(plan, plan.tracked.trajectories[k])
-    return Trajectory(frames.stamps_ns, se3_inverse(track.poses[kept.start]) @ frames.poses)
+    return Trajectory(frames.stamps_ns, product(se3_inverse(track.poses[kept.start]), frames.poses))
 
 
 def _essential(track: VoTrack) -> PoseGraph:

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3_inverse, transform_points
+from backend.geometry import product, se3_inverse, transform_points
 from frontend.vofiles import VoTrack
 from tools.errors import UsageError
 
@@ -75,7 +75,7 @@ def cut_track(track: VoTrack, keyframes: slice, stamps_s: NDArray[np.float64]) -
     T_O_W = se3_inverse(track.poses[lower])
     return VoTrack(
         stamps_s=stamps_s,
-        poses=T_O_W @ track.poses[lower:upper],
+        poses=product(T_O_W, track.poses[lower:upper]),
         points=transform_points(T_O_W, track.points[observed]),
         observations=np.column_stack([track.observations[kept, 0] - lower, point]).astype(np.int32),
         descriptors=track.descriptors[kept],

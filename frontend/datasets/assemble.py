@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3
+from backend.geometry import product, se3
 from frontend.calibration import RawRig
 from frontend.cameras import PinholeCamera, Rig, RigKind
 from frontend.datasets import checks
@@ -73,10 +73,10 @@ def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
     if depth and found.depth_sensor is not None:
         T_ideal_left = se3(ideal.R_rectified_left, np.zeros(3))
         sensor = found.depth_sensor
-        registration = DepthRegistration(sensor.camera, ideal.camera, T_ideal_left @ sensor.T_C_D)
+        registration = DepthRegistration(sensor.camera, ideal.camera, product(T_ideal_left, sensor.T_C_D))
     truth = found.truth
     if truth is not None and ideal.rectifier is not None:
-        truth = Trajectory(truth.stamps_ns, truth.poses @ se3(ideal.R_rectified_left.T, np.zeros(3)))
+        truth = Trajectory(truth.stamps_ns, product(truth.poses, se3(ideal.R_rectified_left.T, np.zeros(3))))
     return ImageSequence(
         kind=found.kind,
         name=found.folder.resolve().name,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import rotation_from_quat_wxyz, se3, se3_inverse
+from backend.geometry import product, rotation_from_quat_wxyz, se3, se3_inverse
 from frontend import tables
 from frontend.calibration import RawCamera, RawRig
 from frontend.calibration_files import camera, load_fields
@@ -47,7 +47,7 @@ class EurocReader(Reader):
         right_images: tuple[Path, ...] = ()
         if has_right:
             right, T_body_right = _sensor(mav / "cam1")
-            raw = RawRig(left, right, se3_inverse(T_body_left) @ T_body_right, rectified=False)
+            raw = RawRig(left, right, product(se3_inverse(T_body_left), T_body_right), rectified=False)
         if kind is RigKind.STEREO:
             right_stamps, right_images = _images(mav / "cam1")
             left_stamps, left_images, right_images = _pairs(
@@ -140,7 +140,7 @@ def _groundtruth(mav: Path, raw: RawRig, T_body_left: NDArray[np.float64]) -> Tr
         for row in np.flatnonzero(np.diff(stamps) <= 0)[:1] + 1:
             raise FrontendError(f"{state}:{tables.row_line(state, row)}: time does not go on")
         T_W_body = se3(rotation_from_quat_wxyz(values[:, 4:8]), values[:, 1:4])
-        return Trajectory(stamps, T_W_body @ T_body_left)
+        return Trajectory(stamps, product(T_W_body, T_body_left))
     beside = sorted(mav.resolve().parent.glob("groundtruth*.tum"))
     if not beside:
         return None
@@ -148,4 +148,4 @@ def _groundtruth(mav: Path, raw: RawRig, T_body_left: NDArray[np.float64]) -> Tr
     if raw.T_left_right is None:
         return rectified
     R_rectified_left, _, _ = stereo_rotations(raw.T_left_right)
-    return Trajectory(rectified.stamps_ns, rectified.poses @ se3(R_rectified_left, np.zeros(3)))
+    return Trajectory(rectified.stamps_ns, product(rectified.poses, se3(R_rectified_left, np.zeros(3))))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import project_to_so3, se3, se3_inverse
+from backend.geometry import product, project_to_so3, se3, se3_inverse
 from frontend import tables
 from frontend.calibration import RawCamera, RawRig
 from frontend.cameras import PinholeCamera, RigKind
@@ -113,4 +113,4 @@ def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: P
         return None
     matrices = np.array(poses)
     T_W_D = se3(project_to_so3(matrices[:, :3, :3]), matrices[:, :3, 3])
-    return frame_truth(np.array(stamps, dtype=np.int64), T_W_D @ se3_inverse(_T_C_D))
+    return frame_truth(np.array(stamps, dtype=np.int64), product(T_W_D, se3_inverse(_T_C_D)))
