@@ -24,7 +24,7 @@ from mas.recorder import Recorder, match_errors
 from mas.report import summarise
 from mas.sequence import AgentSequence, Manifest
 from mas.state import Ownership, Profile
-from mas.summary import Summary
+from mas.summary import Summary, Timing
 from mas.transport import InProcessTransport, Sent, Traffic, Transport
 
 # Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
@@ -137,7 +137,8 @@ def run(
 ) -> Summary:
     """Run the multi-agent system on agent sequences and write the RUN folder ``out``, whole or not at all.
 
-    ``progress(done, total)`` counts steps. Same sequences, config and seed: same bytes in every file, wall times apart.
+    ``progress(done, total)`` counts steps. Same sequences, config and seed: same bytes in every file but
+    ``timing.json``.
     """
     strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
     if strangers:
@@ -159,10 +160,10 @@ def run(
             recorder.agent(agent, sequence)
         summary = summarise(agents, sequences, config, onlooker, transport, errors, steps)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
-        wall = time.perf_counter() - started
-        timed = {"duration_s": duration, "wall_s": wall, "realtime_factor": duration / wall}
-        summary = summary.model_copy(update=timed)
+        summary = summary.model_copy(update={"duration_s": duration})
         recorder.summary(summary)
+        wall = time.perf_counter() - started
+        recorder.timing(Timing(wall_s=wall, realtime_factor=duration / wall))
     return summary
 
 

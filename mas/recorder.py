@@ -1,6 +1,6 @@
 """The RUN folder: everything about a run, written aside and moved into place whole at the end.
 
-The same run gives the same bytes; only ``wall_s`` and ``realtime_factor`` in ``summary.json`` tell how long it took.
+The same run gives the same bytes; how long it took stands apart, in ``timing.json``.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ from mas.matches import Fate
 from mas.metrics import MatchError, Onlooker
 from mas.posegraph import own_graph
 from mas.sequence import GROUNDTRUTH, MANIFEST, AgentSequence, CameraEntry, Manifest
-from mas.summary import Summary
+from mas.summary import Summary, Timing
 from mas.trajectories import frame_trajectory, keyframe_trajectory
 from mas.transport import Sent, Traffic
 
 SUMMARY = "summary.json"
+TIMING = "timing.json"
 _EARLIER = "summary.json.old"  # an earlier run's, while its files are being replaced
-_OURS = re.compile(r"agent_\d+|(config|manifest|events|matches|traffic|timeline)\.[a-z]+|report|recording\.rrd")
+_OURS = re.compile(r"agent_\d+|(config|manifest|events|matches|traffic|timeline|timing)\.[a-z]+|report|recording\.rrd")
 _BESIDE = {"sequences", "town"}  # what a command may have put beside a run; left as it is
 _MATCH_COLUMNS = [
     "time_s",
@@ -195,6 +196,10 @@ class Recorder:
     def summary(self, summary: Summary) -> None:
         """``summary.json``."""
         (self.folder / SUMMARY).write_text(summary.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+    def timing(self, timing: Timing) -> None:
+        """``timing.json``."""
+        (self.folder / TIMING).write_text(timing.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
     def _csv(self, name: str) -> Any:
         file = open(self.folder / name, "w", newline="", encoding="utf-8")  # noqa: SIM115 - closed in __exit__

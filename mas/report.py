@@ -51,8 +51,6 @@ def summarise(
         keyframes_placed=[len(a.state.placed()) for a in agents],
         duration_s=0.0,
         steps=steps,
-        wall_s=0.0,
-        realtime_factor=0.0,
         groups=groups_of(agents),
         ate_rmse_m=_errors(columns, "rmse_m"),
         ate_mean_m=_errors(columns, "mean_m"),

@@ -93,6 +93,14 @@ class FaultFigures(_Figures):
     repeated: int
 
 
+class Timing(_Figures):
+    """What a run took on this machine, which is no result of it: ``timing.json``. Seconds of wall time, and how many
+    times as fast as the sequences were recorded."""
+
+    wall_s: float
+    realtime_factor: float
+
+
 class Summary(_Figures):
     """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation,
     under each agent's own alignment. ``path_length_m`` from ground truth. ``refused_messages``: dropped as
@@ -109,8 +117,6 @@ class Summary(_Figures):
     keyframes_placed: list[int]
     duration_s: float
     steps: int
-    wall_s: float
-    realtime_factor: float
     groups: list[list[int]]
     ate_rmse_m: Errors
     ate_mean_m: Errors

@@ -52,8 +52,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.command is None:
         parser.print_help()
         return USAGE
+    from tools.workers import one_blas_thread  # what follows loads libraries; --help does not
+
     try:
-        return arguments.command_main(arguments) or SUCCESS
+        with one_blas_thread():
+            return arguments.command_main(arguments) or SUCCESS
     except UsageError as error:
         print(f"usage: maslam {arguments.command} --help\nmaslam: {error}", file=sys.stderr)
         return USAGE

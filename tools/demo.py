@@ -26,7 +26,7 @@ def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from frontend.config import OdometryConfig
     from mas.policy.presets import preset
-    from tools.evaluate import read_summary, table
+    from tools.evaluate import table_of
     from tools.preprocess import PreprocessSettings
     from tools.render import RenderConfig, render_dataset
     from tools.run import DEFAULT_PRESET
@@ -38,5 +38,5 @@ def main(arguments: argparse.Namespace) -> None:
         render_dataset(town, arguments.out / TOWN, counter(progress, "rendering"))
         settings = PreprocessSettings(OdometryConfig())
         page = slam(arguments.out / TOWN, arguments.out, settings, preset(DEFAULT_PRESET), progress)
-    print(table(read_summary(arguments.out)))
+    print(table_of(arguments.out))
     print(f"\nThe demo took {time.monotonic() - began:.0f} s. Its report: {page.resolve()}")

@@ -12,6 +12,7 @@ from tools.columns import aligned
 from tools.errors import ToolError
 
 SUMMARY = "summary.json"
+TIMING = "timing.json"
 OPERATIONS = {
     "dvpr": "DVPR data exchange",
     "relpose": "RelPose data exchange",
@@ -30,15 +31,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """Print the figures."""
-    summary = read_summary(arguments.run)
-    print(json.dumps(summary, indent=2) if arguments.json else table(summary))
+    print(json.dumps(read_summary(arguments.run), indent=2) if arguments.json else table_of(arguments.run))
+
+
+def table_of(run: Path) -> str:
+    """The figures of a finished run and what it took, for people."""
+    return table(read_summary(run), read_timing(run))
 
 
 def read_summary(run: Path) -> dict[str, Any]:
     """``summary.json`` of a finished run."""
-    path = run / SUMMARY
-    if not path.is_file():
+    if not (run / SUMMARY).is_file():
         raise ToolError(f"{run}: no {SUMMARY}: not the folder of a run, or the run did not finish")
+    return _object(run / SUMMARY)
+
+
+def read_timing(run: Path) -> dict[str, Any]:
+    """``wall_s`` and ``realtime_factor`` of a finished run: ``timing.json``; of a run of version 0.1 its summary."""
+    return _object(run / TIMING) if (run / TIMING).is_file() else read_summary(run)
+
+
+def _object(path: Path) -> dict[str, Any]:
+    """One JSON object."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
@@ -48,10 +62,10 @@ def read_summary(run: Path) -> dict[str, Any]:
     return content
 
 
-def table(summary: dict[str, Any]) -> str:
+def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
     head = "preset {preset}, seed {seed}, {agents} agents, {keyframes} key-frames".format(**summary)
-    return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary)])
+    return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary), _time(timing)])
 
 
 def _errors(summary: dict[str, Any]) -> list[str]:
@@ -96,8 +110,11 @@ def _matches(summary: dict[str, Any]) -> list[str]:
         *([f"  rejected     {rejected}"] if rejected else []),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
         f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
-        f"time           {summary['wall_s']:.1f} s, {summary['realtime_factor']:.2f} x real time",
     ]
+
+
+def _time(timing: dict[str, Any]) -> str:
+    return f"time           {timing['wall_s']:.1f} s, {timing['realtime_factor']:.2f} x real time"
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -19,7 +19,7 @@ from frontend.trajectory import Trajectory, read_tum
 from mas.metrics import MIN_POSES, TRUTH_TOLERANCE_NS
 from mas.sequence import GROUNDTRUTH, TRAJECTORY, Manifest, read_manifest
 from tools.errors import ToolError
-from tools.evaluate import read_summary
+from tools.evaluate import read_summary, read_timing
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,7 @@ class RunData:
 
     folder: Path
     summary: dict[str, Any]
+    timing: dict[str, Any]
     manifest: Manifest
     config: str
     agents: list[AgentData]
@@ -122,6 +123,7 @@ def read_run(folder: Path) -> RunData:
         return RunData(
             folder=folder,
             summary=summary,
+            timing=read_timing(folder),
             manifest=manifest,
             config=(folder / "config.yaml").read_text(encoding="utf-8"),
             agents=agents,

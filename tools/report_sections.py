@@ -52,7 +52,7 @@ def tiles(run: RunData) -> list[Tile]:
         Tile("accepted matches", str(accepted), known, judged),
         Tile("explored, mean", f"{np.mean(explored):.0f} %", f"least {min(explored):.0f} %"),
         Tile("on the air", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
-        Tile("time of the agents", f"{s['wall_s']:.1f} s", f"{s['realtime_factor']:.1f} x real time"),
+        Tile("time of the agents", f"{run.timing['wall_s']:.1f} s", f"{run.timing['realtime_factor']:.1f} x real time"),
     ]
 
 

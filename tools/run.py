@@ -46,10 +46,10 @@ def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from mas.environment import run
     from mas.sequence import load_sequences
-    from tools.evaluate import read_summary, table
+    from tools.evaluate import table_of
 
     config = config_from(arguments, read_yaml(arguments.config) if arguments.config else {})
     manifest, sequences = load_sequences(arguments.sequences)
     with progress_on(quiet=arguments.quiet) as progress:
         run(manifest, sequences, config, arguments.out, counter(progress, "agents"))
-    print(table(read_summary(arguments.out)))
+    print(table_of(arguments.out))

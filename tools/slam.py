@@ -42,14 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    from tools.evaluate import read_summary, table
+    from tools.evaluate import table_of
 
     content = read_yaml(arguments.config) if arguments.config else {}
     settings = settings_from(arguments, content)
     config = config_from(arguments, {key: value for key, value in content.items() if key != SECTION})
     with progress_on(quiet=arguments.quiet) as progress:
         page = slam(arguments.source, arguments.out, settings, config, progress)
-    print(f"{table(read_summary(arguments.out))}\n\nreport: {page}")
+    print(f"{table_of(arguments.out)}\n\nreport: {page}")
 
 
 def slam(source: Path, out: Path, settings: PreprocessSettings, config: MasConfig, progress: Progress) -> Path:

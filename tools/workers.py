@@ -20,6 +20,7 @@ from tools.progress import Progress
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 POLL_S = 0.2
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _levels: Any = None  # in a worker: the queue on which it tells how far it is
 _work: Any = None  # in a worker: what it does with each small job
 
@@ -30,6 +31,26 @@ class Outcome(Generic[Result]):
 
     result: Result | None
     error: Exception | None
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """BLAS and OpenMP on one thread inside the block: with more, sums are taken in another order, and results depend
+    on the machine and its load. Cores are used by processes instead (:func:`run_jobs`).
+    """
+    from threadpoolctl import threadpool_limits
+
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # libraries loaded from here on, and child processes
+    try:
+        with threadpool_limits(1):  # libraries that are loaded
+            yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def core_count() -> int:
@@ -135,7 +156,6 @@ def _settle_in() -> None:
     signal.signal(
         signal.SIGINT, signal.SIG_DFL
     )  # an interrupted worker ends without a traceback; its parent says what happened
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     import cv2
 
     cv2.setNumThreads(1)

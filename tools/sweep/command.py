@@ -73,14 +73,14 @@ def sweep(
     _claim(shop.out, plan)
     prepare(plan, shop, progress)
     known: dict[str, dict[str, Any]] = references(plan, shop, progress) if with_reference else {}
-    summaries = execute(plan, shop, progress, ray)
-    rows = [row_of(cell, summary, known.get(cell.material)) for cell, summary in summaries.items()]
+    figures = execute(plan, shop, progress, ray)
+    rows = [row_of(cell, each, known.get(cell.material)) for cell, each in figures.items()]
     groups = grouped(rows)
     _write_rows(shop.out, rows)
     page = shop.out / "tables.md"
     _write(page, report(groups))
     first = min(plan.seeds)
-    runs = {(c.sequence, c.agents, c.preset): shop.run(c) for c in summaries if c.seed == first}
+    runs = {(c.sequence, c.agents, c.preset): shop.run(c) for c in figures if c.seed == first}
     for path in draw_all(groups, runs, shop.out / "figures"):
         progress.say(f"wrote {path}")
     return rows, page

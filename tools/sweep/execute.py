@@ -12,10 +12,11 @@ from typing import Any
 
 from tools.digests import code_digest, sequences_digest
 from tools.errors import ToolError
+from tools.evaluate import SUMMARY, read_summary, read_timing
 from tools.progress import Progress, counter
 from tools.sweep.plan import TOWN, Cell, SweepPlan
+from tools.sweep.rows import Figures
 
-SUMMARY = "summary.json"
 STAMP = "cell.json"
 """In the folder of a run: what it was made from and how."""
 
@@ -77,8 +78,8 @@ def references(plan: SweepPlan, shop: Workshop, progress: Progress) -> dict[str,
     }
 
 
-def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None = None) -> dict[Cell, dict[str, Any]]:
-    """Run every cell that has not been run with these settings; returns the summaries of all.
+def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None = None) -> dict[Cell, Figures]:
+    """Run every cell that has not been run with these settings; returns the figures of all.
 
     A run that fails does not stop the others; the first failure is raised at the end.
     """
@@ -95,7 +96,7 @@ def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None
         progress.say(f"{name}: {error}")
     if errors:
         raise ToolError(f"{len(errors)} of {len(jobs)} runs failed; the same command tries them again")
-    return {job.cell: json.loads((job.out / SUMMARY).read_text(encoding="utf-8")) for job, _ in jobs.values()}
+    return {job.cell: Figures(read_summary(job.out), read_timing(job.out)) for job, _ in jobs.values()}
 
 
 @dataclass(frozen=True)

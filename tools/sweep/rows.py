@@ -14,6 +14,14 @@ _OPERATIONS = ("dvpr", "relpose", "dopt", "mapmerge", "negotiation", "total")
 
 
 @dataclass(frozen=True)
+class Figures:
+    """Of one run: ``summary.json`` and ``timing.json``."""
+
+    summary: dict[str, Any]
+    timing: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class Row:
     """One run. Errors in metres (means over the agents), MB = 10^6 bytes: ``payload_*`` as published, ``wire_*`` true;
     percent explored, and of what connectivity allows; ``reference_*``: the omniscient reference's; ``regret_ate``:
@@ -55,8 +63,9 @@ class Row:
     regret_bytes: float | None
 
 
-def row_of(cell: Cell, summary: Mapping[str, Any], reference: Mapping[str, Any] | None) -> Row:
+def row_of(cell: Cell, figures: Figures, reference: Mapping[str, Any] | None) -> Row:
     """A run beside its reference."""
+    summary = figures.summary
     traffic = summary["traffic"]
     megabytes = {
         f"{short}_{operation}": traffic[operation][f"{short}_bytes"] / 1e6
@@ -85,7 +94,7 @@ def row_of(cell: Cell, summary: Mapping[str, Any], reference: Mapping[str, Any] 
         largest_group=max(len(group) for group in summary["groups"]),
         points_a_keyframe=sum(c["points"] for c in copies) / sum(c["keyframes"] for c in copies) if copies else None,
         points_off_m=float(np.median(off)) if off else None,
-        wall_s=summary["wall_s"],
+        wall_s=figures.timing["wall_s"],
         reference_ate=best,
         reference_mb=size,
         regret_ate=ate / best if ate is not None and best else None,
