@@ -11,8 +11,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from backend.errors import BackendError
-from backend.geometry import Array, Sim3
+from .errors import BackendError
+from .geometry import Array, Sim3
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,13 @@ def product(a: Array, b: Array) -> Array:
     return np.asarray(np.add.reduce(a[..., :, :, None] * b[..., None, :, :], axis=-2))
 
 
+def inverse3(M: Array) -> Array:
+    """Inverse of a regular ``(3, 3)`` matrix, by its adjugate."""
+    a, b, c = M.T
+    adjugate = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+    return np.asarray(adjugate / np.add.reduce(a * adjugate[0]))
+
+
 def skew(vectors: ArrayLike) -> Array:
     """Cross-product matrices ``(..., 3, 3)`` of ``(..., 3)`` vectors."""
     v = np.asarray(vectors, dtype=np.float64)

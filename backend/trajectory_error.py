@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.errors import BackendError
-from backend.geometry import Array, Sim3, rotation_angle_deg, se3_inverse, umeyama
+from .errors import BackendError
+from .geometry import Array, Sim3, rotation_angle_deg, se3_inverse, umeyama
 
 
 @dataclass(frozen=True, eq=False)

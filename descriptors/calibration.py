@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.card import Calibration, OperatingPoint, SetCurve
-from descriptors.errors import DescriptorError
+from .card import Calibration, OperatingPoint, SetCurve
+from .errors import DescriptorError
 
 _CHUNK = 1024
 _CURVE_POINTS = 40

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, model_validator
 
-from descriptors.errors import DescriptorError
+from .errors import DescriptorError
 
 MODELS = Path(__file__).parent / "models"
 

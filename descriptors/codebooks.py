@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.clusters import k_means
-from descriptors.errors import DescriptorError
+from .clusters import k_means
+from .errors import DescriptorError
 
 Vectors = NDArray[np.float32]
 

@@ -2,8 +2,8 @@
 
 ``float32`` and ``int8`` keep every number, ``int4`` packs two into a byte; ``x128`` keeps the first 128 numbers only
 (a model's strongest axes come first); ``pq32`` and ``pq16`` are product quantisation (Jegou et al., PAMI 2011) with
-codebooks made for the model (:mod:`descriptors.codebooks`). Only the sender's vector is coded: the receiver compares
-it with its own exact vectors (asymmetric comparison).
+codebooks made for the model (:mod:`maslam.descriptors.codebooks`). Only the sender's vector is coded: the receiver
+compares it with its own exact vectors (asymmetric comparison).
 
 Vectors have unit length, so integer codes need no scale beside them: what is decoded is brought to unit length again.
 """
@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.errors import DescriptorError
+from .errors import DescriptorError
 
 if TYPE_CHECKING:
-    from descriptors.codebooks import ProductBook
-    from descriptors.inference import NetVlad
+    from .codebooks import ProductBook
+    from .inference import NetVlad
 
 Vectors = NDArray[np.float32]
 Codes = NDArray[np.uint8]
@@ -49,7 +49,7 @@ class Coder(ABC):
     def of(model: str | Path | NetVlad, code: str) -> Coder:
         """The coder of a shipped model by name, of a user's by its ``.onnx`` file, or of a loaded one; codebooks are
         read from beside the model."""
-        from descriptors.card import read_card
+        from .card import read_card
 
         path, card = read_card(model) if isinstance(model, str | Path) else (model.path, model.card)
         return Coder.make(code, card.dim, card.sha256, path)
@@ -59,7 +59,7 @@ class Coder(ABC):
         """The coder for vectors of ``dim`` numbers made by the weights ``sha256``. ``model``: the ``.onnx`` file
         beside which product codes look for their codebooks; other codes read nothing."""
         if code in PRODUCT_CODES:
-            from descriptors.codebooks import load_book
+            from .codebooks import load_book
 
             return ProductCoder(code, dim, load_book(model, code, dim, sha256))
         found = _SCALAR.fullmatch(code)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.errors import DescriptorError
+from .errors import DescriptorError
 
 _VERSION = 1
 _FIELDS = {"version", "name", "sha256", "dim", "stamps_ns", "vectors", "textured"}

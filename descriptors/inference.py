@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.card import Calibration, ModelCard, read_card
-from descriptors.errors import DescriptorError
-from descriptors.session import CPU, Session
-from descriptors.texture import has_texture
+from .card import Calibration, ModelCard, read_card
+from .errors import DescriptorError
+from .session import CPU, Session
+from .texture import has_texture
 
 if TYPE_CHECKING:
-    from descriptors.container import PlaceVectors
+    from .container import PlaceVectors
 
 Images = Sequence[NDArray[np.uint8]] | NDArray[np.uint8]
 
@@ -103,7 +103,7 @@ class NetVlad:
         return self._run(self._prepare(image) for image in images)
 
     def textured(self, images: Images) -> NDArray[np.bool_]:
-        """Whether each image has texture to be recognised by (``descriptors.texture``), ``(N,)`` bool."""
+        """Whether each image has texture to be recognised by (``maslam.descriptors.texture``), ``(N,)`` bool."""
         return np.array([self._has_texture(self._prepare(image)) for image in images], dtype=bool)
 
     def look(self, images: Images) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -122,7 +122,7 @@ class NetVlad:
     def place_vectors(self, images: Images, stamps_ns: NDArray[np.int64] | Sequence[int]) -> PlaceVectors:
         """Vectors, texture flags and time stamps (nanoseconds, one an image) in the container that is written to
         disk."""
-        from descriptors.container import PlaceVectors
+        from .container import PlaceVectors
 
         stamps = np.asarray(stamps_ns, dtype=np.int64)
         return PlaceVectors(self.name, self.sha256, self.dim, stamps, *self.look(images))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.codes import Coder
+from .codes import Coder
 
 Vectors = NDArray[np.float32]
 

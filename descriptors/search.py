@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from descriptors.errors import DescriptorError
+from .errors import DescriptorError
 
 Vectors = NDArray[np.float32]
 

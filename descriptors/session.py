@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.card import ModelCard
-from descriptors.errors import DescriptorError
+from .card import ModelCard
+from .errors import DescriptorError
 
 CPU = "CPUExecutionProvider"
 _SUFFIX = "ExecutionProvider"

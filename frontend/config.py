@@ -168,7 +168,7 @@ class LostConfig(_Frozen):
 
 
 class OdometryConfig(_Frozen):
-    """Settings of :class:`frontend.odometry.Odometry`."""
+    """Settings of :class:`maslam.frontend.odometry.Odometry`."""
 
     features: FeatureConfig = FeatureConfig()
     flow: FlowConfig = FlowConfig()

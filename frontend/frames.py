@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.errors import FrontendError
+from .errors import FrontendError
 
 Value = TypeVar("Value")
 

@@ -9,24 +9,25 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3_inverse
-from frontend.cameras import Rig, RigKind
-from frontend.config import OdometryConfig
-from frontend.errors import FrontendError
-from frontend.export import export_track
-from frontend.framelog import LostInterval, MomentLog
-from frontend.frames import Frame
-from frontend.initialise import make_starter
-from frontend.keyframes import wants_keyframe
-from frontend.map import Map
-from frontend.relocalise import Relocaliser
-from frontend.segment import Segment
-from frontend.stereo import Ranging
-from frontend.stopwatch import Stage, Stopwatch
-from frontend.tracker import Tracked
-from frontend.trajectory import Trajectory
-from frontend.vofiles import VoTrack
-from frontend.words import WordLookup
+from maslam.backend.geometry import se3_inverse
+
+from .cameras.models import Rig, RigKind
+from .config import OdometryConfig
+from .errors import FrontendError
+from .files.trajectory import Trajectory
+from .files.vo_files import VoTrack
+from .frames import Frame
+from .mapping.map import Map
+from .mapping.range_sensor import Ranging
+from .stopwatch import Stage, Stopwatch
+from .tracking.export import export_track
+from .tracking.initialisation import make_starter
+from .tracking.keyframe_policy import wants_keyframe
+from .tracking.pose_log import LostInterval, MomentLog
+from .tracking.relocalisation import Relocaliser
+from .tracking.track import Segment
+from .tracking.tracker import Tracked
+from .vocabulary.lookup import WordLookup
 
 log = logging.getLogger(__name__)
 

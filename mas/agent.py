@@ -8,14 +8,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mas.config import MasConfig
-from mas.contract import Contract, LateMessage, ProtocolError, Repeated
-from mas.desk import Desk, Event, Trade, WorkError
-from mas.final_purchases import FinalPurchases
-from mas.identities import ContractId, MatchId, Operation
-from mas.keyframe import KeyFrame
-from mas.ledger import Ledger
-from mas.messages import (
+from .config import MasConfig
+from .contracts.call_queue import Pool
+from .contracts.context import Desk, Event, Trade, WorkError
+from .contracts.contract import Contract, LateMessage, ProtocolError, Repeated
+from .contracts.ledger import Ledger
+from .contracts.reputation import Regard
+from .map_exchange.final_round import FinalPurchases
+from .map_exchange.operation import MapTrade
+from .optimisation.operation import Optimisation
+from .optimisation.pending_matches import News
+from .place_recognition.candidates import PlaceBook
+from .place_recognition.operation import PlaceRecognition
+from .place_recognition.verification import Verification, tell_group
+from .policies.base import Outlook, Policy
+from .protocol.ids import ContractId, MatchId, Operation
+from .protocol.messages import (
     Award,
     Begin,
     Bid,
@@ -29,17 +37,9 @@ from mas.messages import (
     Rejection,
     Result,
 )
-from mas.news import News
-from mas.optimisation import Optimisation
-from mas.placebook import PlaceBook
-from mas.places import PlaceRecognition
-from mas.policy.base import Outlook, Policy
-from mas.pool import Pool
-from mas.relpose import Verification, tell_group
-from mas.solver_messages import SolverBody
-from mas.standing import Regard
-from mas.state import AgentState, Profile
-from mas.submaps import MapTrade
+from .protocol.solver_messages import SolverBody
+from .state.agent_state import AgentState, Profile
+from .state.keyframe import KeyFrame
 
 _REASON_LENGTH = 200
 

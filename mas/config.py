@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from backend.config import RelPoseConfig, SolverConfig
+from maslam.backend.config import RelPoseConfig, SolverConfig
 
 AUTO_CODE = "auto"
 """The shortest place code that serves: product code where the model has codebooks, else int8."""
@@ -181,7 +181,7 @@ class LinkConfig(_Section):
 
 
 class StandingConfig(_Section):
-    """What an agent thinks of others (:mod:`mas.standing`)."""
+    """What an agent thinks of others (:mod:`maslam.mas.contracts.reputation`)."""
 
     reliability: float = Field(0.3, ge=0, le=1, description="an agent is not called when its reliability is below this")
     honesty: float = Field(0.45, ge=0, le=1, description="nor when its honesty is below this")

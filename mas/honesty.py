@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from mas.desk import Desk
-from mas.identities import MatchId
-from mas.state import AgentState
+from .contracts.context import Desk
+from .protocol.ids import MatchId
+from .state.agent_state import AgentState
 
 # So many matches between two tracks, none of which agrees with another: all but one must be wrong.
 _NONE_AGREE = 3
@@ -14,8 +14,8 @@ def judged(state: AgentState, other: int) -> tuple[int, int]:
     """How many of the matches that ``other`` verified for this agent are borne out, and how many contradicted.
 
     Borne out: in the largest set between the two tracks that agrees. Contradicted: such a set exists without it; or the
-    group's other matches say otherwise (:mod:`mas.testimony`); or there is none that agrees although there are several
-    matches, of which at most one can be true: that one is forgiven.
+    group's other matches say otherwise (:mod:`maslam.mas.optimisation.cycle_consistency`); or there is none that agrees
+    although there are several matches, of which at most one can be true: that one is forgiven.
     """
     borne_out = contradicted = 0
     for agreeing, all_of_pair in state.agreements_with(other):

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from frontend.cameras import PinholeCamera, Rig, RigKind
-from frontend.trajectory import Trajectory, read_tum, stamp_ns_from_s
-from frontend.vofiles import VoTrack, read_tracks
-from mas.errors import MasError
+from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
+from maslam.frontend.files.trajectory import Trajectory, read_tum, stamp_ns_from_s
+from maslam.frontend.files.vo_files import VoTrack, read_tracks
+
+from .errors import MasError
 
 if TYPE_CHECKING:
-    from descriptors.container import PlaceVectors
+    from maslam.descriptors.container import PlaceVectors
 
 MANIFEST = "manifest.json"
 TRAJECTORY = "trajectory.tum"
@@ -127,7 +128,7 @@ class AgentSequence:
     in the source. ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own
     world frame (that of its first key-frame). ``places``: one unit vector a key-frame, all tracks in order.
     ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image sequence.
-    ``groundtruth`` is for :mod:`mas.metrics` alone; no agent ever sees it.
+    ``groundtruth`` is for :mod:`maslam.mas.evaluation.ground_truth` alone; no agent ever sees it.
     """
 
     name: str
@@ -201,7 +202,7 @@ def load_sequences(folder: Path) -> tuple[Manifest, list[AgentSequence]]:
 def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSequence:
     if not folder.is_dir():
         raise MasError(f"{folder}: missing, but {MANIFEST} names {entry.name}")
-    from descriptors.container import PlaceVectors
+    from maslam.descriptors.container import PlaceVectors
 
     places = PlaceVectors.load(folder / PLACES)
     wanted = manifest.descriptor

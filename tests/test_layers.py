@@ -12,13 +12,13 @@ PACKAGES = ("backend", "frontend", "descriptors", "mas", "tools")
 HEAVY = ("torch", "kornia", "open3d", "matplotlib", "gtsam", "pycolmap", "onnx", "rerun", "evo")
 ALLOWED: dict[str, tuple[str, ...]] = {
     "backend": (),
-    "frontend": ("backend.geometry",),
+    "frontend": ("maslam.backend.geometry",),
     "descriptors": (),
     "mas": (
         "backend",
-        "frontend.vofiles", "frontend.trajectory", "frontend.errors", "frontend.cameras",
-        "descriptors.container", "descriptors.inference", "descriptors.errors",
-        "descriptors.card", "descriptors.clusters", "descriptors.codes", "descriptors.search",
+        "maslam.frontend.files.vo_files", "maslam.frontend.files.trajectory", "maslam.frontend.errors", "maslam.frontend.cameras.models",
+        "maslam.descriptors.container", "maslam.descriptors.inference", "maslam.descriptors.errors",
+        "maslam.descriptors.card", "maslam.descriptors.clusters", "maslam.descriptors.codes", "maslam.descriptors.search",
     ),
     "tools": ("backend", "frontend", "descriptors", "mas"),
 }  # fmt: skip
@@ -108,15 +108,15 @@ def test_the_table_is_the_one_in_the_documents() -> None:
 @pytest.mark.parametrize(
     ("package", "code", "wrong"),
     [
-        ("frontend", "from backend.geometry import se3", 0),
+        ("frontend", "from maslam.backend.geometry import se3", 0),
         ("frontend", "def f():\n    from backend import graph", 1),
-        ("frontend", "import backend.geometry, backend.graph", 1),
+        ("frontend", "import maslam.backend.geometry, maslam.backend.pose_graph.graph", 1),
         ("backend", "from . import geometry", 0),
-        ("backend", "from tools.cli import main", 1),
-        ("mas", "from frontend.vofiles import read_tracks", 0),
+        ("backend", "from maslam.tools.cli import main", 1),
+        ("mas", "from maslam.frontend.files.vo_files import read_tracks", 0),
         ("mas", "from frontend import odometry", 1),
         ("mas", "from descriptors import network", 1),
-        ("tools", "import mas.agent", 0),
+        ("tools", "import maslam.mas.agent", 0),
     ],
 )
 def test_the_test_itself(package: str, code: str, wrong: int) -> None:

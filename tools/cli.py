@@ -15,23 +15,23 @@ from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
-from tools.errors import UsageError, describe
+from .common.errors import UsageError, describe
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("tools.demo", "render a small town, run four agents in it, write the report"),
-    "render": ("tools.render_command", "synthetic images, depth and ground truth of several agents"),
-    "inspect": ("tools.inspect", "what would be read from a folder of images, and what is wrong with it"),
-    "preprocess": ("tools.preprocess", "images to agent sequences: odometry, map points, place vectors"),
-    "run": ("tools.run", "the multi-agent system on agent sequences"),
-    "slam": ("tools.slam", "preprocess, run, evaluate and report in one"),
-    "eval": ("tools.evaluate", "error, exploration and bytes of a run, against ground truth where there is any"),
-    "report": ("tools.report", "one self-contained HTML page of a run; optionally a recording for rerun"),
-    "sweep": ("tools.sweep.command", "sequences x agents x presets x seeds, to tables and figures"),
-    "pgo": ("tools.pgo.command", "pose-graph optimisation of g2o files, central or distributed"),
-    "bench": ("tools.bench", "accuracy, time and memory of the odometry; time of the place search"),
-    "netvlad": ("tools.netvlad", "train, export, calibrate and evaluate the place descriptor"),
-    "vocabulary": ("tools.vocabulary", "train or show the vocabulary of ORB words"),
-    "doctor": ("tools.doctor", "versions, missing system libraries, what works on this machine"),
+    "demo": (".pipeline.demo", "render a small town, run four agents in it, write the report"),
+    "render": (".worlds.command", "synthetic images, depth and ground truth of several agents"),
+    "inspect": (".inspection.command", "what would be read from a folder of images, and what is wrong with it"),
+    "preprocess": (".pipeline.preprocess", "images to agent sequences: odometry, map points, place vectors"),
+    "run": (".pipeline.run", "the multi-agent system on agent sequences"),
+    "slam": (".pipeline.slam", "preprocess, run, evaluate and report in one"),
+    "eval": (".report.summary_table", "error, exploration and bytes of a run, against ground truth where there is any"),
+    "report": (".report.command", "one self-contained HTML page of a run; optionally a recording for rerun"),
+    "sweep": (".sweep.command", "sequences x agents x presets x seeds, to tables and figures"),
+    "pgo": (".pgo.command", "pose-graph optimisation of g2o files, central or distributed"),
+    "bench": (".bench.command", "accuracy, time and memory of the odometry; time of the place search"),
+    "netvlad": (".netvlad.command", "train, export, calibrate and evaluate the place descriptor"),
+    "vocabulary": (".vocabulary", "train or show the vocabulary of ORB words"),
+    "doctor": (".inspection.doctor", "versions, missing system libraries, what works on this machine"),
 }
 SUCCESS, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.command is None:
         parser.print_help()
         return USAGE
-    from tools.workers import one_blas_thread  # what follows loads libraries; --help does not
+    from .common.parallel import one_blas_thread  # what follows loads libraries; --help does not
 
     try:
         with one_blas_thread():
@@ -88,7 +88,7 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if name == chosen:
-            module = importlib.import_module(module_name)
+            module = importlib.import_module(module_name, __package__)
             module.add_arguments(command)
             command.usage = _usage(command)
             command.set_defaults(command_main=module.main)

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tools.errors import ToolError
+from .common.errors import ToolError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from frontend.vocabulary import Vocabulary
-    from tools.progress import Progress
+    from maslam.frontend.vocabulary.vocabulary import Vocabulary
+
+    from .common.progress import Progress
 
 _MIN_DESCRIPTORS = 50
 """An image with fewer says nothing about how words are spread over images."""
@@ -64,12 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """Do the action asked for."""
     if arguments.action == "info":
-        from frontend.vocabulary import DEFAULT_PATH, Vocabulary
+        from maslam.frontend.vocabulary.vocabulary import DEFAULT_PATH, Vocabulary
 
         path = arguments.file or DEFAULT_PATH
         print("\n".join(vocabulary_info(path, Vocabulary.load(path))))
         return
-    from tools.progress import progress_on
+    from .common.progress import progress_on
 
     settings = TrainingSettings(
         arguments.branching, arguments.depth, arguments.features, arguments.every, arguments.seed
@@ -104,7 +105,7 @@ def train_from_images(sources: Sequence[Path], settings: TrainingSettings, progr
     few."""
     import numpy as np
 
-    from frontend.vocabulary_training import train_vocabulary
+    from maslam.frontend.vocabulary.training import train_vocabulary
 
     if settings.branching < 2 or settings.depth < 1 or settings.features < _MIN_DESCRIPTORS or settings.every < 1:
         raise ToolError(f"branching >= 2, depth >= 1, features >= {_MIN_DESCRIPTORS} and every >= 1 are needed")
@@ -122,7 +123,7 @@ def train_from_images(sources: Sequence[Path], settings: TrainingSettings, progr
 
 
 def _images_under(source: Path, every: int) -> list[Path]:
-    from frontend.datasets.images import list_images, natural_key
+    from maslam.frontend.datasets.images import list_images, natural_key
 
     if not source.is_dir():
         raise ToolError(f"{source}: no such folder")
@@ -135,7 +136,7 @@ def _images_under(source: Path, every: int) -> list[Path]:
 
 
 def _describe_all(paths: Sequence[Path], features: int, progress: Progress) -> list[NDArray[np.uint8]]:
-    from frontend.datasets.images import read_grey
+    from maslam.frontend.datasets.images import read_grey
 
     task = progress.start("describing images", len(paths))
     images = []

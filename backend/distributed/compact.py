@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from backend.errors import BackendError
-from backend.geometry import Array, se3, se3_inverse, so3_exp, so3_log
+from ..errors import BackendError
+from ..geometry import Array, se3, se3_inverse, so3_exp, so3_log
 
 _POSE = struct.Struct("<6d")
 _WEIGHTS = struct.Struct("<ff")

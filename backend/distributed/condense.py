@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.chordal import first_of_parts, parts, two_stage_poses
-from backend.distributed.share import Share
-from backend.geometry import Array, se3_inverse
-from backend.graph import Edge, NodeId
-from backend.linear import edge_costs, isotropic_weights
-from backend.newton import newton
+from ..central.chordal import first_of_parts, parts, two_stage_poses
+from ..central.linear import edge_costs, isotropic_weights
+from ..central.trust_region import newton
+from ..geometry import Array, se3_inverse
+from ..pose_graph.graph import Edge, NodeId
+from .share import Share
 
 
 @dataclass(frozen=True, eq=False)

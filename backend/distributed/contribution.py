@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.distributed.compact import Reader, Writer, from_steps, numbers_of, poses_of, step_sizes, to_steps
-from backend.distributed.condense import Condensed, OwnGraph, weights_of
-from backend.distributed.share import Share
-from backend.geometry import Array, se3_inverse
-from backend.graph import NodeId
+from ..geometry import Array, se3_inverse
+from ..pose_graph.graph import NodeId
+from .compact import Reader, Writer, from_steps, numbers_of, poses_of, step_sizes, to_steps
+from .condense import Condensed, OwnGraph, weights_of
+from .share import Share
 
 
 @dataclass(frozen=True, eq=False)

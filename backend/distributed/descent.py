@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.distributed.local import LocalProblem
-from backend.distributed.messages import as_sent
-from backend.distributed.mixing import move, moved
-from backend.distributed.placing import Pieces
-from backend.geometry import Array, se3, so3_exp, so3_log
-from backend.linear import BlockSystem, edge_costs, pose_blocks
+from ..central.linear import BlockSystem, edge_costs, pose_blocks
+from ..geometry import Array, se3, so3_exp, so3_log
+from .local import LocalProblem
+from .messages import as_sent
+from .mixing import move, moved
+from .placing import Pieces
 
 # Steps of one byte.
 _LARGEST_STEP = 127

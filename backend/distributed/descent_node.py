@@ -11,17 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from backend.config import SolverConfig
-from backend.distributed.descent import BlockDescent, stepped
-from backend.distributed.messages import Decision, Deltas, Round, Stage, Values, number_type
-from backend.distributed.mixing import Mixer, MixingRule
-from backend.distributed.rounds import Separators
-from backend.distributed.selection import Selection
-from backend.distributed.share import Outcome, Share
-from backend.distributed.staged import StagedNode
-from backend.errors import BackendError
-from backend.geometry import Array, se3, so3_exp
-from backend.robust.schedule import settled
+from ..config import SolverConfig
+from ..errors import BackendError
+from ..geometry import Array, se3, so3_exp
+from ..robust.schedule import settled
+from .descent import BlockDescent, stepped
+from .messages import Decision, Deltas, Round, Stage, Values, number_type
+from .mixing import Mixer, MixingRule
+from .rounds import Separators
+from .selection import Selection
+from .share import Outcome, Share
+from .staged import StagedNode
 
 # F counts squared standard deviations: a smaller fall matters to nobody.
 _NOTHING = 1e-9

@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from backend.config import SolverConfig
-from backend.distributed import contribution as parcel
-from backend.distributed.condense import Condensed, OwnGraph
-from backend.distributed.contribution import Contribution
-from backend.distributed.elected_messages import ElectedMessage, Kind
-from backend.distributed.gathered import Gathered, cost_between, solve
-from backend.distributed.share import Outcome, Share
-from backend.errors import BackendError
-from backend.geometry import Array
-from backend.graph import NodeId
+from ..config import SolverConfig
+from ..errors import BackendError
+from ..geometry import Array
+from ..pose_graph.graph import NodeId
+from . import contribution as parcel
+from .condense import Condensed, OwnGraph
+from .contribution import Contribution
+from .elected_messages import ElectedMessage, Kind
+from .gathered import Gathered, cost_between, solve
+from .share import Outcome, Share
 
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")

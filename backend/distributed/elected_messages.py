@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from backend.errors import BackendError
+from ..errors import BackendError
 
 _HEADER = struct.Struct("<BBHH")
 # Far from the kinds of the other solvers' messages, so that a stray one is recognised.

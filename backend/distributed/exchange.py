@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from backend.config import SolverConfig
-from backend.distributed.elected_messages import ElectedMessage
-from backend.distributed.messages import Decision, Deltas, Message, Stage, State, Values, decode, encode
-from backend.distributed.methods import node_for
-from backend.distributed.share import JudgedEdge, Outcome, Share, shares
-from backend.errors import BackendError
-from backend.graph import EdgeKind, PoseGraph
+from ..config import SolverConfig
+from ..errors import BackendError
+from ..pose_graph.graph import EdgeKind, PoseGraph
+from .elected_messages import ElectedMessage
+from .messages import Decision, Deltas, Message, Stage, State, Values, decode, encode
+from .methods import node_for
+from .share import JudgedEdge, Outcome, Share, shares
 
 # Ticks of a group that works without rounds, for each version a robot may make, before it counts as stuck.
 _MOST_TICKS = 20

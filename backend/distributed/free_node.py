@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.config import SolverConfig
-from backend.distributed.descent_node import DescentNode
-from backend.distributed.messages import Decision, Message, Round, Stage, Standing, State, Status, number_type
-from backend.distributed.mixing import moved
-from backend.distributed.share import Share
-from backend.errors import BackendError
-from backend.geometry import Array, se3, so3_exp
+from ..config import SolverConfig
+from ..errors import BackendError
+from ..geometry import Array, se3, so3_exp
+from .descent_node import DescentNode
+from .messages import Decision, Message, Round, Stage, Standing, State, Status, number_type
+from .mixing import moved
+from .share import Share
 
 # Ticks between sending again what nobody has confirmed.
 _PATIENCE = 3

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.chordal import parts, two_stage_poses
-from backend.distributed.condense import noise_of
-from backend.distributed.contribution import Between, Contribution
-from backend.geometry import Array
-from backend.graph import NodeId
-from backend.linear import edge_costs
-from backend.newton import newton
+from ..central.chordal import parts, two_stage_poses
+from ..central.linear import edge_costs
+from ..central.trust_region import newton
+from ..geometry import Array
+from ..pose_graph.graph import NodeId
+from .condense import noise_of
+from .contribution import Between, Contribution
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.distributed.gauss_seidel import Relaxation
-from backend.distributed.share import Share
-from backend.geometry import Array, project_to_so3, se3, so3_exp, so3_log
-from backend.graph import NodeId
-from backend.linear import edge_costs, isotropic_weights, pose_blocks, rotation_blocks
+from ..central.linear import edge_costs, isotropic_weights, pose_blocks, rotation_blocks
+from ..central.relaxation import Relaxation
+from ..geometry import Array, project_to_so3, se3, so3_exp, so3_log
+from ..pose_graph.graph import NodeId
+from .share import Share
 
 
 class LocalProblem:

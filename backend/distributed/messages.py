@@ -14,8 +14,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.errors import BackendError
-from backend.geometry import Array
+from ..errors import BackendError
+from ..geometry import Array
 
 
 class Stage(IntEnum):

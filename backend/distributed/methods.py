@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from backend.config import SolverConfig
-from backend.distributed.descent_node import DescentNode
-from backend.distributed.elected import ElectedNode
-from backend.distributed.free_node import FreeNode
-from backend.distributed.node import Node
-from backend.distributed.share import Outcome, Share
-from backend.errors import BackendError
+from ..config import SolverConfig
+from ..errors import BackendError
+from .descent_node import DescentNode
+from .elected import ElectedNode
+from .free_node import FreeNode
+from .node import Node
+from .share import Outcome, Share
 
 
 class SolverNode(Protocol):

@@ -12,8 +12,8 @@ import itertools
 
 import numpy as np
 
-from backend.distributed.messages import as_sent
-from backend.geometry import Array, se3, so3_exp, so3_log
+from ..geometry import Array, se3, so3_exp, so3_log
+from .messages import as_sent
 
 # Inner products travel in single precision: what they cannot tell apart is not to be mixed.
 _REGULARISATION = 1e-6

@@ -1,6 +1,6 @@
 """The two-stage method at one robot: rotation sweeps, then sweeps on Gauss-Newton steps for the poses.
 
-Synchronous rounds (:mod:`backend.distributed.rounds`): robots that share no edge work at the same time, and the
+Synchronous rounds (:mod:`maslam.backend.distributed.rounds`): robots that share no edge work at the same time, and the
 result does not depend on the order of messages.
 """
 
@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.distributed.gauss_seidel import Relaxation
-from backend.distributed.messages import WIDTH, Decision, Round, Stage, Values
-from backend.distributed.rounds import Separators
-from backend.distributed.staged import StagedNode
-from backend.geometry import Array
+from ..central.relaxation import Relaxation
+from ..geometry import Array
+from .messages import WIDTH, Decision, Round, Stage, Values
+from .rounds import Separators
+from .staged import StagedNode
 
 _SWEPT = (Stage.ROTATION, Stage.POSE)
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from backend.distributed.messages import WIDTH, Decision, Deltas, Message, Report, Round, Stage, Values
-from backend.distributed.share import Outcome, Share
-from backend.errors import BackendError
+from ..errors import BackendError
+from .messages import WIDTH, Decision, Deltas, Message, Report, Round, Stage, Values
+from .share import Outcome, Share
 
 Separators = Values | Deltas
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.distributed.local import LocalProblem
-from backend.distributed.share import JudgedEdge
-from backend.geometry import Array
-from backend.graph import EdgeKind
-from backend.linear import edge_costs
-from backend.robust.schedule import first_mu, next_mu, tls_weight, truncation
+from ..central.linear import edge_costs
+from ..geometry import Array
+from ..pose_graph.graph import EdgeKind
+from ..robust.schedule import first_mu, next_mu, tls_weight, truncation
+from .local import LocalProblem
+from .share import JudgedEdge
 
 
 class Selection:

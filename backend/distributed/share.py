@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from backend.errors import BackendError
-from backend.geometry import Array
-from backend.graph import Edge, NodeId, PoseGraph
+from ..errors import BackendError
+from ..geometry import Array
+from ..pose_graph.graph import Edge, NodeId, PoseGraph
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,12 @@ from abc import abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.config import SolverConfig
-from backend.distributed.gauss_seidel import Relaxation
-from backend.distributed.local import LocalProblem, scale_stage
-from backend.distributed.messages import Decision, Round, Stage, Values
-from backend.distributed.rounds import Rounds, Separators
-from backend.distributed.share import Outcome, Share
+from ..central.relaxation import Relaxation
+from ..config import SolverConfig
+from .local import LocalProblem, scale_stage
+from .messages import Decision, Round, Stage, Values
+from .rounds import Rounds, Separators
+from .share import Outcome, Share
 
 
 class StagedNode(Rounds):

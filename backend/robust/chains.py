@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.geometry import Array, se3_inverse, skew
-from backend.graph import Edge, EdgeKind, NodeId
+from ..geometry import Array, se3_inverse, skew
+from ..pose_graph.graph import Edge, EdgeKind, NodeId
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.central import polished, two_stage
-from backend.config import CentralConfig, RobustConfig
-from backend.costs import cost, edge_cost
-from backend.geometry import Array
-from backend.graph import EdgeKind, PoseGraph
-from backend.levenberg_marquardt import levenberg_marquardt
-from backend.newton import anchors
-from backend.robust.noise import Noise
-from backend.robust.prediction import predicted_distances
-from backend.robust.schedule import first_mu, next_mu, tls_weight
+from ..central.costs import cost, edge_cost
+from ..central.gtsam_adapter import levenberg_marquardt
+from ..central.optimise import polished, two_stage
+from ..central.trust_region import anchors
+from ..config import CentralConfig, RobustConfig
+from ..geometry import Array
+from ..pose_graph.graph import EdgeKind, PoseGraph
+from .noise import Noise
+from .prediction import predicted_distances
+from .schedule import first_mu, next_mu, tls_weight
 
 _ROUNDS = 50
 

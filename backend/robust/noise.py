@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.config import RobustConfig
-from backend.geometry import Array
-from backend.robust import chi_square
+from ..config import RobustConfig
+from ..geometry import Array
+from . import chi_square
 
 # With fewer residual degrees of freedom than this, the residuals say nothing.
 _ENOUGH = 12

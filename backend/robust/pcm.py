@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.config import RobustConfig
-from backend.geometry import Array, se3_inverse, se3_log
-from backend.graph import Edge, EdgeKind, PoseGraph
-from backend.robust.chains import Chain, adjoint, chains, covariances
-from backend.robust.clique import Clique, largest_clique
-from backend.robust.noise import Noise
+from ..config import RobustConfig
+from ..geometry import Array, se3_inverse, se3_log
+from ..pose_graph.graph import Edge, EdgeKind, PoseGraph
+from .chains import Chain, adjoint, chains, covariances
+from .clique import Clique, largest_clique
+from .noise import Noise
 
 _ROUNDS = 50
 # Bound of the search for consistent sets while the noise is being found.

@@ -7,14 +7,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.config import CentralConfig
-from backend.costs import frobenius_weights
-from backend.errors import BackendError
-from backend.geometry import Array, se3_inverse, se3_log
-from backend.graph import EdgeArrays, PoseGraph
-from backend.linear import BlockSystem, pose_blocks
-from backend.newton import anchors, named_parts
-from backend.robust.chains import adjoint
+from ..central.costs import frobenius_weights
+from ..central.linear import BlockSystem, pose_blocks
+from ..central.trust_region import anchors, named_parts
+from ..config import CentralConfig
+from ..errors import BackendError
+from ..geometry import Array, se3_inverse, se3_log
+from ..pose_graph.graph import EdgeArrays, PoseGraph
+from .chains import adjoint
 
 # Edges looked at together, which bounds the memory.
 _BATCH = 200

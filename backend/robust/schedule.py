@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from backend.geometry import Array
-from backend.robust import chi_square
+from ..geometry import Array
+from . import chi_square
 
 # How fast the surrogate sharpens, as published.
 GROWTH = 1.4

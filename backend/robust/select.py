@@ -10,14 +10,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.central import optimise
-from backend.config import CentralConfig, RobustConfig
-from backend.costs import cost
-from backend.geometry import Array
-from backend.graph import EdgeKind, NodeId, PoseGraph
-from backend.robust.gnc import graduate, squared_residuals
-from backend.robust.pcm import Consistency, consistent_edges
-from backend.robust.prediction import predicted_distances
+from ..central.costs import cost
+from ..central.optimise import optimise
+from ..config import CentralConfig, RobustConfig
+from ..geometry import Array
+from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
+from .gnc import graduate, squared_residuals
+from .pcm import Consistency, consistent_edges
+from .prediction import predicted_distances
 
 Method = Literal["pcm", "gnc", "pcm+gnc"]
 

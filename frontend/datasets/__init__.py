@@ -6,15 +6,15 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from frontend.cameras import RigKind
-from frontend.datasets.base import Dataset, ImageSequence, Problem, Reader, Severity
-from frontend.datasets.euroc import EurocReader
-from frontend.datasets.folder import FolderReader
-from frontend.datasets.images import natural_key
-from frontend.datasets.kitti import KittiReader
-from frontend.datasets.seven_scenes import SevenScenesReader
-from frontend.datasets.tum import TumReader
-from frontend.errors import FrontendError
+from ..cameras.models import RigKind
+from ..errors import FrontendError
+from .base import Dataset, ImageSequence, Problem, Reader, Severity
+from .euroc import EurocReader
+from .folder import FolderReader
+from .images import natural_key
+from .kitti import KittiReader
+from .seven_scenes import SevenScenesReader
+from .tum import TumReader
 
 __all__ = ["READERS", "Dataset", "ImageSequence", "Problem", "Severity", "open_dataset"]
 

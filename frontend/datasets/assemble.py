@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import product, se3
-from frontend.calibration import RawRig
-from frontend.cameras import PinholeCamera, Rig, RigKind
-from frontend.datasets import checks
-from frontend.datasets.base import ImageSequence, Problems
-from frontend.datasets.images import first_size
-from frontend.rectification import rectify_rig
-from frontend.registration import DepthRegistration
-from frontend.trajectory import Trajectory
+from maslam.backend.geometry import product, se3
+
+from ..cameras.calibration import RawRig
+from ..cameras.depth_registration import DepthRegistration
+from ..cameras.models import PinholeCamera, Rig, RigKind
+from ..cameras.rectification import rectify_rig
+from ..files.trajectory import Trajectory
+from . import checks
+from .base import ImageSequence, Problems
+from .images import first_size
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ from typing import ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.cameras import Rig, RigKind
-from frontend.datasets.images import read_colour, read_depth, read_grey
-from frontend.errors import FrontendError
-from frontend.frames import Frame, PutOff
-from frontend.rectification import Rectifier
-from frontend.registration import DepthRegistration
-from frontend.stopwatch import Stage, Stopwatch
-from frontend.trajectory import Trajectory
+from ..cameras.depth_registration import DepthRegistration
+from ..cameras.models import Rig, RigKind
+from ..cameras.rectification import Rectifier
+from ..errors import FrontendError
+from ..files.trajectory import Trajectory
+from ..frames import Frame, PutOff
+from ..stopwatch import Stage, Stopwatch
+from .images import read_colour, read_depth, read_grey
 
 Pixel = TypeVar("Pixel", bound=np.generic)
 Value = TypeVar("Value")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from frontend.calibration import RawRig
-from frontend.calibration_files import pair_of_files, read_calibration
-from frontend.errors import FrontendError
+from ..cameras.calibration import RawRig
+from ..cameras.calibration_files import pair_of_files, read_calibration
+from ..errors import FrontendError
 
 _SUFFIXES = (".yaml", ".yml")
 _USUAL = ("camera", "calibration", "camera_info", "camchain", "calib")

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.cameras import PinholeCamera
-from frontend.datasets.base import Problems
-from frontend.stamps import NS_PER_S, seconds_text
+from ..cameras.models import PinholeCamera
+from ..files.timestamps import NS_PER_S, seconds_text
+from .base import Problems
 
 MAX_RATE_HZ = 1000.0
 MIN_RATE_HZ = 0.01

@@ -7,18 +7,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import product, rotation_from_quat_wxyz, se3, se3_inverse
-from frontend import tables
-from frontend.calibration import RawCamera, RawRig
-from frontend.calibration_files import camera, load_fields
-from frontend.cameras import RigKind
-from frontend.datasets.assemble import Found, assemble, available_rigs
-from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
-from frontend.datasets.images import list_images
-from frontend.errors import FrontendError
-from frontend.rectification import stereo_rotations
-from frontend.stamps import integer_ns, read_stamps
-from frontend.trajectory import Trajectory, read_tum
+from maslam.backend.geometry import product, rotation_from_quat_wxyz, se3, se3_inverse
+
+from ..cameras.calibration import RawCamera, RawRig
+from ..cameras.calibration_files import camera, load_fields
+from ..cameras.models import RigKind
+from ..cameras.rectification import stereo_rotations
+from ..errors import FrontendError
+from ..files import text_tables
+from ..files.timestamps import integer_ns, read_stamps
+from ..files.trajectory import Trajectory, read_tum
+from .assemble import Found, assemble, available_rigs
+from .base import ImageSequence, Problems, Reader, choose_rig
+from .images import list_images
 
 
 class EurocReader(Reader):
@@ -84,7 +85,7 @@ def _images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
             raise FrontendError(f"{cam / 'data'}: no images named by their time in nanoseconds, and no {table.name}")
         return named, tuple(images)
     stamps, files = [], []
-    for number, line in enumerate(tables.read_bytes(table).decode("ascii", "replace").splitlines(), 1):
+    for number, line in enumerate(text_tables.read_bytes(table).decode("ascii", "replace").splitlines(), 1):
         fields = [field.strip() for field in line.split(",")]
         if not line.strip() or line.startswith("#"):
             continue
@@ -135,10 +136,12 @@ def _groundtruth(mav: Path, raw: RawRig, T_body_left: NDArray[np.float64]) -> Tr
     """``T_W_C`` of the left camera as calibrated."""
     state = mav / "state_groundtruth_estimate0" / "data.csv"
     if state.is_file():
-        values = tables.read_table(state, (17, 8), "a state (ns, position, quaternion wxyz, and velocity and biases)")
+        values = text_tables.read_table(
+            state, (17, 8), "a state (ns, position, quaternion wxyz, and velocity and biases)"
+        )
         stamps = read_stamps(state, nanoseconds=True)
         for row in np.flatnonzero(np.diff(stamps) <= 0)[:1] + 1:
-            raise FrontendError(f"{state}:{tables.row_line(state, row)}: time does not go on")
+            raise FrontendError(f"{state}:{text_tables.row_line(state, row)}: time does not go on")
         T_W_body = se3(rotation_from_quat_wxyz(values[:, 4:8]), values[:, 1:4])
         return Trajectory(stamps, product(T_W_body, T_body_left))
     beside = sorted(mav.resolve().parent.glob("groundtruth*.tum"))

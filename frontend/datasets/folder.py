@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.calibration import RawRig
-from frontend.cameras import RigKind
-from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
-from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
-from frontend.datasets.camera_file import find_camera_file
-from frontend.datasets.images import list_images
-from frontend.errors import FrontendError
-from frontend.stamps import NS_PER_S, decimal_ns, read_stamps
-from frontend.trajectory import Trajectory, read_kitti_poses, read_tum
+from ..cameras.calibration import RawRig
+from ..cameras.models import RigKind
+from ..errors import FrontendError
+from ..files.timestamps import NS_PER_S, decimal_ns, read_stamps
+from ..files.trajectory import Trajectory, read_kitti_poses, read_tum
+from .assemble import Found, assemble, available_rigs, frame_truth
+from .base import ImageSequence, Problems, Reader, choose_rig
+from .camera_file import find_camera_file
+from .images import list_images
 
 _LEFT = ("image_0", "left", "images", "image", "rgb", "color", "cam0", ".")
 _RIGHT = {"image_0": "image_1", "left": "right", "cam0": "cam1"}
@@ -28,7 +28,7 @@ _DEFAULT_RATE_HZ = 10.0
 class FolderReader(Reader):
     """Images in the folder itself or in ``image_0`` (``left``, ``images``, ``rgb``, ...); stereo with ``image_1``
     (``right``), RGB-D with ``depth_0`` (``depth``), files of one frame having one name; a calibration file (see
-    :mod:`frontend.calibration_files`).
+    :mod:`maslam.frontend.cameras.calibration_files`).
 
     Time stamps: ``times.txt`` (seconds, one an image), else file names that are times (seconds with a point; ns, us
     or ms by their number of digits), else the rate in the calibration file. Ground truth: ``poses.txt`` (KITTI rows,

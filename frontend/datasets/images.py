@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend.errors import FrontendError
-from frontend.tables import read_bytes
+from ..errors import FrontendError
+from ..files.text_tables import read_bytes
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"})
 _PNG_START = b"\x89PNG\r\n\x1a\n"

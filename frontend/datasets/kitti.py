@@ -7,15 +7,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3
-from frontend import stamps, tables
-from frontend.calibration import RawCamera, RawRig
-from frontend.cameras import RigKind
-from frontend.datasets.assemble import Found, assemble, available_rigs, frame_truth
-from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
-from frontend.datasets.images import list_images
-from frontend.errors import FrontendError
-from frontend.trajectory import Trajectory, read_kitti_poses
+from maslam.backend.geometry import se3
+
+from ..cameras.calibration import RawCamera, RawRig
+from ..cameras.models import RigKind
+from ..errors import FrontendError
+from ..files import text_tables, timestamps
+from ..files.trajectory import Trajectory, read_kitti_poses
+from .assemble import Found, assemble, available_rigs, frame_truth
+from .base import ImageSequence, Problems, Reader, choose_rig
+from .images import list_images
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,7 @@ def read_projections(path: Path) -> dict[int, Array]:
     """Camera number to 3x4 projection matrix; rows without a label count up from 0; labels other than ``P<n>:`` are
     passed over."""
     projections: dict[int, Array] = {}
-    for number, line in enumerate(tables.read_bytes(path).decode("ascii", "replace").splitlines(), 1):
+    for number, line in enumerate(text_tables.read_bytes(path).decode("ascii", "replace").splitlines(), 1):
         label, colon, rest = line.partition(":")
         fields = (rest if colon else line).split()
         label = label.strip() if colon else f"P{len(projections)}"
@@ -115,7 +116,7 @@ def _times(folder: Path, images: tuple[Path, ...], problems: Problems) -> NDArra
     path = folder / "times.txt"
     if not path.is_file():
         raise FrontendError(f"{path}: missing; a KITTI sequence needs the time of each image, in seconds, one a line")
-    times = stamps.read_stamps(path)
+    times = timestamps.read_stamps(path)
     rows = _rows_of_images(len(times), images)
     if rows is None:
         raise FrontendError(f"{path}: {len(times)} times for {len(images)} images in {images[0].parent.name}")

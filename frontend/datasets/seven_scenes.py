@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import product, project_to_so3, se3, se3_inverse
-from frontend import tables
-from frontend.calibration import RawCamera, RawRig
-from frontend.cameras import PinholeCamera, RigKind
-from frontend.datasets.assemble import DepthSensor, Found, assemble, available_rigs, frame_truth
-from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
-from frontend.datasets.images import first_size, list_images
-from frontend.errors import FrontendError
-from frontend.stamps import NS_PER_S
-from frontend.trajectory import Trajectory
+from maslam.backend.geometry import product, project_to_so3, se3, se3_inverse
+
+from ..cameras.calibration import RawCamera, RawRig
+from ..cameras.models import PinholeCamera, RigKind
+from ..errors import FrontendError
+from ..files import text_tables
+from ..files.timestamps import NS_PER_S
+from ..files.trajectory import Trajectory
+from .assemble import DepthSensor, Found, assemble, available_rigs, frame_truth
+from .base import ImageSequence, Problems, Reader, choose_rig
+from .images import first_size, list_images
 
 _COLOUR = re.compile(r"frame-(\d+)\.color\.(?:png|jpg|jpeg)")
 _RATE_HZ = 30  # of the Kinect; the data set has no time stamps
@@ -77,7 +78,7 @@ def _stem(path: Path) -> str:
 def _camera(folder: Path, size: tuple[int, int], problems: Problems) -> RawCamera:
     source = folder / "camera.txt"
     if source.is_file():
-        values = tables.read_table(source, 4, "a camera (fx fy cx cy)")
+        values = text_tables.read_table(source, 4, "a camera (fx fy cx cy)")
         if len(values) != 1:
             raise FrontendError(f"{source}: one line of four numbers (fx fy cx cy) expected, found {len(values)}")
         fx, fy, cx, cy = values[0].tolist()
@@ -102,7 +103,7 @@ def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: P
         if not path.is_file():
             missing.append(path)
             continue
-        pose = tables.read_table(path, 4, "a row of a 4x4 pose")
+        pose = text_tables.read_table(path, 4, "a row of a 4x4 pose")
         if pose.shape != (4, 4) or abs(np.linalg.det(pose[:3, :3]) - 1.0) > 0.05:
             raise FrontendError(f"{path}: not a rigid 4x4 transform")
         stamps.append(stamp)

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frontend import tables
-from frontend.calibration import Distortion, RawCamera, RawRig
-from frontend.cameras import RigKind
-from frontend.datasets.assemble import Found, assemble, available_rigs
-from frontend.datasets.base import ImageSequence, Problems, Reader, choose_rig
-from frontend.datasets.camera_file import find_camera_file
-from frontend.errors import FrontendError
-from frontend.stamps import decimal_ns
-from frontend.trajectory import read_tum
+from ..cameras.calibration import Distortion, RawCamera, RawRig
+from ..cameras.models import RigKind
+from ..errors import FrontendError
+from ..files import text_tables
+from ..files.timestamps import decimal_ns
+from ..files.trajectory import read_tum
+from .assemble import Found, assemble, available_rigs
+from .base import ImageSequence, Problems, Reader, choose_rig
+from .camera_file import find_camera_file
 
 _TOLERANCE_NS = 20_000_000  # between colour and depth: more than half a frame at 30 Hz is another frame
 _DEPTH_UNIT_M = 1.0 / 5000.0
@@ -72,7 +72,7 @@ class TumReader(Reader):
 
 def _listed(path: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
     stamps, files = [], []
-    for number, line in enumerate(tables.read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+    for number, line in enumerate(text_tables.read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
         fields = line.split()
         if not fields or fields[0].startswith("#"):
             continue

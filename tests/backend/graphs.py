@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from backend.geometry import se3, se3_exp, se3_inverse, so3_exp
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from maslam.backend.geometry import se3, se3_exp, se3_inverse, so3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
 
 
 def loops(rng, robots=4, length=100, separators=8, sigma_t=0.02, sigma_deg=0.1, step=1.0):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.geometry import Sim3, se3_exp, se3_inverse, transform_points
-from backend.verification import PlaceView
+from maslam.backend.geometry import Sim3, se3_exp, se3_inverse, transform_points
+from maslam.backend.relpose.verification import PlaceView
 
 FOCAL_PX, BASELINE_M, WIDTH_PX, HEIGHT_PX = 320.0, 0.5, 640, 360
 

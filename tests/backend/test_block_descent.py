@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from graphs import grid, loops, town, with_wrong_edges
 
-from backend.central import optimise
-from backend.config import CentralConfig, SolverConfig
-from backend.costs import cost, edge_cost
-from backend.distributed.exchange import optimise_distributed
-from backend.distributed.mixing import Mixer, MixingRule, move, moved
-from backend.geometry import se3_exp
-from backend.graph import EdgeKind
-from backend.robust.schedule import first_mu, next_mu, settled, tls_weight, truncation
+from maslam.backend.central.costs import cost, edge_cost
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig, SolverConfig
+from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.mixing import Mixer, MixingRule, move, moved
+from maslam.backend.geometry import se3_exp
+from maslam.backend.pose_graph.graph import EdgeKind
+from maslam.backend.robust.schedule import first_mu, next_mu, settled, tls_weight, truncation
 
 DESCENT = SolverConfig(method="rbcd")
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from graphs import grid, loops, measured
 
-from backend.central import optimise, polished, two_stage
-from backend.config import CentralConfig
-from backend.costs import cost, edge_cost
-from backend.errors import BackendError
-from backend.geometry import se3_exp, se3_inverse
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior
-from backend.levenberg_marquardt import levenberg_marquardt
-from backend.linear import isotropic_weights
+from maslam.backend.central.costs import cost, edge_cost
+from maslam.backend.central.gtsam_adapter import levenberg_marquardt
+from maslam.backend.central.linear import isotropic_weights
+from maslam.backend.central.optimise import optimise, polished, two_stage
+from maslam.backend.config import CentralConfig
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3_exp, se3_inverse
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior
 
 gtsam = pytest.importorskip("gtsam")
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from graphs import grid, loops
 
-from backend.central import optimise
-from backend.certificate import certify
-from backend.config import CentralConfig
-from backend.costs import cost
-from backend.errors import BackendError
-from backend.geometry import se3, se3_exp, so3_exp
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior
+from maslam.backend.central.certificate import certify
+from maslam.backend.central.costs import cost
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3, se3_exp, so3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior
 
 
 def ring(dimension, turns, n=20, measured_turns=0.3):

@@ -9,11 +9,11 @@ from graphs import grid, loops, measured
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.central import optimise, two_stage
-from backend.config import CentralConfig, SolverConfig
-from backend.costs import cost
-from backend.distributed.exchange import optimise_distributed
-from backend.distributed.messages import (
+from maslam.backend.central.costs import cost
+from maslam.backend.central.optimise import optimise, two_stage
+from maslam.backend.config import CentralConfig, SolverConfig
+from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.messages import (
     WIDTH,
     Decision,
     Deltas,
@@ -29,12 +29,12 @@ from backend.distributed.messages import (
     encode,
     number_type,
 )
-from backend.distributed.methods import node_for
-from backend.distributed.node import Node
-from backend.distributed.share import shares
-from backend.errors import BackendError
-from backend.geometry import se3_exp, se3_inverse
-from backend.graph import EdgeKind, NodeId
+from maslam.backend.distributed.methods import node_for
+from maslam.backend.distributed.node import Node
+from maslam.backend.distributed.share import shares
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3_exp, se3_inverse
+from maslam.backend.pose_graph.graph import EdgeKind, NodeId
 
 EXACT = {"rotation_threshold": 1e-10, "pose_threshold": 1e-10, "rotation_sweeps": 2000, "pose_sweeps": 2000}
 

@@ -10,19 +10,19 @@ from graphs import grid, loops
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backend.central import optimise
-from backend.config import CentralConfig, SolverConfig
-from backend.costs import cost
-from backend.distributed.compact import Reader, Writer, from_steps, step_sizes, to_steps
-from backend.distributed.condense import OwnGraph
-from backend.distributed.elected import ElectedNode
-from backend.distributed.elected_messages import ElectedMessage, Kind
-from backend.distributed.exchange import optimise_distributed
-from backend.distributed.share import Share, shares
-from backend.errors import BackendError
-from backend.g2o import read_g2o
-from backend.geometry import se3, se3_exp, se3_inverse, se3_log
-from backend.graph import Edge, NodeId, PoseGraph
+from maslam.backend.central.costs import cost
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig, SolverConfig
+from maslam.backend.distributed.compact import Reader, Writer, from_steps, step_sizes, to_steps
+from maslam.backend.distributed.condense import OwnGraph
+from maslam.backend.distributed.elected import ElectedNode
+from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
+from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.share import Share, shares
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3, se3_exp, se3_inverse, se3_log
+from maslam.backend.pose_graph.g2o import read_g2o
+from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "posegraphs"
 CONFIG = SolverConfig(method="elected")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scenes import Noise, observe, random_descriptors
 
-from backend.config import RelPoseConfig
-from backend.evidence import weigh
-from backend.geometry import Sim3, se3_exp
-from backend.matching import hamming_distances
-from backend.verification import PlaceView, relative_pose
+from maslam.backend.config import RelPoseConfig
+from maslam.backend.geometry import Sim3, se3_exp
+from maslam.backend.relpose.evidence import weigh
+from maslam.backend.relpose.matching import hamming_distances
+from maslam.backend.relpose.verification import PlaceView, relative_pose
 
 EXACT = Noise(pixel=0.0, disparity=0.0, bit_flip=0.05, unshared=0.0)
 POSE = se3_exp([0.3, 0.0, 0.5, 0.0, 0.05, 0.0])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scenes import random_descriptors, street
 
-from backend.errors import BackendError
-from backend.fusion import PointMap, fuse
-from backend.geometry import Sim3, so3_exp
+from maslam.backend.errors import BackendError
+from maslam.backend.fusion import PointMap, fuse
+from maslam.backend.geometry import Sim3, so3_exp
 
 
 def owner(robot, count):

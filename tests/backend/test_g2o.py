@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from graphs import grid, loops, measured
 
-from backend.central import optimise
-from backend.certificate import certify
-from backend.config import CentralConfig
-from backend.costs import cost, edge_cost
-from backend.errors import BackendError
-from backend.g2o import read_g2o, write_g2o
-from backend.geometry import se3, se3_exp, so3_exp
-from backend.graph import Edge, NodeId, PoseGraph, Prior
-from backend.graph_report import report
-from backend.linear import isotropic_weights
+from maslam.backend.central.certificate import certify
+from maslam.backend.central.costs import cost, edge_cost
+from maslam.backend.central.graph_report import report
+from maslam.backend.central.linear import isotropic_weights
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3, se3_exp, so3_exp
+from maslam.backend.pose_graph.g2o import read_g2o, write_g2o
+from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, Prior
 
 UNIT = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
 STEP = f"EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 {UNIT}"

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from backend import geometry as g
+from maslam.backend import geometry as g
 
 tangents = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array)
 tiny = st.lists(st.floats(-1e-6, 1e-6), min_size=6, max_size=6).map(np.array)

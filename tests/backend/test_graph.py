@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from graphs import grid, loops, measured
 
-from backend.costs import cost
-from backend.errors import BackendError
-from backend.geometry import se3_exp, se3_inverse
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, carry_along, relative_edges, spread_poses
+from maslam.backend.central.costs import cost
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3_exp, se3_inverse
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, carry_along, relative_edges, spread_poses
 
 
 def test_broken_edges_are_refused_with_their_nodes():

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from graphs import loops
 
-from backend.costs import cost
-from backend.g2o import read_g2o, write_g2o
-from backend.geometry import se3_exp, se3_log
-from tools import cli
-from tools.pgo.city import city
-from tools.pgo.methods import METHODS
+from maslam.backend.central.costs import cost
+from maslam.backend.geometry import se3_exp, se3_log
+from maslam.backend.pose_graph.g2o import read_g2o, write_g2o
+from maslam.tools import cli
+from maslam.tools.pgo.city import city
+from maslam.tools.pgo.methods import METHODS
 
 
 @pytest.fixture

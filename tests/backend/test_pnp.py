@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes import LOOK_ALIKES, look_alikes, pair, random_descriptors
 
-from backend.config import RelPoseConfig
-from backend.errors import BackendError
-from backend.geometry import rotation_angle_deg, se3_exp, se3_inverse, se3_log, transform_points
-from backend.verification import PlaceView, joined, relative_pose
+from maslam.backend.config import RelPoseConfig
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import rotation_angle_deg, se3_exp, se3_inverse, se3_log, transform_points
+from maslam.backend.relpose.verification import PlaceView, joined, relative_pose
 
 PNP, POINTS = RelPoseConfig(solver="pnp"), RelPoseConfig()
 

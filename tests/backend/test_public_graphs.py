@@ -11,13 +11,13 @@ import pytest
 from graphs import with_wrong_edges
 from transports import faulty
 
-from backend.central import optimise, two_stage
-from backend.certificate import certify
-from backend.config import CentralConfig, SolverConfig
-from backend.costs import cost
-from backend.distributed.exchange import optimise_distributed
-from backend.distributed.share import shares
-from backend.g2o import read_g2o
+from maslam.backend.central.certificate import certify
+from maslam.backend.central.costs import cost
+from maslam.backend.central.optimise import optimise, two_stage
+from maslam.backend.config import CentralConfig, SolverConfig
+from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.share import shares
+from maslam.backend.pose_graph.g2o import read_g2o
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "posegraphs"
 pytestmark = [

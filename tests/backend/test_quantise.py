@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scenes import pair, random_descriptors
 
-from backend.config import RelPoseConfig
-from backend.errors import BackendError
-from backend.quantise import BITS, as_sent, pack_points, unpack_points, worth_sending
-from backend.verification import PlaceView, relative_pose
+from maslam.backend.config import RelPoseConfig
+from maslam.backend.errors import BackendError
+from maslam.backend.relpose.point_coding import BITS, as_sent, pack_points, unpack_points, worth_sending
+from maslam.backend.relpose.verification import PlaceView, relative_pose
 
 
 def test_the_grid_is_as_fine_as_it_says():

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from graphs import loops, measured, spoiled
 
-from backend.central import optimise
-from backend.config import CentralConfig, RobustConfig
-from backend.costs import cost
-from backend.g2o import read_g2o
-from backend.geometry import rotation_angle_deg, se3, se3_inverse, so3_exp, so3_log
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
-from backend.robust.pcm import consistent_edges
-from backend.robust.select import optimise_robustly
-from backend.trajectory_error import trajectory_error
+from maslam.backend.central.costs import cost
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig, RobustConfig
+from maslam.backend.geometry import rotation_angle_deg, se3, se3_inverse, so3_exp, so3_log
+from maslam.backend.pose_graph.g2o import read_g2o
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from maslam.backend.robust.pcm import consistent_edges
+from maslam.backend.robust.select import optimise_robustly
+from maslam.backend.trajectory_error import trajectory_error
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "posegraphs"
 

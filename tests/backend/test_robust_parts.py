@@ -10,18 +10,18 @@ import pytest
 from graphs import loops, measured, spoiled
 from scipy.stats import chi2
 
-from backend.central import optimise
-from backend.config import CentralConfig, RobustConfig
-from backend.costs import cost, edge_cost
-from backend.geometry import se3, se3_exp, se3_inverse, se3_log, so3_exp
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph
-from backend.robust import chi_square
-from backend.robust.chains import adjoint, chains
-from backend.robust.clique import largest_clique
-from backend.robust.pcm import consistent_edges
-from backend.robust.prediction import predicted_distances
-from backend.robust.schedule import first_mu, next_mu, tls_weight
-from backend.robust.select import optimise_robustly
+from maslam.backend.central.costs import cost, edge_cost
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig, RobustConfig
+from maslam.backend.geometry import se3, se3_exp, se3_inverse, se3_log, so3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
+from maslam.backend.robust import chi_square
+from maslam.backend.robust.chains import adjoint, chains
+from maslam.backend.robust.clique import largest_clique
+from maslam.backend.robust.pcm import consistent_edges
+from maslam.backend.robust.prediction import predicted_distances
+from maslam.backend.robust.schedule import first_mu, next_mu, tls_weight
+from maslam.backend.robust.select import optimise_robustly
 
 
 def test_the_schedule():

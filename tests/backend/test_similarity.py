@@ -5,11 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from backend.central import optimise
-from backend.config import CentralConfig, SimilarityConfig
-from backend.geometry import Sim3, se3, se3_exp, se3_inverse, so3_exp
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior
-from backend.similarity import _Problem, _State, optimise_similarity
+from maslam.backend.central.optimise import optimise
+from maslam.backend.central.similarity import _Problem, _State, optimise_similarity
+from maslam.backend.config import CentralConfig, SimilarityConfig
+from maslam.backend.geometry import Sim3, se3, se3_exp, se3_inverse, so3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior
 
 INFORMATION = np.diag([400.0] * 3 + [4e4] * 3)
 

@@ -8,16 +8,16 @@ from graphs import grid, loops
 from scipy.stats import chi2
 from transports import faulty
 
-from backend.central import optimise
-from backend.config import CentralConfig, SolverConfig
-from backend.costs import cost, edge_cost
-from backend.distributed.exchange import optimise_distributed, solve_group
-from backend.distributed.messages import Decision, Report, Round, Stage, Values
-from backend.distributed.methods import node_for
-from backend.distributed.share import shares
-from backend.errors import BackendError
-from backend.geometry import se3_exp, se3_inverse
-from backend.graph import EdgeKind, NodeId, PoseGraph, carry_along
+from maslam.backend.central.costs import cost, edge_cost
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig, SolverConfig
+from maslam.backend.distributed.exchange import optimise_distributed, solve_group
+from maslam.backend.distributed.messages import Decision, Report, Round, Stage, Values
+from maslam.backend.distributed.methods import node_for
+from maslam.backend.distributed.share import shares
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3_exp, se3_inverse
+from maslam.backend.pose_graph.graph import EdgeKind, NodeId, PoseGraph, carry_along
 
 
 class SolverContract:

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.errors import BackendError
-from backend.geometry import Sim3, se3, se3_exp, se3_inverse, so3_exp
-from backend.trajectory_error import (
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import Sim3, se3, se3_exp, se3_inverse, so3_exp
+from maslam.backend.trajectory_error import (
     connected_error,
     path_length,
     relative_error,

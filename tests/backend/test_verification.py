@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scenes import LOOK_ALIKES, Noise, look_alikes, observe, pair, random_descriptors, street
 
-from backend.config import RelPoseConfig
-from backend.errors import BackendError
-from backend.geometry import rotation_angle_deg, se3_exp, se3_inverse, se3_log
-from backend.matching import hamming_distances, mutual_matches, unique_word_matches
-from backend.verification import PlaceView, relative_pose
+from maslam.backend.config import RelPoseConfig
+from maslam.backend.errors import BackendError
+from maslam.backend.geometry import rotation_angle_deg, se3_exp, se3_inverse, se3_log
+from maslam.backend.relpose.matching import hamming_distances, mutual_matches, unique_word_matches
+from maslam.backend.relpose.verification import PlaceView, relative_pose
 
 CONFIG = RelPoseConfig()
 

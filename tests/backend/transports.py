@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from backend.distributed.messages import decode, encode
-from backend.distributed.methods import node_for
+from maslam.backend.distributed.messages import decode, encode
+from maslam.backend.distributed.methods import node_for
 
 
 def faulty(group, config, rng, loss=0.3, repeat=0.2, latest=4, most=5000):

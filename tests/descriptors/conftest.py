@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.card import ModelCard, file_sha256
+from maslam.descriptors.card import ModelCard, file_sha256
 
 
 def textured_image(seed: int, height: int = 120, width: int = 160) -> NDArray[np.uint8]:

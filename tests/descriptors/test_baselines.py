@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.clusters import whitening
-from descriptors.codes import Coder
-from descriptors.inference import NetVlad
-from frontend.vocabulary import BagOfWords, Vocabulary
+from maslam.descriptors.clusters import whitening
+from maslam.descriptors.codes import Coder
+from maslam.descriptors.inference import NetVlad
+from maslam.frontend.vocabulary.vocabulary import BagOfWords, Vocabulary
+from maslam.tools.common.errors import ToolError
+from maslam.tools.netvlad.methods import coded, netvlad_method, sift_method, word_distances, words_method
+from maslam.tools.netvlad.sift_vlad import SIZE_PX, STEP_PX, SiftVlad, fitted, root_sift
 from tests.descriptors.conftest import textured_image
-from tools.errors import ToolError
-from tools.netvlad_methods import coded, netvlad_method, sift_method, word_distances, words_method
-from tools.netvlad_sift import SIZE_PX, STEP_PX, SiftVlad, fitted, root_sift
 
 IMAGES = [textured_image(seed, 48, 64) for seed in range(258)]
 

@@ -10,17 +10,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backend.geometry import se3, so3_exp
-from descriptors.codes import Coder
-from descriptors.inference import NetVlad
-from frontend.cameras import PinholeCamera
+from maslam.backend.geometry import se3, so3_exp
+from maslam.descriptors.codes import Coder
+from maslam.descriptors.inference import NetVlad
+from maslam.frontend.cameras.models import PinholeCamera
+from maslam.tools.common.errors import ToolError
+from maslam.tools.netvlad.calibrate import random_pairs_distance
+from maslam.tools.netvlad.methods import Method, coded, netvlad_method, thumbnail_method
+from maslam.tools.netvlad.scores import evaluate, table
+from maslam.tools.place_benchmarks.public_sets import PlaceBenchmark, corridor, fill, gardenspoint
+from maslam.tools.place_benchmarks.rendered import (
+    INDOORS,
+    STREETS,
+    Visit,
+    benchmark,
+    conflicts,
+    load_places,
+    overlap,
+    save_places,
+)
 from tests.descriptors.conftest import textured_image
-from tools.errors import ToolError
-from tools.netvlad_calibrate import random_pairs_distance
-from tools.netvlad_data import PlaceBenchmark, corridor, fill, gardenspoint
-from tools.netvlad_eval import evaluate, table
-from tools.netvlad_methods import Method, coded, netvlad_method, thumbnail_method
-from tools.netvlad_worlds import INDOORS, STREETS, Visit, benchmark, conflicts, load_places, overlap, save_places
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).parents[3] / "shared" / "data"))
 CAMERA = PinholeCamera(160, 120, 80.0, 80.0, 79.5, 59.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from descriptors.calibration import (
+from maslam.descriptors.calibration import (
     Retrieval,
     calibrate,
     candidate_point,
@@ -14,7 +14,7 @@ from descriptors.calibration import (
     retrieve,
     strict_point,
 )
-from descriptors.errors import DescriptorError
+from maslam.descriptors.errors import DescriptorError
 
 
 def _retrieval(distances: list[float], right: list[bool], findable: list[bool] | None = None) -> Retrieval:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.card import ModelCard, file_sha256, write_card
-from descriptors.clusters import k_means
-from descriptors.codebooks import Codebooks, ProductBook, balanced_groups, codebooks_path, train_codebooks
-from descriptors.codes import CODES, INT4_STEP, Coder
-from descriptors.errors import DescriptorError
+from maslam.descriptors.card import ModelCard, file_sha256, write_card
+from maslam.descriptors.clusters import k_means
+from maslam.descriptors.codebooks import Codebooks, ProductBook, balanced_groups, codebooks_path, train_codebooks
+from maslam.descriptors.codes import CODES, INT4_STEP, Coder
+from maslam.descriptors.errors import DescriptorError
 
 SHA = "cd" * 32
 DIM = 256

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from descriptors.card import MODELS
-from descriptors.codebooks import Codebooks
-from descriptors.codes import CODES, PRODUCT_CODES, Coder
-from descriptors.inference import NetVlad
+from maslam.descriptors.card import MODELS
+from maslam.descriptors.codebooks import Codebooks
+from maslam.descriptors.codes import CODES, PRODUCT_CODES, Coder
+from maslam.descriptors.inference import NetVlad
+from maslam.tools.cli import main
+from maslam.tools.place_benchmarks.rendered import HELD_OUT_SEEDS, TRAINING_SEEDS, cache_path, config_for, save_places
 from tests.descriptors.conftest import textured_image
 from tests.descriptors.test_benchmarks import _street
-from tools.cli import main
-from tools.netvlad_worlds import HELD_OUT_SEEDS, TRAINING_SEEDS, cache_path, config_for, save_places
 
 
 @pytest.fixture

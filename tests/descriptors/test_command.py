@@ -9,12 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from descriptors.card import read_card
-from descriptors.inference import NetVlad
-from tests.descriptors.conftest import textured_image
-from tests.descriptors.test_benchmarks import _street
-from tools.cli import main
-from tools.netvlad_worlds import (
+from maslam.descriptors.card import read_card
+from maslam.descriptors.inference import NetVlad
+from maslam.tools.cli import main
+from maslam.tools.place_benchmarks.rendered import (
     HELD_OUT_SEEDS,
     INDOORS,
     build_world,
@@ -24,6 +22,8 @@ from tools.netvlad_worlds import (
     save_places,
     visit_places,
 )
+from tests.descriptors.conftest import textured_image
+from tests.descriptors.test_benchmarks import _street
 
 TINY = [
     *("--training.steps", "4", "--training.pairs", "6", "--training.width", "64", "--training.height", "48"),

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from descriptors.container import PREDECESSOR_DIM, PlaceVectors, import_predecessor
-from descriptors.errors import DescriptorError
+from maslam.descriptors.container import PREDECESSOR_DIM, PlaceVectors, import_predecessor
+from maslam.descriptors.errors import DescriptorError
 
 
 def _vectors(count: int = 5, dim: int = 16, sha: str = "a" * 64) -> PlaceVectors:

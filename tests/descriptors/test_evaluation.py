@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.card import Calibration, OperatingPoint, SetCurve
-from descriptors.codes import Coder
+from maslam.descriptors.card import Calibration, OperatingPoint, SetCurve
+from maslam.descriptors.codes import Coder
+from maslam.tools.cli import main
+from maslam.tools.common.errors import ToolError
+from maslam.tools.netvlad.foreign_model import InputForm, load_model
+from maslam.tools.netvlad.methods import Method, coded, netvlad_methods
+from maslam.tools.netvlad.score_figures import draw_evaluation, examples
+from maslam.tools.netvlad.scores import evaluate
+from maslam.tools.netvlad.training_figures import calibration_picture, training_picture
+from maslam.tools.place_benchmarks.public_sets import PlaceBenchmark
+from maslam.tools.place_benchmarks.rendered import HELD_OUT_SEEDS, cache_path, config_for, save_places
 from tests.descriptors.test_benchmarks import _street
 from tests.descriptors.test_posed import LAP, _drive
-from tools.cli import main
-from tools.errors import ToolError
-from tools.netvlad_data import PlaceBenchmark
-from tools.netvlad_eval import evaluate
-from tools.netvlad_eval_picture import draw_evaluation, examples
-from tools.netvlad_foreign import InputForm, load_model
-from tools.netvlad_methods import Method, coded, netvlad_methods
-from tools.netvlad_picture import calibration_picture, training_picture
-from tools.netvlad_worlds import HELD_OUT_SEEDS, cache_path, config_for, save_places
 
 
 def _network(path: Path, channels: int, shape: tuple[Any, Any], kind: str = "FLOAT", rank: int = 2) -> Path:

@@ -8,8 +8,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from descriptors.errors import DescriptorError  # noqa: E402
-from descriptors.gradients import CHANNELS, GradientDescriptors, smallest_side  # noqa: E402
+from maslam.descriptors.errors import DescriptorError  # noqa: E402
+from maslam.descriptors.training.gradients import CHANNELS, GradientDescriptors, smallest_side  # noqa: E402
 from tests.descriptors.conftest import textured_image  # noqa: E402
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.card import MODELS, file_sha256, read_card
-from descriptors.errors import DescriptorError
-from descriptors.inference import NetVlad, to_working_size
+from maslam.descriptors.card import MODELS, file_sha256, read_card
+from maslam.descriptors.errors import DescriptorError
+from maslam.descriptors.inference import NetVlad, to_working_size
 from tests.descriptors.conftest import textured_image
 
 
@@ -26,7 +26,7 @@ def model() -> NetVlad:
 
 def test_loading_and_describing_imports_no_torch() -> None:
     code = (
-        "import sys, numpy as np; from descriptors.inference import NetVlad;"
+        "import sys, numpy as np; from maslam.descriptors.inference import NetVlad;"
         "NetVlad.load().describe([np.random.default_rng(0).integers(0, 255, (120, 160), dtype=np.uint8)]);"
         "print(sorted(m for m in ('torch', 'kornia', 'onnx', 'open3d', 'matplotlib') if m in sys.modules))"
     )

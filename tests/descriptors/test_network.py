@@ -10,15 +10,15 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from descriptors.augmentation import PHOTOS, augment_pair, share_strips  # noqa: E402
-from descriptors.config import NetVladConfig, ProjectionConfig, TrainingConfig  # noqa: E402
-from descriptors.errors import DescriptorError  # noqa: E402
-from descriptors.export import export_onnx  # noqa: E402
-from descriptors.initialisation import fit_projection, initialise  # noqa: E402
-from descriptors.losses import info_nce  # noqa: E402
-from descriptors.netvlad import VladLayer, build_network  # noqa: E402
-from descriptors.projection import learn_projection  # noqa: E402
-from descriptors.training import PlaceSet, Trainer, load_network, read_checkpoint  # noqa: E402
+from maslam.descriptors.config import NetVladConfig, ProjectionConfig, TrainingConfig  # noqa: E402
+from maslam.descriptors.errors import DescriptorError  # noqa: E402
+from maslam.descriptors.training.augmentation import PHOTOS, augment_pair, share_strips  # noqa: E402
+from maslam.descriptors.training.initialisation import fit_projection, initialise  # noqa: E402
+from maslam.descriptors.training.losses import info_nce  # noqa: E402
+from maslam.descriptors.training.network import VladLayer, build_network  # noqa: E402
+from maslam.descriptors.training.onnx_export import export_onnx  # noqa: E402
+from maslam.descriptors.training.projection import learn_projection  # noqa: E402
+from maslam.descriptors.training.trainer import PlaceSet, Trainer, load_network, read_checkpoint  # noqa: E402
 from tests.descriptors.conftest import textured_image  # noqa: E402
 
 TINY = NetVladConfig(channels=(8, 16, 16), strides=(2, 2, 2), context=(24,), local_dim=16, clusters=8, dim=32)

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.geometry import se3, so3_exp
-from frontend.trajectory import write_kitti_poses
+from maslam.backend.geometry import se3, so3_exp
+from maslam.frontend.files.trajectory import write_kitti_poses
+from maslam.tools.common.errors import ToolError
+from maslam.tools.place_benchmarks.public_sets import read_colour
+from maslam.tools.place_benchmarks.revisits import RevisitSettings, posed_benchmark
 from tests.descriptors.conftest import textured_image
-from tools.errors import ToolError
-from tools.netvlad_data import read_colour
-from tools.netvlad_posed import RevisitSettings, posed_benchmark
 
 LAP = 20  # frames, 2 m apart, one a second
 

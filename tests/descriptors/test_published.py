@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.card import read_card
-from descriptors.errors import DescriptorError
-from descriptors.inference import NetVlad
-from descriptors.matconvnet import read_matconvnet
-from descriptors.matlab_objects import WORKSPACE, MatlabObjects
-from descriptors.vgg_export import export_vgg
+from maslam.descriptors.card import read_card
+from maslam.descriptors.errors import DescriptorError
+from maslam.descriptors.inference import NetVlad
+from maslam.descriptors.published.matconvnet import read_matconvnet
+from maslam.descriptors.published.matlab_objects import WORKSPACE, MatlabObjects
+from maslam.descriptors.published.onnx_export import export_vgg
+from maslam.tools.cli import main
+from maslam.tools.place_benchmarks.rendered import HELD_OUT_SEEDS, cache_path, config_for, save_places
 from tests.descriptors import published
 from tests.descriptors.conftest import textured_image
 from tests.descriptors.published import CENTRES, CHANNELS, DIM, MEAN
 from tests.descriptors.test_benchmarks import _street
-from tools.cli import main
-from tools.netvlad_worlds import HELD_OUT_SEEDS, cache_path, config_for, save_places
 
 pytest.importorskip("onnx")
 
@@ -143,7 +143,7 @@ def test_torch_checkpoint_without_whitening_gives_the_vlad_vector(
 
 def test_torch_module_evaluates_trains_and_is_exported(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
-    from descriptors.vgg16 import Vgg16NetVlad
+    from maslam.descriptors.published.vgg16 import Vgg16NetVlad
 
     source = published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK, 2))
     network = Vgg16NetVlad(read_matconvnet(source))

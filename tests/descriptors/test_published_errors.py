@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from descriptors.errors import DescriptorError
-from descriptors.matconvnet import read_matconvnet
-from descriptors.vgg_export import export_vgg
+from maslam.descriptors.errors import DescriptorError
+from maslam.descriptors.published.matconvnet import read_matconvnet
+from maslam.descriptors.published.onnx_export import export_vgg
+from maslam.tools.cli import main
 from tests.descriptors import published
-from tools.cli import main
 
 pytest.importorskip("onnx")
 
@@ -115,6 +115,6 @@ def test_damaged_and_foreign_files_are_refused_in_one_line(
 
 def test_weights_too_many_for_one_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     weights = read_matconvnet(published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK)))
-    monkeypatch.setattr("descriptors.vgg_export.MAX_BYTES", 1000)
+    monkeypatch.setattr("maslam.descriptors.published.onnx_export.MAX_BYTES", 1000)
     with pytest.raises(DescriptorError, match="do not fit into one ONNX file; keep fewer with --dim"):
         export_vgg(weights, tmp_path / "net.onnx")

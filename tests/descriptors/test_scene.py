@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from descriptors.codebooks import train_codebooks
-from descriptors.codes import Coder, Vectors
-from descriptors.scene import Scene
-from tools.netvlad_methods import asked_in_code, coded
+from maslam.descriptors.codebooks import train_codebooks
+from maslam.descriptors.codes import Coder, Vectors
+from maslam.descriptors.scene import Scene
+from maslam.tools.netvlad.methods import asked_in_code, coded
 
 DIM, SHA = 64, "ab" * 32
 

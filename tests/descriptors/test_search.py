@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from descriptors.errors import DescriptorError
-from descriptors.search import NearestIndex
-from tools.cli import main
+from maslam.descriptors.errors import DescriptorError
+from maslam.descriptors.search import NearestIndex
+from maslam.tools.cli import main
 
 
 def unit(rows: NDArray) -> NDArray[np.float32]:

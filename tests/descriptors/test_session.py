@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.card import read_card
-from descriptors.errors import DescriptorError
-from descriptors.inference import NetVlad
-from descriptors.session import available_providers, find_provider
+from maslam.descriptors.card import read_card
+from maslam.descriptors.errors import DescriptorError
+from maslam.descriptors.inference import NetVlad
+from maslam.descriptors.session import available_providers, find_provider
 from tests.descriptors.conftest import textured_image, tiny_model
 
 
@@ -96,7 +96,7 @@ def test_a_cut_file_is_an_error_in_one_line(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(DescriptorError, match="SHA-256 differs"):
         NetVlad.load(path)
-    from descriptors.card import file_sha256
+    from maslam.descriptors.card import file_sha256
 
     card.write_text(json.dumps(json.loads(card.read_text()) | {"sha256": file_sha256(path)}))
     with pytest.raises(DescriptorError, match="onnxruntime cannot load it") as caught:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.inference import NetVlad
-from descriptors.texture import local_contrast, noise_level, texture_share
+from maslam.descriptors.inference import NetVlad
+from maslam.descriptors.texture import local_contrast, noise_level, texture_share
 from tests.descriptors.conftest import textured_image
 
 HEIGHT, WIDTH = 480, 640

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from descriptors.card import MODELS, ModelCard, read_card
-from descriptors.codebooks import codebooks_path
-from descriptors.container import PlaceVectors
-from descriptors.inference import NetVlad
-from frontend.trajectory import write_kitti_poses
+from maslam.descriptors.card import MODELS, ModelCard, read_card
+from maslam.descriptors.codebooks import codebooks_path
+from maslam.descriptors.container import PlaceVectors
+from maslam.descriptors.inference import NetVlad
+from maslam.frontend.files.trajectory import write_kitti_poses
+from maslam.tools.cli import main
 from tests.descriptors.conftest import textured_image, tiny_model
-from tools.cli import main
 
 
 def _means(images: list[NDArray[np.uint8]]) -> NDArray[np.float64]:

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import se3, se3_inverse, so3_exp
-from frontend.cameras import PinholeCamera, Rig, RigKind
-from frontend.frames import Frame
+from maslam.backend.geometry import se3, se3_inverse, so3_exp
+from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
+from maslam.frontend.frames import Frame
 
 Array = NDArray[np.float64]
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from frontend.calibration import RawRig
-from frontend.calibration_files import read_calibration
-from frontend.cameras import RigKind
-from frontend.rectification import rectify_rig
+from maslam.frontend.cameras.calibration import RawRig
+from maslam.frontend.cameras.calibration_files import read_calibration
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.cameras.rectification import rectify_rig
 
 SIZE = (640, 480)
 K = np.array([[400.0, 0, 315.5], [0, 402.0, 238.25], [0, 0, 1]])

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frontend.calibration import Distortion, RawRig
-from frontend.calibration_files import read_calibration
-from frontend.datasets.camera_file import find_camera_file
-from frontend.errors import FrontendError
+from maslam.frontend.cameras.calibration import Distortion, RawRig
+from maslam.frontend.cameras.calibration_files import read_calibration
+from maslam.frontend.datasets.camera_file import find_camera_file
+from maslam.frontend.errors import FrontendError
 
 OWN = """width: 640
 height: 480

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import room
 
-from backend.geometry import se3, so3_exp
-from frontend.cameras import PinholeCamera
-from frontend.culling import AFTER, BEFORE, found_ratio
+from maslam.backend.geometry import se3, so3_exp
+from maslam.frontend.cameras.models import PinholeCamera
+from maslam.frontend.mapping.point_culling import AFTER, BEFORE, found_ratio
 
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5)
 

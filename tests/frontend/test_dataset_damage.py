@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from dataset_makers import Scene, make_scene, write_euroc, write_kitti, write_rendered, write_seven_scenes, write_tum
 
-from frontend.datasets import open_dataset
-from frontend.errors import FrontendError
+from maslam.frontend.datasets import open_dataset
+from maslam.frontend.errors import FrontendError
 
 ROUNDS = 60
 WRONG_VALUES = (b"nan", b"-1", b"0", b"1e30", b"1e-30", b"x", b"", b"[", b"9" * 23)

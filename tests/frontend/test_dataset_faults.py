@@ -18,9 +18,9 @@ from dataset_makers import (
     write_rendered,
 )
 
-from frontend.cameras import RigKind
-from frontend.datasets import Severity, open_dataset
-from frontend.errors import FrontendError
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.datasets import Severity, open_dataset
+from maslam.frontend.errors import FrontendError
 
 # ---- several agents
 

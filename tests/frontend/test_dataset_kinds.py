@@ -21,8 +21,8 @@ from dataset_makers import (
     write_tum,
 )
 
-from frontend.datasets import Severity, open_dataset
-from frontend.errors import FrontendError
+from maslam.frontend.datasets import Severity, open_dataset
+from maslam.frontend.errors import FrontendError
 
 
 def test_kitti_poses_in_their_published_place_and_moved_to_a_colour_camera(tmp_path: Path) -> None:

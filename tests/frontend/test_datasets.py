@@ -33,10 +33,10 @@ from dataset_makers import (
     write_tum,
 )
 
-from frontend.cameras import RigKind
-from frontend.datasets import Dataset, ImageSequence, Severity, base, open_dataset
-from frontend.errors import FrontendError
-from frontend.stopwatch import Stage, Stopwatch
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.datasets import Dataset, ImageSequence, Severity, base, open_dataset
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.stopwatch import Stage, Stopwatch
 
 
 def truncate(path: Path) -> None:

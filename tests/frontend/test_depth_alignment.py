@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.geometry import se3_exp
-from frontend.depth_alignment import add_alignment, align_surfaces, alignment_cost, surface
+from maslam.backend.geometry import se3_exp
+from maslam.frontend.estimation.depth_alignment import add_alignment, align_surfaces, alignment_cost, surface
 
 CAM = np.array([260.0, 260.0, 160.0, 120.0, 20.0])
 CORNER = [([0.0, 0.0, 1.0], 3.0), ([0.8, 0.0, 0.6], 2.3), ([0.0, 0.8, 0.6], 2.2)]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.geometry import se3_exp
-from frontend.essential import essential_graph, shared_points
-from frontend.vofiles import VoTrack
+from maslam.backend.geometry import se3_exp
+from maslam.frontend.files.essential_graph import essential_graph, shared_points
+from maslam.frontend.files.vo_files import VoTrack
 
 
 def make_track(seen: list[set[int]], points: int) -> VoTrack:

@@ -6,10 +6,10 @@ import tracemalloc
 
 import numpy as np
 
-from backend.geometry import se3_exp
-from frontend.footprint import EMPTY, footprint
-from frontend.framelog import LostInterval, MomentLog, PoseLog
-from frontend.map import KeyFrame, Map
+from maslam.backend.geometry import se3_exp
+from maslam.frontend.mapping.map import KeyFrame, Map
+from maslam.frontend.mapping.memory_footprint import EMPTY, footprint
+from maslam.frontend.tracking.pose_log import LostInterval, MomentLog, PoseLog
 
 
 def test_poses_come_back_bit_by_bit() -> None:

@@ -7,8 +7,8 @@ from threading import Event
 import numpy as np
 import pytest
 
-from frontend.errors import FrontendError
-from frontend.frames import Frame, PutOff
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.frames import Frame, PutOff
 
 IMAGE, RIGHT = np.zeros((4, 6), np.uint8), np.ones((4, 6), np.uint8)
 

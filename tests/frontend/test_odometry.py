@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 import room
 
-from backend.geometry import se3, se3_inverse, so3_exp, umeyama
-from frontend.cameras import Rig, RigKind
-from frontend.config import KeyframeConfig, OdometryConfig
-from frontend.errors import FrontendError
-from frontend.frames import Frame, PutOff
-from frontend.odometry import FrameResult, Odometry, OdometryResult, State
-from frontend.stopwatch import Stage
-from frontend.trajectory import Trajectory
-from frontend.vocabulary import BagOfWords, Vocabulary
+from maslam.backend.geometry import se3, se3_inverse, so3_exp, umeyama
+from maslam.frontend.cameras.models import Rig, RigKind
+from maslam.frontend.config import KeyframeConfig, OdometryConfig
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.trajectory import Trajectory
+from maslam.frontend.frames import Frame, PutOff
+from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult, State
+from maslam.frontend.stopwatch import Stage
+from maslam.frontend.vocabulary.vocabulary import BagOfWords, Vocabulary
 
 Change = Callable[[int, Frame], Frame | None]
 WALK = room.walk(60)

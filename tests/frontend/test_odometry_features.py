@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import room
 
-from frontend.align import align, cut_patches, half_sized
-from frontend.cameras import RigKind
-from frontend.config import FeatureConfig, FlowConfig, StereoConfig
-from frontend.features import EDGE_PX, Detector, Pyramid, describe, spread_cells
-from frontend.flow import follow, follow_both_ways
-from frontend.frames import Frame
-from frontend.matching import guided_match
-from frontend.self_calibration import pair_shift
-from frontend.stereo import Ranging, depth_at, measure_disparity
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.config import FeatureConfig, FlowConfig, StereoConfig
+from maslam.frontend.estimation.self_calibration import pair_shift
+from maslam.frontend.frames import Frame
+from maslam.frontend.image.guided_matching import guided_match
+from maslam.frontend.image.optical_flow import follow, follow_both_ways
+from maslam.frontend.image.orb_features import EDGE_PX, Detector, Pyramid, describe, spread_cells
+from maslam.frontend.image.patch_alignment import align, cut_patches, half_sized
+from maslam.frontend.mapping.range_sensor import Ranging, depth_at, measure_disparity
 
 NOTHING = np.zeros((0, 2))
 

@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 import room
 
-from backend.geometry import rotation_angle_deg, se3, so3_exp
-from frontend.cameras import RigKind
-from frontend.config import FlowConfig, MonoConfig, OdometryConfig, StereoConfig
-from frontend.initialise import MetricStarter, MonoStarter
-from frontend.stereo import Ranging
-from frontend.two_view import residual_after_rotation, score_fundamental, score_homography, solve_two_views
+from maslam.backend.geometry import rotation_angle_deg, se3, so3_exp
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.config import FlowConfig, MonoConfig, OdometryConfig, StereoConfig
+from maslam.frontend.estimation.two_view import (
+    residual_after_rotation,
+    score_fundamental,
+    score_homography,
+    solve_two_views,
+)
+from maslam.frontend.mapping.range_sensor import Ranging
+from maslam.frontend.tracking.initialisation import MetricStarter, MonoStarter
 
 K = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])
 SIGMA = 0.5

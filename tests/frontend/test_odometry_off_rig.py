@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.geometry import se3_inverse
-from frontend.config import OdometryConfig
-from frontend.datasets import ImageSequence, open_dataset
-from frontend.odometry import Odometry, OdometryResult
-from frontend.vocabulary import Vocabulary
-from tools.render import RenderConfig, render_dataset
+from maslam.backend.geometry import se3_inverse
+from maslam.frontend.config import OdometryConfig
+from maslam.frontend.datasets import ImageSequence, open_dataset
+from maslam.frontend.odometry import Odometry, OdometryResult
+from maslam.frontend.vocabulary.vocabulary import Vocabulary
+from maslam.tools.worlds.dataset import RenderConfig, render_dataset
 
 pytestmark = pytest.mark.slow
 FRAMES, OFFSET_PX, ROW_PX, ROLL_DEG, K1 = 40, -1.6, 1.2, 0.2, 0.02

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from backend.geometry import se3, se3_exp, so3_exp
-from frontend.pose import exp_update, refine_pose, residuals
+from maslam.backend.geometry import se3, se3_exp, so3_exp
+from maslam.frontend.estimation.pose_refinement import exp_update, refine_pose, residuals
 
 CAM = np.array([400.0, 410.0, 320.0, 180.0, 400.0 * 0.3])
 

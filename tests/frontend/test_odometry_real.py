@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.geometry import umeyama
-from frontend.config import OdometryConfig
-from frontend.datasets import open_dataset
-from frontend.odometry import Odometry, OdometryResult
-from frontend.vocabulary import Vocabulary
+from maslam.backend.geometry import umeyama
+from maslam.frontend.config import OdometryConfig
+from maslam.frontend.datasets import open_dataset
+from maslam.frontend.odometry import Odometry, OdometryResult
+from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).parents[3] / "shared" / "data"))
 pytestmark = [pytest.mark.realdata, pytest.mark.slow]

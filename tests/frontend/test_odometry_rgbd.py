@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backend.geometry import se3
-from backend.trajectory_error import TrajectoryError, trajectory_error
-from frontend.cameras import PinholeCamera, RigKind
-from frontend.config import OdometryConfig
-from frontend.frames import Frame
-from frontend.odometry import Odometry
-from frontend.registration import DepthRegistration
-from frontend.vocabulary import Vocabulary
+from maslam.backend.geometry import se3
+from maslam.backend.trajectory_error import TrajectoryError, trajectory_error
+from maslam.frontend.cameras.depth_registration import DepthRegistration
+from maslam.frontend.cameras.models import PinholeCamera, RigKind
+from maslam.frontend.config import OdometryConfig
+from maslam.frontend.frames import Frame
+from maslam.frontend.odometry import Odometry
+from maslam.frontend.vocabulary.vocabulary import Vocabulary
 from tests.frontend.room import CAMERA, Room, relative_to_first, rig, walk
 
 Array = NDArray[np.float64]

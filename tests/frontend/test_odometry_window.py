@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from backend.geometry import se3, se3_exp, so3_exp
-from frontend.depth_alignment import Alignment
-from frontend.triangulate import triangulate
-from frontend.window import adjust_window, window_residuals
+from maslam.backend.geometry import se3, se3_exp, so3_exp
+from maslam.frontend.estimation.bundle_adjustment import adjust_window, window_residuals
+from maslam.frontend.estimation.depth_alignment import Alignment
+from maslam.frontend.estimation.triangulation import triangulate
 
 CAM = np.array([400.0, 400.0, 320.0, 180.0, 400.0 * 0.5])
 SIGMA, SIGMA_D = 0.5, 0.3

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.geometry import rotation_angle_deg, se3_inverse, transform_points
-from frontend.cameras import RigKind
-from frontend.datasets import ImageSequence, open_dataset
-from frontend.datasets.images import read_depth
+from maslam.backend.geometry import rotation_angle_deg, se3_inverse, transform_points
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.datasets import ImageSequence, open_dataset
+from maslam.frontend.datasets.images import read_depth
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
 pytestmark = pytest.mark.realdata

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backend.geometry import se3, so3_exp
-from frontend.calibration import Distortion, RawCamera, RawRig
-from frontend.cameras import PinholeCamera, RigKind
-from frontend.rectification import rectify_rig, stereo_rotations
+from maslam.backend.geometry import se3, so3_exp
+from maslam.frontend.cameras.calibration import Distortion, RawCamera, RawRig
+from maslam.frontend.cameras.models import PinholeCamera, RigKind
+from maslam.frontend.cameras.rectification import rectify_rig, stereo_rotations
 
 SIZE = (188, 120)
 LEFT = RawCamera(114.7, 114.3, 91.8, 62.1, SIZE, Distortion.RADIAL_TANGENTIAL, (-0.283, 0.074, 0.0002, 1.8e-5))

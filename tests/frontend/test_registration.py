@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backend.geometry import se3, so3_exp
-from frontend.cameras import PinholeCamera
-from frontend.registration import DepthRegistration
+from maslam.backend.geometry import se3, so3_exp
+from maslam.frontend.cameras.depth_registration import DepthRegistration
+from maslam.frontend.cameras.models import PinholeCamera
 
 Array = NDArray[np.float64]
 DEPTH = PinholeCamera(160, 120, 146.0, 146.0, 80.0, 60.0)

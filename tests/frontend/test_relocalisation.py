@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import room
 
-from backend.geometry import se3, se3_inverse, so3_exp, umeyama
-from frontend.cameras import RigKind
-from frontend.config import LostConfig, OdometryConfig
-from frontend.frames import Frame
-from frontend.odometry import FrameResult, Odometry, OdometryResult, State
-from frontend.relocalise import Relocaliser
-from frontend.segment import Segment
-from frontend.trajectory import Trajectory
-from frontend.vocabulary import Vocabulary
+from maslam.backend.geometry import se3, se3_inverse, so3_exp, umeyama
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.config import LostConfig, OdometryConfig
+from maslam.frontend.files.trajectory import Trajectory
+from maslam.frontend.frames import Frame
+from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult, State
+from maslam.frontend.tracking.relocalisation import Relocaliser
+from maslam.frontend.tracking.track import Segment
+from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
 WALK = room.walk(60)
 HOME, ELSEWHERE = 3, 77  # seeds of two rooms

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from frontend.self_calibration import (
+from maslam.frontend.estimation.self_calibration import (
     LENS,
     N_ALL,
     N_LENS,

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from frontend.stopwatch import Stage, Stopwatch
+from maslam.frontend.stopwatch import Stage, Stopwatch
 
 
 class Clock:

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backend.geometry import se3_exp
-from frontend.errors import FrontendError
-from frontend.stamps import decimal_ns, read_stamps, seconds_text
-from frontend.trajectory import Trajectory, read_kitti_poses, read_tum, write_kitti_poses, write_tum
+from maslam.backend.geometry import se3_exp
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.timestamps import decimal_ns, read_stamps, seconds_text
+from maslam.frontend.files.trajectory import Trajectory, read_kitti_poses, read_tum, write_kitti_poses, write_tum
 
 
 def make_trajectory(count: int = 50, seed: int = 0) -> Trajectory:
@@ -179,5 +179,8 @@ def test_evo_reads_our_tum_files(tmp_path: Path) -> None:
 def test_importing_costs_no_image_library() -> None:
     """Agents read trajectories and VO files without decoding anything."""
     heavy = "{'cv2', 'numba', 'torch'}"
-    code = f"import sys, frontend.trajectory, frontend.vofiles; sys.exit(bool({heavy} & set(sys.modules)))"
+    code = (
+        "import sys, maslam.frontend.files.trajectory, maslam.frontend.files.vo_files;"
+        f"sys.exit(bool({heavy} & set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

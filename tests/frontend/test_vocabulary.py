@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from frontend.errors import FrontendError
-from frontend.vocabulary import BagOfWords, Vocabulary, WordIndex
-from frontend.vocabulary_training import train_vocabulary
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.vocabulary.training import train_vocabulary
+from maslam.frontend.vocabulary.vocabulary import BagOfWords, Vocabulary, WordIndex
 
 
 def octets(*bits: int) -> NDArray[np.uint8]:

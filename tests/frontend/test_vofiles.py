@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.geometry import se3_exp
-from frontend import tables
-from frontend.errors import FrontendError
-from frontend.vofiles import VoTrack, read_tracks, write_track
+from maslam.backend.geometry import se3_exp
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.files import text_tables
+from maslam.frontend.files.vo_files import VoTrack, read_tracks, write_track
 
 
 def make_track(keyframes: int = 5, points: int = 40, observations: int = 120, seed: int = 0) -> VoTrack:
@@ -228,17 +228,17 @@ def test_nan_is_not_written(tmp_path: Path) -> None:
 def test_tables(tmp_path: Path, text: str, expected: list[list[float]]) -> None:
     path = tmp_path / "t.txt"
     path.write_bytes(text.encode())
-    np.testing.assert_array_equal(tables.read_table(path, 2, "a row"), np.array(expected).reshape(-1, 2))
+    np.testing.assert_array_equal(text_tables.read_table(path, 2, "a row"), np.array(expected).reshape(-1, 2))
 
 
 def test_lines_are_counted_past_comments(tmp_path: Path) -> None:
     path = tmp_path / "t.txt"
     path.write_text("# head\n1 2\n\n# more\n3 4\n5 6 7\n")
     with pytest.raises(FrontendError, match=r"t.txt:6: a row has 2 numbers, found 3"):
-        tables.read_table(path, 2, "a row")
-    assert [tables.row_line(path, row) for row in range(4)] == [2, 5, 6, 0]
+        text_tables.read_table(path, 2, "a row")
+    assert [text_tables.row_line(path, row) for row in range(4)] == [2, 5, 6, 0]
     path.write_text("1 2\n")
     with pytest.raises(FrontendError, match=r"t.txt:1: a row has 3 or 4 numbers, found 2"):
-        tables.read_table(path, (3, 4), "a row")
+        text_tables.read_table(path, (3, 4), "a row")
     with pytest.raises(FrontendError, match="cannot be read: No such file"):
-        tables.read_table(tmp_path / "none", 2, "a row")
+        text_tables.read_table(tmp_path / "none", 2, "a row")

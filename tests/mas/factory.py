@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.geometry import Array, se3, se3_exp, se3_inverse, so3_exp, transform_points
-from descriptors.container import PlaceVectors
-from frontend.trajectory import Trajectory
-from frontend.vofiles import VoTrack
-from mas.config import MasConfig
-from mas.policy.presets import preset
-from mas.sequence import AgentEntry, AgentSequence, CameraEntry, DescriptorEntry, Manifest
+from maslam.backend.geometry import Array, se3, se3_exp, se3_inverse, so3_exp, transform_points
+from maslam.descriptors.container import PlaceVectors
+from maslam.frontend.files.trajectory import Trajectory
+from maslam.frontend.files.vo_files import VoTrack
+from maslam.mas.config import MasConfig
+from maslam.mas.policies.presets import preset
+from maslam.mas.sequence import AgentEntry, AgentSequence, CameraEntry, DescriptorEntry, Manifest
 
 MODEL = "made-up"
 SHA256 = "ab" * 32

@@ -6,11 +6,11 @@ from functools import cache
 
 from factory import circuit, make_sequence, make_world, manifest_of
 
-from mas.environment import make_agents
-from mas.keyframe import KeyFrame, keyframes_of
-from mas.policy.presets import preset
-from mas.sequence import AgentSequence
-from mas.state import AgentState
+from maslam.mas.policies.presets import preset
+from maslam.mas.sequence import AgentSequence
+from maslam.mas.simulation import make_agents
+from maslam.mas.state.agent_state import AgentState
+from maslam.mas.state.keyframe import KeyFrame, keyframes_of
 
 WORLD = make_world(7, points=90_000)
 

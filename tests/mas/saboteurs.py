@@ -8,22 +8,22 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from backend.geometry import Sim3, se3, so3_exp
-from mas.agent import Agent
-from mas.config import MasConfig
-from mas.environment import Environment, make_agents, make_transport
-from mas.keyframe import keyframes_of
-from mas.messages import Message, Result, encode
-from mas.metrics import Onlooker
-from mas.policy.base import Outlook, Policy
-from mas.policy.presets import policy_of
-from mas.policy.query_all import QueryAll
-from mas.sequence import AgentSequence, Manifest
-from mas.solver_messages import SolverBody
-from mas.state import AgentState, Profile
-from mas.tasks import VerifyAnswer
-from mas.tensors import pack_information, pack_sim3, unpack_poses
-from mas.transport import Transport
+from maslam.backend.geometry import Sim3, se3, so3_exp
+from maslam.mas.agent import Agent
+from maslam.mas.config import MasConfig
+from maslam.mas.evaluation.ground_truth import Onlooker
+from maslam.mas.policies.base import Outlook, Policy
+from maslam.mas.policies.presets import policy_of
+from maslam.mas.policies.query_all import QueryAll
+from maslam.mas.protocol.messages import Message, Result, encode
+from maslam.mas.protocol.solver_messages import SolverBody
+from maslam.mas.protocol.tasks import VerifyAnswer
+from maslam.mas.protocol.tensors import pack_information, pack_sim3, unpack_poses
+from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.simulation import Environment, make_agents, make_transport
+from maslam.mas.state.agent_state import AgentState, Profile
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.transport.transport import Transport
 
 
 class Saboteur(Agent):
@@ -98,7 +98,7 @@ class Swindler(Liar):
 
 
 def _sim3(outcome: VerifyAnswer) -> Sim3:
-    from mas.tensors import unpack_sim3
+    from maslam.mas.protocol.tensors import unpack_sim3
 
     assert outcome.T_M_Q is not None
     return unpack_sim3(outcome.T_M_Q)

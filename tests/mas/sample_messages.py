@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.distributed.messages import Stage
-from backend.geometry import Sim3
-from mas.identities import ContractId, FrameId, MatchId, Operation
-from mas.maps.wire import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
-from mas.messages import (
+from maslam.backend.distributed.messages import Stage
+from maslam.backend.geometry import Sim3
+from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, Operation
+from maslam.mas.protocol.map_messages import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
+from maslam.mas.protocol.messages import (
     LINK_DTYPE,
     Award,
     Bid,
@@ -22,7 +22,7 @@ from mas.messages import (
     Refusal,
     Result,
 )
-from mas.solver_messages import (
+from maslam.mas.protocol.solver_messages import (
     SolverParcel,
     SolverReport,
     SolverStanding,
@@ -31,7 +31,7 @@ from mas.solver_messages import (
     SolverSteps,
     SolverValues,
 )
-from mas.tasks import (
+from maslam.mas.protocol.tasks import (
     EarlierAnswer,
     OptimiseAnswer,
     OwnerQuery,
@@ -40,7 +40,7 @@ from mas.tasks import (
     PlaceRedirect,
     VerifyTask,
 )
-from mas.tensors import Tensor, pack_poses, pack_sim3, pack_sim3s
+from maslam.mas.protocol.tensors import Tensor, pack_poses, pack_sim3, pack_sim3s
 
 
 def submap(**changes: object) -> SubMap:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from factory import town
 
-from mas.agent import Agent
-from mas.environment import make_agents
-from mas.identities import MatchId
-from mas.policy.autonomous import Autonomous
-from mas.policy.base import Outlook
-from mas.policy.presets import policy_of, preset
-from mas.state import AgentState
+from maslam.mas.agent import Agent
+from maslam.mas.policies.autonomous import Autonomous
+from maslam.mas.policies.base import Outlook
+from maslam.mas.policies.presets import policy_of, preset
+from maslam.mas.protocol.ids import MatchId
+from maslam.mas.simulation import make_agents
+from maslam.mas.state.agent_state import AgentState
 
 
 def outlook(**changes: object) -> Outlook:

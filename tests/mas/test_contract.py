@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mas.contract import (
+from maslam.mas.contracts.contract import (
     CONTRACTOR_SAYS,
     ENDED,
     MANAGER_SAYS,
@@ -19,10 +19,10 @@ from mas.contract import (
     advance,
     expire,
 )
-from mas.identities import ContractId, Operation
-from mas.ledger import Ledger
-from mas.messages import Award, Bid, Call, Cancel, Confirmation, Failure, Refusal, Rejection, Result
-from mas.tasks import MapOrder, PlaceAnswer
+from maslam.mas.contracts.ledger import Ledger
+from maslam.mas.protocol.ids import ContractId, Operation
+from maslam.mas.protocol.messages import Award, Bid, Call, Cancel, Confirmation, Failure, Refusal, Rejection, Result
+from maslam.mas.protocol.tasks import MapOrder, PlaceAnswer
 
 MANAGER, CONTRACTOR, STRANGER = 3, 5, 8
 BODIES = [

@@ -7,11 +7,22 @@ from dataclasses import dataclass, field
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mas.contract import Contract, ProtocolError, State
-from mas.identities import ContractId, Operation
-from mas.ledger import Ledger
-from mas.messages import Award, Bid, Call, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
-from mas.tasks import MapOrder, PlaceAnswer
+from maslam.mas.contracts.contract import Contract, ProtocolError, State
+from maslam.mas.contracts.ledger import Ledger
+from maslam.mas.protocol.ids import ContractId, Operation
+from maslam.mas.protocol.messages import (
+    Award,
+    Bid,
+    Call,
+    Cancel,
+    Confirmation,
+    ContractBody,
+    Failure,
+    Refusal,
+    Rejection,
+    Result,
+)
+from maslam.mas.protocol.tasks import MapOrder, PlaceAnswer
 
 WORDS: dict[str, ContractBody] = {
     "bid": Bid(1, 0),

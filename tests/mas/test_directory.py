@@ -8,11 +8,11 @@ from pathlib import Path
 from factory import circuit, make_sequence, make_world, manifest_of, town
 from saboteurs import live
 
-from mas.config import FaultsConfig
-from mas.environment import run
-from mas.metrics import groups_of
-from mas.policy.presets import preset
-from mas.transport import Traffic
+from maslam.mas.config import FaultsConfig
+from maslam.mas.evaluation.ground_truth import groups_of
+from maslam.mas.policies.presets import preset
+from maslam.mas.simulation import run
+from maslam.mas.transport.transport import Traffic
 
 
 def test_each_key_frame_is_told_once_and_to_one_agent(tmp_path: Path) -> None:

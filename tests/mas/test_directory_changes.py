@@ -11,19 +11,19 @@ from factory import town
 from saboteurs import Sleeper, live
 from test_autonomous import outlook
 
-from mas.agent import Agent
-from mas.config import FaultsConfig, LinkConfig, MasConfig
-from mas.environment import Environment, make_agents
-from mas.identities import ContractId, MatchId, Operation
-from mas.keyframe import keyframes_of
-from mas.messages import Award, Message
-from mas.metrics import Onlooker, groups_of
-from mas.placebook import Candidate
-from mas.policy.directory import Directory
-from mas.policy.presets import preset
-from mas.recorder import match_errors
-from mas.tasks import OwnerQuery
-from mas.transport import Traffic
+from maslam.mas.agent import Agent
+from maslam.mas.config import FaultsConfig, LinkConfig, MasConfig
+from maslam.mas.evaluation.ground_truth import Onlooker, groups_of
+from maslam.mas.output.run_folder import match_errors
+from maslam.mas.place_recognition.candidates import Candidate
+from maslam.mas.policies.directory import Directory
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import ContractId, MatchId, Operation
+from maslam.mas.protocol.messages import Award, Message
+from maslam.mas.protocol.tasks import OwnerQuery
+from maslam.mas.simulation import Environment, make_agents
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.transport.transport import Traffic
 
 Told = dict[tuple[int, int, int], set[ContractId]]
 KEYFRAME_S = 0.3

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from factory import CAMERA, heading
 
-from backend.geometry import Array, Sim3, se3_inverse, transform_points
-from mas.colmap_model import write_colmap
-from mas.export import fused, write_map
-from mas.identities import FrameId
-from mas.maps.held import HeldMap
+from maslam.backend.geometry import Array, Sim3, se3_inverse, transform_points
+from maslam.mas.map_exchange.map_copy import HeldMap
+from maslam.mas.output.colmap import write_colmap
+from maslam.mas.output.fused_map import fused, write_map
+from maslam.mas.protocol.ids import FrameId
 
 POSES = np.array([heading(0.0, 2.0 * k, 0.05 * k) for k in range(3)])
 

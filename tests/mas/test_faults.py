@@ -13,19 +13,19 @@ from saboteurs import live
 from sample_messages import examples
 from test_transport import TransportContract
 
-from backend.distributed.elected_messages import Kind
-from backend.distributed.messages import Stage
-from mas.agent import Agent
-from mas.config import FaultsConfig, MasConfig
-from mas.environment import run
-from mas.errors import MasError
-from mas.faults import FaultyTransport
-from mas.identities import ContractId
-from mas.messages import Message
-from mas.metrics import groups_of
-from mas.policy.presets import preset
-from mas.solver_messages import SolverDecision, SolverParcel
-from mas.transport import InProcessTransport, Transport
+from maslam.backend.distributed.elected_messages import Kind
+from maslam.backend.distributed.messages import Stage
+from maslam.mas.agent import Agent
+from maslam.mas.config import FaultsConfig, MasConfig
+from maslam.mas.errors import MasError
+from maslam.mas.evaluation.ground_truth import groups_of
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import ContractId
+from maslam.mas.protocol.messages import Message
+from maslam.mas.protocol.solver_messages import SolverDecision, SolverParcel
+from maslam.mas.simulation import run
+from maslam.mas.transport.faults import FaultyTransport
+from maslam.mas.transport.transport import InProcessTransport, Transport
 
 CONFIG = preset("maslam")
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from factory import town
 
-from mas.config import FaultsConfig, MasConfig
-from mas.environment import run
-from mas.maps.announcements import Announcements
-from mas.messages import Offer
-from mas.policy.presets import preset
-from mas.summary import Summary
+from maslam.mas.config import FaultsConfig, MasConfig
+from maslam.mas.evaluation.summary import Summary
+from maslam.mas.map_exchange.announcements import Announcements
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.messages import Offer
+from maslam.mas.simulation import run
 
 AGENTS = 8
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from factory import town
 
-from backend.geometry import Sim3
-from mas.config import OptimisationConfig
-from mas.environment import run
-from mas.gain import worth_after
-from mas.identities import MatchId
-from mas.matches import Match
-from mas.policy.presets import preset
+from maslam.backend.geometry import Sim3
+from maslam.mas.config import OptimisationConfig
+from maslam.mas.place_recognition.match_spacing import worth_after
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import MatchId
+from maslam.mas.simulation import run
+from maslam.mas.state.place_match import Match
 
 CONFIG = OptimisationConfig(match_sigma_depth=0.005)
 DEPTH = 10.0

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from factory import town
 
-from mas.environment import run
-from mas.policy.presets import preset
+from maslam.mas.policies.presets import preset
+from maslam.mas.simulation import run
 
 
 @pytest.mark.parametrize("flat", ["all", "every other"])

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from factory import town
 
-from mas.agent import Agent
-from mas.environment import make_agents
-from mas.keyframe import KeyFrame, keyframes_of
-from mas.messages import Award, Message, Result
-from mas.placelog import LatestQueries
-from mas.policy.base import Outlook, Policy
-from mas.policy.presets import preset
-from mas.state import AgentState
-from mas.tasks import EarlierAnswer, PlaceAnswer, PlaceQuery
+from maslam.mas.agent import Agent
+from maslam.mas.place_recognition.peer_queries import LatestQueries
+from maslam.mas.policies.base import Outlook, Policy
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.messages import Award, Message, Result
+from maslam.mas.protocol.tasks import EarlierAnswer, PlaceAnswer, PlaceQuery
+from maslam.mas.simulation import make_agents
+from maslam.mas.state.agent_state import AgentState
+from maslam.mas.state.keyframe import KeyFrame, keyframes_of
 
 
 def pair(seed: int = 0) -> tuple[list[Agent], list[list[KeyFrame]]]:

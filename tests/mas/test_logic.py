@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import OptimizeResult, linprog
 from scipy.sparse import block_diag
 
-from mas.errors import MasError
-from mas.policy import logic
-from mas.policy.logic import Numbers, Programme, Situation, decide, programme, solve
+from maslam.mas.errors import MasError
+from maslam.mas.policies import linear_program
+from maslam.mas.policies.linear_program import Numbers, Programme, Situation, decide, programme, solve
 
 FLAGS = tuple(product((-1, 1), repeat=2))
 
@@ -90,4 +90,4 @@ def test_an_infeasible_programme_is_an_error() -> None:
 
 def test_a_situation_that_cannot_be_is_an_error() -> None:
     with pytest.raises(MasError, match="no situation of an agent: 0 agents"):
-        logic.Situation(0, 0, False, False)
+        linear_program.Situation(0, 0, False, False)

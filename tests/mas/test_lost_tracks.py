@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from factory import circuit, make_sequence, make_world, manifest_of
 
-from backend.geometry import umeyama
-from frontend.trajectory import read_tum
-from mas.environment import run
-from mas.policy.presets import preset
-from mas.sequence import AgentSequence
+from maslam.backend.geometry import umeyama
+from maslam.frontend.files.trajectory import read_tum
+from maslam.mas.policies.presets import preset
+from maslam.mas.sequence import AgentSequence
+from maslam.mas.simulation import run
 
 DEFAULT = preset("default")
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from factory import circuit, heading, make_sequence, make_world, manifest_of
 
-from backend.geometry import Array, Sim3, se3_exp, se3_inverse
-from mas.environment import make_agents
-from mas.identities import FrameId, MatchId
-from mas.keyframe import keyframes_of
-from mas.maps.admission import admit, aligned, recheck
-from mas.maps.checks import best_motion, standing, tolerance, witnesses
-from mas.maps.held import HeldMap, with_new_keyframes
-from mas.matches import Match
-from mas.policy.presets import preset
-from mas.state import AgentState
+from maslam.backend.geometry import Array, Sim3, se3_exp, se3_inverse
+from maslam.mas.map_exchange.admission import admit, aligned, recheck
+from maslam.mas.map_exchange.evidence_checks import best_motion, standing, tolerance, witnesses
+from maslam.mas.map_exchange.map_copy import HeldMap, with_new_keyframes
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import FrameId, MatchId
+from maslam.mas.simulation import make_agents
+from maslam.mas.state.agent_state import AgentState
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.state.place_match import Match
 
 WORLD = make_world(3, points=10_000)
 MOTION = Sim3.from_se3(se3_exp([3.0, 0.5, -2.0, 0.02, 0.3, -0.05]))

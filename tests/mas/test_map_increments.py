@@ -14,20 +14,20 @@ from saboteurs import live
 from test_map_patches import _match, bend
 from test_submaps import agents_with_more_to_see, trade
 
-from backend.geometry import Sim3, se3_exp
-from mas.config import FaultsConfig
-from mas.identities import ContractId, FrameId
-from mas.keyframe import KeyFrame, keyframes_of
-from mas.maps.full import own_submap
-from mas.maps.held import HeldMap, held_of_submap, submap_of
-from mas.maps.increments import completed, runs_of, without
-from mas.maps.stock import StaleBase
-from mas.maps.wire import MapDelivery, Runs, SubMap, indices_of
-from mas.messages import Bid, Message, Result, decode, encode
-from mas.policy.presets import preset
-from mas.state import AgentState
-from mas.tensors import pack_sim3s
-from mas.transport import Traffic
+from maslam.backend.geometry import Sim3, se3_exp
+from maslam.mas.config import FaultsConfig
+from maslam.mas.map_exchange.full_map import own_submap
+from maslam.mas.map_exchange.full_map_increments import completed, runs_of, without
+from maslam.mas.map_exchange.map_copy import HeldMap, held_of_submap, submap_of
+from maslam.mas.map_exchange.versions import StaleBase
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import ContractId, FrameId
+from maslam.mas.protocol.map_messages import MapDelivery, Runs, SubMap, indices_of
+from maslam.mas.protocol.messages import Bid, Message, Result, decode, encode
+from maslam.mas.protocol.tensors import pack_sim3s
+from maslam.mas.state.agent_state import AgentState
+from maslam.mas.state.keyframe import KeyFrame, keyframes_of
+from maslam.mas.transport.transport import Traffic
 
 POINTS = 40
 

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from map_driver import driver, see
 
-from backend.geometry import Sim3, rotation_angle_deg, se3_exp, se3_inverse
-from mas.identities import MatchId
-from mas.maps.bits import BitReader, BitsError, BitWriter
-from mas.maps.lattice import Steps, match_on_lattice, on_lattice, poses_of, size
-from mas.maps.points import well_spread
-from mas.maps.publisher import Publisher
+from maslam.backend.geometry import Sim3, rotation_angle_deg, se3_exp, se3_inverse
+from maslam.mas.map_exchange.coding.point_selection import well_spread
+from maslam.mas.map_exchange.coding.quantised_map import Steps, match_on_lattice, on_lattice, poses_of, size
+from maslam.mas.map_exchange.coding.rice import BitReader, BitsError, BitWriter
+from maslam.mas.map_exchange.publisher import Publisher
+from maslam.mas.protocol.ids import MatchId
 
 # -- numbers in bits --------------------------------------------------------------------------------------------------
 

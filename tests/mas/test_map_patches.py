@@ -12,18 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from map_driver import WORLD, driver, see
 
-from backend.geometry import Sim3, se3_exp
-from mas.identities import FrameId, MatchId
-from mas.keyframe import keyframes_of
-from mas.maps.anchors import Bound, anchors_for, interpolated
-from mas.maps.bits import BitsError
-from mas.maps.lattice import LatticeMap, on_lattice
-from mas.maps.patches import encode
-from mas.maps.publisher import Publisher
-from mas.maps.stock import StaleBase, Stock, make_patch, stock_of
-from mas.maps.wire import MapPatch
-from mas.matches import Match
-from mas.state import AgentState, Piece
+from maslam.backend.geometry import Sim3, se3_exp
+from maslam.mas.map_exchange.coding.map_delta import encode
+from maslam.mas.map_exchange.coding.pose_corrections import Bound, anchors_for, interpolated
+from maslam.mas.map_exchange.coding.quantised_map import LatticeMap, on_lattice
+from maslam.mas.map_exchange.coding.rice import BitsError
+from maslam.mas.map_exchange.publisher import Publisher
+from maslam.mas.map_exchange.versions import StaleBase, Stock, make_patch, stock_of
+from maslam.mas.protocol.ids import FrameId, MatchId
+from maslam.mas.protocol.map_messages import MapPatch
+from maslam.mas.state.agent_state import AgentState, Piece
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.state.place_match import Match
 
 
 def bend(state: AgentState, twist: list[float]) -> None:

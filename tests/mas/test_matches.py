@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from factory import circuit, drift
 
-from backend.geometry import Sim3, se3_exp, se3_inverse
-from mas.config import ConsistencyConfig
-from mas.identities import FrameId, MatchId
-from mas.matches import Agreement, Match
-from mas.messages import LINK_DTYPE, Bid, Links, PieceTerms
-from mas.plan import plan
-from mas.tensors import pack_sim3s, unpack_sim3s
+from maslam.backend.geometry import Sim3, se3_exp, se3_inverse
+from maslam.mas.config import ConsistencyConfig
+from maslam.mas.optimisation.planning import plan
+from maslam.mas.protocol.ids import FrameId, MatchId
+from maslam.mas.protocol.messages import LINK_DTYPE, Bid, Links, PieceTerms
+from maslam.mas.protocol.tensors import pack_sim3s, unpack_sim3s
+from maslam.mas.state.place_match import Agreement, Match
 
 CONFIG = ConsistencyConfig()
 

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_messages import examples, parcel, submap, verify_task
 
-from backend.geometry import Sim3, se3_exp
-from mas.identities import ContractId, FrameId, MatchId
-from mas.maps.wire import MapOrder
-from mas.messages import VERSION, Award, Links, Message, Result, decode, encode
-from mas.solver_messages import SolverReport
-from mas.tasks import PlaceAnswer, PlaceQuery, PlaceRedirect
-from mas.tensors import MessageError, Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
+from maslam.backend.geometry import Sim3, se3_exp
+from maslam.mas.protocol.ids import ContractId, FrameId, MatchId
+from maslam.mas.protocol.map_messages import MapOrder
+from maslam.mas.protocol.messages import VERSION, Award, Links, Message, Result, decode, encode
+from maslam.mas.protocol.solver_messages import SolverReport
+from maslam.mas.protocol.tasks import PlaceAnswer, PlaceQuery, PlaceRedirect
+from maslam.mas.protocol.tensors import MessageError, Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 
 LIMIT = 2**20
 

@@ -10,17 +10,17 @@ from factory import circuit, make_sequence, make_world, manifest_of
 from saboteurs import Idler, Liar, live
 from test_wrong_map import LyingPublisher
 
-from mas.agent import Agent
-from mas.config import FaultsConfig, MasConfig
-from mas.environment import Environment
-from mas.metrics import Onlooker, groups_of
-from mas.policy.base import Policy
-from mas.policy.presets import preset
-from mas.recorder import match_errors
-from mas.sequence import AgentSequence
-from mas.standing import Regard
-from mas.state import Profile
-from mas.trajectories import keyframe_trajectory
+from maslam.mas.agent import Agent
+from maslam.mas.config import FaultsConfig, MasConfig
+from maslam.mas.contracts.reputation import Regard
+from maslam.mas.evaluation.ground_truth import Onlooker, groups_of
+from maslam.mas.output.run_folder import match_errors
+from maslam.mas.policies.base import Policy
+from maslam.mas.policies.presets import preset
+from maslam.mas.sequence import AgentSequence
+from maslam.mas.simulation import Environment
+from maslam.mas.state.agent_state import Profile
+from maslam.mas.state.trajectories import keyframe_trajectory
 
 KEYFRAMES = 30
 DRIFT = 0.03

@@ -10,15 +10,15 @@ import pytest
 from factory import DIM, circuit, make_sequence, make_world, manifest_of, town
 from sample_messages import examples, verify_task
 
-from backend.trajectory_error import path_length
-from frontend.trajectory import Trajectory, read_tum
-from mas.environment import make_agents, run
-from mas.errors import MasError
-from mas.identities import ContractId, MatchId, Operation
-from mas.messages import Award, Begin, Call, Failure, Message, Result, encode
-from mas.policy.presets import preset
-from mas.sequence import AgentSequence
-from mas.transport import InProcessTransport
+from maslam.backend.trajectory_error import path_length
+from maslam.frontend.files.trajectory import Trajectory, read_tum
+from maslam.mas.errors import MasError
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import ContractId, MatchId, Operation
+from maslam.mas.protocol.messages import Award, Begin, Call, Failure, Message, Result, encode
+from maslam.mas.sequence import AgentSequence
+from maslam.mas.simulation import make_agents, run
+from maslam.mas.transport.transport import InProcessTransport
 
 DEFAULT = preset("default")
 

@@ -14,21 +14,21 @@ from test_autonomous import match, outlook, state_of
 from test_matches import random_sim3
 from test_submaps import agents_in_a_row
 
-from backend.geometry import se3_inverse
-from mas.agent import Agent
-from mas.identities import FrameId, MatchId
-from mas.keyframe import keyframes_of
-from mas.messages import LINK_DTYPE, Bid, Links, PieceTerms
-from mas.news import News
-from mas.plan import plan
-from mas.policy.autonomous import Autonomous
-from mas.policy.base import Outlook
-from mas.policy.presets import PRESETS, policy_of, preset
-from mas.policy.query_all import QueryAll
-from mas.posegraph import terms
-from mas.state import AgentState
-from mas.tensors import pack_sim3s, unpack_sim3s
-from mas.transport import InProcessTransport
+from maslam.backend.geometry import se3_inverse
+from maslam.mas.agent import Agent
+from maslam.mas.optimisation.pending_matches import News
+from maslam.mas.optimisation.planning import plan
+from maslam.mas.policies.autonomous import Autonomous
+from maslam.mas.policies.base import Outlook
+from maslam.mas.policies.presets import PRESETS, policy_of, preset
+from maslam.mas.policies.query_all import QueryAll
+from maslam.mas.protocol.ids import FrameId, MatchId
+from maslam.mas.protocol.messages import LINK_DTYPE, Bid, Links, PieceTerms
+from maslam.mas.protocol.tensors import pack_sim3s, unpack_sim3s
+from maslam.mas.state.agent_state import AgentState
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.state.pose_graph import terms
+from maslam.mas.transport.transport import InProcessTransport
 
 # -- who decides so ---------------------------------------------------------------------------------------------------
 

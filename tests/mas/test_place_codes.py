@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from factory import DIM, SHA256, talkative, town
 
-from descriptors.codebooks import train_codebooks
-from mas.agent import Agent
-from mas.config import AUTO_CODE, MasConfig
-from mas.environment import coder_of, make_agents, run
-from mas.errors import MasError
-from mas.keyframe import keyframes_of
-from mas.messages import Award, Failure, Message, Result
-from mas.policy.presets import preset
-from mas.tasks import PlaceQuery
+from maslam.descriptors.codebooks import train_codebooks
+from maslam.mas.agent import Agent
+from maslam.mas.config import AUTO_CODE, MasConfig
+from maslam.mas.errors import MasError
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.messages import Award, Failure, Message, Result
+from maslam.mas.protocol.tasks import PlaceQuery
+from maslam.mas.simulation import coder_of, make_agents, run
+from maslam.mas.state.keyframe import keyframes_of
 
 
 def with_code(code: str) -> MasConfig:

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from factory import DIM, MODEL, SHA256, town
 
-from descriptors.container import PlaceVectors
-from mas.agent import Agent
-from mas.config import MasConfig
-from mas.environment import make_agents, run
-from mas.errors import MasError
-from mas.identities import Operation
-from mas.keyframe import keyframes_of
-from mas.messages import Award, Call, Confirmation, Message, Result
-from mas.placelog import ClusterLog
-from mas.policy.clusters import centres_of, owner_of
-from mas.policy.presets import preset
-from mas.tasks import OwnerQuery, PlaceRedirect
+from maslam.descriptors.container import PlaceVectors
+from maslam.mas.agent import Agent
+from maslam.mas.config import MasConfig
+from maslam.mas.errors import MasError
+from maslam.mas.place_recognition.peer_queries import ClusterLog
+from maslam.mas.policies.cluster_owners import centres_of, owner_of
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import Operation
+from maslam.mas.protocol.messages import Award, Call, Confirmation, Message, Result
+from maslam.mas.protocol.tasks import OwnerQuery, PlaceRedirect
+from maslam.mas.simulation import make_agents, run
+from maslam.mas.state.keyframe import keyframes_of
 
 
 def of_preset(name: str, code: str = "float32", **places: object) -> MasConfig:

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from factory import town
 
-from mas.config import MasConfig
-from mas.environment import run
-from mas.errors import MasError
-from mas.policy.presets import PRESETS, policy_of, preset
-from mas.summary import Summary
+from maslam.mas.config import MasConfig
+from maslam.mas.errors import MasError
+from maslam.mas.evaluation.summary import Summary
+from maslam.mas.policies.presets import PRESETS, policy_of, preset
+from maslam.mas.simulation import run
 
 
 @dataclass(frozen=True)

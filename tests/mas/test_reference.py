@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from factory import circuit, make_sequence, make_world, manifest_of, town
 
-from backend.geometry import se3
-from mas.environment import run
-from mas.policy.presets import preset
-from tools.reference import make_reference
+from maslam.backend.geometry import se3
+from maslam.mas.policies.presets import preset
+from maslam.mas.simulation import run
+from maslam.tools.sweep.reference import make_reference
 
 
 def test_one_server_does_better_than_odometry_and_no_worse_than_the_agents(tmp_path: Path) -> None:

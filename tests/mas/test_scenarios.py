@@ -7,16 +7,16 @@ import pytest
 from factory import circuit, make_sequence, make_world, manifest_of, talkative, town
 from saboteurs import Idler, Liar, Swindler, live
 
-from backend.trajectory_error import TrajectoryError
-from mas.agent import Agent
-from mas.config import FaultsConfig, MasConfig
-from mas.environment import Environment
-from mas.identities import MatchId
-from mas.metrics import Onlooker, groups_of
-from mas.policy.presets import preset
-from mas.sequence import AgentSequence, Manifest
-from mas.standing import Regard
-from mas.trajectories import keyframe_trajectory
+from maslam.backend.trajectory_error import TrajectoryError
+from maslam.mas.agent import Agent
+from maslam.mas.config import FaultsConfig, MasConfig
+from maslam.mas.contracts.reputation import Regard
+from maslam.mas.evaluation.ground_truth import Onlooker, groups_of
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import MatchId
+from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.simulation import Environment
+from maslam.mas.state.trajectories import keyframe_trajectory
 
 CONFIG = talkative()
 ODD = 2
@@ -145,7 +145,7 @@ def test_under_loss_the_group_is_found_all_contracts_end_and_it_costs_a_bounded_
 
 
 def odometry_of(agent: Agent) -> object:
-    from frontend.trajectory import Trajectory
+    from maslam.frontend.files.trajectory import Trajectory
 
     keyframes = agent.state.keyframes
     return Trajectory(np.array([k.stamp_ns for k in keyframes]), np.array([k.T_T_C for k in keyframes]))

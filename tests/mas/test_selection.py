@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mas.policy.selection import FLOOR, draw, weights
+from maslam.mas.policies.peer_sampling import FLOOR, draw, weights
 
 OTHERS = [1, 2, 3, 4, 5]
 

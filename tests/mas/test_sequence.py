@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from factory import manifest_of, town
 
-from frontend.trajectory import write_tum
-from frontend.vofiles import write_track
-from mas.errors import MasError
-from mas.keyframe import keyframes_of
-from mas.sequence import GROUNDTRUTH, MANIFEST, PLACES, TRAJECTORY, AgentSequence, load_sequences, write_manifest
+from maslam.frontend.files.trajectory import write_tum
+from maslam.frontend.files.vo_files import write_track
+from maslam.mas.errors import MasError
+from maslam.mas.sequence import GROUNDTRUTH, MANIFEST, PLACES, TRAJECTORY, AgentSequence, load_sequences, write_manifest
+from maslam.mas.state.keyframe import keyframes_of
 
 
 def write(folder: Path, sequences: list[AgentSequence]) -> Path:

@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from saboteurs import live
 
-from mas.config import FaultsConfig, StandingConfig
-from mas.contract import Contract, State
-from mas.honesty import judged
-from mas.identities import ContractId, Operation
-from mas.messages import Award, Bid, Confirmation, Message, Offer, Result
-from mas.policy.utility import orders, utility
-from mas.retender import Retender
-from mas.solver_messages import SolverBody
-from mas.standing import SILENT, Regard, Standing
+from maslam.mas.config import FaultsConfig, StandingConfig
+from maslam.mas.contracts.contract import Contract, State
+from maslam.mas.contracts.reputation import SILENT, Regard, Standing
+from maslam.mas.contracts.retries import Retender
+from maslam.mas.honesty import judged
+from maslam.mas.policies.utility import orders, utility
+from maslam.mas.protocol.ids import ContractId, Operation
+from maslam.mas.protocol.messages import Award, Bid, Confirmation, Message, Offer, Result
+from maslam.mas.protocol.solver_messages import SolverBody
 
 CONFIG = StandingConfig()
 SECOND = 1_000_000_000
@@ -198,8 +198,8 @@ def test_a_claim_of_ones_own_is_believed_before_one_that_only_the_other_makes() 
 
 def lie_about(match, k):  # type: ignore[no-untyped-def]
     """A match that agent 2 reports, to agent 1, as if its track began 15 m beside; all such lies agree."""
-    from backend.geometry import Sim3, se3
-    from mas.identities import MatchId
+    from maslam.backend.geometry import Sim3, se3
+    from maslam.mas.protocol.ids import MatchId
 
     turned = match.turned()
     beside = Sim3.from_se3(se3([[1, 0, 0], [0, 1, 0], [0, 0, 1]], [15.0, 0.0, 0.0]))

@@ -10,18 +10,18 @@ import pytest
 from factory import circuit, make_sequence, make_world, manifest_of
 from scipy.spatial import cKDTree
 
-from backend.geometry import Sim3, se3_exp, transform_points
-from mas.agent import Agent
-from mas.environment import make_agents
-from mas.identities import FrameId, MatchId, Operation
-from mas.keyframe import KeyFrame, keyframes_of
-from mas.maps.stock import Stock
-from mas.maps.wire import MapOrder, MapPatch, Parcel
-from mas.matches import Match
-from mas.policy.presets import preset
-from mas.posegraph import Adoption
-from mas.state import stretched
-from mas.transport import InProcessTransport, Traffic
+from maslam.backend.geometry import Sim3, se3_exp, transform_points
+from maslam.mas.agent import Agent
+from maslam.mas.map_exchange.versions import Stock
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import FrameId, MatchId, Operation
+from maslam.mas.protocol.map_messages import MapOrder, MapPatch, Parcel
+from maslam.mas.simulation import make_agents
+from maslam.mas.state.agent_state import stretched
+from maslam.mas.state.keyframe import KeyFrame, keyframes_of
+from maslam.mas.state.place_match import Match
+from maslam.mas.state.pose_graph import Adoption
+from maslam.mas.transport.transport import InProcessTransport, Traffic
 
 FORMS = pytest.mark.parametrize("form", ["full", "compact"])
 

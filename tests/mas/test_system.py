@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from factory import town
 
-from backend.g2o import read_g2o
-from frontend.trajectory import read_tum
-from mas.config import MasConfig, MergeConfig
-from mas.environment import run
-from mas.policy.presets import preset
-from mas.summary import Summary
+from maslam.backend.pose_graph.g2o import read_g2o
+from maslam.frontend.files.trajectory import read_tum
+from maslam.mas.config import MasConfig, MergeConfig
+from maslam.mas.evaluation.summary import Summary
+from maslam.mas.policies.presets import preset
+from maslam.mas.simulation import run
 
 # The default system, but with the last purchases that the thesis has from its optimised system on.
 SYSTEM = preset("default").model_copy(update={"merge": MergeConfig()})

@@ -8,10 +8,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backend.geometry import Sim3, se3, se3_exp, so3_exp
-from mas.identities import FrameId, MatchId
-from mas.plan import End, Joint
-from mas.testimony import contradicted
+from maslam.backend.geometry import Sim3, se3, se3_exp, so3_exp
+from maslam.mas.optimisation.cycle_consistency import contradicted
+from maslam.mas.optimisation.planning import End, Joint
+from maslam.mas.protocol.ids import FrameId, MatchId
 
 DEPTH = 10.0
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from sample_messages import examples, submap, verify_task
 
-from mas.identities import ContractId
-from mas.messages import Award, Bid, Message, Result, encode
-from mas.solver_messages import SolverValues
-from mas.tasks import EarlierAnswer, MapDelivery, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
-from mas.tensors import MessageError, Tensor
-from mas.transport import InProcessTransport, Sent, Traffic, Transport, account
+from maslam.mas.protocol.ids import ContractId
+from maslam.mas.protocol.messages import Award, Bid, Message, Result, encode
+from maslam.mas.protocol.solver_messages import SolverValues
+from maslam.mas.protocol.tasks import EarlierAnswer, MapDelivery, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
+from maslam.mas.protocol.tensors import MessageError, Tensor
+from maslam.mas.transport.transport import InProcessTransport, Sent, Traffic, Transport, account
 
 
 class TransportContract:
@@ -81,7 +81,7 @@ def test_payload_is_counted_as_the_published_tables_do() -> None:
 
 
 def test_a_map_counts_its_numbers() -> None:
-    from mas.identities import FrameId
+    from maslam.mas.protocol.ids import FrameId
 
     delivery = MapDelivery(FrameId(0, 0), (), submap().transforms, (submap(),))
     poses, points = 2 * (7 * 8 + 8 + 4), 3 * (12 + 32 + 4)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from factory import town
 
-from mas.config import MasConfig, PlacesConfig
-from mas.environment import run
-from mas.policy.presets import preset
-from mas.tensors import pack_information, unpack_information
+from maslam.mas.config import MasConfig, PlacesConfig
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.tensors import pack_information, unpack_information
+from maslam.mas.simulation import run
 
 
 def test_information_survives_the_wire() -> None:

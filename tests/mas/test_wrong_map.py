@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from factory import town
 
-from mas.environment import Environment, make_agents
-from mas.keyframe import keyframes_of
-from mas.maps.lattice import LatticeMap
-from mas.maps.publisher import Publisher
-from mas.policy.presets import preset
-from mas.recorder import Recorder
-from mas.transport import InProcessTransport
+from maslam.mas.map_exchange.coding.quantised_map import LatticeMap
+from maslam.mas.map_exchange.publisher import Publisher
+from maslam.mas.output.run_folder import Recorder
+from maslam.mas.policies.presets import preset
+from maslam.mas.simulation import Environment, make_agents
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.transport.transport import InProcessTransport
 
 LIAR = 1
 

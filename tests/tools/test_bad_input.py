@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from dataset_makers import make_scene, write_kitti, write_rendered
 
-from tools import cli
+from maslam.tools import cli
 
 
 def empty_folder(folder: Path) -> None:

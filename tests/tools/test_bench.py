@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from room import BASELINE_M, CAMERA, Room, relative_to_first, walk
 
-from backend.geometry import Sim3, se3, so3_exp
-from frontend.cameras import RigKind
-from frontend.errors import FrontendError
-from frontend.trajectory import Trajectory, write_kitti_poses, write_tum
-from tools.bench_accuracy import accuracy, half_frame_ns
-from tools.bench_compare import assign, read_other
-from tools.bench_memory import MemoryReport, Sample, circuit
-from tools.cli import main
-from tools.errors import ToolError, UsageError
+from maslam.backend.geometry import Sim3, se3, so3_exp
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.trajectory import Trajectory, write_kitti_poses, write_tum
+from maslam.tools.bench.memory import MemoryReport, Sample, circuit
+from maslam.tools.bench.vo.accuracy import accuracy, half_frame_ns
+from maslam.tools.bench.vo.other_systems import assign, read_other
+from maslam.tools.cli import main
+from maslam.tools.common.errors import ToolError, UsageError
 
 NS = 1_000_000_000
 FRAMES = 24

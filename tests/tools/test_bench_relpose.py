@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tools.cli import main
-from tools.relpose_places import PlacesConfig, angle_between_deg, rendered_visits, seen_share, shared_view
+from maslam.tools.bench.relpose.places import PlacesConfig, angle_between_deg, rendered_visits, seen_share, shared_view
+from maslam.tools.cli import main
 
 
 @pytest.fixture(scope="module")

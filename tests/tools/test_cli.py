@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from tools import cli
-from tools.errors import ToolError, UsageError
+from maslam.tools import cli
+from maslam.tools.common.errors import ToolError, UsageError
 
 
 def test_help_loads_no_library() -> None:
@@ -44,7 +44,7 @@ def test_failures_are_one_line(
     def fail(_: object) -> None:
         raise error
 
-    monkeypatch.setattr("tools.evaluate.main", fail)
+    monkeypatch.setattr("maslam.tools.report.summary_table.main", fail)
     assert cli.main(["eval", "RUN"]) == code
     said = capsys.readouterr().err
     assert words in said and "Traceback" not in said

@@ -14,18 +14,18 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "frontend"))
 import room
 
-from backend.central import optimise
-from backend.config import CentralConfig
-from backend.g2o import read_g2o
-from backend.geometry import se3, so3_exp, umeyama
-from frontend.cameras import RigKind
-from frontend.trajectory import read_tum, write_kitti_poses
-from frontend.vocabulary import Vocabulary
-from frontend.vofiles import read_tracks, write_track
-from mas.environment import run
-from mas.policy.presets import preset
-from mas.sequence import load_sequences
-from tools import cli
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig
+from maslam.backend.geometry import se3, so3_exp, umeyama
+from maslam.backend.pose_graph.g2o import read_g2o
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.files.trajectory import read_tum, write_kitti_poses
+from maslam.frontend.files.vo_files import read_tracks, write_track
+from maslam.frontend.vocabulary.vocabulary import Vocabulary
+from maslam.mas.policies.presets import preset
+from maslam.mas.sequence import load_sequences
+from maslam.mas.simulation import run
+from maslam.tools import cli
 
 pytestmark = pytest.mark.slow
 

@@ -11,8 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "frontend"))
 from dataset_makers import make_scene, write_euroc, write_kitti, write_rendered
 
-from tools.cli import main
-from tools.inspect import inspect_dataset
+from maslam.tools.cli import main
+from maslam.tools.inspection.command import inspect_dataset
 
 
 def test_what_is_there(tmp_path: Path) -> None:
@@ -61,10 +61,10 @@ def test_a_sample_is_decoded_or_all(tmp_path: Path) -> None:
     scene = make_scene()
     write_euroc(tmp_path, scene)
     assert inspect_dataset(tmp_path).sequences[0].rectified_here
-    import tools.inspect
+    from maslam.tools.inspection import command
 
     sequence = inspect_dataset(tmp_path, decode_all=True).sequences[0]
-    assert sequence.decoded == 6 and tools.inspect._SAMPLES >= 2
+    assert sequence.decoded == 6 and command._SAMPLES >= 2
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

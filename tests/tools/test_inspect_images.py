@@ -13,9 +13,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "frontend"))
 from dataset_makers import make_scene, write_euroc
 
-from frontend.datasets import open_dataset
-from tools.cli import main
-from tools.inspect import InspectReport, inspect_dataset
+from maslam.frontend.datasets import open_dataset
+from maslam.tools.cli import main
+from maslam.tools.inspection.command import InspectReport, inspect_dataset
 
 
 def messages(report: InspectReport) -> list[str]:

@@ -10,8 +10,8 @@ from typing import Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from tools.errors import ToolError, UsageError
-from tools.options import add_model_options, build, leaves, read_yaml
+from maslam.tools.common.errors import ToolError, UsageError
+from maslam.tools.common.options import add_model_options, build, leaves, read_yaml
 
 
 class Colour(StrEnum):

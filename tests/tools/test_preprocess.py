@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.geometry import se3_exp
-from frontend.errors import FrontendError
-from frontend.frames import Frame
-from frontend.stopwatch import Stopwatch
-from frontend.trajectory import Trajectory, read_tum, write_kitti_poses
-from frontend.vofiles import VoTrack, read_tracks
-from mas.sequence import load_sequences
-from tools import cli
+from maslam.backend.geometry import se3_exp
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.trajectory import Trajectory, read_tum, write_kitti_poses
+from maslam.frontend.files.vo_files import VoTrack, read_tracks
+from maslam.frontend.frames import Frame
+from maslam.frontend.stopwatch import Stopwatch
+from maslam.mas.sequence import load_sequences
+from maslam.tools import cli
 
 FRAMES, EVERY = 12, 2
 TRUTH = se3_exp(np.column_stack([np.zeros((FRAMES, 2)), np.arange(FRAMES), np.zeros((FRAMES, 3))]))
@@ -90,9 +90,9 @@ class KnownModel:
 @pytest.fixture(autouse=True)
 def known_front_end(monkeypatch: pytest.MonkeyPatch) -> None:
     calls.clear()
-    monkeypatch.setitem(sys.modules, "frontend.odometry", SimpleNamespace(Odometry=KnownOdometry))
-    monkeypatch.setattr("descriptors.inference.NetVlad", KnownModel)
-    monkeypatch.setattr("tools.tracked_store.code_digest", lambda *parts: "one version of the code")
+    monkeypatch.setitem(sys.modules, "maslam.frontend.odometry", SimpleNamespace(Odometry=KnownOdometry))
+    monkeypatch.setattr("maslam.descriptors.inference.NetVlad", KnownModel)
+    monkeypatch.setattr("maslam.tools.pipeline.tracking_cache.code_digest", lambda *parts: "one version of the code")
 
 
 def write_agent(folder: Path, dark: bool = False) -> Path:
@@ -236,7 +236,7 @@ def test_an_interrupted_run_leaves_no_folder_that_counts(tmp_path: Path, monkeyp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("tools.sequences.write_manifest", interrupt)
+        patch.setattr("maslam.tools.pipeline.agent_folder.write_manifest", interrupt)
         assert preprocess(source, out) == 130
     assert not (out / "manifest.json").exists()
     assert preprocess(source, out) == 0
@@ -267,8 +267,8 @@ def test_the_manifest_is_plain_json(tmp_path: Path) -> None:
 
 
 def test_workers_run_jobs_side_by_side_and_keep_their_order() -> None:
-    from tools.progress import Silent
-    from tools.workers import run_jobs
+    from maslam.tools.common.parallel import run_jobs
+    from maslam.tools.common.progress import Silent
 
     outcomes = run_jobs(square_or_fail, {"a": (3, 1), "b": (-1, 1), "c": (4, 1)}, 2, Silent())
     assert [(name, o.result) for name, o in outcomes.items()] == [("a", 9), ("b", None), ("c", 16)]

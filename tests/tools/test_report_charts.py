@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tools.report_charts import (
+from maslam.tools.common.svg import Plot, format_tick, nice_ticks
+from maslam.tools.report.charts import (
     Path2D,
     bars,
     bytes_chart,
@@ -18,8 +19,7 @@ from tools.report_charts import (
     plane_of,
     traffic_matrix,
 )
-from tools.report_images import choose
-from tools.svg import Plot, format_tick, nice_ticks
+from maslam.tools.report.match_images import choose
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frontend.trajectory import read_tum
-from tools import cli
-from tools.workers import one_blas_thread
+from maslam.frontend.files.trajectory import read_tum
+from maslam.tools import cli
+from maslam.tools.common.parallel import one_blas_thread
 
 pytestmark = pytest.mark.slow
 MEASURED = "timing.json"
@@ -47,7 +47,7 @@ def slam(images: Path, out: Path, workers: int, environment: dict[str, str]) -> 
     """The whole chain in a process of its own."""
     words = ["slam", str(images), str(out), "--workers", str(workers), "--quiet"]
     variables = {**os.environ, **environment}
-    subprocess.run([sys.executable, "-m", "tools.cli", *words], env=variables, check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "maslam.tools.cli", *words], env=variables, check=True, capture_output=True)
     return out
 
 

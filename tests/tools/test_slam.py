@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from room import BASELINE_M, CAMERA, Room, walk
 
-from backend.geometry import se3
-from frontend.cameras import RigKind
-from frontend.trajectory import read_tum, write_kitti_poses
-from tools import cli
+from maslam.backend.geometry import se3
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.files.trajectory import read_tum, write_kitti_poses
+from maslam.tools import cli
 
 FRAMES = 36
 pytestmark = pytest.mark.slow

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.geometry import se3_exp, transform_points
-from frontend.vofiles import VoTrack
-from tools.errors import UsageError
-from tools.split import cut_track, share_out
+from maslam.backend.geometry import se3_exp, transform_points
+from maslam.frontend.files.vo_files import VoTrack
+from maslam.tools.common.errors import UsageError
+from maslam.tools.pipeline.split import cut_track, share_out
 
 EVERY_THIRD = [np.arange(0, 30, 3)]  # key-frames 0, 3, ... 27 of 30 frames
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from tools import cli
-from tools.errors import UsageError
-from tools.sweep.plan import TOWN, Cell, SweepPlan, experiment
-from tools.sweep.rows import Row, Spread, grouped
-from tools.sweep.tables import report
-from tools.sweep.thesis import TABLES
+from maslam.tools import cli
+from maslam.tools.common.errors import UsageError
+from maslam.tools.sweep.plan import TOWN, Cell, SweepPlan, experiment
+from maslam.tools.sweep.rows import Row, Spread, grouped
+from maslam.tools.sweep.tables import report
+from maslam.tools.sweep.thesis import TABLES
 
 
 def row(**changes: object) -> Row:

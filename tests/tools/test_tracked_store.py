@@ -3,9 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-from frontend.config import OdometryConfig
-from frontend.datasets import open_dataset
-from tools.tracked_store import make_job
+from maslam.frontend.config import OdometryConfig
+from maslam.frontend.datasets import open_dataset
+from maslam.tools.pipeline.tracking_cache import make_job
 
 
 def test_whatever_changes_the_frames_changes_the_fingerprint(indoor_rgbd: Path, tmp_path: Path) -> None:

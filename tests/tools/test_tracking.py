@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-import frontend.datasets.base as base
-from descriptors.inference import NetVlad
-from frontend.cameras import RigKind
-from frontend.config import OdometryConfig
-from frontend.datasets import open_dataset
-from frontend.vocabulary import Vocabulary
+import maslam.frontend.datasets.base as base
+from maslam.descriptors.inference import NetVlad
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.config import OdometryConfig
+from maslam.frontend.datasets import open_dataset
+from maslam.frontend.vocabulary.vocabulary import Vocabulary
+from maslam.tools.pipeline.tracking import track
 from tests.descriptors.conftest import tiny_model
-from tools.tracking import track
 
 
 @pytest.mark.parametrize("rig", ["mono", "stereo"])

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from frontend.vocabulary import Vocabulary
-from tools.cli import main
+from maslam.frontend.vocabulary.vocabulary import Vocabulary
+from maslam.tools.cli import main
 
 
 @pytest.fixture

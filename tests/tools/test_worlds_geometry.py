@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backend.geometry import se3, so3_exp
-from frontend.cameras import PinholeCamera
-from tools.worlds import textures
-from tools.worlds.atlas import AtlasBuilder
-from tools.worlds.light import Light, random_light
-from tools.worlds.mesh import MeshBuilder
-from tools.worlds.renderer import Renderer, View
-from tools.worlds.sampler import view_sampler
-from tools.worlds.sensor import SensorConfig, depth_map, develop
-from tools.worlds.world import FreeSpace, World
+from maslam.backend.geometry import se3, so3_exp
+from maslam.frontend.cameras.models import PinholeCamera
+from maslam.tools.worlds.rendering.light import Light, random_light
+from maslam.tools.worlds.rendering.renderer import Renderer, View
+from maslam.tools.worlds.rendering.sensor import SensorConfig, depth_map, develop
+from maslam.tools.worlds.scene import textures
+from maslam.tools.worlds.scene.mesh import MeshBuilder
+from maslam.tools.worlds.scene.texture_atlas import AtlasBuilder
+from maslam.tools.worlds.scene.world import FreeSpace, World
+from maslam.tools.worlds.view_sampler import view_sampler
 
 CAMERA = PinholeCamera(160, 120, 100.0, 104.0, 77.3, 61.9)
 POSE = se3(so3_exp(np.array([0.1, -0.2, 0.05])), np.array([0.3, -0.4, -0.2]))
@@ -111,7 +111,7 @@ def _town() -> tuple[World, object]:
 
 
 def _street_pose() -> NDArray[np.float64]:
-    from tools.worlds.streets import town_network
+    from maslam.tools.worlds.town.streets import town_network
 
     line = town_network(np.random.default_rng([3, 1])).lines[20]
     k = len(line) // 3

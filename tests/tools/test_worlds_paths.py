@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from frontend.cameras import PinholeCamera
-from frontend.trajectory import write_kitti_poses
-from tools.render import RenderConfig
-from tools.worlds.light import Light
-from tools.worlds.renderer import Renderer
-from tools.worlds.scenario import Scenario, plan_scenario
-from tools.worlds.streets import ROAD_HALF_M
+from maslam.frontend.cameras.models import PinholeCamera
+from maslam.frontend.files.trajectory import write_kitti_poses
+from maslam.tools.worlds.dataset import RenderConfig
+from maslam.tools.worlds.rendering.light import Light
+from maslam.tools.worlds.rendering.renderer import Renderer
+from maslam.tools.worlds.scenario import Scenario, plan_scenario
+from maslam.tools.worlds.town.streets import ROAD_HALF_M
 
 Poses = NDArray[np.float64]
 

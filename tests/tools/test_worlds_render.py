@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from frontend.trajectory import read_kitti_poses
-from tools.render import RenderConfig, render_dataset
-from tools.worlds.errors import RenderError
+from maslam.frontend.files.trajectory import read_kitti_poses
+from maslam.tools.worlds.dataset import RenderConfig, render_dataset
+from maslam.tools.worlds.errors import RenderError
 
 TINY = RenderConfig(world="indoor", rig="stereo", seed=8, agents=2, frames=3, width=96, height=64, cheap=True)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.geometry import Array, se3, se3_exp, se3_inverse, so3_exp
-from backend.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from maslam.backend.geometry import Array, se3, se3_exp, se3_inverse, so3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
 
 BLOCK = 8
 """Steps of a metre from crossing to crossing."""

@@ -11,13 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tools.errors import ToolError, UsageError
-from tools.options import DEST, add_model_options, build, option_name
-from tools.pgo.report import PgoReport
+from ..common.errors import ToolError, UsageError
+from ..common.options import DEST, add_model_options, build, option_name
+from .report import PgoReport
 
 if TYPE_CHECKING:
-    from backend.graph import PoseGraph
-    from tools.pgo.methods import Request, Solution
+    from maslam.backend.pose_graph.graph import PoseGraph
+
+    from .methods import Request, Solution
 
 _METHODS = """\
 methods
@@ -35,8 +36,9 @@ robust
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``FILES… OUT``, the method, and everything its solver can be told."""
-    from backend.config import CentralConfig, RobustConfig, SolverConfig
-    from tools.pgo.methods import METHODS, ROBUST
+    from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
+
+    from .methods import METHODS, ROBUST
 
     parser.epilog = _METHODS
     parser.add_argument(
@@ -64,9 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    from backend.g2o import read_g2o
-    from tools.pgo.files import expand, write
-    from tools.pgo.methods import check
+    from maslam.backend.pose_graph.g2o import read_g2o
+
+    from .files import expand, write
+    from .methods import check
 
     check(arguments.method, arguments.robust)
     for path, instead in (("solver.method", "--method"), ("solver.robust", "--robust"), ("central.loss", "--robust")):
@@ -87,8 +90,9 @@ def main(arguments: argparse.Namespace) -> None:
 
 def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
     """What the command line asks for, of this graph."""
-    from backend.config import CentralConfig, RobustConfig
-    from tools.pgo.methods import LOSSES, Request, solver_of
+    from maslam.backend.config import CentralConfig, RobustConfig
+
+    from .methods import LOSSES, Request, solver_of
 
     unit = arguments.weights == "unit" or (arguments.weights == "auto" and _is_unweighted(graph))
     loss = arguments.robust if arguments.robust in LOSSES else "none"
@@ -100,8 +104,9 @@ def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
 
 def optimise_graph(graph: PoseGraph, arguments: argparse.Namespace) -> tuple[PoseGraph, PgoReport]:
     """Run the method that ``arguments`` name; returns the graph with its own information and the report."""
-    from backend.graph_report import report as look_at
-    from tools.pgo.methods import solve
+    from maslam.backend.central.graph_report import report as look_at
+
+    from .methods import solve
 
     request = request_of(graph, arguments)
     start = time.perf_counter()
@@ -143,11 +148,12 @@ def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:
     """Cost against bytes for all methods, without robust selection."""
     from dataclasses import replace
 
-    from backend.central import optimise
-    from backend.config import CentralConfig
-    from tools.pgo.curves import curves
-    from tools.pgo.picture import draw_convergence
-    from tools.progress import counter, progress_on
+    from maslam.backend.central.optimise import optimise
+    from maslam.backend.config import CentralConfig
+
+    from ..common.progress import counter, progress_on
+    from .curves import curves
+    from .picture import draw_convergence
 
     request = replace(request_of(graph, arguments), robust="none")
     optimum = optimise(graph, CentralConfig(cost="U" if request.unit else "F")).cost_after
@@ -159,7 +165,7 @@ def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:
 
 
 def _proof(graph: PoseGraph, found: Solution) -> tuple[bool | None, float | None]:
-    from backend.certificate import certify
+    from maslam.backend.central.certificate import certify
 
     if found.minimised == "E":
         return None, None
@@ -174,6 +180,6 @@ def _is_unweighted(graph: PoseGraph) -> bool:
 
 
 def _costs(graph: PoseGraph) -> dict[str, float]:
-    from backend.costs import cost
+    from maslam.backend.central.costs import cost
 
     return {"F": cost(graph, "F"), "U": cost(graph, "U"), "E": cost(graph, "E")}

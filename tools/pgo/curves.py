@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from backend.costs import cost
-from backend.errors import BackendError
-from backend.graph import PoseGraph
-from tools.pgo.methods import CENTRAL, METHODS, TWO_STAGE, Request, solve, solver_of
+from maslam.backend.central.costs import cost
+from maslam.backend.errors import BackendError
+from maslam.backend.pose_graph.graph import PoseGraph
+
+from .methods import CENTRAL, METHODS, TWO_STAGE, Request, solve, solver_of
 
 _SWEEPS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 28, 40, 56, 80, 112, 160, 224)
 

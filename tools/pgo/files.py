@@ -9,11 +9,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tools.errors import ToolError
-from tools.pgo.report import PgoReport
+from ..common.errors import ToolError
+from .report import PgoReport
 
 if TYPE_CHECKING:
-    from backend.graph import PoseGraph
+    from maslam.backend.pose_graph.graph import PoseGraph
 
 SUMMARY = "summary.json"
 
@@ -34,7 +34,7 @@ def expand(paths: Sequence[Path]) -> list[Path]:
 
 def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:
     """One file, or a folder with one file a robot and the report."""
-    from backend.g2o import write_g2o
+    from maslam.backend.pose_graph.g2o import write_g2o
 
     alone = len(graph.robots) == 1
     if out.suffix == ".g2o":

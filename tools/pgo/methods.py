@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backend.central import optimise
-from backend.config import CentralConfig, RobustConfig, SolverConfig
-from backend.distributed.exchange import optimise_distributed
-from backend.geometry import Array
-from backend.graph import NodeId, PoseGraph
-from backend.robust.noise import Noise
-from backend.robust.pcm import consistent_edges
-from backend.robust.select import optimise_robustly
-from tools.errors import UsageError
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
+from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.geometry import Array
+from maslam.backend.pose_graph.graph import NodeId, PoseGraph
+from maslam.backend.robust.noise import Noise
+from maslam.backend.robust.pcm import consistent_edges
+from maslam.backend.robust.select import optimise_robustly
+
+from ..common.errors import UsageError
 
 CENTRAL = "central"
 TWO_STAGE = ("dgs", "jor", "sor")

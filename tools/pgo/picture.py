@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.figures import dress, saved_figure
-from tools.pgo.curves import Curve
-from tools.svg import FAINT, INK, colour_of
+from ..common.figures import dress, saved_figure
+from ..common.svg import FAINT, INK, colour_of
+from .curves import Curve
 
 _FLOOR = 1e-7
 """Gaps below it are drawn on the edge: the optimum is known to about that."""

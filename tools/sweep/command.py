@@ -9,19 +9,19 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tools.errors import ToolError
-from tools.options import add_model_options, build, read_yaml
-from tools.progress import Progress, progress_on
+from ..common.errors import ToolError
+from ..common.options import add_model_options, build, read_yaml
+from ..common.progress import Progress, progress_on
 
 if TYPE_CHECKING:
-    from tools.sweep.execute import Workshop
-    from tools.sweep.plan import SweepPlan
-    from tools.sweep.rows import Row
+    from .execute import Workshop
+    from .plan import SweepPlan
+    from .rows import Row
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``OUT``, the plan, where things come from."""
-    from tools.sweep.plan import SweepPlan
+    from .plan import SweepPlan
 
     parser.add_argument("out", metavar="OUT", type=Path, help="folder for images, sequences, runs, tables and figures")
     parser.add_argument("--experiment", metavar="NAME", help="a plan to start from: thesis, scaling or quick")
@@ -43,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    from tools.sweep.execute import Workshop
-    from tools.sweep.plan import SweepPlan, experiment
+    from .execute import Workshop
+    from .plan import SweepPlan, experiment
 
     base = experiment(arguments.experiment) if arguments.experiment else SweepPlan()
     plan = build(base, arguments, read_yaml(arguments.plan) if arguments.plan else None, arguments.plan)
@@ -53,7 +53,7 @@ def main(arguments: argparse.Namespace) -> None:
     with progress_on(quiet=arguments.quiet) as progress:
         rows, page = sweep(plan, shop, progress, not arguments.no_reference, arguments.ray)
     if arguments.json:
-        from tools.sweep.rows import as_record
+        from .rows import as_record
 
         print(json.dumps([as_record(row) for row in rows], indent=1))
     else:
@@ -65,10 +65,10 @@ def sweep(
     plan: SweepPlan, shop: Workshop, progress: Progress, with_reference: bool = True, ray: str | None = None
 ) -> tuple[list[Row], Path]:
     """Everything; returns the rows and the page with the tables."""
-    from tools.sweep.execute import execute, prepare, references
-    from tools.sweep.pictures import draw_all
-    from tools.sweep.rows import grouped, row_of
-    from tools.sweep.tables import report
+    from .execute import execute, prepare, references
+    from .pictures import draw_all
+    from .rows import grouped, row_of
+    from .tables import report
 
     _claim(shop.out, plan)
     prepare(plan, shop, progress)
@@ -98,7 +98,7 @@ def _claim(out: Path, plan: SweepPlan) -> None:
 
 
 def _write_rows(out: Path, rows: list[Row]) -> None:
-    from tools.sweep.rows import as_record, columns
+    from .rows import as_record, columns
 
     _write(out / "results.json", json.dumps([as_record(row) for row in rows], indent=1) + "\n")
     partial = out / "results.csv.part"

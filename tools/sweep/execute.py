@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tools.digests import code_digest, sequences_digest
-from tools.errors import ToolError
-from tools.evaluate import SUMMARY, read_summary, read_timing
-from tools.progress import Progress, counter
-from tools.sweep.plan import TOWN, Cell, SweepPlan
-from tools.sweep.rows import Figures
+from ..common.digests import code_digest, sequences_digest
+from ..common.errors import ToolError
+from ..common.progress import Progress, counter
+from ..report.summary_table import SUMMARY, read_summary, read_timing
+from .plan import TOWN, Cell, SweepPlan
+from .rows import Figures
 
 STAMP = "cell.json"
 """In the folder of a run: what it was made from and how."""
@@ -49,9 +49,10 @@ class Workshop:
 
 def prepare(plan: SweepPlan, shop: Workshop, progress: Progress) -> None:
     """Images and agent sequences of all cells; the front end runs once for each sequence, however it is cut."""
-    from frontend.config import OdometryConfig
-    from tools.preprocess import FRONTEND, PreprocessSettings, preprocess
-    from tools.render import render_dataset
+    from maslam.frontend.config import OdometryConfig
+
+    from ..pipeline.preprocess import FRONTEND, PreprocessSettings, preprocess
+    from ..worlds.dataset import render_dataset
 
     for cell in _materials(plan):
         images = shop.images(cell)
@@ -70,7 +71,7 @@ def references(plan: SweepPlan, shop: Workshop, progress: Progress) -> dict[str,
     """The omniscient reference of each material, as records."""
     from dataclasses import asdict
 
-    from tools.reference import reference_of
+    from .reference import reference_of
 
     return {
         cell.material: asdict(reference_of(shop.sequences(cell), counter(progress, f"reference {cell.material}")))
@@ -88,7 +89,7 @@ def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None
     if ray is not None:
         errors = _on_ray([job for job, _ in todo.values()], ray, progress)
     else:
-        from tools.workers import core_count, run_jobs
+        from ..common.parallel import core_count, run_jobs
 
         outcomes = run_jobs(run_cell, todo, shop.workers or core_count(), progress)
         errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
@@ -128,10 +129,11 @@ class Job:
 
 def run_cell(job: Job, advance: Callable[[int], None]) -> None:
     """Do it, in whatever process."""
-    from mas.environment import run
-    from mas.policy.presets import preset
-    from mas.sequence import load_sequences
-    from tools.options import build
+    from maslam.mas.policies.presets import preset
+    from maslam.mas.sequence import load_sequences
+    from maslam.mas.simulation import run
+
+    from ..common.options import build
 
     config = build(preset(job.cell.preset), Namespace(), {**job.settings, "seed": job.cell.seed})
     manifest, sequences = load_sequences(job.sequences)
@@ -155,7 +157,7 @@ def _materials(plan: SweepPlan) -> list[Cell]:
 
 
 def _rendering(plan: SweepPlan, shop: Workshop, cell: Cell) -> Any:
-    from tools.render import RenderConfig
+    from ..worlds.dataset import RenderConfig
 
     size = {"width": plan.width, "height": plan.height, "seed": plan.world_seed}
     if cell.sequence == TOWN:

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from tools.figures import dress, plain_powers, saved_figure
-from tools.report_charts import TRUTH, plane_of
-from tools.report_data import read_run
-from tools.svg import FAINT, INK, colour_of
-from tools.sweep.rows import Group
+from ..common.figures import dress, plain_powers, saved_figure
+from ..common.svg import FAINT, INK, colour_of
+from ..report.charts import TRUTH, plane_of
+from ..report.run_data import read_run
+from .rows import Group
 
 _OPERATIONS = ("dvpr", "relpose", "dopt", "mapmerge", "negotiation")
 _COLOURS = {"dvpr": "#0072B2", "relpose": "#E69F00", "dopt": "#009E73", "mapmerge": "#CC79A7", "negotiation": "#8d99a6"}

@@ -8,8 +8,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from mas.policy.presets import PRESETS
-from tools.errors import UsageError
+from maslam.mas.policies.presets import PRESETS
+
+from ..common.errors import UsageError
 
 THESIS_PRESETS = ("predecessor", "default", "optimised", "selection", "maslam")
 """The thesis's four systems, and ours."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tools.sweep.plan import Cell
+from .plan import Cell
 
 _OPERATIONS = ("dvpr", "relpose", "dopt", "mapmerge", "negotiation", "total")
 

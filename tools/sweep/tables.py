@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from tools.sweep.plan import TOWN
-from tools.sweep.rows import Group, Spread
-from tools.sweep.thesis import TABLES, TOWN_DVPR_MB, TOWN_REST_MB, Printed
+from .plan import TOWN
+from .rows import Group, Spread
+from .thesis import TABLES, TOWN_DVPR_MB, TOWN_REST_MB, Printed
 
 _COLUMNS: list[tuple[str, str, str]] = [
     ("ATE agents, m", "ate_agents", "ate_agents"),

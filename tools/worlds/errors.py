@@ -1,6 +1,6 @@
 """The one exception of the synthetic worlds."""
 
-from tools.errors import ToolError
+from ..common.errors import ToolError
 
 
 class RenderError(ToolError):

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.worlds.errors import RenderError
-from tools.worlds.light import Light, random_light
-from tools.worlds.mesh import Mesh
-from tools.worlds.paths import WALKING, Gait, drive, way_at
-from tools.worlds.props import placed
-from tools.worlds.routes import lane_line, plan_routes
-from tools.worlds.streets import Network
-from tools.worlds.world import World
+from .errors import RenderError
+from .motion.paths import WALKING, Gait, drive, way_at
+from .motion.routes import lane_line, plan_routes
+from .rendering.light import Light, random_light
+from .scene.mesh import Mesh
+from .scene.props import placed
+from .scene.world import World
+from .town.streets import Network
 
 if TYPE_CHECKING:
-    from tools.render import RenderConfig
+    from .dataset import RenderConfig
 
 Poses = NDArray[np.float64]
 POSES_OVERLAP = 10
@@ -84,7 +84,7 @@ def _quality(config: RenderConfig) -> dict[str, float]:
 
 
 def _town(config: RenderConfig) -> tuple[World, list[Poses], tuple[Mover, ...]]:
-    from tools.worlds.town import build_town
+    from .town.town import build_town
 
     world, network = build_town(config.seed, **_quality(config))  # type: ignore[arg-type]
     rng = np.random.default_rng([config.seed, 2])
@@ -123,8 +123,8 @@ def _traffic(config: RenderConfig, network: Network, ways: list[Poses]) -> tuple
 
 
 def _indoor(config: RenderConfig) -> tuple[World, list[Poses]]:
-    from tools.worlds.indoor import build_indoor
-    from tools.worlds.walks import tour, walk
+    from .indoor.floor import build_indoor
+    from .indoor.walks import tour, walk
 
     world, floor = build_indoor(config.seed)
     rng = np.random.default_rng([config.seed, 2])
@@ -146,8 +146,9 @@ def _indoor(config: RenderConfig) -> tuple[World, list[Poses]]:
 
 def _along(config: RenderConfig) -> tuple[World, list[Poses]]:
     """The poses of a file, cut into one piece for each agent."""
-    from frontend.trajectory import read_kitti_poses
-    from tools.worlds.town import build_along
+    from maslam.frontend.files.trajectory import read_kitti_poses
+
+    from .town.town import build_along
 
     assert config.poses_file is not None
     _, poses = read_kitti_poses(config.poses_file)

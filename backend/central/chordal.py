@@ -1,0 +1,69 @@
+"""The two-stage solution on arrays: chordal rotations, then Gauss-Newton steps for the poses.
+
+Needs no initial guess; the start of every solver that needs one (Carlone et al., ICRA 2015).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..geometry import Array, project_to_so3, se3, so3_exp
+from .linear import pose_blocks, rotation_blocks
+from .relaxation import Relaxation
+
+
+def two_stage_poses(
+    ends: NDArray[np.intp],
+    measured: Array,
+    weights: tuple[Array, Array],
+    poses: Array,
+    newton_steps: int = 1,
+    held: Sequence[int] | None = None,
+) -> Array:
+    """Poses ``(n, 4, 4)`` that (nearly) minimise F; the nodes ``held`` (the first of each connected part, if not given)
+    stay as in ``poses``.
+
+    ``ends`` ``(m, 2)`` rows of the nodes, ``measured`` ``(m, 4, 4)``, ``weights`` kappa and tau ``(m,)``.
+    """
+    n = len(poses)
+    held = list(first_of_parts(ends, n) if held is None else held)
+    values = np.full((n, 3, 3), np.nan)
+    values[held] = np.swapaxes(poses[held, :3, :3], 1, 2)
+    stage = Relaxation(ends, rotation_blocks(measured[:, :3, :3], weights[0]), values, n, held)
+    stage.sweep(1.0)
+    poses = poses.copy()
+    free = np.setdiff1d(np.arange(n), held)
+    poses[free, :3, :3] = project_to_so3(np.swapaxes(stage.values[free], 1, 2))
+    for _ in range(newton_steps):
+        poses[free] = _newton_step(ends, measured, weights, poses, held)[free]
+    return poses
+
+
+def first_of_parts(ends: NDArray[np.intp], count: int) -> list[int]:
+    """The first node of each connected part of a graph of ``count`` nodes."""
+    first: NDArray[np.intp] = np.unique(parts(ends, count), return_index=True)[1]
+    return sorted(first.tolist())
+
+
+def parts(ends: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Label ``(count,)`` of the connected part that each node belongs to."""
+    joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(joined, directed=False)[1])
+
+
+def _newton_step(
+    ends: NDArray[np.intp], measured: Array, weights: tuple[Array, Array], poses: Array, held: list[int]
+) -> Array:
+    R = poses[:, :3, :3]
+    i, j = ends.T
+    values = np.full((len(poses), 6, 1), np.nan)
+    values[held] = 0.0
+    values[held, :3, 0] = poses[held, :3, 3]
+    stage = Relaxation(ends, pose_blocks(R[i], R[j], measured, *weights), values, len(poses), held)
+    stage.sweep(1.0)
+    return se3(R @ so3_exp(stage.values[:, 3:, 0]), stage.values[:, :3, 0])

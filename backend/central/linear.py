@@ -1,0 +1,189 @@
+"""Normal equations of the two stages of pose-graph optimisation, and the costs, as arrays in and arrays out.
+
+The cost everything here belongs to is F of SE-Sync: the sum over edges of
+``kappa |R_j - R_i R_ij|_F^2 + tau |t_j - t_i - R_i t_ij|^2``. With the rotations fixed or relaxed it is quadratic,
+which the two-stage method uses (Carlone et al., ICRA 2015; distributed: Choudhary et al., IJRR 2017; thesis section
+3.6).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.linalg import splu
+
+from ..errors import BackendError
+from ..geometry import Array, skew
+
+# d/d(delta_k) of [delta]_x: the generators of SO(3), (3, 3, 3).
+_GENERATORS = skew(np.eye(3))
+# Eigenvalues below this share of the largest are rounding (files hold about 6 digits, conditions of 1e11 occur).
+_ROUNDING = 1e-12
+
+
+def isotropic_weights(information: Array, dimension: int = 3) -> tuple[Array, Array]:
+    """Rotation and translation weights ``kappa``, ``tau`` ``(m,)`` of information matrices ``(m, 6, 6)`` (SE-Sync's
+    choice).
+
+    ``tau = d / trace(inv(Omega_t))``; ``kappa = 3 / (2 trace(inv(Omega_R)))`` in 3-D, the angle's information in 2-D.
+    Directions without or with negative information (some public files) count as nearly unknown, which makes the
+    weight nearly zero.
+    """
+    information = np.asarray(information, dtype=np.float64).reshape(-1, 6, 6)
+    tau = dimension / _trace_of_inverse(information[:, :dimension, :dimension])
+    if dimension == 2:
+        return np.maximum(information[:, 5, 5], 0.0), tau
+    return 1.5 / _trace_of_inverse(information[:, 3:, 3:]), tau
+
+
+def indefinite(information: Array) -> NDArray[np.bool_]:
+    """Which of the symmetric matrices ``(m, k, k)`` have a negative eigenvalue beyond rounding: no measurement has."""
+    values = _eigenvalues(information)
+    return np.asarray(values[:, 0] < -_ROUNDING * np.abs(values).max(axis=1))
+
+
+def positive_information(information: Array) -> Array:
+    """``(m, 6, 6)`` with negative eigenvalues raised to 0, the nearest matrices that a cost can use; the others are
+    returned as they are.
+    """
+    broken = indefinite(information)
+    if not broken.any():
+        return information
+    out = information.copy()
+    values, vectors = np.linalg.eigh(0.5 * (information[broken] + np.swapaxes(information[broken], -1, -2)))
+    out[broken] = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, -1, -2)
+    return out
+
+
+def _trace_of_inverse(blocks: Array) -> Array:
+    values = _eigenvalues(blocks)
+    floor = np.maximum(values[:, -1:] * 1e-12, 1e-300)
+    total: Array = (1.0 / np.maximum(values, floor)).sum(axis=1)
+    return total
+
+
+def _eigenvalues(matrices: Array) -> Array:
+    return np.asarray(np.linalg.eigvalsh(0.5 * (matrices + np.swapaxes(matrices, -1, -2))), dtype=np.float64)
+
+
+def edge_costs(T_i: Array, T_j: Array, T_ij: Array, kappa: Array, tau: Array) -> Array:
+    """Each edge's share of F ``(m,)``, from poses ``(m, 4, 4)`` of its ends and measurements ``(m, 4, 4)``."""
+    predicted = T_i @ T_ij
+    rotation = ((T_j - predicted)[:, :3, :3] ** 2).sum(axis=(1, 2))
+    translation = ((T_j - predicted)[:, :3, 3] ** 2).sum(axis=1)
+    return kappa * rotation + tau * translation
+
+
+def rotation_blocks(R_ij: Array, kappa: Array) -> tuple[Array, Array]:
+    """Hessians ``(m, 6, 6)`` and gradients ``(m, 6, 3)`` of the relaxed rotation problem.
+
+    Unknown of a node: its rotation's transpose ``(3, 3)``, whose columns are the rows of R: all three share one matrix.
+    """
+    hessian = np.zeros((len(R_ij), 6, 6))
+    hessian[:, :3, :3] = hessian[:, 3:, 3:] = kappa[:, None, None] * np.eye(3)
+    hessian[:, :3, 3:] = -kappa[:, None, None] * R_ij
+    hessian[:, 3:, :3] = np.swapaxes(hessian[:, :3, 3:], 1, 2)
+    return hessian, np.zeros((len(R_ij), 6, 3))
+
+
+def pose_blocks(R_i: Array, R_j: Array, T_ij: Array, kappa: Array, tau: Array) -> tuple[Array, Array]:
+    """Hessians ``(m, 12, 12)`` and right-hand sides ``(m, 12, 1)`` of one Gauss-Newton step of F around rotations
+    ``(m, 3, 3)``.
+
+    Unknown of a node: its translation (absolute: F is linear in it) and its turn ``delta``, ``R exp([delta])``.
+    """
+    m = len(R_i)
+    R_ij, t_ij = T_ij[:, :3, :3], T_ij[:, :3, 3]
+    jacobian = np.zeros((m, 12, 12))
+    jacobian[:, :3, :3], jacobian[:, :3, 6:9] = -np.eye(3), np.eye(3)
+    jacobian[:, :3, 3:6] = R_i @ skew(t_ij)
+    turned_i = -np.einsum("mab,kbc,mcd->mkad", R_i, _GENERATORS, R_ij)
+    turned_j = np.einsum("mab,kbc->mkac", R_j, _GENERATORS)
+    jacobian[:, 3:, 3:6] = turned_i.reshape(m, 3, 9).transpose(0, 2, 1)
+    jacobian[:, 3:, 9:] = turned_j.reshape(m, 3, 9).transpose(0, 2, 1)
+    residual = np.concatenate([-(R_i @ t_ij[:, :, None])[:, :, 0], (R_j - R_i @ R_ij).reshape(m, 9)], axis=1)
+    weights = np.concatenate([np.repeat(tau[:, None], 3, axis=1), np.repeat(kappa[:, None], 9, axis=1)], axis=1)
+    weighted = jacobian * weights[:, :, None]
+    hessian = np.swapaxes(jacobian, 1, 2) @ weighted
+    return hessian, -(np.swapaxes(weighted, 1, 2) @ residual[:, :, None])
+
+
+class BlockSystem:
+    """A quadratic cost over nodes joined by edges, of which some nodes are to be solved and the others given.
+
+    ``ends`` ``(m, 2)`` rows of the nodes in ``values``; ``hessian`` ``(m, 2w, 2w)`` and ``rhs`` ``(m, 2w, c)`` of
+    each edge for its two ends stacked. Factorised once for a set of solved nodes; each :meth:`solve` is then two
+    triangular solves.
+    """
+
+    def __init__(self, ends: np.ndarray, hessian: Array, rhs: Array, solved: np.ndarray, used: np.ndarray) -> None:
+        """``solved`` (k,): rows of the nodes to solve; ``used`` (m,) bool: edges that take part (both ends known or
+        solved).
+        """
+        width = hessian.shape[1] // 2
+        self.solved, self.width = solved, width
+        position = np.full(int(max(ends.max(initial=-1), solved.max(initial=-1))) + 1, -1)
+        position[solved] = np.arange(len(solved))
+        ends, hessian, rhs = ends[used], hessian[used], rhs[used]
+        own = position[ends]
+        size = len(solved) * width
+        self._constant = np.zeros((len(solved), width, rhs.shape[2]))
+        for side in range(2):
+            mine = own[:, side] >= 0
+            np.add.at(self._constant, own[mine, side], rhs[mine, side * width : (side + 1) * width])
+        self._matrix, self._factor = self._assemble(own, hessian, size)
+        self._couplings = self._collect_couplings(ends, own, hessian)
+
+    def _assemble(self, own: np.ndarray, hessian: Array, size: int) -> tuple[csc_array, object]:
+        w, offsets = self.width, np.arange(self.width)
+        rows, columns, entries = [], [], []
+        for a in range(2):
+            for b in range(2):
+                both = (own[:, a] >= 0) & (own[:, b] >= 0)
+                r = own[both, a][:, None, None] * w + offsets[None, :, None]
+                c = own[both, b][:, None, None] * w + offsets[None, None, :]
+                block = hessian[both, a * w : (a + 1) * w, b * w : (b + 1) * w]
+                rows.append(np.broadcast_to(r, block.shape).ravel())
+                columns.append(np.broadcast_to(c, block.shape).ravel())
+                entries.append(block.ravel())
+        where = (np.concatenate(rows), np.concatenate(columns))
+        matrix = coo_array((np.concatenate(entries), where), shape=(size, size)).tocsc()
+        try:
+            factor = (
+                splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+                if size
+                else None
+            )
+        except RuntimeError as error:
+            raise BackendError(
+                f"the {size} equations of this graph are singular: a pose has no weight to hold it"
+            ) from error
+        return matrix, factor
+
+    def _collect_couplings(self, ends: np.ndarray, own: np.ndarray, hessian: Array) -> tuple[np.ndarray, ...]:
+        """Edges from a solved to a given node: rows of both, and the off-diagonal block."""
+        w, ours, theirs, blocks = self.width, [], [], []
+        for a in range(2):
+            cross = (own[:, a] >= 0) & (own[:, 1 - a] < 0)
+            ours.append(own[cross, a])
+            theirs.append(ends[cross, 1 - a])
+            blocks.append(hessian[cross, a * w : (a + 1) * w, (1 - a) * w : (2 - a) * w])
+        return np.concatenate(ours), np.concatenate(theirs), np.concatenate(blocks)
+
+    def solve(self, values: Array) -> Array:
+        """The solved nodes' values ``(k, w, c)`` given the others' in ``values`` ``(n, w, c)``."""
+        if not len(self.solved):
+            return np.zeros((0, *values.shape[1:]))
+        ours, theirs, blocks = self._couplings
+        rhs = self._constant.copy()
+        np.subtract.at(rhs, ours, blocks @ values[theirs])
+        flat = self._factor.solve(rhs.reshape(len(self.solved) * self.width, -1))  # type: ignore[attr-defined]
+        return flat.reshape(rhs.shape)
+
+    def solve_for(self, rhs: Array) -> Array:
+        """The matrix's inverse times ``rhs`` ``(k, w)`` or ``(k, w, c)``, whatever the edges' own right-hand sides."""
+        if not len(self.solved):
+            return np.zeros_like(rhs)
+        flat: Array = self._factor.solve(rhs.reshape(len(self.solved) * self.width, -1))  # type: ignore[attr-defined]
+        return flat.reshape(rhs.shape)

@@ -1,0 +1,103 @@
+"""Central optimisation of a whole graph: chordal start, Levenberg-Marquardt, and Newton's method to the last digit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..config import CentralConfig
+from ..geometry import Array, se3_inverse, umeyama
+from ..pose_graph.graph import EdgeArrays, PoseGraph, Prior
+from .chordal import two_stage_poses
+from .costs import cost, frobenius_weights
+from .gtsam_adapter import levenberg_marquardt
+from .trust_region import anchors, named_parts, newton
+
+
+@dataclass(frozen=True, eq=False)
+class OptimisationResult:
+    """The optimised graph; costs in the convention that was asked for; ``iterations`` of the non-linear solver.
+
+    Where nothing better was found, ``graph`` is the one that came in and ``improved`` is False.
+    """
+
+    graph: PoseGraph
+    cost_before: float
+    cost_after: float
+    iterations: int
+    improved: bool
+
+
+def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
+    """Optimise all poses. Never ends higher than it began.
+
+    In each connected part the first node stays where it is, unless priors say where the part lies.
+    """
+    before = cost(graph, config.cost)
+    if not graph.edges and not graph.priors:
+        return OptimisationResult(graph, before, before, 0, False)
+    start = two_stage(graph, config.cost == "U") if config.start == "chordal" else graph
+    solved, iterations = _descend(start, config)
+    if config.start == "chordal" and cost(solved, config.cost) > before:
+        solved, iterations = _descend(graph, config)
+    after = cost(solved, config.cost)
+    if after > before:
+        return OptimisationResult(graph, before, before, iterations, False)
+    return OptimisationResult(solved, before, after, iterations, True)
+
+
+def _descend(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
+    """To the optimum of the basin the graph lies in."""
+    if config.cost == "E" or config.loss != "none":
+        return levenberg_marquardt(graph, config)
+    refined, steps, converged = polished(graph, config.cost == "U", config.iterations)
+    if converged:
+        return refined, steps
+    solved, iterations = levenberg_marquardt(refined, config)
+    return solved, steps + iterations
+
+
+def polished(graph: PoseGraph, unit_weights: bool = False, steps: int = 100) -> tuple[PoseGraph, int, bool]:
+    """The graph after Newton steps of F (U with ``unit_weights``), their number, and whether only rounding is left."""
+    a = graph.arrays()
+    weights = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
+    refined = newton(a.ends, a.measured, weights, a.poses, anchors(a), steps)
+    return graph.with_poses(a.named(refined.poses)), refined.steps, refined.converged
+
+
+def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 1) -> PoseGraph:
+    """Chordal rotations, then Gauss-Newton steps of F (U with ``unit_weights``): needs no initial guess (Carlone et
+    al., ICRA 2015).
+
+    One step is what distributed Gauss-Seidel converges to. Priors place each connected part as a whole.
+    """
+    free = replace(graph, priors=())
+    a = free.arrays()
+    weights = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
+    poses = two_stage_poses(a.ends, a.measured, weights, a.poses, newton_steps, anchors(a))
+    if graph.priors:
+        poses = _placed(a, poses, graph)
+    return graph.with_poses(a.named(poses))
+
+
+def _placed(a: EdgeArrays, poses: Array, graph: PoseGraph) -> Array:
+    """Each connected part moved rigidly to where its priors want it: the best of what one prior alone or all their
+    positions together say.
+    """
+    row, part, poses = {n: k for k, n in enumerate(a.nodes)}, named_parts(a), poses.copy()
+    for label in sorted({int(part[row[p.node]]) for p in graph.priors}):
+        priors = [p for p in graph.priors if part[row[p.node]] == label]
+        estimates = poses[[row[p.node] for p in priors]]
+        wanted = np.array([p.T_O_i for p in priors])
+        step = max(1, len(priors) // 8)
+        moves = [*(wanted @ se3_inverse(estimates))[::step]]
+        moves.append(umeyama(wanted[:, :3, 3], estimates[:, :3, 3], with_scale=False).se3())
+        best = min(moves, key=lambda T: _prior_cost(priors, T @ estimates, graph.dimension))
+        poses[part == label] = best @ poses[part == label]
+    return poses
+
+
+def _prior_cost(priors: list[Prior], estimates: Array, dimension: int) -> float:
+    poses = {p.node: T for p, T in zip(priors, estimates, strict=True)}
+    return cost(PoseGraph(poses, (), dimension, tuple(priors)), "F")

@@ -1,0 +1,157 @@
+"""Robust pose of one frame from map points: compiled kernels, arrays in, arrays out.
+
+``cam`` is ``[fx, fy, cx, cy, bf]`` (``bf = fx * baseline_m``). ``T`` is always ``T_C_W``. A disparity that is not
+known is NaN.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .linear_algebra import solve_symmetric, times3, times3_transposed
+
+Array = NDArray[np.float64]
+HUBER_UV = 2.0
+HUBER_D = 1.5
+
+
+@njit(cache=True, nogil=True)
+def exp_update(delta: Array, T: Array) -> Array:
+    """``exp(delta) @ T`` for a tangent vector ``(6,)``, translation first."""
+    p0, p1, p2 = delta[3], delta[4], delta[5]
+    angle2 = p0 * p0 + p1 * p1 + p2 * p2
+    angle = np.sqrt(angle2)
+    if angle < 1e-6:
+        a, b, c = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0, 1.0 / 6.0
+    else:
+        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
+        c = (1.0 - a) / angle2
+    K = np.array([[0.0, -p2, p1], [p2, 0.0, -p0], [-p1, p0, 0.0]])
+    K2 = times3(K, K)
+    R = np.eye(3) + a * K + b * K2
+    V = np.eye(3) + b * K + c * K2
+    out = np.eye(4)
+    turned = times3(R, T)
+    # One Newton step to the nearest rotation: velocities are made with transposes for inverses, and there rounding
+    # errors would grow sixfold from frame to frame.
+    out[:3, :3] = 1.5 * turned - 0.5 * times3(times3_transposed(turned, turned), turned)
+    for i in range(3):
+        for k in range(3):
+            out[i, 3] += R[i, k] * T[k, 3] + V[i, k] * delta[k]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) -> Array:
+    """``(n, 3)`` pixels: predicted minus measured u, v, disparity; disparity 0 where unknown; NaN behind the camera."""
+    out = np.empty((len(points), 3))
+    for i in range(len(points)):
+        X = T[0, 0] * points[i, 0] + T[0, 1] * points[i, 1] + T[0, 2] * points[i, 2] + T[0, 3]
+        Y = T[1, 0] * points[i, 0] + T[1, 1] * points[i, 1] + T[1, 2] * points[i, 2] + T[1, 3]
+        Z = T[2, 0] * points[i, 0] + T[2, 1] * points[i, 1] + T[2, 2] * points[i, 2] + T[2, 3]
+        if Z < 1e-6:
+            out[i] = np.nan
+            continue
+        out[i, 0] = cam[0] * X / Z + cam[2] - uv[i, 0]
+        out[i, 1] = cam[1] * Y / Z + cam[3] - uv[i, 1]
+        out[i, 2] = 0.0 if np.isnan(disparity[i]) else cam[4] / Z - disparity[i]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def refine_pose(
+    T: Array,
+    points: Array,
+    uv: Array,
+    disparity: Array,
+    sigma: Array,
+    sigma_d: Array,
+    cam: Array,
+    outlier_sigmas: float,
+    rounds: int,
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Gauss-Newton on robust reprojection and disparity errors, outliers removed between rounds (ORB-SLAM's scheme).
+
+    ``sigma``, ``sigma_d`` ``(n,)`` pixels. Returns the pose, the inlier mask ``(n,)``, and the ``(6, 6)`` normal
+    matrix of the inliers (its inverse is the pose's covariance).
+    """
+    n = len(points)
+    inlier = np.ones(n, dtype=np.bool_)
+    pose = T.copy()
+    H = np.zeros((6, 6))
+    for turn in range(rounds):
+        # Coarse to fine: the first round must not lose the right matches of a bad prediction.
+        scale = 4.0 if turn == 0 else (2.0 if turn == 1 else 1.0)
+        for _ in range(8 if turn == 0 else 4):
+            H, b = _normal_equations(pose, points, uv, disparity, sigma, sigma_d, cam, inlier, scale)
+            for k in range(6):
+                H[k, k] += 1e-6 * H[k, k] + 1e-9
+            delta = solve_symmetric(H, -b.reshape(6, 1))[:, 0]
+            pose = exp_update(delta, pose)
+            if np.abs(delta).max() < 1e-7:
+                break
+        r = residuals(pose, points, uv, disparity, cam)
+        for i in range(n):
+            e_uv = np.sqrt(r[i, 0] ** 2 + r[i, 1] ** 2) / sigma[i]
+            e_d = np.abs(r[i, 2]) / sigma_d[i]
+            inlier[i] = e_uv < outlier_sigmas * scale and e_d < 1.5 * outlier_sigmas * scale
+    return pose, inlier, H
+
+
+@njit(cache=True, nogil=True)
+def _normal_equations(
+    T: Array,
+    points: Array,
+    uv: Array,
+    disparity: Array,
+    sigma: Array,
+    sigma_d: Array,
+    cam: Array,
+    use: NDArray[np.bool_],
+    scale: float,
+) -> tuple[Array, Array]:
+    H = np.zeros((6, 6))
+    b = np.zeros(6)
+    J = np.zeros((3, 6))
+    e = np.zeros(3)
+    w = np.zeros(3)
+    for i in range(len(points)):
+        if not use[i]:
+            continue
+        X = T[0, 0] * points[i, 0] + T[0, 1] * points[i, 1] + T[0, 2] * points[i, 2] + T[0, 3]
+        Y = T[1, 0] * points[i, 0] + T[1, 1] * points[i, 1] + T[1, 2] * points[i, 2] + T[1, 3]
+        Z = T[2, 0] * points[i, 0] + T[2, 1] * points[i, 1] + T[2, 2] * points[i, 2] + T[2, 3]
+        if Z < 1e-6:
+            continue
+        iz = 1.0 / Z
+        x, y = X * iz, Y * iz
+        e[0] = cam[0] * x + cam[2] - uv[i, 0]
+        e[1] = cam[1] * y + cam[3] - uv[i, 1]
+        a0, a1, a2 = cam[0] * iz, cam[1] * iz, cam[4] * iz * iz
+        J[0, 0], J[0, 2], J[0, 3], J[0, 4], J[0, 5] = a0, -a0 * x, -cam[0] * x * y, cam[0] * (1 + x * x), -cam[0] * y
+        J[1, 1], J[1, 2], J[1, 3], J[1, 4], J[1, 5] = a1, -a1 * y, -cam[1] * (1 + y * y), cam[1] * x * y, cam[1] * x
+        norm = np.sqrt(e[0] ** 2 + e[1] ** 2) / (sigma[i] * scale)
+        w[0] = 1.0 / sigma[i] ** 2
+        if norm > HUBER_UV:
+            w[0] *= HUBER_UV / norm
+        w[1] = w[0]
+        rows = 2
+        if not np.isnan(disparity[i]):
+            rows = 3
+            e[2] = cam[4] * iz - disparity[i]
+            J[2, 2], J[2, 3], J[2, 4] = -a2, -a2 * Y, a2 * X
+            norm = np.abs(e[2]) / (sigma_d[i] * scale)
+            w[2] = 1.0 / sigma_d[i] ** 2
+            if norm > HUBER_D:
+                w[2] *= HUBER_D / norm
+        for r in range(rows):
+            for k in range(6):
+                b[k] += w[r] * J[r, k] * e[r]
+                for m in range(k, 6):
+                    H[k, m] += w[r] * J[r, k] * J[r, m]
+    for k in range(6):
+        for m in range(k):
+            H[k, m] = H[m, k]
+    return H, b

@@ -1,0 +1,213 @@
+"""Finding a lost camera again in the map of its track: by the words of its image, then by geometry.
+
+As ORB-SLAM does it (Mur-Artal et al., 2015, section III-E): the vocabulary names key-frames that look alike, groups of
+key-frames that see each other's points are ranked by their joint score, a pose is found from one key-frame's points by
+RANSAC, and it counts only if the map around bears it out.
+
+Only the map of the track that was lost is searched, not those of finished tracks. A track is one uninterrupted set of
+the five files with key-frames in order of time; a camera that entered a finished track anew would break both. Tracks of
+one agent are joined later by its own place matches, which bring their uncertainty along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config import OdometryConfig
+from ..estimation.pose_refinement import refine_pose
+from ..estimation.pycolmap_adapter import absolute_pose
+from ..frames import Frame
+from ..image.guided_matching import guided_match
+from ..image.orb_features import Detector, Keypoints, Pyramid, describe
+from ..mapping.map import Array, Ints, Map
+from ..mapping.range_sensor import Ranging
+from ..vocabulary.lookup import WordLookup
+from ..vocabulary.vocabulary import WordIndex
+from .track import Segment
+from .tracker import Tracked
+
+_ORB_SIGMA_PX = 1.0
+"""Standard deviation of an ORB key-point on level 0."""
+_RANSAC_PX = 4.0
+_ALIKE = 0.75
+"""Groups scoring less than this share of the best are not looked at (ORB-SLAM's figure)."""
+_COVISIBLE = 15
+"""Points that two key-frames share at least to be neighbours."""
+_ANY_LEVEL = 99.0
+_LEVEL_SLACK = 2.5
+_GRID = (8, 6)
+"""Cells of the image, columns and rows."""
+
+
+@dataclass(frozen=True)
+class _Support:
+    """A pose ``T_C_W`` and the map points ``ids`` that agree with it at pixels ``uv``; they fill the share ``spread``
+    of those cells of the image that hold key-points."""
+
+    T_C_W: Array
+    ids: Ints
+    uv: Array
+    spread: float
+
+
+class Relocaliser:
+    """Searches one track's map. Words of key-frames are looked up when the camera is lost, not before: tracking pays
+    nothing."""
+
+    def __init__(self, segment: Segment, ranging: Ranging, config: OdometryConfig, vocabulary: WordLookup) -> None:
+        self.segment, self.ranging, self.config, self.vocabulary = segment, ranging, config, vocabulary
+        self._detector = Detector(config.features)
+        self._index = WordIndex()
+        self.searches = 0
+        """Images with texture that were searched; whoever asks starts the count."""
+        self._numbers: list[int] = []
+
+    def search(self, frame: Frame) -> Tracked:
+        """The pose of ``frame`` in the map; on success the tracker follows the points found from here on."""
+        keypoints = self._describe(frame)
+        settings, best, spread = self.config.lost, 0, 0.0
+        if len(keypoints) < settings.min_matches:
+            return Tracked(None, 0, f"lost: {len(keypoints)} key-points in the image, need {settings.min_matches}")
+        self.searches += 1
+        for number in self.candidates(keypoints):
+            first = self._from_keyframe(number, keypoints)
+            found = self._from_map(first, number, keypoints) if first is not None else None
+            if found is None:
+                continue
+            best, spread = max((best, spread), (len(found.ids), found.spread))
+            if len(found.ids) >= settings.min_matches and found.spread >= settings.min_spread:
+                self.segment.tracker.start(frame, found.T_C_W, found.ids, found.uv)
+                return Tracked(found.T_C_W, len(found.ids))
+        need = f"need {settings.min_matches} in {100 * settings.min_spread:.0f} %"
+        seen = f"{best} points of the map in {100 * spread:.0f} % of the image"
+        return Tracked(None, best, f"lost: at best {seen} agree on a pose, {need}")
+
+    def candidates(self, keypoints: Keypoints) -> list[int]:
+        """Numbers of key-frames to try: the latest that stayed, then the best of each group that looks like the
+        image."""
+        self._catch_up()
+        map_, settings = self.segment.map, self.config.lost
+        scores = {
+            self._numbers[place]: score
+            for place, score in self._index.most_similar(
+                self.vocabulary.bag(keypoints.descriptors), settings.similar_keyframes
+            )
+            if self._numbers[place] in map_.keyframes
+        }
+        groups: dict[int, float] = {}
+        for group in self._groups(sorted(scores)):
+            leader = max(group, key=lambda n: (scores[n], n))
+            groups[leader] = max(groups.get(leader, 0.0), sum(scores[n] for n in group))
+        enough = _ALIKE * max(groups.values(), default=0.0)
+        ranked = sorted((n for n in groups if groups[n] >= enough), key=lambda n: (-groups[n], -n))
+        latest = [n for n in self._numbers if n in map_.keyframes][-1:]
+        return list(dict.fromkeys([*latest, *ranked[: settings.candidates]]))
+
+    def _groups(self, numbers: list[int]) -> list[list[int]]:
+        """For each of these key-frames those among them that share points with it, itself included."""
+        seen = [np.unique(self.segment.map.keyframes[n].point) for n in numbers]
+        place = np.repeat(np.arange(len(numbers)), [len(s) for s in seen])
+        ids, column = np.unique(np.concatenate([np.array([-1]), *seen]), return_inverse=True)
+        sees = np.zeros((len(numbers), len(ids)), dtype=np.float32)
+        sees[place, column[1:]] = 1.0
+        shared = sees[:, 1:] @ sees[:, 1:].T  # the first column is -1: no point
+        return [[numbers[j] for j in np.flatnonzero(row >= _COVISIBLE).tolist()] for row in shared]
+
+    def _catch_up(self) -> None:
+        """Enter the key-frames made since the last loss."""
+        since = self._numbers[-1] if self._numbers else -1
+        for number in sorted(n for n in self.segment.map.keyframes if n > since):
+            keyframe = self.segment.map.keyframes[number]
+            if keyframe.described.any():
+                self._index.add(self.vocabulary.bag(keyframe.descriptors[keyframe.described]))
+                self._numbers.append(number)
+
+    def _describe(self, frame: Frame) -> Keypoints:
+        features = self.config.features
+        pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
+        uv, level, _ = self._detector.detect(pyramid, features.landmarks + features.tracks, np.zeros((0, 2)))
+        found = describe(pyramid, uv, level)
+        usable = np.flatnonzero(np.isfinite(found.angle_deg))
+        return Keypoints(uv[usable], level[usable], found.angle_deg[usable], found.descriptors[usable])
+
+    def _from_keyframe(self, number: int, keypoints: Keypoints) -> _Support | None:
+        """A pose from the points that one key-frame sees, matched wherever they may be in the image."""
+        map_, mapping = self.segment.map, self.config.mapping
+        keyframe = map_.keyframes[number]
+        rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
+        rows = rows[np.isfinite(map_.xyz[keyframe.point[rows], 0])]
+        anywhere = np.full(len(rows), np.inf)
+        match = guided_match(
+            keyframe.uv[rows],
+            keyframe.level[rows].astype(np.float64),
+            keyframe.descriptors[rows],
+            keypoints.uv,
+            keypoints.level,
+            keypoints.descriptors,
+            anywhere,
+            mapping.match_distance,
+            mapping.match_ratio,
+            _ANY_LEVEL,
+        )
+        hit = np.flatnonzero(match >= 0)
+        ids = keyframe.point[rows[hit]]
+        T = absolute_pose(map_.xyz[ids], self.ranging.ideal(keypoints.uv[match[hit]]), self.ranging.cam, _RANSAC_PX)
+        return None if T is None else self._refined(T, ids, match[hit], keypoints)
+
+    def _from_map(self, first: _Support, number: int, keypoints: Keypoints) -> _Support | None:
+        """A second look: everything that ``number`` and its neighbours know, projected with the pose found, and what
+        of it is there."""
+        map_, mapping = self.segment.map, self.config.mapping
+        ids, uv = self._visible(map_, first, number)
+        level = map_.level[ids].astype(np.float64)
+        radius = mapping.match_radius_px * self.config.features.scale_factor**level
+        match = guided_match(
+            uv,
+            level,
+            map_.descriptors[ids],
+            keypoints.uv,
+            keypoints.level,
+            keypoints.descriptors,
+            radius,
+            mapping.match_distance,
+            mapping.match_ratio,
+            _LEVEL_SLACK,
+        )
+        hit = np.flatnonzero(match >= 0)
+        return self._refined(first.T_C_W, ids[hit], match[hit], keypoints)
+
+    def _visible(self, map_: Map, first: _Support, number: int) -> tuple[Ints, Array]:
+        """Described points of a key-frame and those covisible with it that project into the image, and where."""
+        seen = map_.keyframes[number].point
+        group = [number, *map_.covisible(seen[seen >= 0], {number})[: self.config.lost.group_keyframes]]
+        ids = np.unique(np.concatenate([first.ids, *(map_.keyframes[n].point for n in group)]))
+        ids = ids[ids >= 0]
+        ids = ids[np.isfinite(map_.xyz[ids, 0]) & map_.described[ids]]
+        uv, depth = self.ranging.project(first.T_C_W, map_.xyz[ids])
+        camera = self.ranging.rig.camera
+        inside = (depth > 0) & (uv >= 0).all(axis=1) & (uv < [camera.width, camera.height]).all(axis=1)
+        return ids[inside], uv[inside]
+
+    def _refined(self, T: Array, ids: Ints, match: Ints, keypoints: Keypoints) -> _Support | None:
+        """The pose refined on key-points ``match`` of points ``ids``, and those that agree."""
+        n = len(ids)
+        if n < self.config.pose.min_inliers:
+            return None
+        uv = keypoints.uv[match]
+        ideal = self.ranging.ideal(uv)
+        sigma = _ORB_SIGMA_PX * self.config.features.scale_factor ** keypoints.level[match].astype(np.float64)
+        outlier = self.config.pose.outlier_sigmas
+        xyz, unknown = self.segment.map.xyz[ids], np.full(n, np.nan)
+        T, good, _ = refine_pose(T, xyz, ideal, unknown, sigma, np.ones(n), self.ranging.cam, outlier, 4)
+        if good.sum() < self.config.pose.min_inliers or not np.isfinite(T).all():
+            return None
+        spread = len(self._cells(uv[good])) / max(len(self._cells(keypoints.uv)), 1)
+        return _Support(T, ids[good], uv[good], spread)
+
+    def _cells(self, uv: Array) -> Ints:
+        """Cells of the image that hold these pixels."""
+        camera = self.ranging.rig.camera
+        column, row = (uv * _GRID / [camera.width, camera.height]).astype(np.int64).T
+        return np.unique(row * _GRID[0] + column)

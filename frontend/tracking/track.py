@@ -1,0 +1,94 @@
+"""One uninterrupted track: its map, who follows and who maps, and where each frame hangs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import product, se3_inverse
+
+from ..cameras.models import Rig
+from ..config import OdometryConfig
+from ..files.trajectory import Trajectory
+from ..frames import Frame
+from ..mapping.map import KeyFrame, Map
+from ..mapping.mapper import Mapper
+from ..mapping.range_sensor import Ranging
+from ..stopwatch import Stopwatch
+from .keyframe_policy import SinceKeyframe
+from .pose_log import PoseLog
+from .tracker import Tracker
+
+Array = NDArray[np.float64]
+
+
+class Segment:
+    """A map being driven through."""
+
+    def __init__(self, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
+        self.map = Map()
+        self.mapper = Mapper(self.map, ranging, config, watch)
+        self.tracker = Tracker(ranging, config)
+        self.frames = PoseLog()
+        self.latest: KeyFrame | None = None
+        self._reference_points = 0
+
+    def record(self, frame: Frame, T_C_W: Array) -> None:
+        """Note a tracked frame, relative to the latest key-frame."""
+        assert self.latest is not None
+        self.frames.note(
+            frame.index, frame.stamp_ns, self.latest.number, product(T_C_W, se3_inverse(self.latest.T_C_W))
+        )
+
+    def since_keyframe(self, frame: Frame, rig: Rig) -> SinceKeyframe:
+        """What happened since the latest key-frame, for the key-frame policy."""
+        assert self.latest is not None
+        tracker, latest = self.tracker, self.latest
+        moved = np.linalg.norm((tracker.uv - tracker.anchor_uv)[tracker.found], axis=1)
+        flow = float(np.median(moved)) / rig.camera.width if len(moved) else 1.0
+        known = int(np.isfinite(self.map.xyz[tracker.seen()[0], 0]).sum())
+        keyframes = len(self.map.keyframes) + len(self.map.culled)
+        return SinceKeyframe(frame.index - latest.frame_index, known, self._reference_points, flow, keyframes)
+
+    def insert_keyframe(self, frame: Frame) -> None:
+        """Make the frame last tracked a key-frame; what is followed from here on is what it sees."""
+        tracker = self.tracker
+        self.latest = self.mapper.insert(frame, tracker.T_C_W, *tracker.seen())
+        self.follow(frame)
+
+    def follow(self, frame: Frame) -> None:
+        """Follow the points of the latest key-frame from ``frame``, its own image, on."""
+        latest = self.latest
+        assert latest is not None
+        self.frames.note(frame.index, frame.stamp_ns, latest.number, np.eye(4))
+        rows = np.flatnonzero(latest.followed & (latest.point >= 0))
+        previous = None
+        if self.tracker.motion is not None and len(self.frames) > 1:
+            # The map has just moved: the velocity must come from poses of the same map.
+            T_C_W = product(self.frames.T_C_K(-2), self.map.pose(self.frames.keyframe(-2)))
+            previous = product(latest.T_C_W, se3_inverse(T_C_W))
+        self.tracker.start(frame, latest.T_C_W, latest.point[rows], latest.uv[rows])
+        self.tracker.motion = previous
+        self._reference_points = int(np.isfinite(self.map.xyz[latest.point[rows], 0]).sum())
+
+    def lasting(self, count: int) -> bool:
+        """Whether at least ``count`` of its key-frames will stay."""
+        return sum(keyframe.stays for keyframe in self.map.keyframes.values()) >= count
+
+    def close(self) -> None:
+        """No more frames: what only supported the window goes."""
+        numbers = sorted(self.map.keyframes)
+        for k in range(1, len(numbers)):
+            if not self.map.keyframes[numbers[k]].stays:
+                parent = next(n for n in reversed(numbers[:k]) if n in self.map.keyframes)
+                self.map.cull_keyframe(numbers[k], parent)
+
+    def keyframe_indices(self) -> NDArray[np.int64]:
+        """Frame index of each key-frame that stayed."""
+        return np.array([self.map.keyframes[k].frame_index for k in sorted(self.map.keyframes)], dtype=np.int64)
+
+    def trajectory(self) -> Trajectory:
+        """``T_W_C`` of every frame, through its key-frame's final pose."""
+        frames = self.frames
+        T_C_W = [product(frames.T_C_K(i), self.map.pose(frames.keyframe(i))) for i in range(len(frames))]
+        return Trajectory(frames.stamps_ns(), se3_inverse(np.stack(T_C_W)))

@@ -1,0 +1,62 @@
+"""Calls to an agent that it has not answered yet: each agent's own pool, since nobody keeps one for all.
+
+The thesis's environment holds the pool of active proposals and idle agents go through it (section 3.8.2; Smith 1980).
+Without a server a call goes to those it names, and waits at each of them: who is idle bids at once, who is busy puts
+the call into its pool and looks there again as soon as it is idle. It waits no longer than half the time after which
+its manager would take it for gone; then it refuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..protocol.ids import Operation
+from ..protocol.messages import Call, Refusal
+from .context import Desk, Trade
+from .contract import Contract, LateMessage, State
+
+
+class Pool:
+    """Answers calls by the operations' bids, now or when idle; lower managers first, as all agents prefer them."""
+
+    def __init__(self, desk: Desk, trades: Mapping[Operation, Trade]) -> None:
+        self.desk = desk
+        self._trades = trades
+        self._waiting: list[tuple[Contract, Call, int]] = []
+
+    @property
+    def waiting(self) -> bool:
+        """Whether calls wait for an answer."""
+        return bool(self._waiting)
+
+    def take(self, contract: Contract, call: Call) -> None:
+        """A new call: answer it, or keep it."""
+        if not self.desk.serves(contract.manager, contract.operation):
+            regard = self.desk.standing.regard(contract.manager)
+            self.desk.say(contract, Refusal(f"in bad standing: {regard}"))
+        elif not self._answered(contract, call):
+            patience = self.desk.state.config.link.silence_s / 2
+            self._waiting.append((contract, call, self.desk.now_ns + round(patience * 1e9)))
+            self._waiting.sort(key=lambda w: w[0].id)
+
+    def inspect(self) -> None:
+        """Answer what can be answered by now; refuse what waited too long."""
+        for entry in list(self._waiting):
+            contract, call, until_ns = entry
+            if not self._open(contract) or self._answered(contract, call):
+                self._waiting.remove(entry)
+            elif self.desk.now_ns >= until_ns:
+                self._waiting.remove(entry)
+                self.desk.say(contract, Refusal("busy"))
+
+    def _open(self, contract: Contract) -> bool:
+        try:
+            return self.desk.ledger.get(contract.id, contract.contractor).state is State.CALLED
+        except LateMessage:
+            return False
+
+    def _answered(self, contract: Contract, call: Call) -> bool:
+        answer = self._trades[contract.operation].bid(contract, call)
+        if answer is not None:
+            self.desk.say(contract, answer)
+        return answer is not None

@@ -1,0 +1,210 @@
+"""Where an agent's operations do business: its ledger, its outgoing mail, its diary."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..protocol.ids import ContractId, Operation
+from ..protocol.messages import Bid, Body, Call, Cancel, ContractBody, Message, Refusal
+from ..protocol.tasks import Outcome, Task
+from ..state.agent_state import AgentState
+from .contract import Contract
+from .ledger import Ledger
+from .reputation import SILENT, Regard, Standing
+from .retransmission import Words
+
+# Answers waited for one after the other in an optimisation, losses included.
+_ROUNDS = 150
+# And at most so many times the usual time.
+_LONGEST = 4.0
+
+
+@dataclass(frozen=True)
+class Event:
+    """A line of ``events.jsonl``: what happened to whom, with its figures."""
+
+    now_ns: int
+    agent: int
+    kind: str
+    fields: dict[str, Any]
+
+
+@dataclass
+class Desk:
+    """Shared by the operations of one agent. ``now_ns``: logical time of the last tick or message; ``closing``: all
+    sequences have ended."""
+
+    state: AgentState
+    ledger: Ledger
+    now_ns: int = 0
+    closing: bool = False
+    outbox: list[Message] = field(default_factory=list)
+    diary: list[Event] = field(default_factory=list)
+    ended: list[Contract] = field(default_factory=list)
+    _last_probes: set[int] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.words = Words(self.me, self.state.config.link)
+        self.standing = Standing(self.state.config.standing)
+
+    @property
+    def me(self) -> int:
+        return self.state.me
+
+    def deadline_ns(self, operation: Operation, contractors: Iterable[int] = ()) -> int:
+        """When a contract opened now expires. An optimisation has many rounds, each of as many messages one after the
+        other as there are members: many of them, or slow answers, make it longer."""
+        config = self.state.config
+        if operation is not Operation.DOPT:
+            return self.now_ns + round(config.deadline_s * 1e9)
+        others = list(contractors)
+        slowest = max((self.words.pace.wait_ns(c) for c in others), default=0)
+        usual = config.optimisation.deadline_s * 1e9
+        # Of few answers even the quickest may have been late, because words were lost on the way.
+        longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
+        return self.now_ns + round(longest * max(1.0, len(others) / 2))
+
+    def calling(self, operation: Operation) -> bool:
+        """Whether a contract of this kind runs that I manage."""
+        return any(c.manager == self.me for c in self.ledger.running(operation))
+
+    def may_call(self, other: int, operation: Operation = Operation.DVPR) -> bool:
+        """Whether a call to the other is worth its bytes. Probes of who is in bad standing are small questions, never
+        a part in an optimisation or a sale, and end with the sequences."""
+        small = operation not in (Operation.DOPT, Operation.MAPMERGE)
+        if self.closing or not small:
+            return self.standing.regard(other) is Regard.GOOD or (small and other in self._last_probes)
+        return self.standing.may_call(other, self.now_ns)
+
+    def close(self) -> None:
+        """All sequences have ended. Who is silent is asked once more: it may have come since the last probe."""
+        if not self.closing:
+            self.closing = True
+            others = self.state.profile.others
+            self._last_probes = {a for a in others if self.standing.regard(a) is Regard.SILENT}
+
+    def serves(self, other: int, operation: Operation) -> bool:
+        """Whether to work for the other: questions about places always, they let it come back."""
+        return operation in (Operation.DVPR, Operation.RELPOSE) or self.standing.regard(other) is Regard.GOOD
+
+    def call(
+        self, operation: Operation, contractors: Iterable[int], members: tuple[int, ...] = ()
+    ) -> tuple[ContractId, list[int]]:
+        """Call for proposals; returns the contract's id and who was called (not those that still have one of this
+        kind, nor those in bad standing)."""
+        contractors = sorted(contractors)
+        deadline_ns = self.deadline_ns(operation, contractors)
+        worth = [c for c in contractors if self.may_call(c, operation)]
+        identity, free = self.ledger.call(operation, worth, deadline_ns)
+        for contract in self.ledger.managed(identity) if free else []:
+            self.standing.called(contract.contractor, self.now_ns)
+            self._last_probes.discard(contract.contractor)
+            self._say(contract, contract.contractor, Call(operation, deadline_ns, members))
+        return identity, free
+
+    def say(self, contract: Contract, body: ContractBody) -> Contract:
+        """Say ``body`` to the other side of a contract, if the contract net allows it now."""
+        after = self.ledger.say(self.ledger.get(contract.id, contract.contractor), body)
+        self._say(after, contract.contractor if contract.manager == self.me else contract.manager, body)
+        self.watch(after)
+        return after
+
+    def _say(self, contract: Contract, other: int, body: ContractBody) -> None:
+        message = Message(self.me, other, contract.id, body)
+        self.words.said(contract, message, self.now_ns)
+        self.outbox.append(message)
+
+    def hear(self, contract: Contract) -> None:
+        """The other side said something in a contract, which is like this now."""
+        self.words.heard(contract, self.now_ns)
+        self.watch(contract)
+
+    def answer_again(self, contract: Contract, body: Body) -> None:
+        """A word came that the contract had heard, or that it is too late for: the other side may have missed mine."""
+        if not contract.ended:
+            self.words.heard(contract, self.now_ns)
+        message = self.words.answer(contract, body, self.now_ns)
+        if message is not None:
+            self.outbox.append(message)
+
+    def remind(self) -> None:
+        """Say again what was not answered in time, and give up contractors that have gone silent."""
+        for contract in self.words.silent(self.now_ns):
+            self.cancel([contract], SILENT)
+        self.outbox += self.words.due(self.now_ns)
+
+    def watch(self, contract: Contract) -> None:
+        """Remember a contract that has ended, for the agent to wind up once the message at hand is dealt with."""
+        if contract.ended:
+            self.ended.append(contract)
+
+    def cancel(self, contracts: Iterable[Contract], reason: str) -> None:
+        """Withdraw contracts that I manage and that still run."""
+        for contract in contracts:
+            if not contract.ended:
+                self.say(contract, Cancel(reason))
+
+    def tell(self, recipient: int, identity: ContractId | None, body: Body) -> None:
+        """Put a message into the outgoing mail."""
+        self.outbox.append(Message(self.me, recipient, identity, body))
+
+    def note(self, kind: str, **fields: Any) -> None:
+        """Write an event into the diary."""
+        self.diary.append(Event(self.now_ns, self.me, kind, fields))
+
+    def note_end(self, contract: Contract) -> None:
+        """How a contract ended, told once: by its manager."""
+        if contract.manager != self.me:
+            self.standing.left_waiting(contract)
+        else:
+            self.standing.ended(contract)
+            self.note(
+                "contract",
+                operation=contract.operation.name.lower(),
+                contract=f"{contract.manager}:{contract.id.number}",
+                contractor=contract.contractor,
+                end=str(contract.state),
+                reason=contract.reason,
+            )
+
+
+class WorkError(Exception):
+    """A contractor cannot do what it was awarded; becomes a Failure with this reason."""
+
+
+class Trade(ABC):
+    """One operation, as manager and as contractor. Every method is called with a contract that the ledger has
+    advanced."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+
+    @property
+    def state(self) -> AgentState:
+        return self.desk.state
+
+    @abstractmethod
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal | None:
+        """Contractor: an offer, or why not; None: not now, ask again when something has ended."""
+
+    @abstractmethod
+    def on_bid(self, contract: Contract, bid: Bid) -> None:
+        """Manager: award or reject now, or wait for the others."""
+
+    @abstractmethod
+    def work(self, contract: Contract, task: Task) -> None:
+        """Contractor: confirm and do the work, now or over several messages; :class:`WorkError` if it cannot be
+        done."""
+
+    @abstractmethod
+    def on_result(self, contract: Contract, outcome: Outcome) -> None:
+        """Manager: take the result."""
+
+    def on_confirmation(self, contract: Contract) -> None:  # noqa: B027 - most operations have nothing to do here
+        """Manager: the contractor is committed."""
+
+    def on_end(self, contract: Contract) -> None:  # noqa: B027
+        """Either side: the contract ended, well or not."""

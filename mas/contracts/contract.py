@@ -1,0 +1,129 @@
+"""The contract net as one table (Smith 1980; with confirmation: thesis section 2.2.5). No I/O, no clock.
+
+    manager                      contractor
+    Call            ->                              CALLED
+                    <-           Bid | Refusal      BID | REFUSED
+    Award | Rejection ->                            AWARDED | REJECTED
+                    <-           Confirmation       WORKING: committed only now
+                    <-           Result | Failure   DONE | FAILED
+    Cancel          ->                              CANCELLED, at any time before the end
+                 deadline passed                    EXPIRED, at both sides on their own
+
+A :class:`Contract` is between one manager and one contractor; a call to many opens one with each, under one id. Both
+sides keep their own copy and :func:`advance` it by the same table, so that neither can be led where the other is not
+allowed to go: no award without a bid, no work without an award, and every contract ends.
+
+Where messages get lost, come twice or overtake each other, the copies may differ for a while, never contradict:
+
+* a word that was said already is :class:`Repeated`: it changes nothing, and is answered with one's own last word;
+* a result confirms as well (:data:`RESULT_CONFIRMS`), as its contractor committed itself before;
+* a manager calls anew only when its earlier contract of the kind has ended: the contractor ends its copy of that too;
+* whatever arrives after the end, or after a newer call, is a :class:`LateMessage`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from ..errors import MasError
+from ..protocol.ids import ContractId, Operation
+from ..protocol.messages import Award, Bid, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
+
+
+class ProtocolError(MasError):
+    """A message that its contract does not allow now, or from this sender."""
+
+
+class LateMessage(ProtocolError):
+    """A message that crossed the end of its contract on the way: nothing is wrong, and nothing is to be done."""
+
+
+class Repeated(LateMessage):
+    """A word that its contract has heard already: nothing changes, but the other side may have missed the answer."""
+
+    def __init__(self, contract: Contract, text: str) -> None:
+        super().__init__(text)
+        self.contract = contract
+
+
+class State(StrEnum):
+    CALLED = "called"
+    BID = "bid"
+    AWARDED = "awarded"
+    WORKING = "working"
+    DONE = "done"
+    REFUSED = "refused"
+    REJECTED = "rejected"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+    EXPIRED = "expired"
+
+
+ENDED = frozenset({State.DONE, State.REFUSED, State.REJECTED, State.FAILED, State.CANCELLED, State.EXPIRED})
+
+# Who may say what, in which state, and what follows. A call opens a contract and cannot come twice.
+CONTRACTOR_SAYS: dict[tuple[State, type], State] = {
+    (State.CALLED, Bid): State.BID,
+    (State.CALLED, Refusal): State.REFUSED,
+    (State.AWARDED, Confirmation): State.WORKING,
+    (State.AWARDED, Failure): State.FAILED,
+    (State.WORKING, Result): State.DONE,
+    (State.WORKING, Failure): State.FAILED,
+}
+MANAGER_SAYS: dict[tuple[State, type], State] = {
+    (State.BID, Award): State.AWARDED,
+    (State.BID, Rejection): State.REJECTED,
+    (State.CALLED, Cancel): State.CANCELLED,
+    (State.BID, Cancel): State.CANCELLED,
+    (State.AWARDED, Cancel): State.CANCELLED,
+    (State.WORKING, Cancel): State.CANCELLED,
+}
+# What a manager takes although it missed the confirmation; no contractor may say it so.
+RESULT_CONFIRMS: dict[tuple[State, type], State] = {(State.AWARDED, Result): State.DONE}
+
+
+@dataclass(frozen=True)
+class Contract:
+    """One side's copy. ``deadline_ns``: logical time after which it has expired; ``said``: the words so far."""
+
+    id: ContractId
+    contractor: int
+    operation: Operation
+    deadline_ns: int
+    state: State = State.CALLED
+    reason: str = ""
+    said: frozenset[type] = frozenset()
+
+    @property
+    def manager(self) -> int:
+        return self.id.manager
+
+    @property
+    def ended(self) -> bool:
+        return self.state in ENDED
+
+
+def advance(contract: Contract, sender: int, body: ContractBody, heard: bool = False) -> Contract:
+    """The contract after ``sender`` said ``body``; :class:`ProtocolError` if it may not, :class:`Repeated` if it had
+    said so before. ``heard``: this is the copy of the one who hears it."""
+    table = {contract.manager: MANAGER_SAYS, contract.contractor: CONTRACTOR_SAYS}.get(sender)
+    key = (contract.state, type(body))
+    state = table.get(key) if table else None
+    if state is None and heard and sender == contract.contractor:
+        state = RESULT_CONFIRMS.get(key)
+    if state is None:
+        said = type(body).__name__
+        text = (
+            f"contract {contract.id.manager}:{contract.id.number} with {contract.contractor}: "
+            f"agent {sender} may not say {said} when it is {contract.state}"
+        )
+        raise Repeated(contract, text) if table and type(body) in contract.said else ProtocolError(text)
+    return replace(contract, state=state, reason=getattr(body, "reason", ""), said=contract.said | {type(body)})
+
+
+def expire(contract: Contract, now_ns: int) -> Contract:
+    """The contract, expired if its deadline has passed before its end."""
+    if contract.ended or now_ns <= contract.deadline_ns:
+        return contract
+    return replace(contract, state=State.EXPIRED, reason=f"{contract.state} when its time was over")

@@ -1,0 +1,144 @@
+"""What was said last in each contract, and when it is time to say it again: nothing travels reliably.
+
+Only a manager repeats itself unasked, after ``repeat_s``, then after twice that, and so on up to ``repeat_max_s``, and
+always with its call, the shortest word there is. A contractor answers a word that it knows with its own last one: the
+bid, by which the manager learns that the award was lost and says it again; the confirmation; the result. So each
+exchange needs one timer, and no award or result travels twice that came the first time. Who has not said anything for
+``silence_s`` (longer where answers take long) is taken to be gone.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+from ..config import LinkConfig
+from ..protocol.ids import ContractId
+from ..protocol.messages import Award, Bid, Call, Confirmation, Failure, Message, Refusal, Result
+from .contract import Contract, State
+from .rtt import Pace
+
+Key = tuple[ContractId, int]
+_CONTRACTORS = Bid | Refusal | Confirmation | Result | Failure
+# In these states the other side owes the manager an answer.
+_OWED = (State.CALLED, State.AWARDED, State.WORKING)
+# A last word worth repeating after the end: the other side may not know that it ended.
+_CONTRACTOR_ENDS = (State.DONE, State.FAILED, State.REFUSED)
+_MANAGER_ENDS = (State.REJECTED, State.CANCELLED)
+# So many waits in vain until a contractor is given up, where answers are slow.
+_TRIES = 20
+
+
+@dataclass
+class _Last:
+    """``call``: the manager's call; ``word``: what I said last, first at ``first_ns`` and last at ``word_ns``;
+    ``since_ns``: since when the other side is silent; ``said_ns``: when I said anything last; ``tries``: repeats since
+    the other side was heard."""
+
+    contract: Contract
+    word: Message
+    call: Message | None
+    since_ns: int
+    said_ns: int
+    first_ns: int
+    word_ns: int
+    tries: int = 0
+
+
+class Words:
+    """Last words of one agent's contracts, kept until their deadlines. ``repeated``: how many were said again."""
+
+    def __init__(self, me: int, config: LinkConfig) -> None:
+        self.me = me
+        self.config = config
+        self.repeated = 0
+        self.pace = Pace(config)
+        self._last: dict[Key, _Last] = {}
+        self._owed: set[Key] = set()
+        self._deadlines: list[tuple[int, Key]] = []
+
+    def said(self, contract: Contract, message: Message, now_ns: int) -> None:
+        """Remember what I said in a contract, as it is after that."""
+        key = (contract.id, contract.contractor)
+        known = self._last.get(key)
+        call = message if isinstance(message.body, Call) else known.call if known else None
+        self._last[key] = _Last(contract, message, call, now_ns, now_ns, now_ns, now_ns)
+        if known is None:
+            heapq.heappush(self._deadlines, (contract.deadline_ns, key))
+        self._note_owed(key, contract)
+
+    def heard(self, contract: Contract, now_ns: int) -> None:
+        """The other side said something, new or not: it is there."""
+        last = self._last.get((contract.id, contract.contractor))
+        if last is not None:
+            before = last.contract.state
+            if contract.manager == self.me and before in (State.CALLED, State.AWARDED) and contract.state is not before:
+                self.pace.answered(contract.contractor, now_ns - last.first_ns)
+            last.contract, last.since_ns, last.tries = contract, now_ns, 0
+            self._note_owed((contract.id, contract.contractor), contract)
+
+    def due(self, now_ns: int) -> list[Message]:
+        """The manager's words that it is time to say again; contracts past their deadline are forgotten."""
+        while self._deadlines and self._deadlines[0][0] < now_ns:
+            _, key = heapq.heappop(self._deadlines)
+            self._last.pop(key, None)
+            self._owed.discard(key)
+        out = []
+        for last in self._open():
+            if last.call is not None and now_ns - last.said_ns >= self._wait_ns(last):
+                out.append(self._again(last, last.call, now_ns))
+        return out
+
+    def silent(self, now_ns: int) -> list[Contract]:
+        """Contracts whose contractor has owed an answer for too long, although it was asked again."""
+        late = [x for x in self._open() if x.tries and now_ns - x.since_ns >= self._patience_ns(x.contract)]
+        return [x.contract for x in late if x.contract.deadline_ns >= now_ns]
+
+    def _patience_ns(self, contract: Contract) -> int:
+        shortest = round(self.config.silence_s * 1e9)
+        # Who works was there a moment ago, and giving it up costs all other members of an optimisation their work.
+        times = 2 if contract.state is State.WORKING else 1
+        return times * max(shortest, _TRIES * self.pace.wait_ns(self._other(contract)))
+
+    def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
+        """What a repeated word, or one that came after the end, is answered with; None: nothing. ``contract``: my
+        copy."""
+        last = self._last.get((contract.id, contract.contractor))
+        if last is None or now_ns - last.word_ns < self.pace.wait_ns(self._other(contract)) // 2:
+            return None
+        if contract.manager == self.me:
+            missed = contract.state in _MANAGER_ENDS and isinstance(body, Bid | Confirmation)
+            missed |= contract.state is State.AWARDED and isinstance(body, Bid)
+        else:
+            missed = isinstance(body, Call | Award) and (not contract.ended or contract.state in _CONTRACTOR_ENDS)
+            missed &= isinstance(last.word.body, _CONTRACTORS)
+        if not missed:
+            return None
+        last.word_ns = now_ns
+        return self._again(last, last.word, now_ns)
+
+    @property
+    def owed(self) -> bool:
+        """Whether an answer is due to me."""
+        return bool(self._owed)
+
+    def _open(self) -> list[_Last]:
+        return [self._last[key] for key in sorted(self._owed)]
+
+    def _note_owed(self, key: Key, contract: Contract) -> None:
+        if contract.manager == self.me and contract.state in _OWED:
+            self._owed.add(key)
+        else:
+            self._owed.discard(key)
+
+    def _again(self, last: _Last, word: Message, now_ns: int) -> Message:
+        last.said_ns = now_ns
+        last.tries += 1
+        self.repeated += 1
+        return word
+
+    def _wait_ns(self, last: _Last) -> int:
+        return self.pace.wait_ns(self._other(last.contract), last.tries)
+
+    def _other(self, contract: Contract) -> int:
+        return contract.contractor if contract.manager == self.me else contract.manager

@@ -1,0 +1,244 @@
+"""What an onlooker measures who knows the truth: thesis Table 3.2. No agent ever sees any of this."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Array, rotation_angle_deg, se3_inverse
+from maslam.backend.trajectory_error import TrajectoryError, connected_error, path_length, trajectory_error
+from maslam.frontend.files.trajectory import Trajectory
+
+from ..agent import Agent
+from ..map_exchange.map_copy import HeldMap
+from ..sequence import STAMP_TOLERANCE_NS, AgentSequence
+from ..state.agent_state import AgentState
+from ..state.place_match import Match
+from ..state.trajectories import keyframe_trajectory
+
+_Pair = tuple[Array, Array]  # estimated and true positions (n, 3)
+
+# An estimated pose and a true one belong together within this; ground truth is often sampled at its own times.
+TRUTH_TOLERANCE_NS = 20_000_000
+# Fewer poses than this align perfectly whatever they are.
+MIN_POSES = 3
+
+# An accepted match is false if its position is off by more than a fifth of the match's median depth (2 m at most,
+# where the scene is farther than 10 m) plus 5 % of the cameras' distance, or its rotation by more than 10 degrees.
+# RelPose errs by about a hundredth of the depth; a look-alike place is off by a room or a house.
+FALSE_M = 2.0
+FALSE_DEPTH_SHARE = 0.2
+FALSE_SHARE = 0.05
+FALSE_DEG = 10.0
+
+
+@dataclass(frozen=True)
+class MatchError:
+    """How far an estimated ``T_M_Q`` is from the truth."""
+
+    metres: float
+    degrees: float
+    allowed_m: float
+
+    @property
+    def false(self) -> bool:
+        return self.metres > self.allowed_m or self.degrees > FALSE_DEG
+
+
+class Onlooker:
+    """Compares agents with the truth, as far as their sequences have one."""
+
+    def __init__(self, sequences: Sequence[AgentSequence]) -> None:
+        self.sequences = list(sequences)
+        self._scales: dict[int, float] = {}
+        # What was paired last, and of what: while that is the same, so are the pairs.
+        self._own_pairs: dict[int, tuple[AgentState, int, _Pair | None]] = {}
+        self._copy_pairs: dict[tuple[int, int], tuple[HeldMap, _Pair | None]] = {}
+        self._frames = [self._frame_names(i) for i in range(len(self.sequences))]
+        self._all_frames = set().union(*self._frames) if self._frames else set()
+
+    @property
+    def with_scale(self) -> bool:
+        """Whether alignments are similarities."""
+        return not all(s.metric for s in self.sequences)
+
+    # -- trajectories -------------------------------------------------------------------------------------------------
+
+    def error_of(self, agent: int, trajectory: Trajectory) -> TrajectoryError | None:
+        """ATE of a trajectory of this agent under its own alignment; None without enough truth."""
+        return self._error(self._paired(agent, trajectory.stamps_ns, trajectory.centres))
+
+    def keyframe_error(self, agent: Agent) -> TrajectoryError | None:
+        """ATE of the agent's placed key-frames."""
+        return self._error(self._own_pair(agent))
+
+    def map_error(self, agent: Agent) -> TrajectoryError | None:
+        """ATE of own key-frames and all map copies under one alignment."""
+        known = self._map_pairs(agent)
+        if sum(len(p[0]) for p in known.values()) < MIN_POSES:
+            return None
+        estimate, truth = (np.vstack([p[k] for p in known.values()]) for k in (0, 1))
+        return trajectory_error(estimate, truth, self.with_scale)
+
+    def copy_errors(self, agent: Agent) -> dict[int, TrajectoryError]:
+        """Each map copy's share of that, and the own key-frames'."""
+        known = self._map_pairs(agent)
+        if sum(len(p[0]) for p in known.values()) < MIN_POSES:
+            return {}
+        estimates, truths = ({a: p[k] for a, p in known.items()} for k in (0, 1))
+        return connected_error(estimates, truths, self.with_scale)
+
+    def connected_errors(self, agents: Sequence[Agent]) -> dict[int, TrajectoryError]:
+        """Each agent's error under one alignment for all agents in the same coordinates."""
+        out: dict[int, TrajectoryError] = {}
+        for group in groups_of(agents):
+            pairs = {a: self._own_pair(agents[a]) for a in group}
+            known = {a: p for a, p in pairs.items() if p is not None and len(p[0])}
+            if sum(len(p[0]) for p in known.values()) >= MIN_POSES:
+                estimates, truths = ({a: p[k] for a, p in known.items()} for k in (0, 1))
+                out.update(connected_error(estimates, truths, self.with_scale))
+        return out
+
+    def path_length_m(self, agent: int) -> float | None:
+        """Length of the true path, None without truth."""
+        truth = self.sequences[agent].groundtruth
+        return path_length(truth.centres) if truth is not None and len(truth) > 1 else None
+
+    # -- exploration --------------------------------------------------------------------------------------------------
+
+    def exploration_percent(self, agent: Agent) -> float:
+        """Frames of the agent's own map and its copies over all frames of all agents, each frame counted once,
+        however many agents saw it. A copy counts the frames between its first and its last key-frame.
+        Frames that odometry could not track are in no map and are not counted.
+        """
+        if not self._all_frames:
+            return 0.0
+        times = {o: self._times(h) for o, h in sorted(agent.maps.held.items())}
+        times[agent.state.me] = np.array([k.time_ns for k in agent.state.keyframes], dtype=np.int64)
+        seen: set[tuple[str, int]] = set()
+        for owner, stamps in times.items():
+            if len(stamps):
+                seen |= self._between(owner, int(stamps.min()), int(stamps.max()))
+        return 100.0 * len(seen) / len(self._all_frames)
+
+    def share_seen_by(self, agents: Sequence[int]) -> float:
+        """Percent of all tracked frames that these agents have seen together, each counted once."""
+        seen: set[tuple[str, int]] = set().union(*(self._frames[a] for a in agents))
+        return 100.0 * len(seen) / len(self._all_frames) if self._all_frames else 0.0
+
+    def _frame_names(self, agent: int) -> set[tuple[str, int]]:
+        sequence = self.sequences[agent]
+        return {(sequence.source, int(t) + sequence.start_ns) for t in sequence.trajectory.stamps_ns}
+
+    def _between(self, agent: int, first_ns: int, last_ns: int) -> set[tuple[str, int]]:
+        """Times of map copies may be rounded to the millisecond."""
+        start = self.sequences[agent].start_ns
+        first_ns, last_ns = first_ns - STAMP_TOLERANCE_NS, last_ns + STAMP_TOLERANCE_NS
+        return {f for f in self._frames[agent] if first_ns <= f[1] - start <= last_ns}
+
+    # -- matches ------------------------------------------------------------------------------------------------------
+
+    def match_error(self, match: Match, agents: Sequence[Agent]) -> MatchError | None:
+        """The match against the truth, None without; a monocular match is scaled by the match agent's own alignment."""
+        i = match.id
+        ends = ((i.match_agent, i.match), (i.query_agent, i.query))
+        poses = [self._true_pose(a, agents[a].state.keyframes[k].time_ns) for a, k in ends]
+        if poses[0] is None or poses[1] is None:
+            return None
+        T_M_Q = se3_inverse(poses[0]) @ poses[1]
+        metres = self._metres(i.match_agent, agents[i.match_agent])
+        estimate = match.T_M_Q.translation * metres
+        apart = float(np.linalg.norm(estimate - T_M_Q[:3, 3]))
+        angle = float(rotation_angle_deg(T_M_Q[:3, :3].T @ match.T_M_Q.rotation))
+        allowed = min(FALSE_M, FALSE_DEPTH_SHARE * match.depth * metres) + FALSE_SHARE * float(
+            np.linalg.norm(T_M_Q[:3, 3])
+        )
+        return MatchError(apart, angle, allowed)
+
+    def _metres(self, agent: int, participant: Agent) -> float:
+        """Metres in one of the agent's own units of length."""
+        if not self.with_scale:
+            return 1.0
+        if agent not in self._scales:
+            error = self.error_of(agent, odometry_keyframes(participant))
+            self._scales[agent] = 1.0 if error is None else error.T_truth_estimate.scale
+        return self._scales[agent]
+
+    # -- pairing ------------------------------------------------------------------------------------------------------
+
+    def _error(self, pair: _Pair | None) -> TrajectoryError | None:
+        return None if pair is None or len(pair[0]) < MIN_POSES else trajectory_error(*pair, self.with_scale)
+
+    def _map_pairs(self, agent: Agent) -> dict[int, _Pair]:
+        """Own key-frames and map copies, by owner, as far as there is truth."""
+        pairs = {agent.state.me: self._own_pair(agent)}
+        for owner, held in sorted(agent.maps.held.items()):
+            pairs[owner] = self._copy_pair(agent.state.me, held)
+        return {a: p for a, p in pairs.items() if p is not None and len(p[0])}
+
+    def _own_pair(self, agent: Agent) -> _Pair | None:
+        state = agent.state
+        known, version, pair = self._own_pairs.get(state.me, (None, -1, None))
+        if known is not state or version != state.version:
+            trajectory = keyframe_trajectory(state)
+            pair = self._paired(state.me, trajectory.stamps_ns, trajectory.centres)
+            self._own_pairs[state.me] = state, state.version, pair
+        return pair
+
+    def _copy_pair(self, holder: int, held: HeldMap) -> _Pair | None:
+        known, pair = self._copy_pairs.get((holder, held.owner), (None, None))
+        if known is not held:
+            pair = self._paired(held.owner, self._times(held), held.poses[:, :3, 3])
+            self._copy_pairs[holder, held.owner] = held, pair
+        return pair
+
+    def _times(self, held: HeldMap) -> NDArray[np.int64]:
+        stamps: NDArray[np.int64] = held.stamps_ns.astype(np.int64)
+        return stamps - self.sequences[held.owner].start_ns
+
+    def _paired(self, agent: int, times_ns: NDArray[np.int64], centres: Array) -> _Pair | None:
+        truth = self.sequences[agent].groundtruth
+        if truth is None or not len(truth):
+            return None
+        rows = truth.nearest(times_ns, TRUTH_TOLERANCE_NS)
+        known = rows >= 0
+        return centres[known], truth.centres[rows[known]]
+
+    def _true_pose(self, agent: int, time_ns: int) -> Array | None:
+        truth = self.sequences[agent].groundtruth
+        if truth is None:
+            return None
+        row = int(truth.nearest(np.array([time_ns]), TRUTH_TOLERANCE_NS)[0])
+        return None if row < 0 else truth.poses[row]
+
+
+def odometry_keyframes(agent: Agent) -> Trajectory:
+    """The key-frames of the agent's longest track as odometry left them: before any optimisation."""
+    chosen = [k for k in agent.state.keyframes if k.track == longest_track(agent)]
+    stamps = np.array([k.time_ns for k in chosen], dtype=np.int64)
+    return Trajectory(stamps, np.array([k.T_T_C for k in chosen]).reshape(-1, 4, 4))
+
+
+def odometry_frames(agent: Agent, sequence: AgentSequence) -> Trajectory:
+    """Every frame of the agent's longest track as odometry left it: what its final trajectory is compared with."""
+    raw = sequence.trajectory
+    chosen = sequence.track_of(raw.stamps_ns) == longest_track(agent)
+    return Trajectory(raw.stamps_ns[chosen], raw.poses[chosen])
+
+
+def longest_track(agent: Agent) -> int:
+    """Number of the track with the most key-frames, the first of equals."""
+    tracks = [k.track for k in agent.state.keyframes]
+    return max(sorted(set(tracks)), key=tracks.count, default=0)
+
+
+def groups_of(agents: Sequence[Agent]) -> list[list[int]]:
+    """Agents whose reference frames are the same, sorted."""
+    frames: dict[tuple[int, int], list[int]] = {}
+    for agent in agents:
+        frame = agent.state.frame
+        frames.setdefault((frame.agent, frame.track), []).append(agent.state.me)
+    return sorted(frames.values())

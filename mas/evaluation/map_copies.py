@@ -1,0 +1,68 @@
+"""How good copies of maps are, measured by who sees all agents: against the owner's own map as it stands at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from maslam.backend.geometry import Array
+from maslam.backend.trajectory_error import TrajectoryError
+
+from ..agent import Agent
+from ..map_exchange.map_copy import HeldMap
+from ..state.agent_state import AgentState
+from .summary import MapCopy
+
+# Key-frames of a copy that are looked at, spread evenly.
+_SAMPLE = 8
+
+
+def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, TrajectoryError]]) -> list[MapCopy]:
+    """Every copy that is held; ``errors``: of each holder's copies by owner, under its alignment."""
+    originals = {agent.state.me: Original(agent.state) for agent in agents}
+    return [
+        MapCopy(
+            holder=agent.state.me,
+            owner=owner,
+            version=held.version,
+            keyframes=len(held.poses),
+            points=len(held.references),
+            ate_rmse_m=each[owner].rmse_m if owner in each else None,
+            ate_mean_m=each[owner].mean_m if owner in each else None,
+            points_off_m=originals[owner].off(held, agent.state),
+        )
+        for agent, each in zip(agents, errors, strict=True)
+        for owner, held in sorted(agent.maps.held.items())
+    ]
+
+
+class Original:
+    """An agent's own map, to hold copies of it against."""
+
+    def __init__(self, owner: AgentState) -> None:
+        self.owner = owner
+        self._trees: dict[int, cKDTree] = {}
+
+    def off(self, held: HeldMap, holder: AgentState) -> float | None:
+        """Median distance of a copy's points from where their owner has them, in the unit of their frame; None where
+        the two are in different coordinates, or the copy has no points.
+
+        A copied point is the one of the owner's key-frame that is nearest to it in the camera.
+        """
+        if holder.frame != self.owner.frame:
+            return None
+        apart: list[Array] = []
+        rows = np.linspace(0, len(held.keyframes) - 1, min(_SAMPLE, len(held.keyframes))).astype(int)
+        for row in rows.tolist():
+            copied, tree = held.points_C[held.references == row], self._points(int(held.keyframes[row]))
+            if len(copied) and tree.n:
+                own = self.owner.pose(int(held.keyframes[row])) @ tree.data[tree.query(copied)[1]]
+                apart.append(np.linalg.norm(held.pose(row) @ copied - own, axis=1))
+        return float(np.median(np.concatenate(apart))) if apart else None
+
+    def _points(self, index: int) -> cKDTree:
+        if index not in self._trees:
+            self._trees[index] = cKDTree(self.owner.keyframes[index].points_C.astype(np.float64).reshape(-1, 3))
+        return self._trees[index]

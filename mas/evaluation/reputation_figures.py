@@ -1,0 +1,44 @@
+"""Figures of how agents dealt with each other and with faults, for the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..agent import Agent
+from ..contracts.reputation import Record, Regard
+from ..transport.faults import FaultyTransport
+from ..transport.transport import Transport
+from .summary import FaultFigures, StandingFigures
+
+
+def standings(agents: Sequence[Agent]) -> list[StandingFigures]:
+    """For each agent, what the others think of it."""
+    return [_of(agent.state.me, agents) for agent in agents]
+
+
+def _of(me: int, agents: Sequence[Agent]) -> StandingFigures:
+    views: dict[int, Record] = {}
+    for other in agents:
+        if me in other.desk.standing.records:
+            views[other.state.me] = other.desk.standing.records[me]
+    values = [r.value for r in views.values()]
+    return StandingFigures(
+        agent=me,
+        delivered=sum(r.delivered for r in views.values()),
+        failed=sum(r.failed for r in views.values()),
+        expired=sum(r.expired for r in views.values()),
+        contradicted=int(sum(r.f for r in views.values())),
+        mean=float(np.mean(values)) if values else None,
+        lowest=min(values) if values else None,
+        shunned_by=sorted(a for a, r in views.items() if r.regard is not Regard.GOOD),
+    )
+
+
+def fault_figures(agents: Sequence[Agent], transport: Transport) -> FaultFigures | None:
+    """What was lost and doubled on purpose, and how often agents repeated themselves; None without such faults."""
+    if not isinstance(transport, FaultyTransport):
+        return None
+    repeated = sum(a.desk.words.repeated + a.optimisation.repeated for a in agents)
+    return FaultFigures(lost=transport.lost, doubled=transport.doubled, repeated=repeated)

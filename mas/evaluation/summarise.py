@@ -1,0 +1,120 @@
+"""From agents to figures: the summary of a run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from maslam.backend.trajectory_error import TrajectoryError
+
+from ..agent import Agent
+from ..config import MasConfig
+from ..protocol.ids import MatchId
+from ..sequence import AgentSequence
+from ..state.place_match import Fate
+from ..state.trajectories import frame_trajectory
+from ..transport.transport import Count, Transport
+from .ground_truth import MatchError, Onlooker, groups_of, odometry_frames
+from .map_copies import map_copies
+from .reputation_figures import fault_figures, standings
+from .summary import Errors, MatchFigures, OptimisationFigures, Summary, TrafficFigures
+
+
+def summarise(
+    agents: Sequence[Agent],
+    sequences: Sequence[AgentSequence],
+    config: MasConfig,
+    onlooker: Onlooker,
+    transport: Transport,
+    errors: dict[MatchId, MatchError],
+    steps: int,
+) -> Summary:
+    """All figures but the wall times, which are 0."""
+    own = [onlooker.error_of(a.state.me, frame_trajectory(a.state, s)) for a, s in zip(agents, sequences, strict=True)]
+    odometry = [onlooker.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
+    maps = [onlooker.map_error(a) for a in agents]
+    connected = onlooker.connected_errors(agents)
+    columns = (own, maps, [connected.get(a.state.me) for a in agents])
+    rmse = [None if e is None else e.rmse_m for e in odometry]
+    traffic = {t.value: _traffic([count]) for t, count in transport.by_operation.items()}
+    return Summary(
+        version=_version(),
+        preset=config.preset,
+        seed=config.seed,
+        place_code=agents[0].state.profile.coder.key,
+        place_code_bytes=agents[0].state.profile.coder.bytes,
+        scale="arbitrary" if onlooker.with_scale else "metric",
+        agents=len(agents),
+        keyframes=sum(len(a.state.keyframes) for a in agents),
+        keyframes_placed=[len(a.state.placed()) for a in agents],
+        duration_s=0.0,
+        steps=steps,
+        groups=groups_of(agents),
+        ate_rmse_m=_errors(columns, "rmse_m"),
+        ate_mean_m=_errors(columns, "mean_m"),
+        odometry_rmse_m=rmse,
+        odometry_mean_rmse_m=_mean(rmse),
+        path_length_m=[onlooker.path_length_m(a.state.me) for a in agents],
+        exploration_percent=[onlooker.exploration_percent(a) for a in agents],
+        traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
+        matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
+        optimisations=_optimisations(agents),
+        map_copies=map_copies(agents, [onlooker.copy_errors(a) for a in agents]),
+        refused_messages=len(transport.refused) + sum(len(a.refused) for a in agents),
+        standing=standings(agents),
+        faults=fault_figures(agents, transport),
+    )
+
+
+def _errors(columns: tuple[list[TrajectoryError | None], ...], name: str) -> Errors:
+    own, maps, connected = ([None if e is None else float(getattr(e, name)) for e in column] for column in columns)
+    return Errors(agents=own, maps=maps, connected=connected, mean_agents=_mean(own), mean_maps=_mean(maps))
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _traffic(counts: Sequence[Count]) -> TrafficFigures:
+    return TrafficFigures(
+        messages=sum(c.messages for c in counts),
+        payload_bytes=sum(c.payload_bytes for c in counts),
+        wire_bytes=sum(c.wire_bytes for c in counts),
+    )
+
+
+def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: bool) -> MatchFigures:
+    fates = [(agent, c, agent.book.fate(c)) for agent in agents for c in agent.book.candidates.values()]
+    accepted = [c.id for _, c, (fate, _) in fates if fate is Fate.ACCEPTED]
+    rejected = Counter(reason for _, _, (fate, reason) in fates if fate is Fate.REJECTED)
+    own = sum(m.query_agent == m.match_agent for m in accepted)
+    return MatchFigures(
+        candidates=len(fates),
+        verified=sum(c.verified for _, c, _ in fates),
+        accepted=len(accepted),
+        rejected=dict(sorted(rejected.items())),
+        own_loops=own,
+        between_agents=len(accepted) - own,
+        false_accepted=sum(errors[m].false for m in accepted if m in errors) if truth else None,
+    )
+
+
+def _optimisations(agents: Sequence[Agent]) -> OptimisationFigures:
+    done = [e.fields for a in agents for e in a.diary if e.kind == "optimised"]
+    return OptimisationFigures(
+        count=len(done),
+        iterations=sum(d["sweeps"] for d in done),
+        cost_before=float(sum(d["cost_before"] for d in done)),
+        cost_after=float(sum(d["cost_after"] for d in done)),
+    )
+
+
+def _version() -> str:
+    try:
+        return version("maslam")
+    except PackageNotFoundError:
+        return "unknown"

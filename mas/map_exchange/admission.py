@@ -1,0 +1,119 @@
+"""Whether a map that was bought is kept, and where it is laid (thesis section 3.9.3). Pure.
+
+First a map that stands far from where place matches say is laid on them (consistency check); then one that no match
+agrees with is rejected (accuracy check); then, if the old copy agreed with all matches, only what is new is taken
+(redundancy check).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from maslam.backend.geometry import Sim3
+
+from ..protocol.ids import MatchId
+from ..protocol.map_messages import MapDelivery
+from ..protocol.tensors import unpack_sim3s
+from ..state.agent_state import AgentState
+from .evidence_checks import Standing, Witness, best_motion, standing, tolerance, witnesses
+from .map_copy import HeldMap, with_new_keyframes
+
+
+@dataclass(frozen=True, eq=False)
+class Admission:
+    """``held``: the map as it is kept, None if it is rejected, with the ``reason``; ``standing``: how it stands to the
+    place matches then; ``aligned_by``: the match it was laid on, ``redundant``: only new key-frames were taken."""
+
+    held: HeldMap | None
+    standing: Standing | None
+    reason: str = ""
+    aligned_by: MatchId | None = None
+    redundant: bool = False
+
+
+def admit(
+    new: HeldMap,
+    old: HeldMap | None,
+    state: AgentState,
+    others: Mapping[int, HeldMap],
+    placed_by: MatchId | None = None,
+) -> Admission:
+    """Judge a map that came in. ``placed_by``: the match that told where it stands, which can therefore not judge
+    it."""
+    verdict = _judged(new, witnesses(new, state, others), state, placed_by)
+    same = tolerance(state.config.merge.redundancy_m, state)
+    if verdict.held is not None and old is not None and same is not None:
+        before = standing(witnesses(old, state, others))
+        if before is not None and before.worst_m <= same:
+            return Admission(with_new_keyframes(old, verdict.held), before, redundant=True)
+    return verdict
+
+
+def recheck(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> Admission:
+    """Judge a map that is held. It may have been laid on any of its matches, so the one that agrees best says nothing
+    where there are others."""
+    found = witnesses(held, state, others)
+    best = min(found, key=lambda w: w.metres).match if len(found) > 1 else None
+    return _judged(held, found, state, best)
+
+
+def _judged(held: HeldMap, found: list[Witness], state: AgentState, placed_by: MatchId | None) -> Admission:
+    """Consistency, then accuracy."""
+    held, found, aligned_by = aligned(held, found, state)
+    limit = tolerance(state.config.merge.accuracy_m, state)
+    judges = _judges(found, state, {placed_by, aligned_by})
+    how = standing(judges) if limit is not None else None
+    if how is not None and limit is not None:
+        agree = sum(w.metres <= limit for w in judges)
+        off = f"{how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
+        if not agree:
+            return Admission(None, how, f"no place match agrees: {off}")
+        if agree < state.config.merge.accuracy_share * len(judges):
+            return Admission(None, how, f"few place matches agree: {agree} of {off}")
+    return Admission(held, standing(found), aligned_by=aligned_by)
+
+
+def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None]) -> list[Witness]:
+    """The witnesses but those that placed the map. Where a share of them must agree, those of the same key-frame of the
+    map say nothing new either: it is there already, however wrong the rest of the map is."""
+    judges = [w for w in found if w.match not in placing]
+    if not state.config.merge.accuracy_share:
+        return judges
+    there = [w.found.translation for w in found if w.match in placing]
+    return [w for w in judges if not any(np.array_equal(w.found.translation, p) for p in there)] or judges
+
+
+def aligned(
+    held: HeldMap, found: list[Witness], state: AgentState
+) -> tuple[HeldMap, list[Witness], MatchId | None]:
+    """The consistency check: the map, laid on a match where its witnesses say that it stands too far off; the witnesses
+    then, and that match."""
+    limit = tolerance(state.config.merge.consistency_m, state)
+    if held.frame == state.frame and not any(state.me in w.match.agents for w in found):
+        limit = None  # it stands where its owner has it; another copy, perhaps an older one, does not know better
+    how = standing(found) if limit is not None else None
+    if how is None or limit is None or how.median_m <= limit:
+        return held, found, None
+    motion, match = best_motion(found)
+    return held.moved(motion), [w.after(motion) for w in found], match
+
+
+def seller_frame(state: AgentState, seller: int, delivery: MapDelivery) -> tuple[Sim3, MatchId | None] | None:
+    """``T_mine_seller`` between the two agents' coordinates: the identity where they share them since an
+    optimisation, else by the first accepted match between the two whose both key-frames are placed."""
+    if delivery.frame == state.frame:
+        return Sim3.identity(), None
+    ties = dict(zip(delivery.ties, unpack_sim3s(delivery.tie_poses), strict=True))
+    placed = set(state.placed())
+    for match in state.accepted_matches():
+        if set(match.id.agents) != {state.me, seller}:
+            continue
+        asked = match.id.query_agent == state.me
+        mine, theirs = (match.id.query, match.id.match) if asked else (match.id.match, match.id.query)
+        if mine in placed and theirs in ties:
+            T_mine_theirs = match.T_M_Q.inverse() if asked else match.T_M_Q
+            return state.pose(mine) @ T_mine_theirs @ ties[theirs].inverse(), match.id
+    return None

@@ -1,0 +1,51 @@
+"""Corrections of many poses told by a few of them.
+
+After an optimisation old key-frames move together, each by a little more or less than the one before it. So only a few
+of them, anchors, are told how far they moved; between two the correction is interpolated, in whole numbers. Anchors are
+added where that is off by more than a :class:`Bound`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .quantised_map import Ints
+
+
+@dataclass(frozen=True)
+class Bound:
+    """How far a copy's pose may be off the owner's, in steps of the lattice."""
+
+    position: int = 4
+    rotation: int = 4
+
+    def worst(self, off: Ints) -> NDArray[np.float64]:
+        """``(K,)`` of ``(K, 6)``: above 1 where it is exceeded."""
+        shares = np.abs(off) / np.repeat([self.position, self.rotation], 3)
+        worst: NDArray[np.float64] = shares.max(axis=1, initial=0.0)
+        return worst
+
+
+def anchors_for(moves: Ints, bound: Bound) -> NDArray[np.intp]:
+    """The fewest anchors that bisecting at the worst key-frame finds for corrections ``(K, 6)`` within the bound."""
+    last = len(moves) - 1
+    chosen = sorted({0, last})
+    while True:
+        off = bound.worst(moves - interpolated(moves[chosen], np.array(chosen), len(moves)))
+        if off.max(initial=0.0) <= 1.0:
+            return np.array(chosen, dtype=np.intp)
+        chosen = sorted({*chosen, int(off.argmax())})
+
+
+def interpolated(at_anchors: Ints, anchors: NDArray[np.intp], count: int) -> Ints:
+    """Corrections ``(count, 6)`` between those of the anchors ``(a, 6)``; the first and last row are anchors."""
+    rows = np.arange(count)
+    right = np.clip(np.searchsorted(anchors, rows, side="left"), min(1, len(anchors) - 1), len(anchors) - 1)
+    left = np.maximum(right - 1, 0)
+    width = np.maximum(anchors[right] - anchors[left], 1)[:, None]
+    share = (rows - anchors[left])[:, None]
+    out: Ints = at_anchors[left] + (2 * share * (at_anchors[right] - at_anchors[left]) + width) // (2 * width)
+    return out

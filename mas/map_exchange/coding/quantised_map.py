@@ -1,0 +1,171 @@
+"""A map on a lattice: all its numbers whole, so that every copy of an edition is the same to the last bit.
+
+The owner rounds once. Whatever way a copy takes, whole or in patches, from the owner or from somebody who bought it,
+it ends with these numbers. All lengths are in the owner's own unit; steps are relative to depth, so that they fit any.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Array, Sim3, se3, so3_exp, so3_log
+
+from ...protocol.ids import FrameId, MatchId
+
+Ints = NDArray[np.int64]
+
+TICK_NS = 1_000_000
+# Steps travel as powers of 2^(1/8).
+_STEPS_AN_OCTAVE = 8
+_LEAST_STEP, _MOST_STEP = -240, 240
+# e^20 units away: beyond any camera.
+_MOST_LOG_DEPTH = 20.0
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What one number is worth: ``position`` (owner's unit), ``rotation`` (radians, and log scale), ``direction``
+    (tangent), ``depth`` (logarithm), each as the exponent ``n`` of ``2^(n/8)``."""
+
+    position: int
+    rotation: int
+    direction: int
+    depth: int
+
+    def __post_init__(self) -> None:
+        for name in ("position", "rotation", "direction", "depth"):
+            if not _LEAST_STEP <= getattr(self, name) <= _MOST_STEP:
+                raise ValueError(f"{name}: step 2^({getattr(self, name)}/8) is out of range")
+
+    @classmethod
+    def of(cls, point_error: float, pose_error: float, depth: float) -> Steps:
+        """Steps for points with this median error, as a share of their distance, and poses that are this exact, as a
+        share of the scene's median ``depth`` and in radians; a lattice of a quarter of that.
+
+        A point's error is that of a cube of half a step: its median is 0.98 of it ((3 / pi)^(1/3)).
+        """
+        point = exponent(2.0 * point_error)
+        return cls(exponent(0.25 * pose_error * depth), exponent(0.25 * pose_error), point, point)
+
+
+def exponent(step: float) -> int:
+    """The largest ``n`` with ``2^(n/8) <= step``."""
+    return int(np.floor(_STEPS_AN_OCTAVE * np.log2(step) + 1e-9))
+
+
+def size(n: int) -> float:
+    """``2^(n/8)``."""
+    return float(2.0 ** (n / _STEPS_AN_OCTAVE))
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeMap:
+    """``edition`` counts from 1; ``frame``: whose coordinates, ``unit``: what the owner's unit is worth there.
+
+    ``keyframes``, ``ticks`` (milliseconds) ``(K,)``; ``poses`` ``(K, 6)``: position and rotation vector of ``T_F_C``;
+    ``counts`` ``(K,)``: points of each key-frame, whose ``cells`` ``(P, 2)`` are row and column of their direction and
+    ``depths`` ``(P,)`` the logarithm of z; ``descriptors`` ``(P, 32)`` or None; ``matches`` ``(m, 3)``: own key-frame
+    (query), agent and key-frame of the match; ``transforms`` ``(m, 7)``: ``T_M_Q`` in the owner's unit, and log scale.
+    """
+
+    owner: int
+    edition: int
+    frame: FrameId
+    unit: float
+    steps: Steps
+    keyframes: Ints
+    ticks: Ints
+    poses: Ints
+    counts: Ints
+    cells: Ints
+    depths: Ints
+    descriptors: NDArray[np.uint8] | None
+    matches: Ints
+    transforms: Ints
+
+    @property
+    def stamps_ns(self) -> Ints:
+        return self.ticks * TICK_NS
+
+    @property
+    def references(self) -> Ints:
+        """``(P,)`` row of the key-frame of each point."""
+        return np.repeat(np.arange(len(self.keyframes)), self.counts)
+
+    def poses_F(self) -> Array:
+        """``(K, 4, 4)``, owner's unit."""
+        return poses_of(self.poses, self.steps)
+
+    def points_C(self) -> Array:
+        """``(P, 3)`` in their key-frame's camera, owner's unit."""
+        return points_of(self.cells, self.depths, self.steps)
+
+    def match_list(self) -> list[tuple[MatchId, Sim3]]:
+        """The owner's accepted queries with their ``T_M_Q``."""
+        rotation = size(self.steps.rotation)
+        scales = np.exp(self.transforms[:, 6] * rotation)
+        moves = self.transforms[:, :3] * size(self.steps.position) * scales[:, None]
+        turns = so3_exp(self.transforms[:, 3:6] * rotation)
+        return [
+            (MatchId(self.owner, *ids), Sim3(turn, move, float(scale)))
+            for ids, turn, move, scale in zip(self.matches.tolist(), turns, moves, scales, strict=True)
+        ]
+
+    def same_as(self, other: LatticeMap) -> bool:
+        """Whether two copies hold the same numbers."""
+        return all(
+            np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
+            for a, b in zip(vars(self).values(), vars(other).values(), strict=True)
+        )
+
+
+def empty_map(owner: int, frame: FrameId, steps: Steps) -> LatticeMap:
+    """Edition 0: nothing."""
+    none = np.zeros(0, dtype=np.int64)
+    rows = [none.reshape(0, n) for n in (6, 2, 3, 7)]
+    return LatticeMap(owner, 0, frame, 1.0, steps, none, none, rows[0], none, rows[1], none, None, rows[2], rows[3])
+
+
+def on_lattice(poses: Array, steps: Steps) -> Ints:
+    """``(K, 6)`` of ``(K, 4, 4)`` in the owner's unit."""
+    t = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
+    rows = np.concatenate(
+        [t[:, :3, 3] / size(steps.position), so3_log(t[:, :3, :3]).reshape(-1, 3) / size(steps.rotation)], axis=1
+    )
+    return _rounded(rows)
+
+
+def poses_of(rows: Ints, steps: Steps) -> Array:
+    """Inverse of :func:`on_lattice`."""
+    return se3(so3_exp(rows[:, 3:] * size(steps.rotation)), rows[:, :3] * size(steps.position))
+
+
+def match_on_lattice(T_M_Q: Sim3, steps: Steps) -> Ints:
+    """``(7,)``."""
+    rotation = size(steps.rotation)
+    move = T_M_Q.translation / T_M_Q.scale / size(steps.position)
+    return _rounded(np.concatenate([move, so3_log(T_M_Q.rotation) / rotation, [np.log(T_M_Q.scale) / rotation]]))
+
+
+def points_on_lattice(points_C: NDArray[Any], steps: Steps) -> tuple[Ints, Ints, Ints]:
+    """Order, cells ``(n, 2)`` and depths ``(n,)`` of points ``(n, 3)`` in front of a camera, in order of cells."""
+    p = np.asarray(points_C, dtype=np.float64)
+    cells = np.floor(p[:, [1, 0]] / p[:, 2:] / size(steps.direction)).astype(np.int64)
+    depths = _rounded(np.log(p[:, 2]) / size(steps.depth))
+    order = np.lexsort((depths, cells[:, 1], cells[:, 0]))
+    return order, cells[order], depths[order]
+
+
+def points_of(cells: Ints, depths: Ints, steps: Steps) -> Array:
+    """Inverse of :func:`points_on_lattice`: the middle of each cell."""
+    z = np.exp(np.clip(depths * size(steps.depth), -_MOST_LOG_DEPTH, _MOST_LOG_DEPTH))
+    xy = (cells[:, ::-1] + 0.5) * size(steps.direction)
+    return np.column_stack([xy * z[:, None], z])
+
+
+def _rounded(values: Array) -> Ints:
+    return np.rint(values).astype(np.int64)

@@ -1,0 +1,134 @@
+"""A copy of another agent's map, as its holder sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Array, Sim3, se3_inverse
+
+from ..protocol.ids import FrameId, MatchId
+from ..protocol.map_messages import SubMap
+from ..protocol.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
+from ..state.agent_state import stretched
+from .versions import Stock
+
+
+@dataclass(frozen=True, eq=False)
+class HeldMap:
+    """``version`` (edition) of ``owner``'s map, bought from ``seller`` at ``now_ns``; ``route``: through whose hands
+    it came, the owner first, the seller last.
+
+    ``placement``: ``T_mine_map``; the map's own coordinates are ``frame`` in the owner's unit. ``keyframes``,
+    ``stamps_ns`` ``(K,)``; ``map_poses`` ``(K, 4, 4)``; ``references`` ``(P,)``: row of each point's key-frame;
+    ``points_C`` ``(P, 3)`` in that camera; ``descriptors`` ``(P, 32)`` or None; ``matches``: the owner's accepted ones
+    with ``T_M_Q``. ``stock``: the editions to sell on, None in the thesis's form.
+    """
+
+    owner: int
+    version: int
+    seller: int
+    now_ns: int
+    route: tuple[int, ...]
+    frame: FrameId
+    placement: Sim3
+    keyframes: NDArray[Any]
+    stamps_ns: NDArray[Any]
+    map_poses: Array
+    references: NDArray[Any]
+    points_C: Array
+    descriptors: NDArray[np.uint8] | None
+    matches: tuple[tuple[MatchId, Sim3], ...]
+    stock: Stock | None = None
+
+    @cached_property
+    def poses(self) -> Array:
+        """``(K, 4, 4)`` ``T_F_C`` in the holder's coordinates."""
+        return self.placement.transform_poses(self.map_poses)
+
+    @property
+    def unit(self) -> float:
+        """What the owner's unit is worth in the holder's coordinates."""
+        return self.placement.scale
+
+    @cached_property
+    def rows(self) -> dict[int, int]:
+        """Row of each of the owner's key-frames."""
+        return {int(k): row for row, k in enumerate(self.keyframes)}
+
+    @cached_property
+    def matches_with(self) -> dict[int, list[tuple[MatchId, Sim3]]]:
+        """The owner's matches with each other agent."""
+        found: dict[int, list[tuple[MatchId, Sim3]]] = {}
+        for match, T_M_Q in self.matches:
+            other = match.end_of(self.owner)[1]
+            found.setdefault(other, []).append((match, T_M_Q))
+        return found
+
+    def pose(self, row: int) -> Sim3:
+        """``T_F_C`` of a row, with the owner's unit as scale."""
+        return Sim3(self.poses[row, :3, :3], self.poses[row, :3, 3], self.unit)
+
+    def points(self) -> Array:
+        """``(P, 3)`` map points in the holder's coordinates."""
+        poses = self.poses[self.references]
+        return np.einsum("pij,pj->pi", poses[:, :3, :3], self.points_C * self.unit) + poses[:, :3, 3]
+
+    def moved(self, motion: Sim3) -> HeldMap:
+        """The copy in another place: ``motion`` in the holder's coordinates."""
+        return replace(self, placement=motion @ self.placement)
+
+
+def held_of_stock(stock: Stock, placement: Sim3, route: tuple[int, ...], now_ns: int) -> HeldMap:
+    """A held map of an edition that was bought."""
+    m = stock.map
+    return HeldMap(
+        m.owner, m.edition, route[-1] if route else m.owner, now_ns, route, m.frame, placement, m.keyframes,
+        m.stamps_ns, m.poses_F(), m.references, m.points_C(), m.descriptors, tuple(m.match_list()), stock,
+    )  # fmt: skip
+
+
+def held_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int, now_ns: int) -> HeldMap:
+    """A held map in the thesis's form; ``frame``: the seller's coordinates."""
+    placement = T_mine_seller @ Sim3(np.eye(3), np.zeros(3), submap.unit)
+    return HeldMap(
+        submap.owner, submap.version, seller, now_ns, (*submap.route, seller), frame, placement,
+        submap.keyframes.array(), submap.stamps_ns.array(),
+        stretched(unpack_poses(submap.poses.array()), 1.0 / submap.unit), submap.references.array(),
+        submap.points.array().astype(np.float64), submap.descriptors.array(),
+        tuple(zip(submap.matches, unpack_sim3s(submap.transforms), strict=True)),
+    )  # fmt: skip
+
+
+def submap_of(held: HeldMap) -> SubMap:
+    """The copy as it is sold on in the thesis's form, in the holder's coordinates."""
+    described = held.descriptors
+    return SubMap(
+        owner=held.owner, version=held.version, unit=held.unit, keyframes=Tensor.of(held.keyframes, "<i4"),
+        stamps_ns=Tensor.of(held.stamps_ns, "<i8"), poses=pack_poses(held.poses),
+        references=Tensor.of(held.references, "<i4"), points=Tensor.of(held.points_C, "<f4"),
+        descriptors=Tensor.of(np.zeros((len(held.references), 32)) if described is None else described, "|u1"),
+        matches=tuple(m for m, _ in held.matches), transforms=pack_sim3s([T for _, T in held.matches]),
+        route=held.route,
+    )  # fmt: skip
+
+
+def with_new_keyframes(old: HeldMap, new: HeldMap) -> HeldMap:
+    """The old copy with the key-frames that only the new one has: each follows the key-frame before it, or, before the
+    first, precedes the one after it, by the new map's own relative poses (equations 3.5 and 3.6)."""
+    common = [row for k, row in sorted(new.rows.items()) if k in old.rows]
+    if not common:
+        return new
+    poses = []
+    at = 0
+    for row in range(len(new.keyframes)):
+        while at + 1 < len(common) and common[at + 1] <= row:
+            at += 1
+        leader = common[at]
+        kept = old.poses[old.rows[int(new.keyframes[leader])]]
+        poses.append(kept @ se3_inverse(new.poses[leader]) @ new.poses[row])
+    return replace(new, map_poses=new.placement.inverse().transform_poses(np.array(poses)))

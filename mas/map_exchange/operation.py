@@ -1,0 +1,300 @@
+"""Map merging (thesis section 3.7, Algorithm 1; 3.9.3): buying an agent's map and the copies of others' maps it holds.
+
+Algorithm 1 walks from seller to sub-map to sub-map without end when two agents hold each other's maps. Here an offer
+lists all that the seller holds, flat, each with its owner and version: the set of what was visited. The buyer orders
+what is newer than what it has, each map once, never its own. So every purchase ends, and the newest version wins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from maslam.backend.geometry import Sim3
+
+from ..contracts.context import Desk, Trade, WorkError
+from ..contracts.contract import Contract, State
+from ..contracts.retries import Retender
+from ..place_recognition.verification import str_match
+from ..policies.utility import orders
+from ..protocol.ids import ContractId, MatchId, Operation
+from ..protocol.map_messages import MapDelivery, MapOrder, Parcel
+from ..protocol.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
+from ..protocol.tasks import Outcome, Task
+from ..protocol.tensors import unpack_sim3
+from ..state.pose_graph import Adoption
+from .admission import Admission, admit, recheck, seller_frame
+from .announcements import Announcements
+from .full_map_increments import completed, runs_of
+from .map_copy import HeldMap, held_of_stock, held_of_submap
+from .seller import Shop
+from .versions import stock_of
+
+
+@dataclass
+class Tender:
+    """One call for maps until all have answered, or long enough has been waited for them."""
+
+    called_ns: int
+    pending: set[int]
+    bids: dict[int, Bid] = field(default_factory=dict)
+
+
+class MapTrade(Trade):
+    """Manager: the buyer; contractor: the seller."""
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__(desk)
+        self.held: dict[int, HeldMap] = {}
+        self.last_bought: dict[int, int] = {}
+        self.stale: set[int] = set()
+        self.shop = Shop(desk.state)
+        self.announcements = Announcements()
+        self._again = Retender(desk.state.config.link.retries)
+        self._tenders: dict[ContractId, Tender] = {}
+        self._rejected: set[tuple[int, int, int]] = set()
+        self._spoilt: set[int] = set()
+        self._checked: dict[int, tuple[int, int]] = {}
+
+    # -- buyer --------------------------------------------------------------------------------------------------------
+
+    def buy(self, sellers: list[int]) -> None:
+        """Call for the maps of these agents."""
+        identity, called = self.desk.call(Operation.MAPMERGE, sellers)
+        if called:
+            self._tenders[identity] = Tender(self.desk.now_ns, set(called))
+        for seller in called:
+            self.stale.discard(seller)
+            self.last_bought[seller] = len(self.state.keyframes)
+
+    def hear_of(self, seller: int, offers: tuple[Offer, ...]) -> None:
+        """Somebody tells what is new at its place."""
+        self.announcements.told(seller, offers)
+        if any(self._wants(seller, offer) for offer in offers):
+            self.stale.add(seller)
+
+    @property
+    def refused_owners(self) -> set[int]:
+        """Agents of whose maps one was not kept."""
+        return {owner for _, owner, _ in self._rejected}
+
+    def on_bid(self, contract: Contract, bid: Bid) -> None:
+        tender = self._tenders.get(contract.id)
+        if tender is None:
+            self.desk.say(contract, Rejection("no longer wanted"))
+            return
+        tender.bids[contract.contractor] = bid
+        self.announcements.told(contract.contractor, bid.offers)
+        self._answered(contract)
+
+    def on_end(self, contract: Contract) -> None:
+        """A sale that came to nothing is still wanted."""
+        if contract.manager != self.state.me:
+            return
+        self._answered(contract)
+        if self._again.wanted(contract, Operation.MAPMERGE):
+            self.stale.add(contract.contractor)
+            self.last_bought.pop(contract.contractor, None)
+
+    def tick(self) -> None:
+        """Half of a contract's time is enough to wait for those who do not answer; the others' bids would expire with
+        them."""
+        patience = round(0.5e9 * self.state.config.deadline_s)
+        for identity, tender in sorted(self._tenders.items()):
+            if self.desk.now_ns - tender.called_ns >= patience:
+                silent = [c for c in self.desk.ledger.managed(identity) if c.contractor in tender.pending]
+                self.desk.cancel(silent, "no answer")
+                tender.pending.clear()
+                self._award(identity)
+
+    def _answered(self, contract: Contract) -> None:
+        tender = self._tenders.get(contract.id)
+        if tender is not None:
+            tender.pending.discard(contract.contractor)
+            if not tender.pending:
+                self._award(contract.id)
+
+    def _award(self, identity: ContractId) -> None:
+        """Once all have answered each wanted map is ordered from the one whose bid is worth most."""
+        tender = self._tenders.pop(identity)
+        for seller, bid in sorted(tender.bids.items()):
+            for offer in bid.offers:
+                self._confirm(seller, offer)
+        contracts = self.desk.ledger.managed(identity)
+        standing = {seller: self.desk.standing.of(seller).value for seller in tender.bids}
+        deadline_ns = max((c.deadline_ns for c in contracts), default=0)
+        wanted = orders(tender.bids, standing, self._wants, deadline_ns)
+        for one in contracts:
+            if one.state is State.BID:
+                self._order(one, wanted.get(one.contractor, ()))
+
+    def _order(self, contract: Contract, owners: tuple[int, ...]) -> None:
+        if not owners:
+            self.desk.say(contract, Rejection("nothing new"))
+            return
+        copies = [None if o in self._spoilt else self.held.get(o) for o in owners]
+        editions = tuple(0 if c is None or c.stock is None else c.version for c in copies)
+        known = tuple(() if c is None or c.stock is not None else runs_of(c.keyframes) for c in copies)
+        self.desk.say(contract, Award(MapOrder(owners, editions, self.state.frame, known if any(known) else ())))
+
+    def _wants(self, seller: int, offer: Offer) -> bool:
+        """Newer than what I hold. The owner's own word counts more than another's: a copy that is newer than the
+        owner's own map is a false one."""
+        held = self.held.get(offer.owner)
+        if offer.owner == self.state.me or (seller, offer.owner, offer.version) in self._rejected:
+            return False
+        if held is None or held.version < offer.version:
+            return True
+        return seller == offer.owner and held.version > offer.version
+
+    def _confirm(self, owner: int, offer: Offer) -> None:
+        """At the end an owner that offers the edition I hold says that it has not moved since: in common coordinates
+        the copy then stands where its owner has it, whatever it was moved by meanwhile."""
+        held = self.held.get(owner)
+        if held is None or held.stock is None or not self.desk.closing or offer.owner != owner:
+            return
+        if offer.version == held.version and held.frame == self.state.frame:
+            placement = Sim3(np.eye(3), np.zeros(3), held.stock.map.unit)
+            self.held[owner] = replace(held, placement=placement)
+
+    def on_result(self, contract: Contract, outcome: Outcome) -> None:
+        if not isinstance(outcome, MapDelivery):
+            raise WorkError("not a delivery of maps")
+        seller = contract.contractor
+        found = seller_frame(self.state, seller, outcome)
+        if found is None:
+            self.desk.note("map_refused", seller=seller, reason="no common place to align it by")
+            return
+        T_mine_seller, placed_by = found
+        now = self.desk.now_ns
+        for submap in outcome.maps:
+            try:
+                whole = completed(submap, self.held.get(submap.owner))
+            except ValueError as error:
+                self._misfit(seller, submap.owner, submap.version, bool(submap.known), str(error))
+                continue
+            self._spoilt.discard(submap.owner)
+            self._take(held_of_submap(whole, outcome.frame, T_mine_seller, seller, now), placed_by)
+        for parcel in outcome.parcels:
+            self._unpack(parcel, T_mine_seller, seller, placed_by)
+
+    def _misfit(self, seller: int, owner: int, version: int, partial: bool, reason: str) -> None:
+        """What came makes no map: where it was only what is new, the whole is ordered next time."""
+        if partial:
+            self._spoilt.add(owner)
+            self.stale.add(seller)
+        else:
+            self._rejected.add((seller, owner, version))
+        self.desk.note("map_refused", seller=seller, owner=owner, reason=reason)
+
+    def _unpack(self, parcel: Parcel, T_mine_seller: Sim3, seller: int, placed_by: MatchId | None) -> None:
+        """A copy made of patches."""
+        held, patches = self.held.get(parcel.owner), parcel.patches
+        try:
+            stock = stock_of(parcel.owner, None if held is None else held.stock, patches)
+        except ValueError as error:
+            self._misfit(seller, parcel.owner, patches[-1].edition, bool(patches[0].base), str(error))
+            return
+        self._spoilt.discard(parcel.owner)
+        placement = Sim3(np.eye(3), np.zeros(3), stock.map.unit)
+        if stock.map.frame == self.state.frame:
+            placed_by = None  # the owner's own word, whatever the seller has moved it by
+        else:
+            placement = T_mine_seller @ (placement if parcel.placement is None else unpack_sim3(parcel.placement))
+        route = (*parcel.route, seller)
+        self._take(held_of_stock(stock, placement, route, self.desk.now_ns), placed_by)
+
+    def _take(self, new: HeldMap, placed_by: MatchId | None) -> None:
+        """Algorithm 1: update the copy or append a new one, if it passes the checks."""
+        seller, owner, version = new.route[-1], new.owner, new.version
+        if not self._wants(seller, Offer(owner, version, len(new.keyframes))):
+            return
+        old = self.held.get(owner)
+        verdict = admit(new, old, self.state, self.held, placed_by)
+        if verdict.held is None:
+            self._refuse(new, verdict.reason)
+            return
+        self.held[owner] = verdict.held
+        known = 0 if old is None else len(old.keyframes)
+        self.desk.note(
+            "map_bought", seller=seller, owner=owner, version=version, keyframes=len(new.keyframes),
+            new_keyframes=len(new.keyframes) - known, points=len(new.references), route=list(new.route),
+            **_remarks(verdict),
+        )  # fmt: skip
+
+    # -- holder -------------------------------------------------------------------------------------------------------
+
+    def realign(self, adoption: Adoption) -> None:
+        """Move held maps along with the agent's own correction (3.9.3, map alignment), by the key-frame that was
+        matched with the map's owner last, else with its seller, else the agent's last one; then check them."""
+        for owner in sorted(self.held):
+            held = self.held[owner]
+            index = self._anchor(held, adoption)
+            self.held[owner] = held.moved(self.state.pose(index) @ adoption.before[index].inverse())
+        for owner in sorted(self.held):
+            self._check(owner)
+
+    def final_round(self) -> None:
+        """The last consistency check: every copy that changed since it was last told of."""
+        for owner in sorted(self.held):
+            state = (self.held[owner].version, self.state.version)
+            if self._checked.get(owner) != state:
+                self._check(owner, final=True)
+                self._checked[owner] = state
+
+    def _check(self, owner: int, final: bool = False) -> None:
+        """The checks of 3.9.3 for a map that is held: matches that came since it was bought may tell that it is wrong.
+        Told where it is given up or moved, and at the end in any case."""
+        held = self.held[owner]
+        verdict = recheck(held, self.state, self.held)
+        if verdict.held is None:
+            del self.held[owner]
+            self._refuse(held, verdict.reason)
+            return
+        self.held[owner] = verdict.held
+        if verdict.standing is not None and (verdict.aligned_by is not None or final):
+            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **_remarks(verdict))
+
+    def _refuse(self, held: HeldMap, reason: str) -> None:
+        """Not kept, and not bought again from this seller."""
+        self._rejected.add((held.seller, held.owner, held.version))
+        if held.seller == held.owner:
+            self.desk.standing.blame(held.seller)
+        self.desk.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
+
+    def _anchor(self, held: HeldMap, adoption: Adoption) -> int:
+        me = self.state.me
+        for other in (held.owner, held.seller):
+            mine = [m.end_of(me)[0] for m in self.state.accepted if set(m.agents) == {me, other}]
+            mine = [i for i in mine if i in adoption.before]
+            if mine:
+                return max(mine)
+        return max(adoption.before)
+
+    # -- seller -------------------------------------------------------------------------------------------------------
+
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
+        offers = self.shop.offers(self.held, self.desk.closing)
+        if not offers:
+            return Refusal("nothing to sell yet")
+        self.announcements.told(contract.manager, offers)
+        return Bid(cost_bytes=self.shop.estimate(offers, self.held), ready_ns=self.desk.now_ns, offers=offers)
+
+    def work(self, contract: Contract, task: Task) -> None:
+        if not isinstance(task, MapOrder):
+            raise WorkError("not an order for maps")
+        delivery = self.shop.delivery(contract.manager, task, self.held, self.desk.closing)
+        self.desk.say(contract, Confirmation())
+        self.desk.say(contract, Result(delivery))
+
+
+def _remarks(verdict: Admission) -> dict[str, Any]:
+    """For events: how many place matches, how far off, and what was done."""
+    out: dict[str, Any] = {"matches": 0} if verdict.standing is None else dict(verdict.standing.figures())
+    if verdict.aligned_by is not None:
+        out["aligned_by"] = str_match(verdict.aligned_by)
+    if verdict.redundant:
+        out["redundant"] = True
+    return out

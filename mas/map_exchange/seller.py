@@ -1,0 +1,117 @@
+"""What an agent sells: its own map and the copies it holds, to a buyer who says what it has already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..protocol.map_messages import MapDelivery, MapOrder, Parcel, Runs, SubMap
+from ..protocol.messages import Offer
+from ..protocol.tensors import pack_sim3, pack_sim3s
+from ..state.agent_state import AgentState
+from .full_map import fresh_rows, own_submap
+from .full_map_increments import without
+from .map_copy import HeldMap, submap_of
+from .publisher import Publisher
+
+# What a key-frame's pose and a point take in a compact map, roughly: for the estimate in a bid.
+_POSE_BYTES, _POINT_BYTES = 8, 2
+# Likewise in full: a key-frame's index, time and pose, a point with reference and descriptor, a match, all the rest.
+_FULL_POSE_BYTES, _FULL_POINT_BYTES, _FULL_MATCH_BYTES, _FULL_MAP_BYTES = 68, 48, 74, 150
+
+
+class Shop:
+    """The seller's side of map merging, without contracts."""
+
+    def __init__(self, state: AgentState) -> None:
+        self.state = state
+        self._publisher = Publisher(state)
+        self._full: SubMap | None = None
+        self._points: list[int] = []
+
+    @property
+    def _compact(self) -> bool:
+        return self.state.config.merge.form == "compact"
+
+    def offers(self, held: Mapping[int, HeldMap], closing: bool) -> tuple[Offer, ...]:
+        """All maps for sale, by owner: flat, so that no buyer has to walk from sub-map to sub-map."""
+        offers = [Offer(h.owner, h.version, len(h.keyframes)) for _, h in sorted(held.items())]
+        mine = self._own_offer(closing)
+        return tuple(sorted(offers if mine is None else [*offers, mine], key=lambda o: o.owner))
+
+    def _own_offer(self, closing: bool) -> Offer | None:
+        if self._compact:
+            stock = self._publisher.edition(closing)
+            return None if stock is None else Offer(self.state.me, stock.map.edition, len(stock.map.keyframes))
+        placed = len(self.state.placed())
+        return Offer(self.state.me, self.state.version, placed) if placed else None
+
+    def estimate(self, offers: Sequence[Offer], held: Mapping[int, HeldMap]) -> int:
+        """Bytes that all of it would take, roughly, for a buyer who has nothing: a bid does not know what that is."""
+        if self._compact:
+            each = _POSE_BYTES + _POINT_BYTES * self.state.config.merge.max_points
+            return sum(each * o.keyframes for o in offers)
+        total = 0
+        for offer in offers:
+            copy = held.get(offer.owner)
+            points = self._own_points() if copy is None else len(copy.references)
+            matches = len(self.state.accepted) if copy is None else len(copy.matches)
+            total += _FULL_POSE_BYTES * offer.keyframes + _FULL_POINT_BYTES * points
+            total += _FULL_MATCH_BYTES * matches + _FULL_MAP_BYTES
+        return total
+
+    def _own_points(self) -> int:
+        """How many points the agent's own map has now."""
+        limit = self.state.config.merge.max_points
+        self._points += [len(fresh_rows(k, limit)) for k in self.state.keyframes[len(self._points) :]]
+        return sum(self._points[i] for i in self.state.placed())
+
+    def delivery(self, buyer: int, order: MapOrder, held: Mapping[int, HeldMap], closing: bool) -> MapDelivery:
+        """What was ordered, in the agent's coordinates; where the buyer has others, with what to place it by.
+        ValueError where something ordered is not here."""
+        for owner in order.owners:
+            if owner not in held and not (owner == self.state.me and self.state.placed()):
+                raise ValueError(f"no map of agent {owner} here")
+        maps: list[SubMap] = []
+        parcels: list[Parcel] = []
+        editions = order.held or (0,) * len(order.owners)
+        nothing: tuple[Runs, ...] = ((),) * len(order.owners)
+        for owner, edition, runs in zip(order.owners, editions, order.known or nothing, strict=True):
+            goods = self._own(edition, closing) if owner == self.state.me else self._resold(held[owner], edition)
+            if isinstance(goods, Parcel):
+                parcels.append(goods)
+            else:
+                maps.append(without(goods, runs))
+        needed = bool(maps) or order.frame != self.state.frame
+        ties = self._ties(buyer) if needed else ()
+        poses = pack_sim3s([self.state.pose(i) for i in ties])
+        return MapDelivery(self.state.frame, ties, poses, tuple(maps), tuple(parcels))
+
+    def _own(self, edition: int, closing: bool) -> SubMap | Parcel:
+        """The agent's own map for a buyer who holds this edition of it (0: none)."""
+        if self._compact:
+            stock = self._publisher.edition(closing)
+            assert stock is not None
+            return Parcel(self.state.me, None, (), stock.since(edition))
+        if self._full is None or self._full.version != self.state.version:
+            self._full = own_submap(self.state, self.state.config.merge.max_points)
+        return self._full
+
+    def _resold(self, held: HeldMap, edition: int) -> SubMap | Parcel:
+        if held.stock is None:
+            return submap_of(held)
+        placement = None if self._in_place(held) else pack_sim3(held.placement)
+        return Parcel(held.owner, placement, held.route, held.stock.since(edition))
+
+    def _in_place(self, held: HeldMap) -> bool:
+        """Whether a copy stands in its owner's coordinates, which are mine, as its owner had it."""
+        p = held.placement
+        unmoved = not p.translation.any() and np.array_equal(p.rotation, np.eye(3))
+        return held.frame == self.state.frame and bool(unmoved)
+
+    def _ties(self, buyer: int) -> tuple[int, ...]:
+        """Own key-frames that the buyer can place the maps by."""
+        placed = set(self.state.placed())
+        mine = {m.end_of(self.state.me)[0] for m in self.state.accepted if set(m.agents) == {self.state.me, buyer}}
+        return tuple(sorted(mine & placed))

@@ -1,0 +1,37 @@
+"""An agent's bids for optimisations: what it can bring, and what the last one cost it."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from ..contracts.context import Desk
+from ..policies.utility import ENVELOPE_BYTES, SOLVER_BYTES_A_ROW
+from ..protocol.messages import Bid
+from ..state.pose_graph import terms
+from .session import Session
+
+
+class Terms:
+    """Costs are learned: bytes for each match end, and logical time, of the agent's last optimisation."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self._bytes_a_row = SOLVER_BYTES_A_ROW
+        self._took_ns = 0
+        self._made: tuple[tuple[int, int | None], Bid] | None = None
+
+    def bid(self, peer: int | None = None) -> Bid:
+        """Made once for each state the agent is in: several managers may call at the same time. ``peer``: of an
+        optimisation with this agent only."""
+        state, now_ns = self.desk.state, self.desk.now_ns
+        if self._made is None or self._made[0] != (state.version, peer):
+            bid = terms(state, now_ns, peer)
+            rows = 0 if bid.links is None else len(bid.links.matches)
+            cost = ENVELOPE_BYTES + round(self._bytes_a_row * rows)
+            self._made = ((state.version, peer), replace(bid, cost_bytes=cost))
+        return replace(self._made[1], ready_ns=now_ns + self._took_ns)
+
+    def paid(self, session: Session) -> None:
+        """An optimisation came to its end."""
+        self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
+        self._took_ns = self.desk.now_ns - session.began_ns

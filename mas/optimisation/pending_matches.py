@@ -1,0 +1,45 @@
+"""Which accepted matches are news: not yet used by an optimisation, or used by one that did not reach all members."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from ..protocol.ids import MatchId
+from ..state.agent_state import AgentState
+
+
+class News:
+    """``optimised_at``: how many key-frames there were at the last optimisation."""
+
+    def __init__(self, state: AgentState) -> None:
+        self.state = state
+        self.optimised_at = 0
+        self._used: set[MatchId] = set()
+        self._once_used: set[MatchId] = set()
+        self._offered: set[MatchId] = set()
+        self._called_again = 0
+
+    @property
+    def matches(self) -> set[MatchId]:
+        """Matches accepted or withdrawn since the last optimisation."""
+        return self.state.accepted ^ self._used
+
+    def offered(self, members: Iterable[int]) -> None:
+        """What is accepted now among these agents goes into an optimisation: it counts as used afterwards, even if
+        others lack it."""
+        among = {self.state.me, *members}
+        self._offered = {m for m in self.state.accepted if among.issuperset(m.agents)}
+
+    def used(self, matches: frozenset[MatchId]) -> None:
+        """An optimisation was adopted."""
+        if matches - self._once_used:
+            self._called_again = 0
+        self._once_used |= matches
+        self._used = set(matches) | (self._offered & self.state.accepted)
+        self.optimised_at = len(self.state.keyframes)
+
+    def call_again(self) -> None:
+        """Some member missed the optimisation or its end: what was used is news once more, a few times."""
+        if self._called_again < self.state.config.link.retries:
+            self._called_again += 1
+            self._used = set()

@@ -1,0 +1,93 @@
+"""What an agent remembers of an optimisation: the tender before the award, the session after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from maslam.backend.config import SolverConfig
+from maslam.backend.distributed.methods import SolverNode, node_for
+from maslam.backend.distributed.share import Share
+
+from ..config import LinkConfig
+from ..contracts.contract import Contract
+from ..protocol.ids import ContractId
+from ..protocol.messages import Bid
+from ..protocol.solver_messages import SolverBody
+from ..protocol.tasks import OptimiseTask
+from .solver_retransmission import SolverLink
+
+_REMEMBERED = 16
+
+
+@dataclass
+class Tender:
+    """The manager's side until the award: who still has to answer, what was bid, who did not bid; alone: no
+    contract."""
+
+    identity: ContractId | None
+    pending: set[int]
+    bids: dict[int, Bid]
+    missing: set[int] = field(default_factory=set)
+
+
+@dataclass
+class Session:
+    """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
+    ``early``: solver messages that came before the start; ``link``: what the others may have missed;
+    ``sent_bytes``, ``began_ns``: what it cost, for the next bid."""
+
+    identity: ContractId | None
+    task: OptimiseTask
+    node: SolverNode
+    contract: Contract | None = None
+    unconfirmed: set[int] = field(default_factory=set)
+    begun: bool = False
+    early: list[tuple[int, SolverBody]] = field(default_factory=list)
+    sent_bytes: int = 0
+    began_ns: int = 0
+    link: SolverLink = field(default_factory=SolverLink)
+
+
+class Past(dict[ContractId, Session | None]):
+    """The last optimisations, None where this agent left before the end: to tell late messages from wrong ones, and to
+    help who is still in one."""
+
+    def remember(self, identity: ContractId | None, session: Session | None) -> None:
+        if identity is not None:
+            self[identity] = session
+            if len(self) > _REMEMBERED:
+                del self[next(iter(self))]
+
+
+class Attempts:
+    """How often optimisations failed, and when to call for the next. ``missed``: a member has not adopted the last
+    one, or was not there."""
+
+    def __init__(self, config: LinkConfig) -> None:
+        self.config = config
+        self.failures = 0
+        self.missed = False
+        self.not_before_ns = 0
+
+    def failed(self, now_ns: int, me: int) -> None:
+        """It is tried again, later each time; not all who failed together try at the same time."""
+        self.failures += 1
+        wait_s = min(self.failures, 8) * self.config.repeat_max_s * (1.0 + me % 8 / 4.0)
+        self.not_before_ns = now_ns + round(wait_s * 1e9)
+
+    def succeeded(self) -> None:
+        """One came to its end."""
+        self.failures = 0
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it was tried so often in vain that there is no more waiting for it at the end."""
+        return self.failures > 2 * (1 + self.config.retries)
+
+
+def solver_node(share: Share, config: SolverConfig) -> SolverNode:
+    """This agent's part in the method that is set. Members with units of their own find these in agreed rounds: an
+    elected solver knows one unit."""
+    if share.arbitrary_scale and config.method == "elected":
+        config = config.model_copy(update={"method": "sor"})
+    return node_for(share, config)

@@ -1,0 +1,240 @@
+"""The RUN folder: everything about a run, written aside and moved into place whole at the end.
+
+The same run gives the same bytes; how long it took stands apart, in ``timing.json``.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import numpy as np
+import yaml
+
+from maslam.backend.pose_graph.g2o import write_g2o
+from maslam.frontend.files.trajectory import Trajectory, write_tum
+
+from ..agent import Agent
+from ..config import MasConfig
+from ..contracts.context import Event
+from ..errors import MasError
+from ..evaluation.ground_truth import MatchError, Onlooker
+from ..evaluation.summary import Summary, Timing
+from ..map_exchange.full_map import own_map
+from ..protocol.ids import MatchId
+from ..sequence import GROUNDTRUTH, MANIFEST, AgentSequence, CameraEntry, Manifest
+from ..state.place_match import Fate
+from ..state.pose_graph import own_graph
+from ..state.trajectories import frame_trajectory, keyframe_trajectory
+from ..transport.transport import Sent, Traffic
+from .colmap import write_colmap
+from .fused_map import fused, write_map, write_ply
+
+SUMMARY = "summary.json"
+TIMING = "timing.json"
+_EARLIER = "summary.json.old"  # an earlier run's, while its files are being replaced
+_OURS = re.compile(r"agent_\d+|(config|manifest|events|matches|traffic|timeline|timing)\.[a-z]+|report|recording\.rrd")
+_BESIDE = {"sequences", "town"}  # what a command may have put beside a run; left as it is
+_MATCH_COLUMNS = [
+    "time_s",
+    "query_agent",
+    "query_keyframe",
+    "query_stamp_ns",
+    "match_agent",
+    "match_keyframe",
+    "match_stamp_ns",
+    "distance",
+    "fate",
+    "reason",
+    "detail",
+    "matches",
+    "inliers",
+    "rmse",
+    "tx",
+    "ty",
+    "tz",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "scale",
+    "error_m",
+    "error_deg",
+    "false",
+]
+
+
+class Recorder:
+    """``with Recorder(out) as recorder``: files appear under ``out`` only when the block ends without an exception."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.folder = out.with_name(out.name + ".part")
+        self._files: list[IO[str]] = []
+        self._traffic: Any = None
+        self._timeline: Any = None
+        self._cameras: dict[int, CameraEntry] = {}
+
+    def __enter__(self) -> Recorder:
+        if self.out.exists() and not self._may_replace():
+            raise MasError(f"{self.out}: exists and is not an earlier run; choose another folder")
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+        self._traffic = self._csv("traffic.csv")
+        self._traffic.writerow(["time_s", "sender", "recipient", "operation", "kind", "payload_bytes", "wire_bytes"])
+        self._timeline = self._csv("timeline.csv")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for file in self._files:
+            file.close()
+        if kind is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            return
+        self._put_in_place()
+
+    def _may_replace(self) -> bool:
+        """An earlier run may be replaced, and an empty folder filled; anybody else's files may not be touched."""
+        if not self.out.is_dir():
+            return False
+        names = {path.name for path in self.out.iterdir()}
+        return bool(names & {SUMMARY, _EARLIER}) or names <= _BESIDE
+
+    def _put_in_place(self) -> None:
+        """Replace an earlier run's files. Its summary goes first, the new one comes last: between, this is no run."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        if (self.out / SUMMARY).exists():
+            os.replace(self.out / SUMMARY, self.out / _EARLIER)
+        for old in sorted(path for path in self.out.iterdir() if _OURS.fullmatch(path.name)):
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        for new in sorted(self.folder.iterdir(), key=lambda path: (path.name == SUMMARY, path.name)):
+            os.replace(new, self.out / new.name)
+        (self.out / _EARLIER).unlink(missing_ok=True)
+        self.folder.rmdir()
+
+    # -- while it runs ------------------------------------------------------------------------------------------------
+
+    def sent(self, sent: Sent) -> None:
+        """A row of ``traffic.csv``."""
+        row = (sent.sender, sent.recipient, sent.operation.value, sent.kind, sent.payload_bytes, sent.wire_bytes)
+        self._traffic.writerow((seconds(sent.now_ns), *row))
+
+    def begin_timeline(self, agents: int) -> None:
+        """The head of ``timeline.csv``."""
+        names = [f"agent_{a:02d}" for a in range(agents)]
+        bytes_ = [f"{t.value}_{unit}" for t in Traffic for unit in ("payload_bytes", "wire_bytes")]
+        errors = [f"{what}_{name}" for what in ("ate_rmse_m", "map_rmse_m") for name in names]
+        self._timeline.writerow(["step", "time_s", "keyframes", "groups", "accepted_matches", *errors, *bytes_])
+
+    def step(self, values: Iterable[Any]) -> None:
+        """A row of ``timeline.csv``."""
+        self._timeline.writerow([figure(v) for v in values])
+
+    # -- at the end ---------------------------------------------------------------------------------------------------
+
+    def settings(self, config: MasConfig, manifest: Manifest) -> None:
+        """``config.yaml`` and the manifest of what was run."""
+        self._cameras = {number: entry.camera for number, entry in enumerate(manifest.agents)}
+        text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+        (self.folder / "config.yaml").write_text(text, encoding="utf-8")
+        (self.folder / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+    def events(self, events: Iterable[Event]) -> None:
+        """``events.jsonl``, in order of time, then agent."""
+        with open(self.folder / "events.jsonl", "w", encoding="utf-8") as out:
+            for e in sorted(events, key=lambda e: (e.now_ns, e.agent)):
+                line = {"time_s": e.now_ns / 1e9, "agent": e.agent, "event": e.kind, **e.fields}
+                out.write(json.dumps(line) + "\n")
+
+    def matches(self, agents: Sequence[Agent], errors: dict[MatchId, MatchError]) -> None:
+        """``matches.csv``: each candidate, its fate and why; against the truth where that is known."""
+        table = self._csv("matches.csv")
+        table.writerow(_MATCH_COLUMNS)
+        for agent in agents:
+            for c in agent.book.candidates.values():
+                fate, reason = agent.book.fate(c)
+                i, error = c.id, errors.get(c.id)
+                stamps = [
+                    agents[a].state.keyframes[k].stamp_ns
+                    for a, k in ((i.query_agent, i.query), (i.match_agent, i.match))
+                ]
+                head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
+                said = [figure(c.distance), fate.value, reason, c.detail, c.matches, c.inliers, figure(c.rmse)]
+                wrong = int(error.false) if error is not None and fate is Fate.ACCEPTED else ""
+                truth = [figure(error.metres), figure(error.degrees), wrong] if error is not None else ["", "", ""]
+                table.writerow([*head, *said, *_transform(c.T_M_Q), *truth])
+
+    def agent(self, agent: Agent, sequence: AgentSequence) -> None:
+        """The agent's folder: trajectories, graph, own and merged map, copies."""
+        folder = self.folder / f"agent_{agent.state.me:02d}"
+        (folder / "maps").mkdir(parents=True)
+        write_tum(folder / "trajectory.tum", frame_trajectory(agent.state, sequence))
+        write_tum(folder / "trajectory_keyframes.tum", keyframe_trajectory(agent.state))
+        if sequence.groundtruth is not None:
+            write_tum(folder / GROUNDTRUTH, sequence.groundtruth)
+        if not agent.state.keyframes:
+            return
+        write_g2o(folder / "graph.g2o", own_graph(agent.state))
+        copies = [held for _, held in sorted(agent.maps.held.items())]
+        one = fused([own_map(agent.state), *copies])
+        write_map(folder / "map.ply", one)
+        write_colmap(folder / "maps" / "colmap", one, self._cameras)
+        for held in copies:
+            owner, stamps = held.owner, held.stamps_ns.astype("int64")
+            write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, held.poses))
+            points = held.points()
+            write_ply(folder / "maps" / f"agent_{owner:02d}.ply", points, np.full(len(points), owner))
+
+    def summary(self, summary: Summary) -> None:
+        """``summary.json``."""
+        (self.folder / SUMMARY).write_text(summary.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+    def timing(self, timing: Timing) -> None:
+        """``timing.json``."""
+        (self.folder / TIMING).write_text(timing.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+    def _csv(self, name: str) -> Any:
+        file = open(self.folder / name, "w", newline="", encoding="utf-8")  # noqa: SIM115 - closed in __exit__
+        self._files.append(file)
+        return csv.writer(file, lineterminator="\n")
+
+
+def seconds(now_ns: int) -> str:
+    """Logical time for tables."""
+    return f"{now_ns / 1e9:.3f}"
+
+
+def figure(value: Any) -> Any:
+    """A number short enough to read and long enough to compare; nothing for None."""
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else value
+
+
+def match_errors(agents: Sequence[Agent], onlooker: Onlooker) -> dict[MatchId, MatchError]:
+    """The error of every verified match whose truth is known."""
+    errors = {}
+    for agent in agents:
+        for match in agent.state.verified.values():
+            if match.id.query_agent == agent.state.me:
+                error = onlooker.match_error(match, agents)
+                if error is not None:
+                    errors[match.id] = error
+    return errors
+
+
+def _transform(T_M_Q: Any) -> list[Any]:
+    if T_M_Q is None:
+        return [""] * 8
+    from ..protocol.tensors import pack_sim3
+
+    return [figure(float(v)) for v in pack_sim3(T_M_Q).array()]

@@ -1,0 +1,165 @@
+"""An agent's memory of places: vectors of its key-frames, candidate matches and what became of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Sim3
+from maslam.descriptors.search import NearestIndex
+
+from ..protocol.ids import MatchId
+from ..state.agent_state import AgentState
+from ..state.keyframe import KeyFrame
+from ..state.place_match import Fate
+from .match_spacing import worth_after
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A place match on its way: a row of ``matches.csv``. ``distance`` of the vectors; ``reason``: why it was not
+    verified or not accepted, in words that can be counted; ``detail``: with figures."""
+
+    id: MatchId
+    now_ns: int
+    distance: float
+    verified: bool = False
+    reason: str = ""
+    detail: str = ""
+    matches: int = 0
+    inliers: int = 0
+    rmse: float | None = None
+    T_M_Q: Sim3 | None = None
+
+
+@dataclass
+class PlaceBook:
+    """Candidates of the agent's own queries, and when it was last matched with whom. ``gaps``: own key-frames until a
+    next match with that agent is worth it.
+
+    ``recalled``: own key-frames that others were told of later than they were made.
+
+    ``whole``, ``kept``: vectors of its own key-frames, and what the place code keeps of them; one and the same where
+    that is everything.
+    """
+
+    state: AgentState
+    whole: NearestIndex = field(default_factory=NearestIndex)
+    kept: NearestIndex = field(default_factory=NearestIndex)
+    candidates: dict[MatchId, Candidate] = field(default_factory=dict)
+    last_matched: dict[int, int] = field(default_factory=dict)
+    gaps: dict[int, int] = field(default_factory=dict)
+    verified: dict[int, list[int]] = field(default_factory=dict)
+    recalled: set[int] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        if self.state.profile.coder.whole:
+            self.kept = self.whole
+
+    def remember(self, keyframe: KeyFrame) -> None:
+        """Make a key-frame findable. One without texture is left out: its vector says nothing."""
+        if not keyframe.textured:
+            return
+        self.whole.add(keyframe.index, keyframe.vector)
+        if self.kept is not self.whole:
+            self.kept.add(keyframe.index, self.state.profile.coder.cut(keyframe.vector[None])[0])
+
+    def nearest(self, vector: NDArray[np.float32], below: int) -> tuple[int, float] | None:
+        """Index and Euclidean distance (0 to 2) of the own key-frame nearest to an own vector, among those with index
+        < ``below``; the older one of equals."""
+        found = self.whole.nearest(vector, below)
+        return None if found is None else (found[0], min(found[1], 2.0))
+
+    def nearest_to_decoded(self, vector: NDArray[np.float32]) -> tuple[int, float] | None:
+        """The same for another agent's vector as it was decoded, among all own key-frames; the distance is that
+        between the uncoded vectors as far as the code lets it be known."""
+        found = self.kept.nearest(vector)
+        return None if found is None else (found[0], self.restored(found[1]))
+
+    def nearest_of_new(self, vector: NDArray[np.float32], first: int) -> tuple[int, float] | None:
+        """The same among own key-frames from ``first`` on: for the few that came since the last look."""
+        new = [k for k in self.state.keyframes[first:] if k.textured]
+        if not new:
+            return None
+        kept = self.state.profile.coder.cut(np.array([k.vector for k in new]))
+        apart = np.linalg.norm(kept - vector, axis=1)
+        best = int(apart.argmin())
+        return new[best].index, self.restored(float(apart[best]))
+
+    def restored(self, distance: float) -> float:
+        """The distance between two uncoded vectors, 0 to 2, from that to a decoded one."""
+        return min(self.state.profile.coder.restored(distance), 2.0)
+
+    def propose(self, candidate: Candidate) -> bool:
+        """Enter a candidate; whether it is worth a verification. If not, the reason stands in the book."""
+        if candidate.id in self.candidates:
+            return False
+        reason = self._why_not(candidate.id)
+        self.candidates[candidate.id] = replace(candidate, reason=reason)
+        return not reason
+
+    def update(self, match: MatchId, **changes: Any) -> None:
+        """Change a candidate of mine; matches found by others are not in my book."""
+        if match in self.candidates:
+            self.candidates[match] = replace(self.candidates[match], **changes)
+            if self.candidates[match].verified:
+                self.verified.setdefault(match.match_agent, []).append(match.query)
+
+    def matched(self, match: MatchId) -> None:
+        """An accepted match: from now on the gap to the next verification with the other agent counts."""
+        mine, other = match.end_of(self.state.me)
+        self.last_matched[other] = max(mine, self.last_matched.get(other, mine))
+        self.gaps[other] = self._gap_after(match)
+
+    def _gap_after(self, match: MatchId) -> int:
+        """What the last two matches with the same track of the other say about odometry decides how soon the next is
+        worth it."""
+        config, latest = self.state.config.places, self.state.verified[match]
+        mine, other = match.end_of(self.state.me)
+        if config.gap_most_keyframes is None or other == self.state.me:
+            return config.gap_keyframes
+        same = (m for m in self.state.accepted_matches() if set(m.tracks) == set(latest.tracks))
+        before = [m for m in same if m.id.end_of(self.state.me)[0] < mine]
+        if not before:
+            return config.gap_keyframes
+        last = max(before, key=lambda m: (m.id.end_of(self.state.me)[0], m.id))
+        way = mine - last.id.end_of(self.state.me)[0]
+        gap = round(way * worth_after(last, latest, self.state.config.optimisation))
+        return min(max(gap, config.gap_keyframes), config.gap_most_keyframes)
+
+    def fate(self, candidate: Candidate) -> tuple[Fate, str]:
+        """What became of a candidate, and why, as it stands now."""
+        if candidate.id in self.state.accepted:
+            return Fate.ACCEPTED, "accepted"
+        if candidate.verified:
+            return Fate.REJECTED, "no agreeing match"
+        return Fate.REJECTED, candidate.reason or "not verified"
+
+    def _why_not(self, match: MatchId) -> str:
+        turned = MatchId(match.match_agent, match.match, match.query_agent, match.query)
+        if turned in self.state.verified or turned in self.candidates:
+            return "known already"
+        config = self.state.config.places
+        # On both sides: an earlier key-frame may be asked about later.
+        recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
+        if len(recent) > self.state.config.consistency.min_support:
+            return "soon after verified matches"
+        if match.query in self.recalled:
+            near = (self._near(match.query, k, config.gap_keyframes) for k in self._matched_with(match.match_agent))
+            return "near an accepted match" if any(near) else ""
+        last = self.last_matched.get(match.match_agent)
+        if last is None or match.query < last:
+            return ""
+        return "soon after an accepted match" if self._near(match.query, last, self.gaps[match.match_agent]) else ""
+
+    def _near(self, one: int, other: int, gap: int) -> bool:
+        """Whether two own key-frames are within ``gap`` of each other, or within ``gap_m``."""
+        way = self.state.travelled
+        return abs(one - other) <= gap or abs(way[one] - way[other]) < self.state.config.places.gap_m
+
+    def _matched_with(self, other: int) -> list[int]:
+        """Own key-frames of the accepted matches with another agent."""
+        return [m.end_of(self.state.me)[0] for m in self.state.accepted if other in m.agents]

@@ -1,0 +1,47 @@
+"""Whom an agent has told of which of its key-frames, and who has taken them in lately."""
+
+from __future__ import annotations
+
+from ..contracts.contract import Contract, State
+
+
+class Told:
+    """Each other agent is told of a key-frame once, and again only where the contract failed for good.
+
+    ``delivered``: contracts about places that each other agent fulfilled since the last that it did not.
+    """
+
+    def __init__(self) -> None:
+        self.delivered: dict[int, int] = {}
+        self._mine: list[int] = []
+        self._to: dict[int, set[int]] = {}
+        self._missed: dict[int, set[int]] = {}
+
+    def remember(self, keyframe: int) -> None:
+        """A key-frame that there is something to tell of: the newest, or one that is known."""
+        if not self._mine or keyframe > self._mine[-1]:
+            self._mine.append(keyframe)
+
+    def tell(self, other: int, keyframe: int) -> None:
+        """The other is told of it, or will be."""
+        self._to.setdefault(other, set()).add(keyframe)
+        self._missed.get(other, set()).discard(keyframe)
+
+    def to(self, other: int) -> set[int]:
+        """What the other was told, or would have been had the contract not failed."""
+        return self._to.get(other, set())
+
+    def untold(self, other: int) -> list[int]:
+        """Key-frames that the other does not know, as far as I know; the oldest first."""
+        told, missed = self.to(other), self._missed.get(other, set())
+        if len(told) == len(self._mine) and not missed:
+            return []
+        return [k for k in self._mine if k not in told or k in missed]
+
+    def ended(self, contract: Contract, keyframe: int, again: bool) -> None:
+        """A contract about a key-frame has ended; ``again``: it will be called for once more."""
+        other = contract.contractor
+        done = contract.state is State.DONE
+        self.delivered[other] = self.delivered.get(other, 0) + 1 if done else 0
+        if not done and not again:
+            self._missed.setdefault(other, set()).add(keyframe)

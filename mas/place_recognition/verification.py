@@ -1,0 +1,256 @@
+"""RelPose between agents: the query sends its points, the match agent verifies (thesis section 3.5)."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from maslam.backend.relpose.point_coding import pack_points, unpack_points, worth_sending
+from maslam.backend.relpose.verification import PlaceView, Verdict, joined, promising, relative_pose
+
+from ..contracts.context import Desk, Trade, WorkError
+from ..contracts.contract import Contract
+from ..contracts.retries import Retender
+from ..honesty import judged
+from ..policies.utility import VERIFY_ANSWER_BYTES
+from ..protocol.ids import ContractId, MatchId, Operation
+from ..protocol.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
+from ..protocol.tasks import Outcome, Task, VerifyAnswer, VerifyTask
+from ..protocol.tensors import (
+    Tensor,
+    pack_information,
+    pack_poses,
+    pack_sim3,
+    unpack_information,
+    unpack_poses,
+    unpack_sim3,
+)
+from ..state.agent_state import AgentState
+from ..state.keyframe import KeyFrame
+from ..state.place_match import Match
+from .candidates import Candidate, PlaceBook
+
+_REASON_LENGTH = 200
+# Views of which only the first points have come, at most.
+_KEPT = 256
+
+
+class Verification(Trade):
+    """Manager: the agent that asked; contractor: the agent that knew the place."""
+
+    def __init__(self, desk: Desk, book: PlaceBook) -> None:
+        super().__init__(desk)
+        self.book = book
+        self._waiting: dict[int, deque[MatchId]] = {}
+        self._running: dict[ContractId, MatchId] = {}
+        self._again = Retender(desk.state.config.link.retries)
+        self._promising: set[MatchId] = set()
+        self._first: dict[MatchId, PlaceView] = {}
+
+    def request(self, candidate: Candidate) -> None:
+        """Have a candidate verified by the other agent, after those already waiting for it."""
+        if self.book.propose(candidate):
+            self._waiting.setdefault(candidate.id.match_agent, deque()).append(candidate.id)
+            self._next(candidate.id.match_agent)
+
+    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
+        return Bid(cost_bytes=VERIFY_ANSWER_BYTES, ready_ns=self.desk.now_ns)
+
+    def on_bid(self, contract: Contract, bid: Bid) -> None:
+        match = self._running.get(contract.id)
+        if match is None:
+            self.desk.say(contract, Rejection("no longer wanted"))
+            return
+        self.desk.say(contract, Award(_task(self.state, match, rest=match in self._promising)))
+
+    def work(self, contract: Contract, task: Task) -> None:
+        if not isinstance(task, VerifyTask) or task.match.query_agent != contract.manager:
+            raise WorkError("not a verification of the manager's own key-frame")
+        if task.match.match_agent != self.state.me or task.match.match >= len(self.state.keyframes):
+            raise WorkError("no such key-frame")
+        if task.metric != self.state.profile.metric:
+            raise WorkError("one scale is metric, the other arbitrary")
+        query = self._view_of(task)
+        self.desk.say(contract, Confirmation())
+        mine = self.state.keyframes[task.match.match]
+        verdict = verify(self.state, task.match, query, mine, bool(task.more))
+        answer = _answer(self.state, task, mine, verdict)
+        if answer.wants_more:
+            self._first[task.match] = query
+        self.desk.say(contract, Result(answer))
+        if verdict.accepted:
+            assert verdict.T_M_Q is not None and answer.information is not None
+            # The information as it travels, so that both owners weigh the match alike.
+            match = Match(
+                task.match, task.track, mine.track, verdict.T_M_Q, unpack_information(answer.information),
+                verdict.inliers, unpack_poses(task.T_T_Q.array()), mine.T_T_C, task.way,
+                self.state.travelled[mine.index], mine.depth,
+            )  # fmt: skip
+            self.learn(match)
+
+    def _view_of(self, task: VerifyTask) -> PlaceView:
+        """What has come of the query's view by now; first points that no rest followed are forgotten in the end."""
+        if not task.rest:
+            while len(self._first) >= _KEPT:
+                del self._first[next(iter(self._first))]
+            return _view_of_task(task)
+        first = self._first.pop(task.match, None)
+        if first is None:
+            raise WorkError("the first points of this view are not here")
+        return joined(first, _view_of_task(task))
+
+    def on_result(self, contract: Contract, outcome: Outcome) -> None:
+        match_id = self._running.get(contract.id)
+        if not isinstance(outcome, VerifyAnswer) or match_id is None or outcome.match != match_id:
+            raise WorkError("not the answer to this verification")
+        if outcome.wants_more and match_id not in self._promising:
+            self._promising.add(match_id)
+            self._waiting.setdefault(match_id.match_agent, deque()).appendleft(match_id)
+            return
+        transform = None if outcome.T_M_Q is None else unpack_sim3(outcome.T_M_Q)
+        self.book.update(
+            match_id, verified=outcome.accepted, reason=kind_of(outcome.reason), detail=outcome.reason, T_M_Q=transform,
+            matches=outcome.matches, inliers=outcome.inliers, rmse=outcome.rmse,
+        )  # fmt: skip
+        if outcome.accepted and transform is not None and outcome.information is not None:
+            mine = self.state.keyframes[match_id.query]
+            match = Match(
+                match_id, mine.track, outcome.track, transform, unpack_information(outcome.information),
+                outcome.inliers, mine.T_T_C, unpack_poses(outcome.T_T_M.array()),
+                self.state.travelled[mine.index], outcome.way, outcome.depth,
+            )  # fmt: skip
+            self.learn(match)
+
+    def on_end(self, contract: Contract) -> None:
+        match = self._running.pop(contract.id, None) if contract.manager == self.state.me else None
+        if match is None:
+            return
+        again = match in self._waiting.get(match.match_agent, ())
+        if self._again.wanted(contract, match) and not again:
+            self._waiting.setdefault(contract.contractor, deque()).append(match)
+        elif not again and not self.book.candidates[match].detail:
+            self.book.update(match, reason="not verified", detail=f"contract {contract.state}: {contract.reason}")
+        self._next(contract.contractor)
+
+    def learn(self, match: Match) -> None:
+        """Take in a verified match; accepted ones join their agents in a group, and the group hears of it."""
+        accepted_now = self.state.add_match(match)
+        for other in set(match.id.agents) - {self.state.me}:
+            self.desk.standing.judged(other, *judged(self.state, other))
+        for accepted in accepted_now:
+            self.book.matched(accepted)
+            self.desk.note("match", match=str_match(accepted), inliers=self.state.verified[accepted].inliers)
+            if self.state.join(accepted.agents):
+                tell_group(self.desk)
+
+    def resume(self) -> None:
+        """Go on with agents that could not be called for a while."""
+        for other in sorted(self._waiting):
+            self._next(other)
+
+    def _next(self, other: int) -> None:
+        waiting = self._waiting.get(other)
+        if not waiting or not self.desk.may_call(other):
+            return
+        identity, called = self.desk.call(Operation.RELPOSE, [other])
+        if called:
+            self._running[identity] = waiting.popleft()
+
+
+def tell_group(desk: Desk) -> None:
+    """Tell the group's other members who is in it, after it grew; they pass it on as far as it is news to them."""
+    members = tuple(sorted(desk.state.group))
+    desk.note("group", members=list(members))
+    for member in members:
+        if member != desk.me:
+            desk.tell(member, None, GroupNotice(members))
+
+
+def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame, first: bool = False) -> Verdict:
+    """The geometric check with a generator that belongs to this match: no order of events changes the verdict.
+
+    ``first``: the view has only its first points, and must be the surer.
+    """
+    seed = [state.config.seed, match.query_agent, match.query, match.match_agent, match.match]
+    config = state.config.relpose
+    if first and config.min_evidence is not None:
+        surer = max(config.min_evidence, state.config.places.first_evidence)
+        config = config.model_copy(update={"min_evidence": surer})
+    return relative_pose(query, view_of(state, mine), config, np.random.default_rng(seed))
+
+
+def view_of(state: AgentState, keyframe: KeyFrame) -> PlaceView:
+    """A key-frame as verification sees it: all its points, with what this system compares."""
+    points = keyframe.points_C.astype(np.float64)
+    if state.config.places.features == "words":
+        return PlaceView(points, words=keyframe.words, metric=state.profile.metric)
+    return PlaceView(points, descriptors=keyframe.descriptors, metric=state.profile.metric)
+
+
+def kind_of(reason: str) -> str:
+    """A reason without its figures, to count by."""
+    return reason.partition(":")[0]
+
+
+def str_match(match: MatchId) -> str:
+    """``query agent:key-frame - match agent:key-frame`` for people."""
+    return f"{match.query_agent}:{match.query} - {match.match_agent}:{match.match}"
+
+
+def _task(state: AgentState, match: MatchId, rest: bool) -> VerifyTask:
+    """The query's points, the most telling first; ``rest``: those that were kept back at first."""
+    keyframe, places = state.keyframes[match.query], state.config.places
+    points = keyframe.points_C.astype(np.float64)
+    # No grid holds what lies behind the camera, and no camera saw it there.
+    before = np.flatnonzero(points[:, 2] > 0)
+    rows = before[worth_sending(points[before], keyframe.descriptors[before], places.max_points)]
+    first = min(places.first_points, len(rows)) if places.first_points else len(rows)
+    sent = rows[first:] if rest else rows[:first]
+    words = places.features == "words"
+    ranges, codes = pack_points(points[sent]) if places.point_code == "grid" else (None, None)
+    return VerifyTask(
+        match=match,
+        track=keyframe.track,
+        stamp_ns=keyframe.stamp_ns,
+        metric=state.profile.metric,
+        T_T_Q=pack_poses(keyframe.T_T_C),
+        way=state.travelled[keyframe.index],
+        points=Tensor.of(points[sent], "<f4") if codes is None else Tensor.of(codes, "<u4"),
+        descriptors=None if words else Tensor.of(keyframe.descriptors[sent, : places.descriptor_bytes], "|u1"),
+        words=Tensor.of(keyframe.words[sent], "<u2") if words else None,
+        ranges=None if ranges is None else Tensor.of(ranges, "<f4"),
+        more=0 if rest else len(rows) - first,
+        rest=rest,
+    )
+
+
+def _view_of_task(task: VerifyTask) -> PlaceView:
+    if task.ranges is None:
+        points = task.points.array().astype(np.float64)
+    else:
+        points = unpack_points(task.ranges.array(), task.points.array())
+    if task.words is not None:
+        return PlaceView(points, words=task.words.array().astype(np.int32), metric=task.metric)
+    assert task.descriptors is not None
+    return PlaceView(points, descriptors=task.descriptors.array(), metric=task.metric)
+
+
+def _answer(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verdict) -> VerifyAnswer:
+    good = verdict.accepted
+    return VerifyAnswer(
+        match=task.match,
+        accepted=good,
+        reason=verdict.reason[:_REASON_LENGTH],
+        matches=verdict.matches,
+        inliers=verdict.inliers,
+        rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
+        T_M_Q=pack_sim3(verdict.T_M_Q) if verdict.T_M_Q is not None else None,
+        information=pack_information(verdict.information) if good and verdict.information is not None else None,
+        track=mine.track,
+        stamp_ns=mine.stamp_ns,
+        T_T_M=pack_poses(mine.T_T_C),
+        way=state.travelled[mine.index],
+        depth=mine.depth,
+        wants_more=bool(task.more) and promising(verdict),
+    )

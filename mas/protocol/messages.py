@@ -1,0 +1,180 @@
+"""Every word between agents: typed, versioned, bounded, checked when it comes in. Nothing else travels.
+
+A :class:`Message` is a header and one body. Bodies are the contract net's (Smith 1980, thesis sections 2.1.6 and 3.8;
+with confirmation: 2.2.5) and, while an optimisation runs, those of the solver in
+:mod:`maslam.mas.protocol.solver_messages`. What an operation needs travels inside award (the task) and result (the
+outcome): no work exists without its contract.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from .ids import MAX_AGENTS, Agent, ContractId, FrameId, Index, MatchId, Members, Operation, Reason, Stamp
+from .solver_messages import SolverBody
+from .tasks import Outcome, Task
+from .tensors import MessageError, Tensor, check_sim3s, pack_sim3s
+
+VERSION = 4
+LINK_DTYPE = "<f4"
+_NO_ROWS = pack_sim3s([], LINK_DTYPE)
+
+# -- terms: what a bid offers -----------------------------------------------------------------------------------------
+
+
+class Links(msgspec.Struct, frozen=True, array_like=True):
+    """Accepted matches as one of their owners holds them, one row for each own end.
+
+    ``poses`` ``(n, 8)``: the owner's key-frames in ``frames`` as it believes now, Sim(3) with the owner's unit as
+    scale; ``query``: which rows are the query's end, and for those, in order, ``transforms`` ``(q, 8)``: ``T_M_Q``.
+    Single precision: they tell how members stand to each other when an optimisation starts, and what contradicts what.
+    """
+
+    matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)] = ()
+    tracks: Annotated[tuple[Index, ...], msgspec.Meta(max_length=100_000)] = ()
+    frames: Annotated[tuple[FrameId, ...], msgspec.Meta(max_length=100_000)] = ()
+    query: Annotated[tuple[bool, ...], msgspec.Meta(max_length=100_000)] = ()
+    poses: Tensor = _NO_ROWS
+    transforms: Tensor = _NO_ROWS
+
+    def __post_init__(self) -> None:
+        n = len(self.matches)
+        if not n == len(self.tracks) == len(self.frames) == len(self.query):
+            raise ValueError(f"links: {n} matches with other numbers of tracks, frames and ends")
+        check_sim3s("poses", self.poses, n, LINK_DTYPE)
+        check_sim3s("transforms", self.transforms, sum(self.query), LINK_DTYPE)
+
+
+class PieceTerms(msgspec.Struct, frozen=True, array_like=True):
+    """A track that its agent would bring into an optimisation: the coordinates it is in, and its unit there."""
+
+    track: Index
+    frame: FrameId
+    unit: Annotated[float, msgspec.Meta(gt=0)]
+
+
+class Offer(msgspec.Struct, frozen=True, array_like=True):
+    """A map for sale: whose, which version, how many key-frames."""
+
+    owner: Agent
+    version: Index
+    keyframes: Index
+
+
+# -- bodies -----------------------------------------------------------------------------------------------------------
+
+
+class Call(msgspec.Struct, frozen=True, array_like=True, tag=1):
+    """Call for proposals: manager to possible contractors. ``members``: who is asked, where that matters."""
+
+    operation: Operation
+    deadline_ns: Stamp
+    members: Members = ()
+
+
+class Bid(msgspec.Struct, frozen=True, array_like=True, tag=2):
+    """I can do it: ``cost_bytes`` that the result will take (estimate), by ``ready_ns``; with the state the operation
+    needs: ``links`` and ``pieces`` (optimisation), ``offers`` (maps). ``peer_to_peer``: an optimisation of two, with
+    the manager alone; the links are those with it."""
+
+    cost_bytes: Index
+    ready_ns: Stamp
+    links: Links | None = None
+    pieces: Annotated[tuple[PieceTerms, ...], msgspec.Meta(max_length=4096)] = ()
+    offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
+    peer_to_peer: bool = False
+
+
+class Refusal(msgspec.Struct, frozen=True, array_like=True, tag=3):
+    """I do not bid."""
+
+    reason: Reason
+
+
+class Award(msgspec.Struct, frozen=True, array_like=True, tag=4):
+    """The bid is taken; here is the task."""
+
+    task: Task
+
+
+class Rejection(msgspec.Struct, frozen=True, array_like=True, tag=5):
+    """The bid is not taken."""
+
+    reason: Reason
+
+
+class Confirmation(msgspec.Struct, frozen=True, array_like=True, tag=6):
+    """The contractor commits itself, only now (contract net with confirmation)."""
+
+
+class Result(msgspec.Struct, frozen=True, array_like=True, tag=7):
+    """The work is done."""
+
+    outcome: Outcome
+
+
+class Failure(msgspec.Struct, frozen=True, array_like=True, tag=8):
+    """The contractor cannot do the work it was awarded."""
+
+    reason: Reason
+
+
+class Cancel(msgspec.Struct, frozen=True, array_like=True, tag=9):
+    """The manager withdraws the contract."""
+
+    reason: Reason
+
+
+class Begin(msgspec.Struct, frozen=True, array_like=True, tag=10):
+    """All members have confirmed: the optimisation starts."""
+
+
+class GroupNotice(msgspec.Struct, frozen=True, array_like=True, tag=11):
+    """These agents are joined by place matches, directly or through others, as far as I know."""
+
+    members: Members
+
+
+class MapNotice(msgspec.Struct, frozen=True, array_like=True, tag=12):
+    """These maps are new here, and may be bought."""
+
+    offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)]
+
+
+ContractBody = Call | Bid | Refusal | Award | Rejection | Confirmation | Result | Failure | Cancel
+Body = ContractBody | Begin | GroupNotice | MapNotice | SolverBody
+
+
+class Message(msgspec.Struct, frozen=True, array_like=True):
+    """Header and body. ``contract`` is None for notices only."""
+
+    sender: Agent
+    recipient: Agent
+    contract: ContractId | None
+    body: Body
+    version: int = VERSION
+
+    def __post_init__(self) -> None:
+        if self.version != VERSION:
+            raise ValueError(f"version {self.version} of the protocol, expected {VERSION}")
+
+
+_encoder = msgspec.msgpack.Encoder()
+_decoder = msgspec.msgpack.Decoder(Message)
+
+
+def encode(message: Message) -> bytes:
+    """The exact bytes that travel: MessagePack."""
+    return _encoder.encode(message)
+
+
+def decode(data: bytes, max_bytes: int) -> Message:
+    """The message in ``data``, or :class:`MessageError` saying what is wrong with it."""
+    if len(data) > max_bytes:
+        raise MessageError(f"message of {len(data)} bytes, at most {max_bytes} are taken")
+    try:
+        return _decoder.decode(data)
+    except (msgspec.MsgspecError, ValueError, UnicodeDecodeError, OverflowError) as error:
+        raise MessageError(f"message of {len(data)} bytes cannot be read: {error}") from error

@@ -1,0 +1,167 @@
+"""Arrays on the wire: dtype, shape and raw bytes, checked when they come in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from maslam.backend.geometry import Sim3, is_se3, quat_wxyz_from_rotation, rotation_from_quat_wxyz, se3
+
+from ..errors import MasError
+
+# Little-endian dtypes that may travel.
+DTYPES = ("<f4", "<f8", "|u1", "<u2", "<u4", "<i4", "<i8")
+
+Shape = tuple[int | None, ...]
+
+
+class MessageError(MasError):
+    """A message that cannot be believed: too long, of the wrong type, or with values that make no sense."""
+
+
+class Tensor(msgspec.Struct, frozen=True, array_like=True):
+    """A numpy array as ``dtype`` (one of :data:`DTYPES`), ``shape`` and little-endian, C-ordered ``data``."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    data: bytes
+
+    @classmethod
+    def of(cls, array: ArrayLike, dtype: str) -> Tensor:
+        values = np.ascontiguousarray(array, dtype=np.dtype(dtype))
+        return cls(dtype, values.shape, values.tobytes())
+
+    def array(self) -> NDArray[Any]:
+        """A read-only view of the data; only after :func:`check`."""
+        return np.frombuffer(self.data, dtype=np.dtype(self.dtype)).reshape(self.shape)
+
+    @property
+    def nbytes(self) -> int:
+        return len(self.data)
+
+
+def check(name: str, tensor: Tensor, dtype: str, shape: Shape, finite: bool = True) -> NDArray[Any]:
+    """The array in ``tensor`` if it is what it must be: ``dtype``, ``shape`` (None: any length), as many bytes as that
+    takes, all values finite (unless they need not be). Else ValueError, which decoding turns into a
+    :class:`MessageError`."""
+    if tensor.dtype != dtype:
+        raise ValueError(f"{name}: dtype {tensor.dtype!r}, expected {dtype!r}")
+    if len(tensor.shape) != len(shape) or any(
+        n < 0 or (want is not None and n != want) for n, want in zip(tensor.shape, shape, strict=True)
+    ):
+        raise ValueError(f"{name}: shape {tensor.shape}, expected {tuple('n' if s is None else s for s in shape)}")
+    count = 1
+    for n in tensor.shape:
+        count *= n
+    if count * np.dtype(dtype).itemsize != len(tensor.data):
+        raise ValueError(f"{name}: {len(tensor.data)} bytes do not fill shape {tensor.shape} of {dtype}")
+    values = tensor.array()
+    if finite and dtype[1] == "f" and not np.isfinite(values).all():
+        raise ValueError(f"{name}: NaN or infinity")
+    return values
+
+
+POSE_WIDTH = 7
+SIM3_WIDTH = 8
+MAX_TRANSLATION = 1e9
+MAX_SCALE = 1e6
+
+
+def pack_poses(poses: ArrayLike, dtype: str = "<f8") -> Tensor:
+    """``(..., 4, 4)`` rigid transforms as rows ``tx ty tz qw qx qy qz``."""
+    t = np.asarray(poses, dtype=np.float64)
+    q = quat_wxyz_from_rotation(t[..., :3, :3]) if t.size else np.zeros((*t.shape[:-2], 4))
+    return Tensor.of(np.concatenate([t[..., :3, 3], q], axis=-1), dtype)
+
+
+def unpack_poses(rows: NDArray[Any]) -> NDArray[np.float64]:
+    """Inverse of :func:`pack_poses`."""
+    values = np.asarray(rows, dtype=np.float64)
+    rotations = rotation_from_quat_wxyz(values[..., 3:]) if values.size else np.zeros((*values.shape[:-1], 3, 3))
+    poses = se3(rotations, values[..., :3])
+    if not is_se3(poses):
+        raise ValueError("a row of poses is not a rigid transform")
+    return poses
+
+
+def check_points(name: str, tensor: Tensor, count: int | None) -> int:
+    """``(count, 3)`` float32 positions of a size that geometry can bear; returns how many."""
+    points = check(name, tensor, "<f4", (count, 3))
+    if len(points) and np.abs(points).max() > MAX_TRANSLATION:
+        raise ValueError(f"{name}: a point is farther than {MAX_TRANSLATION:.0e} away")
+    return len(points)
+
+
+def check_poses(name: str, tensor: Tensor, dtype: str, shape: Shape) -> None:
+    """Rows as :func:`pack_poses` makes them: unit quaternions, positions of a size that geometry can bear."""
+    rows = check(name, tensor, dtype, (*shape, POSE_WIDTH))
+    if rows.size and np.abs(rows).max() > MAX_TRANSLATION:
+        raise ValueError(f"{name}: a position is farther than {MAX_TRANSLATION:.0e} away")
+    if rows.size and np.abs(np.linalg.norm(rows[..., 3:].astype(np.float64), axis=-1) - 1.0).max() > 1e-3:
+        raise ValueError(f"{name}: a quaternion's length is not 1")
+
+
+def pack_sim3s(transforms: Sequence[Sim3], dtype: str = "<f8") -> Tensor:
+    """Rows ``tx ty tz qw qx qy qz scale``, ``(n, 8)``."""
+    if not transforms:
+        return Tensor(dtype, (0, SIM3_WIDTH), b"")
+    q = quat_wxyz_from_rotation(np.array([t.rotation for t in transforms]))
+    t = np.array([t.translation for t in transforms])
+    s = np.array([[t.scale] for t in transforms])
+    return Tensor.of(np.concatenate([t, q, s], axis=1), dtype)
+
+
+def unpack_sim3s(tensor: Tensor) -> list[Sim3]:
+    """Inverse of :func:`pack_sim3s`."""
+    rows = tensor.array().astype(np.float64)
+    if not len(rows):
+        return []
+    rotations = rotation_from_quat_wxyz(rows[:, 3:7])
+    return [Sim3(rotation, row[:3].copy(), float(row[7])) for rotation, row in zip(rotations, rows, strict=True)]
+
+
+def check_sim3s(name: str, tensor: Tensor, count: int, dtype: str = "<f8") -> None:
+    """``count`` rows as :func:`pack_sim3s` makes them."""
+    rows = check(name, tensor, dtype, (count, SIM3_WIDTH))
+    if not count:
+        return
+    if np.abs(rows).max() > MAX_TRANSLATION or rows[:, 7].max() > MAX_SCALE or rows[:, 7].min() * MAX_SCALE < 1.0:
+        raise ValueError(f"{name}: a scale or position is out of range")
+    if np.abs(np.linalg.norm(rows[:, 3:7], axis=1) - 1.0).max() > 1e-3:
+        raise ValueError(f"{name}: a quaternion's length is not 1")
+
+
+def pack_sim3(transform: Sim3) -> Tensor:
+    """One row ``(8,)``."""
+    row = pack_sim3s([transform])
+    return Tensor(row.dtype, (SIM3_WIDTH,), row.data)
+
+
+def unpack_sim3(tensor: Tensor) -> Sim3:
+    """Inverse of :func:`pack_sim3`."""
+    return unpack_sim3s(Tensor(tensor.dtype, (1, SIM3_WIDTH), tensor.data))[0]
+
+
+def check_sim3(name: str, tensor: Tensor) -> None:
+    """One row as :func:`pack_sim3` makes it."""
+    check(name, tensor, "<f8", (SIM3_WIDTH,))
+    check_sim3s(name, Tensor(tensor.dtype, (1, SIM3_WIDTH), tensor.data), 1)
+
+
+TRIANGLE = 21
+
+
+def pack_information(matrix: NDArray[np.float64]) -> Tensor:
+    """The upper triangle of a symmetric ``(6, 6)`` matrix, float32."""
+    return Tensor.of(matrix[np.triu_indices(6)], "<f4")
+
+
+def unpack_information(tensor: Tensor) -> NDArray[np.float64]:
+    """Inverse of :func:`pack_information`."""
+    out = np.zeros((6, 6))
+    out[np.triu_indices(6)] = tensor.array()
+    return np.asarray(out + np.triu(out, 1).T)

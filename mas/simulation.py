@@ -1,0 +1,253 @@
+"""The environment (thesis section 3.8.1): it sets agents up, carries their messages, and ends the run. Nothing else:
+it takes no decision for an agent and shows none of them the truth.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from maslam.descriptors.card import model_path
+from maslam.descriptors.codes import PRODUCT_CODES, Coder
+from maslam.descriptors.errors import DescriptorError
+
+from .agent import Agent
+from .config import AUTO_CODE, MasConfig
+from .errors import MasError
+from .evaluation.ground_truth import Onlooker, groups_of
+from .evaluation.summarise import summarise
+from .evaluation.summary import Summary, Timing
+from .output.run_folder import Recorder, match_errors
+from .policies.cluster_owners import centres_before, ownership_of
+from .policies.presets import policy_of
+from .protocol.messages import Message
+from .sequence import AgentSequence, Manifest
+from .state.agent_state import Ownership, Profile
+from .state.keyframe import KeyFrame, keyframes_of
+from .transport.faults import FaultyTransport, gone, present
+from .transport.transport import InProcessTransport, Sent, Traffic, Transport
+
+# Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
+# expire.
+_CLOSING_STEPS = 20
+# Where optimisations take time: as many of their deadlines more.
+_CLOSING_OPTIMISATIONS = 6
+
+Progress = Callable[[int, int], None]
+
+
+class Environment:
+    """Agents side by side in logical time: each gets its next key-frames when its own time has come."""
+
+    def __init__(
+        self, agents: Sequence[Agent], keyframes: Sequence[list[KeyFrame]], transport: Transport, config: MasConfig
+    ) -> None:
+        self.agents = list(agents)
+        self.keyframes = [list(k) for k in keyframes]
+        self.transport = transport
+        self.config = config
+        self.now_ns = 0
+        self._next = [0] * len(self.agents)
+
+    @property
+    def steps(self) -> int:
+        """Steps until the last key-frame, not counting the closing ones."""
+        last = max((self._due_ns(a, k[-1]) for a, k in enumerate(self.keyframes) if k), default=0)
+        return -(-max(last, 0) // self._step_ns) + 1
+
+    @property
+    def _step_ns(self) -> int:
+        return round(self.config.step_s * 1e9)
+
+    def step(self, number: int) -> None:
+        """One step: key-frames whose time has come, a tick for each agent, then all messages until none is on the
+        way. Where messages get lost or late, agents are reminded in between, as often as they may have to repeat
+        themselves."""
+        self._advance(number * self._step_ns)
+        for agent, keyframes in zip(self.agents, self.keyframes, strict=True):
+            self._feed(agent, keyframes)
+        if self._all_seen():
+            for agent in self.agents:
+                agent.finish()
+        for agent in self._there():
+            self._send(agent.tick(self.now_ns))
+        self._deliver()
+        if self.config.faults.any:
+            self._live_until((number + 1) * self._step_ns)
+
+    def _live_until(self, end_ns: int) -> None:
+        """The time between two steps, as long as an answer is owed or a message is on the way."""
+        between = round(self.config.link.repeat_s * 1e9)
+        while self.now_ns + between < end_ns and (self.transport.waiting or any(a.waiting for a in self._there())):
+            self._advance(self.now_ns + between)
+            self._deliver()
+            for agent in self._there():
+                self._send(agent.remind(self.now_ns))
+            self._deliver()
+
+    def _advance(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+        self.transport.advance(now_ns)
+
+    def _there(self) -> list[Agent]:
+        """Agents that have come and not left."""
+        return [a for a in self.agents if present(self.config.faults, a.state.me, self.now_ns)]
+
+    def _due_ns(self, agent: int, keyframe: KeyFrame) -> int:
+        return keyframe.time_ns + round(self.config.faults.late_s.get(agent, 0.0) * 1e9)
+
+    def _all_seen(self) -> bool:
+        pairs = enumerate(zip(self._next, self.keyframes, strict=True))
+        return all(n == len(k) or gone(self.config.faults, a, self.now_ns) for a, (n, k) in pairs)
+
+    def _feed(self, agent: Agent, keyframes: list[KeyFrame]) -> None:
+        me = agent.state.me
+        while self._next[me] < len(keyframes) and self._due_ns(me, keyframes[self._next[me]]) <= self.now_ns:
+            if gone(self.config.faults, me, self.now_ns):
+                return
+            agent.observe(keyframes[self._next[me]])
+            self._next[me] += 1
+
+    def _send(self, messages: Sequence[Message]) -> None:
+        for message in messages:
+            self.transport.send(message, self.now_ns)
+
+    def _deliver(self) -> None:
+        delivered = 0
+        while (message := self.transport.receive()) is not None:
+            self._send(self.agents[message.recipient].handle(message))
+            delivered += 1
+            if delivered > self.config.max_messages_a_step:
+                raise MasError(
+                    f"more than {delivered - 1} messages at {self.now_ns / 1e9:.1f} s: agents talk without end"
+                )
+
+    @property
+    def over(self) -> bool:
+        """Whether all agents have seen their sequence and have nothing left to do."""
+        return not self.transport.waiting and all(agent.quiet for agent in self._there())
+
+
+def run(
+    manifest: Manifest,
+    sequences: Sequence[AgentSequence],
+    config: MasConfig,
+    out: Path,
+    progress: Progress | None = None,
+) -> Summary:
+    """Run the multi-agent system on agent sequences and write the RUN folder ``out``, whole or not at all.
+
+    ``progress(done, total)`` counts steps. Same sequences, config and seed: same bytes in every file but
+    ``timing.json``.
+    """
+    strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
+    if strangers:
+        raise MasError(f"faults: there is no agent {strangers[0]}, only 0 to {len(sequences) - 1}")
+    started = time.perf_counter()
+    keyframes = [keyframes_of(sequence) for sequence in sequences]
+    agents = make_agents(manifest, sequences, config)
+    onlooker = Onlooker(sequences)
+    with Recorder(out) as recorder:
+        transport = make_transport(config, recorder.sent)
+        environment = Environment(agents, keyframes, transport, config)
+        recorder.begin_timeline(len(agents))
+        steps = _play(environment, onlooker, recorder, progress)
+        errors = match_errors(agents, onlooker)
+        recorder.settings(config, manifest)
+        recorder.events(event for agent in agents for event in agent.diary)
+        recorder.matches(agents, errors)
+        for agent, sequence in zip(agents, sequences, strict=True):
+            recorder.agent(agent, sequence)
+        summary = summarise(agents, sequences, config, onlooker, transport, errors, steps)
+        duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
+        summary = summary.model_copy(update={"duration_s": duration})
+        recorder.summary(summary)
+        wall = time.perf_counter() - started
+        recorder.timing(Timing(wall_s=wall, realtime_factor=duration / wall))
+    return summary
+
+
+def make_transport(config: MasConfig, record: Callable[[Sent], None]) -> Transport:
+    """All agents in one process, with the faults that are set."""
+    limit = round(config.max_message_mb * 2**20)
+    if not config.faults.any:
+        return InProcessTransport(limit, record)
+    return FaultyTransport(InProcessTransport(limit), config.faults, config.seed, record)
+
+
+def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig) -> list[Agent]:
+    """One agent a sequence; sequences of different descriptor models or scales do not go together."""
+    if not sequences:
+        raise MasError("no agents to run")
+    wanted = manifest.descriptor
+    coder = coder_of(manifest, config.places.code)
+    ownership = ownership_of(config)
+    clustered = ownership is Ownership.CLUSTERS
+    centres = centres_before(manifest, sequences, config, coder) if clustered else None
+    agents = []
+    for me, sequence in enumerate(sequences):
+        if (sequence.places.sha256, sequence.places.dim) != (wanted.sha256, wanted.dim):
+            raise MasError(
+                f"{sequence.name}: place vectors of model {sequence.places.name} ({sequence.places.sha256[:12]}, "
+                f"{sequence.places.dim} numbers), the others have {wanted.name} ({wanted.sha256[:12]}, {wanted.dim})"
+            )
+        if sequence.metric != (manifest.scale == "metric"):
+            raise MasError(f"{sequence.name}: its scale is not {manifest.scale} like that of the others")
+        others = tuple(a for a in range(len(sequences)) if a != me)
+        limits = (wanted.threshold, coder, ownership, centres, wanted.strict_threshold)
+        profile = Profile(me, others, sequence.metric, wanted.sha256, *limits)
+        agents.append(Agent(profile, config, policy_of(config, me)))
+    return agents
+
+
+def coder_of(manifest: Manifest, code: str) -> Coder:
+    """How place vectors travel. Product codes look for their codebooks beside the model that preprocessing used; an
+    error where they are not there or belong to other weights."""
+    wanted = manifest.descriptor
+    model = model_path(str(manifest.settings.get("model", "default")))
+    if code == AUTO_CODE:
+        try:
+            return Coder.make(PRODUCT_CODES[0], wanted.dim, wanted.sha256, model)
+        except DescriptorError:  # no codebooks, or of other weights: what every model's vectors can be sent as
+            code = "int8"
+    try:
+        return Coder.make(code, wanted.dim, wanted.sha256, model)
+    except DescriptorError as error:
+        raise MasError(f"{error}, or choose another code (places.code)") from error
+
+
+def _play(environment: Environment, onlooker: Onlooker, recorder: Recorder, progress: Progress | None) -> int:
+    """Step until all agents are done; returns how many steps that took."""
+    total = environment.steps
+    config = environment.config
+    limit = total + config.merge.closing_rounds + _CLOSING_STEPS
+    if config.faults.any:
+        limit += round(_CLOSING_OPTIMISATIONS * config.optimisation.deadline_s / config.step_s)
+    for number in range(limit):
+        environment.step(number)
+        recorder.step(timeline_row(number, environment, onlooker))
+        if progress is not None:
+            progress(min(number + 1, total), total)
+        if number + 1 >= total and environment.over:
+            return number + 1
+    return limit
+
+
+def timeline_row(number: int, environment: Environment, onlooker: Onlooker) -> list[object]:
+    """What ``timeline.csv`` says about a step; errors are empty without truth."""
+    agents = environment.agents
+    own = [onlooker.keyframe_error(a) for a in agents]
+    maps = [onlooker.map_error(a) for a in agents]
+    accepted = len({m for a in agents for m in a.state.accepted})
+    counts = [environment.transport.by_operation[t] for t in Traffic]
+    return [
+        number,
+        environment.now_ns / 1e9,
+        sum(len(a.state.keyframes) for a in agents),
+        len(groups_of(agents)),
+        accepted,
+        *(None if e is None else e.rmse_m for e in own),
+        *(None if e is None else e.rmse_m for e in maps),
+        *(value for c in counts for value in (c.payload_bytes, c.wire_bytes)),
+    ]

@@ -1,0 +1,153 @@
+"""Place matches as an agent knows them, and which of them agree with each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Array, Sim3
+
+from ..config import ConsistencyConfig
+from ..protocol.ids import MatchId
+
+
+class Fate(StrEnum):
+    """What became of a candidate match."""
+
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A geometrically verified place match, own loops included (then both agents are the same).
+
+    ``T_M_Q``: query camera in match camera, in M's unit; ``T_T_Q``, ``T_T_M`` ``(4, 4)``: the two cameras by odometry
+    in their tracks, each in its own unit; ``way_Q``, ``way_M``: how far the two agents had
+    travelled by then; ``depth``: median depth at M, M's unit; ``information`` ``(6, 6)`` of
+    ``T_M_Q``.
+    """
+
+    id: MatchId
+    query_track: int
+    match_track: int
+    T_M_Q: Sim3
+    information: Array
+    inliers: int
+    T_T_Q: Array
+    T_T_M: Array
+    way_Q: float
+    way_M: float
+    depth: float
+
+    @property
+    def tracks(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """``(agent, track)`` of the match and of the query."""
+        return (self.id.match_agent, self.match_track), (self.id.query_agent, self.query_track)
+
+    def joins(self) -> Sim3:
+        """``T_M-track_Q-track``: how the query's track stands in the match's, by this match and both odometries."""
+        return Sim3.from_se3(self.T_T_M) @ self.T_M_Q @ Sim3.from_se3(self.T_T_Q).inverse()
+
+    def turned(self) -> Match:
+        """The same place seen from the other side: query and match swapped; depth and information are kept for
+        comparing only."""
+        i = self.id
+        back = self.T_M_Q.inverse()
+        swapped = MatchId(i.match_agent, i.match, i.query_agent, i.query)
+        return replace(
+            self, id=swapped, query_track=self.match_track, match_track=self.query_track, T_M_Q=back,
+            T_T_Q=self.T_T_M, T_T_M=self.T_T_Q, way_Q=self.way_M, way_M=self.way_Q, depth=self.depth * back.scale,
+        )  # fmt: skip
+
+
+class Agreement:
+    """Matches between two tracks, and which of them say the same about how the tracks stand, up to odometry's drift.
+
+    Positions: a match's query camera, placed in M's track once by itself and once by another match, differs by at most
+    ``depth_share`` median depths plus ``drift`` times the ways driven between the two; rotations likewise. This is the
+    thesis's consistency (3.3) as settled: it compares through ``T_M_Q``, not the two camera centres directly. All is
+    relative to depth, so that it holds for any unit.
+
+    Rule "earlier" is the predecessor's consistency group instead: a match counts when at least ``min_support`` (its
+    value: 2) of those made in the last ``earlier_m`` of the way put the query within ``earlier_apart_m`` of where it
+    does; rotations are not compared, and lengths are metres.
+    """
+
+    def __init__(self, config: ConsistencyConfig) -> None:
+        self.config = config
+        self.ids: list[MatchId] = []
+        self._joins: list[Sim3] = []
+        self._figures: list[tuple[float, float, float]] = []
+        self._queries: list[Array] = []
+        self._ok = np.zeros((0, 0), dtype=bool)
+
+    def add(self, match: Match) -> None:
+        """Compare a match with all so far. It is turned so that the lower track is the match's."""
+        upright = match if match.tracks[0] <= match.tracks[1] else match.turned()
+        self.ids.append(match.id)
+        self._joins.append(upright.joins())
+        self._queries.append(upright.T_T_Q[:3, 3])
+        self._figures.append((upright.way_M, upright.way_Q, upright.depth))
+        n = len(self.ids)
+        grown = np.ones((n, n), dtype=bool)
+        grown[:-1, :-1] = self._ok
+        grown[-1, :] = grown[:, -1] = self._agree_with_last()
+        self._ok = grown
+
+    def _agree_with_last(self) -> NDArray[np.bool_]:
+        last, query = self._joins[-1], self._queries[-1]
+        R, t, s = (np.array([getattr(j, name) for j in self._joins]) for name in ("rotation", "translation", "scale"))
+        queries, (way_M, way_Q, depth) = np.array(self._queries), np.array(self._figures).T
+        travelled = np.abs(way_M - way_M[-1]) + np.maximum(s, last.scale) * np.abs(way_Q - way_Q[-1])
+        deeper = np.maximum(depth, depth[-1])
+        by_others = s[:, None] * (R @ query) + t - last @ query
+        of_others = s[:, None] * np.einsum("nij,nj->ni", R, queries) + t - last @ queries
+        apart = np.linalg.norm([by_others, of_others], axis=2).max(axis=0)
+        if self.config.rule == "earlier":
+            recent = np.abs(way_Q - way_Q[-1]) <= self.config.earlier_m
+            return np.asarray(recent & (apart <= self.config.earlier_apart_m))
+        cosine = (np.einsum("nij,ij->n", R, last.rotation) - 1.0) / 2.0
+        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        near = apart <= self.config.depth_share * deeper + self.config.drift * travelled
+        aligned = angle <= self.config.angle_deg + self.config.angle_deg_per_depth * travelled / deeper
+        agree: NDArray[np.bool_] = near & aligned
+        agree[-1] = True
+        return agree
+
+    def accepted(self) -> set[MatchId]:
+        """The largest set in which all agree with each other; none where it is too small.
+
+        Greedy: from each match, in order of how many agree with it, add those that agree with all so far. The order in
+        which matches came does not matter, so both owners of a match come to the same set; and a match left out comes
+        back when later ones support it.
+        """
+        if self.config.rule == "earlier":
+            return self._by_earlier()
+        counts = self._ok.sum(axis=1)
+        order = sorted(range(len(self.ids)), key=lambda k: (-counts[k], self.ids[k]))
+        best: list[int] = []
+        for seed in order:
+            if counts[seed] <= len(best):
+                break
+            clique, fits = [seed], self._ok[seed].copy()
+            for k in order:
+                if k != seed and fits[k]:
+                    clique.append(k)
+                    fits &= self._ok[k]
+            if len(clique) > len(best):
+                best = clique
+        return {self.ids[k] for k in best} if len(best) > self.config.min_support else set()
+
+    def _by_earlier(self) -> set[MatchId]:
+        """Those that enough matches before them on the query's way agree with. The order in which they came to be known
+        does not matter: the way says which is earlier, and of equals the number."""
+        places = [(way, i) for (_, way, _), i in zip(self._figures, self.ids, strict=True)]
+        return {
+            self.ids[k]
+            for k in range(len(self.ids))
+            if sum(self._ok[k, j] for j in range(len(self.ids)) if places[j] < places[k]) >= self.config.min_support
+        }

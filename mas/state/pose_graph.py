@@ -1,0 +1,198 @@
+"""An agent's pose graph: what it brings into an optimisation, and how it takes the result over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from maslam.backend.distributed.share import Outcome, Share
+from maslam.backend.geometry import Array, Sim3, se3_inverse
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
+
+from ..config import OptimisationConfig
+from ..protocol.ids import FrameId, MatchId
+from ..protocol.messages import LINK_DTYPE, Bid, Links, PieceTerms
+from ..protocol.tasks import OptimiseTask
+from ..protocol.tensors import pack_sim3s, unpack_sim3s
+from .agent_state import AgentState, Piece, stretched
+from .place_match import Match
+
+
+@dataclass(frozen=True, eq=False)
+class Adoption:
+    """What an optimisation did to the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used."""
+
+    before: dict[int, Sim3]
+    matches: frozenset[MatchId]
+
+
+def terms(state: AgentState, now_ns: int, peer: int | None = None) -> Bid:
+    """A bid for an optimisation: the agent's tracks and its accepted matches with the key-frames' present poses;
+    peer-to-peer those with ``peer`` only, beside its own loops.
+
+    A monocular agent brings its longest track only: the tracks of one agent have different units of length, and the
+    solver knows one for each agent.
+    """
+    pieces = state.pieces
+    if not state.profile.metric and pieces:
+        pieces = [max(pieces, key=lambda p: (len(state.members(p.track)), -p.track))]
+    around = {state.me, peer} if peer is not None else None
+    matches = [m for m in sorted(state.accepted) if around is None or around.issuperset(m.agents)]
+    links = _links(state, {p.track for p in pieces}, matches)
+    return Bid(
+        cost_bytes=0,
+        ready_ns=now_ns,
+        links=links,
+        pieces=tuple(PieceTerms(p.track, p.frame, p.unit) for p in pieces),
+        peer_to_peer=peer is not None,
+    )
+
+
+def _links(state: AgentState, tracks: set[int], matches: list[MatchId]) -> Links:
+    """Both ends of own loops, the own end of all others."""
+    rows: list[tuple[MatchId, int, bool]] = []
+    for m in matches:
+        ends = ((m.match_agent, m.match, False), (m.query_agent, m.query, True))
+        rows += [(m, index, query) for agent, index, query in ends if agent == state.me]
+    rows = [r for r in rows if state.keyframes[r[1]].track in tracks]
+    pieces = [state.piece_of(index) for _, index, _ in rows]
+    return Links(
+        matches=tuple(m for m, _, _ in rows),
+        tracks=tuple(p.track for p in pieces),
+        frames=tuple(p.frame for p in pieces),
+        query=tuple(query for _, _, query in rows),
+        poses=pack_sim3s([state.pose(index) for _, index, _ in rows], LINK_DTYPE),
+        transforms=pack_sim3s([state.verified[m].T_M_Q for m, _, query in rows if query], LINK_DTYPE),
+    )
+
+
+def share_of(state: AgentState, task: OptimiseTask) -> Share:
+    """The agent's part of the group's graph, in its own unit of length; ValueError if the task names what it has
+    not."""
+    placed = dict(zip(task.present, unpack_sim3s(task.placements), strict=True))
+    poses: dict[NodeId, Array] = {}
+    edges: list[Edge] = []
+    for track in task.tracks:
+        piece = state.piece(track)
+        T_F_present = placed.get(piece.frame, Sim3.identity())
+        unit = piece.unit * T_F_present.scale
+        for index in state.members(track):
+            pose = T_F_present.transform_poses(state.poses[index])
+            poses[NodeId(state.me, index)] = stretched(pose, 1.0 / unit)
+        edges += odometry_edges(state, track)
+    missing = [m for m in task.matches if m not in state.verified]
+    if missing:
+        raise ValueError(f"a match it does not know: {missing[0]}")
+    edges += [match_edge(state.verified[m], state.config.optimisation) for m in task.matches]
+    members = task.members
+    return Share(
+        robot=state.me,
+        members=members,
+        poses=poses,
+        edges=tuple(edges),
+        arbitrary_scale=frozenset() if state.profile.metric else frozenset(members),
+    )
+
+
+def adopt(state: AgentState, task: OptimiseTask, outcome: Outcome) -> Adoption:
+    """Take the optimised poses over; key-frames that came later are carried along rigidly with the last optimised
+    one."""
+    before = {i: state.pose(i) for i in range(len(state.keyframes))}
+    unit = outcome.scales[state.me] * task.unit
+    for track in task.tracks:
+        piece = state.piece(track)
+        state.pieces[state.pieces.index(piece)] = Piece(track, piece.first, task.frame, unit)
+        for index in state.members(track):
+            optimised = outcome.poses.get(NodeId(state.me, index))
+            if optimised is not None:
+                state.poses[index] = stretched(optimised, task.unit)
+            else:
+                step = state.odometry_step(state.keyframes[index])
+                state.poses[index] = state.poses[index - 1] @ stretched(step, unit)
+    state.version += 1
+    return Adoption(before, frozenset(task.matches))
+
+
+def odometry_edges(state: AgentState, track: int) -> list[Edge]:
+    """Edges between key-frames of one track that follow each other, as odometry measured them, own unit."""
+    later = state.members(track)[1:]
+    for index in later:
+        if index not in state.odometry:
+            state.odometry[index] = _odometry_edge(state, index)
+    return [state.odometry[index] for index in later]
+
+
+def _odometry_edge(state: AgentState, index: int) -> Edge:
+    """The edge from the key-frame before to this one."""
+    config, keyframe = state.config.optimisation, state.keyframes[index]
+    step = state.odometry_step(keyframe)
+    length = float(np.linalg.norm(step[:3, 3]))
+    sigma = config.odometry_sigma_share * length + config.odometry_sigma_depth * keyframe.depth
+    information = _diagonal(sigma, config.odometry_sigma_deg)
+    return Edge(NodeId(state.me, index - 1), NodeId(state.me, index), step, information)
+
+
+def match_edge(match: Match, config: OptimisationConfig) -> Edge:
+    """The edge of a place match, the same at both owners. Verification knows the noise of points, not that both maps
+    are bent: a floor under its sigma keeps one match from outweighing all odometry."""
+    floor = _diagonal(config.match_sigma_depth * match.depth, config.match_sigma_deg)
+    spread = np.linalg.inv(_definite(match.information)) + np.linalg.inv(floor)
+    information = np.linalg.inv(spread)
+    m = match.id
+    return Edge(
+        NodeId(m.match_agent, m.match),
+        NodeId(m.query_agent, m.query),
+        match.T_M_Q.se3(),
+        0.5 * (information + information.T),
+        EdgeKind.LOOP if m.query_agent == m.match_agent else EdgeKind.SEPARATOR,
+        scale=match.T_M_Q.scale,
+    )
+
+
+def own_graph(state: AgentState) -> PoseGraph:
+    """The agent's key-frames in its reference frame with odometry and own loops, and edges to others' key-frames
+    whose poses follow from the match: for export. Translations are in the frame's unit."""
+    me, placed = state.me, set(state.placed())
+    poses = {NodeId(me, i): state.poses[i] for i in sorted(placed)}
+    edges = []
+    for piece in state.pieces:
+        if piece.frame == state.frame:
+            edges += [_in_unit(e, piece.unit) for e in odometry_edges(state, piece.track)]
+    for match in state.accepted_matches():
+        edge = match_edge(match, state.config.optimisation)
+        ends = [n for n in (edge.i, edge.j) if n.robot == me]
+        if any(n.index not in placed for n in ends):
+            continue
+        own = ends[0].index
+        if edge.i.robot == me:
+            edge = _in_unit(edge, state.piece_of(own).unit)
+            poses.setdefault(edge.j, poses[edge.i] @ edge.T_i_j)
+        else:
+            edge = _in_unit(edge, state.piece_of(own).unit / match.T_M_Q.scale)
+            poses.setdefault(edge.i, poses[edge.j] @ se3_inverse(edge.T_i_j))
+        edges.append(edge)
+    return PoseGraph(poses, tuple(edges))
+
+
+def _in_unit(edge: Edge, unit: float) -> Edge:
+    information = edge.information.copy()
+    information[:3] /= unit
+    information[:, :3] /= unit
+    return replace(edge, T_i_j=stretched(edge.T_i_j, unit), information=information, scale=1.0)
+
+
+def _diagonal(sigma: float, sigma_deg: float) -> Array:
+    return np.diag([1.0 / sigma**2] * 3 + [1.0 / np.radians(sigma_deg) ** 2] * 3)
+
+
+def _definite(information: Array) -> Array:
+    """The information with its smallest eigenvalues lifted, so that it can be inverted."""
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    values = np.maximum(values, 1e-9 * max(float(values[-1]), 1e-12))
+    return (vectors * values) @ vectors.T
+
+
+def frame_name(frame: FrameId) -> str:
+    """For people and files: ``agent_03`` or ``agent_03 track 1``."""
+    return f"agent_{frame.agent:02d}" + (f" track {frame.track}" if frame.track else "")

@@ -1,0 +1,82 @@
+"""Losing, delaying, repeating and reordering messages on purpose, and agents that come late or leave: everything drawn
+from the seed, in the order in which messages are sent."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+
+import numpy as np
+
+from ..config import FaultsConfig
+from ..protocol.messages import Message
+from .transport import Sent, Transport
+
+# A message out of order falls behind at most so many others that were sent later.
+_BEHIND = 16
+
+
+class FaultyTransport(Transport):
+    """Any transport, made worse. What is sent counts as sent, whether it arrives or not. ``lost``, ``doubled``: how
+    many messages that befell; those from and to agents that are not there are lost too."""
+
+    def __init__(
+        self, inner: Transport, config: FaultsConfig, seed: int, record: Callable[[Sent], None] | None = None
+    ) -> None:
+        super().__init__(inner.max_message_bytes, record)
+        self.inner = inner
+        self.config = config
+        self.lost = self.doubled = 0
+        self._rng = np.random.default_rng([seed, 0xFA])
+        self._now_ns = 0
+        self._sender = -1
+        self._number = 0
+        self._held: list[tuple[int, int, int, int, bytes]] = []
+
+    def send(self, message: Message, now_ns: int) -> None:
+        self._sender = message.sender
+        super().send(message, now_ns)
+
+    def carry(self, recipient: int, data: bytes) -> None:
+        # Always the same number of draws a message, so that one setting does not change what another one does.
+        lost, doubled, disorder, *late = self._rng.random(5)
+        config = self.config
+        if lost < config.loss or not present(config, self._sender, self._now_ns):
+            self.lost += 1
+            return
+        behind = 1 + int(disorder / config.reorder * _BEHIND) if disorder < config.reorder else 0
+        copies = 1 + (doubled < config.duplicate)
+        self.doubled += copies - 1
+        for drawn in late[:copies]:
+            due = self._now_ns + round((config.delay_s + config.jitter_s * drawn) * 1e9)
+            heapq.heappush(self._held, (due, self._number + behind, self._number, recipient, data))
+            self._number += 1
+
+    def arrive(self) -> tuple[int, bytes] | None:
+        while self._held and self._held[0][0] <= self._now_ns:
+            *_, recipient, data = heapq.heappop(self._held)
+            if present(self.config, recipient, self._now_ns):
+                self.inner.carry(recipient, data)
+                break
+            self.lost += 1
+        return self.inner.arrive()
+
+    def advance(self, now_ns: int) -> None:
+        self._now_ns = now_ns
+        self.inner.advance(now_ns)
+
+    @property
+    def waiting(self) -> bool:
+        return bool(self._held) or self.inner.waiting
+
+
+def present(config: FaultsConfig, agent: int, now_ns: int) -> bool:
+    """Whether an agent is there at this time: it came already and has not left."""
+    joins, leaves = config.late_s.get(agent, 0.0), config.leave_s.get(agent)
+    return now_ns >= round(joins * 1e9) and (leaves is None or now_ns < round(leaves * 1e9))
+
+
+def gone(config: FaultsConfig, agent: int, now_ns: int) -> bool:
+    """Whether an agent has left for good."""
+    leaves = config.leave_s.get(agent)
+    return leaves is not None and now_ns >= round(leaves * 1e9)

@@ -1,0 +1,180 @@
+"""Command-line options and YAML files from the configuration models: nothing is declared twice.
+
+A field ``inliers`` of a nested model ``relpose`` is the option ``--relpose.inliers`` and the key ``relpose: {inliers:
+…}`` in a file. Later wins: the model's defaults (or a preset), the file, the command line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import enum
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from .errors import ToolError, UsageError
+
+Model = TypeVar("Model", bound=BaseModel)
+DEST = "set:"  # marks the attributes of the parsed arguments that belong to a model
+
+
+def add_model_options(parser: argparse.ArgumentParser, base: BaseModel, prefix: str = "") -> None:
+    """One option for each leaf of ``base``'s model, in a group for each nested model.
+
+    Its values are shown as the defaults; an option that is not given leaves no trace in the parsed arguments.
+    """
+    groups: dict[str, argparse._ArgumentGroup] = {}
+    for path, field in leaves(type(base), prefix):
+        section = path.rpartition(".")[0]
+        if section not in groups:
+            groups[section] = parser.add_argument_group(section or "settings")
+        groups[section].add_argument(
+            option_name(path),
+            dest=DEST + path,
+            default=argparse.SUPPRESS,
+            metavar=_metavar(field.annotation),
+            help=_help(field, _get(base, path[len(prefix) + 1 :] if prefix else path)),
+        )
+
+
+def option_name(path: str) -> str:
+    """``relpose.min_inliers`` is ``--relpose.min-inliers``; the command line takes underscores for dashes as well."""
+    return "--" + path.replace("_", "-")
+
+
+def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Dotted name and field of every setting that is no model itself."""
+    for name, field in model.model_fields.items():
+        path = f"{prefix}.{name}" if prefix else name
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from leaves(field.annotation, path)
+        else:
+            yield path, field
+
+
+def build(
+    base: Model,
+    arguments: argparse.Namespace,
+    file: Mapping[str, Any] | None = None,
+    origin: Path | None = None,
+    prefix: str = "",
+) -> Model:
+    """``base`` (defaults or a preset), overlaid with a file's keys, overlaid with the options given.
+
+    An unknown key or a value out of range is an error that names it; ``origin`` is the file, for the message.
+    """
+    model = type(base)
+    values = base.model_dump()
+    if file is not None and not isinstance(file, Mapping):
+        raise ToolError(f"{origin}: {prefix or 'settings'}: expected keys and values, found {file!r}")
+    if file:
+        _overlay(values, file)
+        _validate(model, values, str(origin) if origin else "the configuration")
+    for path, field in leaves(model, prefix):
+        text = getattr(arguments, DEST + path, None)
+        if text is not None:
+            inner = path[len(prefix) + 1 :] if prefix else path
+            _put(values, inner.split("."), _value(text, field.annotation))
+            _validate(model, values, f"{option_name(path)} {text}", UsageError)
+    return _validate(model, values, "the settings")
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A YAML file of settings; anything but a mapping is an error."""
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ToolError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ToolError(f"{path}: expected keys and values, found a {type(content).__name__}")
+    return content
+
+
+def _overlay(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    for key, change in changes.items():
+        if isinstance(change, Mapping) and isinstance(values.get(key), dict):
+            _overlay(values[key], change)
+        else:
+            values[key] = change
+
+
+def _put(values: dict[str, Any], path: list[str], value: object) -> None:
+    for key in path[:-1]:
+        values = values[key]
+    values[path[-1]] = value
+
+
+def _validate(
+    model: type[Model], values: dict[str, Any], origin: str, error_type: type[ToolError] = ToolError
+) -> Model:
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            near = difflib.get_close_matches(name, [path for path, _ in leaves(model)], n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise error_type(f"{origin}: unknown setting '{name}'{hint}") from None
+        given = f", not {first['input']!r}" if first["loc"] and not isinstance(first["input"], dict) else ""
+        message = first["msg"][0].lower() + first["msg"][1:] + given
+        raise error_type(f"{origin}: {name}: {message}" if name else f"{origin}: {message}") from None
+
+
+def _value(text: str, annotation: Any) -> object:
+    """Text as pydantic may convert it: only lists and mappings are parsed here; ``none`` is None where a field may be
+    that.
+    """
+    kinds = _kinds(annotation)
+    if type(None) in kinds and text.lower() in {"none", "null"}:
+        return None
+    if any(typing.get_args(kind)[:1] == (str,) for kind in kinds) and text[:1] not in "[{":
+        return [word.strip() for word in text.split(",")]  # YAML would take 08 for a word and 07 for a number
+    if any((typing.get_origin(kind) or kind) in (tuple, list, dict, set, frozenset) for kind in kinds):
+        import yaml
+
+        return yaml.safe_load(text if text[:1] in "[{" else f"[{text}]")
+    return text
+
+
+def _kinds(annotation: Any) -> tuple[Any, ...]:
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return tuple(typing.get_args(annotation))
+    return (annotation,)
+
+
+def _metavar(annotation: Any) -> str:
+    words: list[str] = []
+    for kind in _kinds(annotation):
+        if typing.get_origin(kind) is typing.Literal:
+            words += [str(value) for value in typing.get_args(kind)]
+        elif isinstance(kind, type) and issubclass(kind, enum.Enum):
+            words += [str(member.value) for member in kind]
+        elif kind is bool:
+            words += ["true", "false"]
+        elif kind is type(None):
+            words.append("none")
+        else:
+            words.append(getattr(typing.get_origin(kind) or kind, "__name__", "value").upper())
+    return "|".join(words)
+
+
+def _get(model: BaseModel, path: str) -> Any:
+    for name in path.split("."):
+        model = getattr(model, name)
+    return model
+
+
+def _help(field: FieldInfo, default: Any) -> str:
+    default = default.value if isinstance(default, enum.Enum) else default
+    return f"{field.description + ' ' if field.description else ''}(default: {default})".replace("%", "%%")

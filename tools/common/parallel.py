@@ -1,0 +1,175 @@
+"""Independent jobs over the cores of one machine, in processes of their own: few long ones, or many small ones."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from queue import Empty
+from typing import Any, Generic, TypeVar
+
+from .progress import Progress
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+POLL_S = 0.2
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_levels: Any = None  # in a worker: the queue on which it tells how far it is
+_work: Any = None  # in a worker: what it does with each small job
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Result]):
+    """What became of one job: its result, or the error that ended it."""
+
+    result: Result | None
+    error: Exception | None
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """BLAS and OpenMP on one thread inside the block: with more, sums are taken in another order, and results depend
+    on the machine and its load. Cores are used by processes instead (:func:`run_jobs`).
+    """
+    from threadpoolctl import threadpool_limits
+
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # libraries loaded from here on, and child processes
+    try:
+        with threadpool_limits(1):  # libraries that are loaded
+            yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_jobs(
+    work: Callable[[Job, Callable[[int], None]], Result],
+    jobs: Mapping[str, tuple[Job, int]],
+    workers: int,
+    progress: Progress,
+    fresh: bool = False,
+) -> dict[str, Outcome[Result]]:
+    """``work(job, advance)`` for each named job (with its number of steps), the outcomes in the order of ``jobs``.
+
+    A failing job does not stop the others. With one worker or one job everything happens in this process, but with
+    ``fresh`` each job gets a new process of its own: what it measures is its own. ``work`` must be a function of a
+    module, its jobs and results picklable; results must not depend on which worker made them.
+    """
+    tasks = {name: progress.start(name, steps) for name, (_, steps) in jobs.items()}
+    if min(workers, len(jobs)) <= 1 and not fresh:
+        return {name: _guarded(work, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()}
+    context = multiprocessing.get_context("spawn")
+    levels = context.Queue()
+    with _pool(min(workers, len(jobs)), context, _prepare_worker, levels, 1 if fresh else None) as pool:
+        futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
+        _watch(futures, levels, tasks, progress)
+        done = {name: future.result() for future, name in futures.items()}
+    return {name: done[name] for name in jobs}
+
+
+def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int) -> Iterator[None]:
+    """``work(job)`` for each of many small jobs; yields each time one is done, in whatever order. The first error ends
+    all.
+
+    ``work`` goes to each worker once and may keep there what it prepares. With one worker everything happens in this
+    process.
+    """
+    if workers <= 1:
+        for job in jobs:
+            work(job)
+            yield
+        return
+    queue = iter(jobs)
+    with _pool(workers, multiprocessing.get_context("spawn"), _keep, work) as pool:
+        pending = {pool.submit(_kept, job) for job in islice(queue, 4 * workers)}
+        while pending:
+            finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+            pending |= {pool.submit(_kept, job) for job in islice(queue, len(finished))}
+            for future in finished:
+                yield future.result()
+
+
+@contextmanager
+def _pool(
+    workers: int, context: Any, prepare: Callable[[Any], None], argument: Any, jobs_each: int | None = None
+) -> Iterator[ProcessPoolExecutor]:
+    """A pool of processes that is gone at the end, at once where the end is an error."""
+    pool = ProcessPoolExecutor(workers, context, prepare, (argument,), max_tasks_per_child=jobs_each)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    pool.shutdown()
+
+
+def _watch(futures: dict[Future[Outcome[Result]], str], levels: Any, tasks: dict[str, int], progress: Progress) -> None:
+    waiting = set(futures)
+    while waiting:
+        _, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
+        latest: dict[str, int] = {}
+        try:
+            while True:
+                name, level = levels.get_nowait()
+                latest[name] = level
+        except Empty:
+            pass
+        for name, level in latest.items():
+            progress.advance(tasks[name], level)
+
+
+def _prepare_worker(levels: Any) -> None:
+    global _levels
+    _levels = levels
+    _settle_in()
+
+
+def _keep(work: Any) -> None:
+    global _work
+    _work = work
+    _settle_in()
+
+
+def _kept(job: Any) -> None:
+    _work(job)
+
+
+def _settle_in() -> None:
+    signal.signal(
+        signal.SIGINT, signal.SIG_DFL
+    )  # an interrupted worker ends without a traceback; its parent says what happened
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> Outcome[Result]:
+    return _guarded(work, job, lambda level: _levels.put((name, level)))
+
+
+def _guarded(
+    work: Callable[[Job, Callable[[int], None]], Result], job: Job, advance: Callable[[int], None]
+) -> Outcome[Result]:
+    try:
+        return Outcome(work(job, advance), None)
+    except Exception as error:  # noqa: BLE001 - whatever ended this job, the others go on; the caller decides
+        error.add_note(traceback.format_exc())  # a process of its own takes the traceback with it; --debug shows this
+        return Outcome(None, error)

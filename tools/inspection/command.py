@@ -1,0 +1,230 @@
+"""``maslam inspect``: what would be read from a folder of images, and what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from maslam.frontend.cameras.models import Rig, RigKind
+    from maslam.frontend.datasets import ImageSequence, Problem
+
+    from ..common.progress import Progress
+
+_SAMPLES = 8  # frames decoded of each sequence when not all are
+_SHOWN_PROBLEMS = 20
+
+
+@dataclass(frozen=True)
+class SequenceReport:
+    """What one sequence is. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
+    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say."""
+
+    name: str
+    kind: str
+    frames: int
+    rate_hz: float
+    duration_s: float
+    start_s: float
+    rig: Rig
+    stored_size: tuple[int, int]
+    rectified_here: bool
+    groundtruth_poses: int
+    path_length_m: float | None
+    decoded: int
+    problems: tuple[Problem, ...]
+    rows: str = ""
+    depth: str = ""
+
+    def lines(self) -> list[str]:
+        """The report of this sequence, a line each."""
+        camera = self.rig.camera
+        baseline = f", baseline {self.rig.baseline_m:.4f} m" if self.rig.baseline_m is not None else ""
+        how = f"rectified here from {self.stored_size[0]}x{self.stored_size[1]}" if self.rectified_here else "as stored"
+        truth = "none"
+        if self.path_length_m is not None:
+            truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path"
+        first = [
+            f"{self.name} ({self.kind})",
+            f"  frames        {self.frames}, {self.rate_hz:.2f} a second, {self.duration_s:.2f} s "
+            f"from {self.start_s:.3f} s",
+            f"  rig           {self.rig.kind}{baseline}; scale {'metric' if self.rig.metric else 'arbitrary'}",
+            f"  camera        {camera.width}x{camera.height} px, fx {camera.fx:.2f} fy {camera.fy:.2f} "
+            f"cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
+            f"  ground truth  {truth}",
+            f"  decoded       {self.decoded} of {self.frames} frames",
+            *([f"  rows          {self.rows}"] if self.rows else []),
+            *([f"  depth         {self.depth}"] if self.depth else []),
+        ]
+        shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
+        hidden = len(self.problems) - len(shown)
+        return first + shown + ([f"  and {hidden} more problems"] if hidden > 0 else [])
+
+
+@dataclass(frozen=True)
+class InspectReport:
+    """What a data set is, sequence by sequence; ``problems``: agents that could not be opened."""
+
+    path: Path
+    kind: str
+    sequences: tuple[SequenceReport, ...]
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def errors(self) -> int:
+        """Problems that would spoil a run."""
+        listed = [problem for sequence in self.sequences for problem in sequence.problems]
+        return sum(problem.severity == "error" for problem in (*self.problems, *listed))
+
+    @property
+    def warnings(self) -> int:
+        return len(self.problems) + sum(len(sequence.problems) for sequence in self.sequences) - self.errors
+
+    def lines(self) -> list[str]:
+        """The whole report, a line each."""
+        frames = sum(sequence.frames for sequence in self.sequences)
+        head = f"{self.path}: {self.kind}, {_count(len(self.sequences), 'sequence')}, {_count(frames, 'frame')}"
+        verdict = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
+        unopened = [f"{problem.severity.upper():8} {problem.message}" for problem in self.problems]
+        return [head, *(line for sequence in self.sequences for line in sequence.lines()), *unopened, verdict]
+
+
+def inspect_dataset(
+    path: Path,
+    decode_all: bool = False,
+    rig: RigKind | None = None,
+    progress: Progress | None = None,
+    png: Path | None = None,
+) -> InspectReport:
+    """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
+
+    ``png``: where a picture of each sequence's middle frame goes. Raises ``FrontendError`` where there is no sequence
+    to speak of.
+    """
+    from maslam.frontend.datasets import open_dataset
+
+    dataset = open_dataset(path, rig, strict=False)
+    reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
+    if png is not None:
+        _write_picture(dataset.sequences, png)
+    return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
+
+
+def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
+    import cv2
+
+    from maslam.frontend.files.text_tables import write_atomically
+
+    from .picture import draw_sequences
+
+    _, encoded = cv2.imencode(".png", draw_sequences(sequences))
+    write_atomically([(path, encoded.tobytes())])
+
+
+def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:
+    import numpy as np
+
+    from maslam.frontend.files.timestamps import NS_PER_S
+
+    count = len(sequence)
+    chosen = range(count) if decode_all else sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
+    duration_s = float(sequence.stamps_ns[-1] - sequence.stamps_ns[0]) / NS_PER_S
+    intervals = np.diff(sequence.stamps_ns)
+    median_s = float(np.median(intervals)) / NS_PER_S if len(intervals) else 0.0
+    damaged, sensors = _decode(sequence, chosen, progress)
+    truth = sequence.groundtruth
+    steps = np.linalg.norm(np.diff(truth.centres, axis=0), axis=1) if truth is not None else None
+    return SequenceReport(
+        name=sequence.name,
+        kind=sequence.kind,
+        frames=count,
+        rate_hz=1.0 / median_s if median_s > 0 else 0.0,
+        duration_s=duration_s,
+        start_s=float(sequence.stamps_ns[0]) / NS_PER_S,
+        rig=sequence.rig,
+        stored_size=sequence.stored_size,
+        rectified_here=sequence.rectifier is not None,
+        groundtruth_poses=0 if truth is None else len(truth),
+        path_length_m=None if steps is None else float(steps.sum()),
+        decoded=len(chosen),
+        problems=(*sequence.problems, *damaged, *sensors.problems),
+        rows=sensors.rows,
+        depth=sensors.depth,
+    )
+
+
+@dataclass(frozen=True)
+class _Sensors:
+    """What images say about their calibration: a line for stereo, a line for depth, and what is wrong."""
+
+    rows: str = ""
+    depth: str = ""
+    problems: tuple[Problem, ...] = ()
+
+
+def _decode(
+    sequence: ImageSequence, chosen: range | list[int], progress: Progress | None
+) -> tuple[list[Problem], _Sensors]:
+    """Every frame of ``chosen`` that cannot be read (missing files are known already and not said again), and what the
+    others show."""
+    from maslam.frontend.datasets import Problem, Severity
+    from maslam.frontend.errors import FrontendError
+
+    from .sensor_checks import check_depth, check_rows, depth_lines, row_lines
+
+    known = any("missing" in problem.message for problem in sequence.problems)
+    looked_at = set(list(chosen)[:: max(1, len(chosen) // _SAMPLES)])
+    problems, rows, depths = [], [], []
+    task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
+    for done, i in enumerate(chosen, 1):
+        files = [files[i] for files in (sequence.left, sequence.right, sequence.depth) if files]
+        if not known or all(file.is_file() for file in files):
+            try:
+                frame = sequence.read(i)
+                if i in looked_at:
+                    rows.append(check_rows(frame))
+                    depths.append(check_depth(frame))
+            except FrontendError as error:
+                problems.append(Problem(Severity.ERROR, str(error)))
+        if progress is not None:
+            progress.advance(task, done)
+    pairs, measured = [c for c in rows if c is not None], [c for c in depths if c is not None]
+    row_line, row_problems = row_lines(pairs) if pairs else ("", [])
+    depth_line, depth_problems = depth_lines(measured) if measured else ("", [])
+    return problems, _Sensors(row_line, depth_line, (*row_problems, *depth_problems))
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("source", metavar="SRC", type=Path, help="a data set, or a folder of agent_00, agent_01, ...")
+    parser.add_argument(
+        "--rig", choices=("mono", "stereo", "rgbd"), help="read it as this (default: the most that the files allow)"
+    )
+    parser.add_argument(
+        "--png",
+        type=Path,
+        metavar="FILE",
+        help="draw the middle frame, undistorted, with its features; a pair with common rows, or the depth beside it",
+    )
+    parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Print the report; 1 where an error would spoil a run."""
+    from maslam.frontend.cameras.models import RigKind
+
+    from ..common.progress import progress_on
+
+    rig = RigKind(arguments.rig) if arguments.rig else None
+    with progress_on(quiet=not arguments.all) as progress:
+        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png)
+    print("\n".join(report.lines()))
+    if arguments.png is not None:
+        print(f"picture: {arguments.png}")
+    return 1 if report.errors else 0

@@ -1,0 +1,150 @@
+"""What images of a pair, or an image and its depth, say about the calibration that came with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from maslam.frontend.datasets import Problem
+    from maslam.frontend.frames import Frame
+
+_FEATURES = 1000
+_MATCH_DISTANCE = 40
+_MAX_ROWS = 12.0
+"""Rows apart, pixels, within which a point is looked for in the right image."""
+_ENOUGH = 40
+"""Matches below which nothing is said."""
+_ROWS_PX, _ROWS_75_PX = 1.0, 1.5
+_WRONG_WAY = 0.25
+"""Share of points that may lie right of their place in the left image: mismatches; far points do so by rounding."""
+_DEPTH_M = (0.1, 30.0)
+_DEPTH_KNOWN = 0.05
+
+
+@dataclass(frozen=True)
+class RowCheck:
+    """Points of the left image found in the right one: ``left_uv``, ``right_uv`` ``(n, 2)`` pixels, of ``features``
+    looked for."""
+
+    left_uv: NDArray[np.float64]
+    right_uv: NDArray[np.float64]
+    features: int
+
+    @property
+    def rows_px(self) -> NDArray[np.float64]:
+        """How much lower each point lies in the right image ``(n,)``: 0 in a rectified pair."""
+        return self.right_uv[:, 1] - self.left_uv[:, 1]
+
+    @property
+    def disparity_px(self) -> NDArray[np.float64]:
+        return self.left_uv[:, 0] - self.right_uv[:, 0]
+
+
+@dataclass(frozen=True)
+class DepthCheck:
+    """``known``: share of pixels with depth; ``median_m`` of these."""
+
+    known: float
+    median_m: float
+
+
+def check_rows(frame: Frame) -> RowCheck | None:
+    """Match ORB key-points of the two images, then refine by Lucas-Kanade; None without a right image.
+
+    Made of OpenCV's parts alone, not of the odometry's: an opinion of its own.
+    """
+    import cv2
+
+    if frame.right is None:
+        return None
+    orb = cv2.ORB.create(nfeatures=_FEATURES)
+    (left, a), (right, b) = (orb.detectAndCompute(image, None) for image in (frame.image, frame.right))
+    none = np.zeros((0, 2))
+    if a is None or b is None or not len(left) or not len(right):
+        return RowCheck(none, none, len(left))
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)
+    pairs = [m for m in pairs if m.distance <= _MATCH_DISTANCE]
+    if not pairs:
+        return RowCheck(none, none, len(left))
+    uv = np.array([left[m.queryIdx].pt for m in pairs], dtype=np.float32)
+    guess = np.array([right[m.trainIdx].pt for m in pairs], dtype=np.float32)
+    near = np.abs(guess[:, 1] - uv[:, 1]) <= _MAX_ROWS
+    uv, guess = uv[near], guess[near]
+    if not len(uv):
+        return RowCheck(none, none, len(left))
+    found, ok, _ = cv2.calcOpticalFlowPyrLK(
+        frame.image, frame.right, uv[:, None], guess[:, None].copy(), winSize=(15, 15), maxLevel=0,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    moved = np.linalg.norm(found[:, 0] - guess, axis=1)
+    good = (ok[:, 0] > 0) & (moved < 3.0)
+    return RowCheck(uv[good].astype(np.float64), found[good, 0].astype(np.float64), len(left))
+
+
+def check_depth(frame: Frame) -> DepthCheck | None:
+    """None without a depth image."""
+    if frame.depth_m is None:
+        return None
+    known = frame.depth_m[frame.depth_m > 0]
+    return DepthCheck(len(known) / frame.depth_m.size, float(np.median(known)) if len(known) else 0.0)
+
+
+def row_lines(checks: Sequence[RowCheck]) -> tuple[str, list[Problem]]:
+    """The line of the report and what is wrong, from several frames; nothing is said on too few points."""
+    from maslam.frontend.datasets import Problem, Severity
+
+    features, count = sum(c.features for c in checks), sum(len(c.left_uv) for c in checks)
+    if count < _ENOUGH:
+        line = f"only {count} points of {features} found in both images: too few to tell"
+        if features < 5 * _ENOUGH:
+            return line, []
+        message = f"only {count} of {features} points of the left images are found in the right: are they pairs?"
+        return line, [Problem(Severity.WARNING, message)]
+    rows = np.concatenate([c.rows_px for c in checks])
+    disparity = np.concatenate([c.disparity_px for c in checks])
+    median, most = float(np.median(rows)), float(np.quantile(np.abs(rows), 0.75))
+    line = f"apart by {median:+.2f} px (median), three in four within {most:.2f} px, {count} points in both images"
+    problems = []
+    if (disparity < -1.0).mean() > 1.0 - _WRONG_WAY:
+        problems.append(
+            Problem(
+                Severity.ERROR,
+                f"points lie {-np.median(disparity):.1f} px farther right in the right image (median): "
+                "left and right are swapped",
+            )
+        )
+    if abs(median) > _ROWS_PX or most > _ROWS_75_PX:
+        problems.append(
+            Problem(
+                Severity.WARNING,
+                f"a point's rows in the left and the right image differ by {median:+.2f} px (median), "
+                f"three in four by less than {most:.2f} px: the pair is not rectified, or by another calibration",
+            )
+        )
+    return line, problems
+
+
+def depth_lines(checks: Sequence[DepthCheck]) -> tuple[str, list[Problem]]:
+    """The line of the report and what is wrong, from several frames."""
+    from maslam.frontend.datasets import Problem, Severity
+
+    known = float(np.mean([c.known for c in checks]))
+    medians = [c.median_m for c in checks if c.known > 0]
+    median = float(np.median(medians)) if medians else 0.0
+    problems = []
+    if known < _DEPTH_KNOWN:
+        problems.append(Problem(Severity.WARNING, f"depth is known for only {100 * known:.1f} % of the pixels"))
+    if medians and not _DEPTH_M[0] <= median <= _DEPTH_M[1]:
+        problems.append(
+            Problem(
+                Severity.WARNING,
+                f"half of the depths are below {median:.4g} m, expected {_DEPTH_M[0]} to {_DEPTH_M[1]:.0f} m: "
+                "is the depth unit right?",
+            )
+        )
+    return f"known for {100 * known:.0f} % of the pixels, median {median:.2f} m", problems

@@ -1,0 +1,195 @@
+"""Tracked sequences written as agents: the five files, place vectors, trajectories, and the manifest that completes
+the folder.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import product, se3_inverse
+from maslam.backend.pose_graph.g2o import write_g2o
+from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
+from maslam.descriptors.container import PlaceVectors
+from maslam.descriptors.inference import NetVlad
+from maslam.frontend.datasets.base import Dataset, ImageSequence
+from maslam.frontend.files.essential_graph import essential_graph
+from maslam.frontend.files.trajectory import NS_PER_S, Trajectory, write_tum
+from maslam.frontend.files.vo_files import VoTrack, write_track
+from maslam.mas.sequence import (
+    GROUNDTRUTH,
+    MANIFEST,
+    PLACES,
+    TRAJECTORY,
+    AgentEntry,
+    CameraEntry,
+    DescriptorEntry,
+    LostEntry,
+    Manifest,
+    SplitEntry,
+    write_manifest,
+)
+
+from ..common.errors import ToolError
+from .split import Share, cut_track, share_out
+from .tracking import Tracked
+
+
+@dataclass(frozen=True)
+class _AgentPlan:
+    name: str
+    sequence: ImageSequence
+    tracked: Tracked
+    share: Share
+
+    @property
+    def start_ns(self) -> int:
+        return int(self.sequence.stamps_ns[self.share.first])
+
+
+def write_sequences(
+    out: Path,
+    dataset: Dataset,
+    tracked: Sequence[tuple[ImageSequence, Tracked]],
+    model: NetVlad,
+    split: SplitEntry | None,
+    settings: dict[str, Any],
+) -> Manifest:
+    """Share the tracked sequences out to agents and write the SEQS folder ``out``; ``settings`` are noted in its
+    manifest.
+    """
+    metric = {sequence.rig.metric for sequence, _ in tracked}
+    if len(metric) > 1:
+        raise ToolError(
+            f"{dataset.root}: some agents have one camera, others stereo or depth; --rig mono makes them alike"
+        )
+    plans = _plans(tracked, split or SplitEntry(agents=1, overlap=0))
+    (out / MANIFEST).unlink(missing_ok=True)
+    entries = [_write_agent(out, plan, model) for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
+    for stale in sorted(set(out.glob("agent_[0-9]*")) - {out / entry.name for entry in entries}):
+        shutil.rmtree(stale)
+    manifest = Manifest(
+        source=str(dataset.root.resolve()),
+        kind=dataset.kind,
+        scale="metric" if metric == {True} else "arbitrary",
+        descriptor=DescriptorEntry(
+            name=model.name,
+            sha256=model.sha256,
+            dim=model.dim,
+            threshold=model.candidate_threshold,
+            strict_threshold=model.threshold,
+            min_std=model.min_std,
+        ),
+        agents=tuple(entries),
+        split=split,
+        settings=settings,
+    )
+    write_manifest(out, manifest)
+    return manifest
+
+
+def _plans(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry) -> list[_AgentPlan]:
+    shares = [
+        (sequence, one, share)
+        for sequence, one in tracked
+        for share in share_out(len(sequence), list(one.keyframes), split.agents, split.overlap)
+    ]
+    return [_AgentPlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
+
+
+def _write_agent(out: Path, plan: _AgentPlan, model: NetVlad) -> AgentEntry:
+    """The agent's folder, put in place whole; times become relative to its first frame."""
+    folder = out / f"{plan.name}.part"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
+    paths = [_write_track(folder, number, plan, k) for number, k in enumerate(used)]
+    trajectory = Trajectory(
+        np.concatenate([path.stamps_ns for path in paths]), np.concatenate([path.poses for path in paths])
+    )
+    write_tum(folder / TRAJECTORY, trajectory)
+    places = _places(plan, used, model)
+    places.save(folder / PLACES)
+    if plan.sequence.groundtruth is not None:
+        write_tum(folder / GROUNDTRUTH, _during(plan, plan.sequence.groundtruth))
+    final = out / plan.name
+    shutil.rmtree(final, ignore_errors=True)
+    folder.rename(final)
+    return AgentEntry(
+        name=plan.name,
+        sequence=plan.sequence.name,
+        first_frame=plan.share.first,
+        frames=plan.share.last - plan.share.first + 1,
+        keyframes=len(places.vectors),
+        tracks=len(used),
+        start_ns=plan.start_ns,
+        camera=CameraEntry.from_rig(plan.sequence.rig),
+        lost=_lost(plan),
+    )
+
+
+def _write_track(folder: Path, number: int, plan: _AgentPlan, k: int) -> Trajectory:
+    """The five files and the essential graph of track ``k`` as the agent's track ``number``; returns all its frames,
+    in the same origin and clock.
+    """
+    kept = plan.share.keyframes[k]
+    track = plan.tracked.tracks[k]
+    cut = cut_track(track, kept, _keyframe_stamps_ns(plan, k) / NS_PER_S)
+    write_track(folder, number, cut)
+    write_g2o(folder / f"essential_{number}.g2o", _essential(cut), plain_ids=True)
+    frames = _during(plan, plan.tracked.trajectories[k])
+    return Trajectory(frames.stamps_ns, product(se3_inverse(track.poses[kept.start]), frames.poses))
+
+
+def _essential(track: VoTrack) -> PoseGraph:
+    """The track's essential graph for other programs; node i is key-frame i, unit information as in ORB-SLAM."""
+    graph = essential_graph(track)
+    nodes = [NodeId(0, k) for k in range(len(track))]
+    edges = zip(graph.ends.tolist(), graph.T_i_j, strict=True)
+    return PoseGraph(
+        dict(zip(nodes, track.poses, strict=True)), tuple(Edge(nodes[i], nodes[j], T_i_j) for (i, j), T_i_j in edges)
+    )
+
+
+def _keyframe_stamps_ns(plan: _AgentPlan, k: int) -> NDArray[np.int64]:
+    return plan.sequence.stamps_ns[plan.tracked.keyframes[k][plan.share.keyframes[k]]] - plan.start_ns
+
+
+def _places(plan: _AgentPlan, used: list[int], model: NetVlad) -> PlaceVectors:
+    begins = np.cumsum([0, *(len(keyframes) for keyframes in plan.tracked.keyframes)])
+    kept = [plan.share.keyframes[k] for k in used]
+    rows = np.concatenate([np.arange(begins[k] + s.start, begins[k] + s.stop) for k, s in zip(used, kept, strict=True)])
+    return PlaceVectors(
+        name=model.name,
+        sha256=model.sha256,
+        dim=model.dim,
+        stamps_ns=np.concatenate([_keyframe_stamps_ns(plan, k) for k in used]),
+        vectors=plan.tracked.vectors[rows],
+        textured=plan.tracked.textured[rows],
+    )
+
+
+def _during(plan: _AgentPlan, trajectory: Trajectory) -> Trajectory:
+    """The poses between the agent's first and last frame, on its own clock."""
+    first, last = plan.sequence.stamps_ns[[plan.share.first, plan.share.last]]
+    inside = (trajectory.stamps_ns >= first) & (trajectory.stamps_ns <= last)
+    return Trajectory(trajectory.stamps_ns[inside] - plan.start_ns, trajectory.poses[inside])
+
+
+def _lost(plan: _AgentPlan) -> tuple[LostEntry, ...]:
+    first, last = plan.share.first, plan.share.last
+    return tuple(
+        LostEntry(
+            first_frame=max(gap.first_frame, first) - first,
+            last_frame=min(gap.last_frame, last) - first,
+            reason=gap.reason,
+        )
+        for gap in plan.tracked.lost
+        if gap.first_frame <= last and gap.last_frame >= first
+    )

@@ -1,0 +1,210 @@
+"""``maslam preprocess``: a folder of images becomes agent sequences, the SEQS folder of ``docs/architecture.md``.
+
+Each sequence goes through the front end once; the result is kept in ``OUT/frontend`` and used again as long as images,
+settings and code are the same. Then it is shared out to agents, and the manifest, written last, marks the folder as
+complete.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import ToolError, UsageError, describe
+from ..common.options import add_model_options, build, read_yaml
+from ..common.progress import Progress, progress_on
+
+if TYPE_CHECKING:
+    from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.datasets.base import Dataset
+    from maslam.mas.sequence import Manifest, SplitEntry
+
+    from .tracking_cache import TrackingJob
+
+FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
+SECTION = "odometry"
+DEFAULT_OVERLAP = 3  # key-frames; the predecessor's on KITTI
+
+
+@dataclass(frozen=True)
+class PreprocessSettings:
+    """What ``maslam preprocess`` is told. ``agents`` None: one agent a sequence; ``overlap`` key-frames of a split
+    sequence's neighbours; ``store``: where the front end's results are kept, OUT/frontend if not told.
+    """
+
+    odometry: OdometryConfig
+    agents: int | None = None
+    overlap: int = DEFAULT_OVERLAP
+    rig: str | None = None
+    model: str = "default"
+    provider: str = "CPU"
+    vocabulary: Path | None = None
+    workers: int = 0
+    store: Path | None = None
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``SRC OUT`` and everything that can be set."""
+    parser.add_argument(
+        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` says what is read"
+    )
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, help="folder for the agent sequences; unfinished work in it is taken up again"
+    )
+    add_preprocess_arguments(parser)
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options shared with ``maslam slam``."""
+    parser.add_argument(
+        "--agents",
+        type=int,
+        metavar="N",
+        help="cut one sequence into blocks for N agents (default: one agent a sequence)",
+    )
+    parser.add_argument(
+        "--overlap",
+        type=int,
+        default=DEFAULT_OVERLAP,
+        metavar="K",
+        help=f"key-frames that a block takes from its neighbours (default: {DEFAULT_OVERLAP})",
+    )
+    parser.add_argument(
+        "--rig", choices=["mono", "stereo", "rgbd"], help="use only this much of the sensors (default: all there is)"
+    )
+    parser.add_argument(
+        "--model", default="default", metavar="NAME|FILE", help="place descriptor: a shipped one or an ONNX file"
+    )
+    parser.add_argument(
+        "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs the place descriptor (default: CPU)"
+    )
+    parser.add_argument(
+        "--vocabulary", type=Path, metavar="FILE", help="DBoW2 vocabulary of ORB words (default: the shipped one)"
+    )
+    parser.add_argument(
+        "--workers", type=int, default=0, metavar="N", help="processes (default: one a core, at most one a sequence)"
+    )
+    from maslam.frontend.config import OdometryConfig
+
+    add_model_options(parser, OdometryConfig(), SECTION)
+
+
+def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> PreprocessSettings:
+    """The settings of one command line and the ``content`` of its ``--config`` file."""
+    from maslam.frontend.config import OdometryConfig
+
+    if arguments.overlap < 0:
+        raise UsageError(f"--overlap {arguments.overlap}: a number of key-frames is meant")
+    return PreprocessSettings(
+        odometry=build(OdometryConfig(), arguments, content.get(SECTION), arguments.config, SECTION),
+        agents=arguments.agents,
+        overlap=arguments.overlap,
+        rig=arguments.rig,
+        model=arguments.model,
+        provider=arguments.provider,
+        vocabulary=arguments.vocabulary,
+        workers=arguments.workers,
+    )
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    content = read_yaml(arguments.config) if arguments.config else {}
+    unknown = sorted(set(content) - {SECTION})
+    if unknown:
+        raise ToolError(f"{arguments.config}: unknown setting '{unknown[0]}'; preprocessing knows '{SECTION}'")
+    settings = settings_from(arguments, content)
+    with progress_on(quiet=arguments.quiet) as progress:
+        manifest = preprocess(arguments.source, arguments.out, settings, progress)
+    print(summary_line(manifest, arguments.out))
+
+
+def summary_line(manifest: Manifest, out: Path) -> str:
+    """What was made, in a line."""
+    keyframes, frames = (sum(getattr(a, n) for a in manifest.agents) for n in ("keyframes", "frames"))
+    agents = f"{len(manifest.agents)} agent{'s' if len(manifest.agents) > 1 else ''}"
+    return f"{out}: {agents}, {frames} frames, {keyframes} key-frames, scale {manifest.scale}"
+
+
+def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: Progress) -> Manifest:
+    """Make the SEQS folder ``out`` from the images in ``source``.
+
+    Sequences that cannot be used are said, noted in the manifest and left out; ``ToolError`` where none is left.
+    """
+    from maslam.descriptors.inference import NetVlad
+    from maslam.frontend.cameras.models import RigKind
+    from maslam.frontend.datasets import open_dataset
+
+    from ..common.parallel import core_count, run_jobs
+    from .agent_folder import write_sequences
+    from .split import check_shares
+    from .tracking_cache import take_tracked, track_job
+
+    model = NetVlad.load(settings.model, provider=settings.provider)  # before the work that would be in vain
+    dataset = open_dataset(source, RigKind(settings.rig) if settings.rig else None, strict=False)
+    if settings.agents is not None and len(dataset.sequences) > 1:
+        count = len(dataset.sequences)
+        raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
+    if settings.agents is not None and dataset.sequences:
+        check_shares(len(dataset.sequences[0]), settings.agents)
+    _claim(out)
+    jobs, problems = _plan(dataset, out, settings)
+    named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
+    outcomes = run_jobs(track_job, named, settings.workers or core_count(), progress)
+    errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
+    problems += [f"{name}: {describe(error)}" for name, error in errors.items()]
+    tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
+    problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
+    if not tracked:
+        count = len(dataset.sequences)
+        said = problems[0] if len(problems) == 1 else f"{source}: none of {count} sequences can be used: {problems[0]}"
+        raise ToolError(said) from next(iter(errors.values()), None)
+    for problem in problems:
+        progress.say(f"warning: {problem}")
+    return write_sequences(out, dataset, tracked, model, _split(settings), {**_as_set(settings), "problems": problems})
+
+
+def _claim(out: Path) -> None:
+    """Refuse a folder with somebody else's files in it."""
+    from maslam.mas.sequence import MANIFEST
+
+    if out.is_dir() and any(out.iterdir()) and not (out / FRONTEND).is_dir() and not (out / MANIFEST).is_file():
+        raise ToolError(f"{out}: not empty, and no folder of agent sequences")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[list[TrackingJob], list[str]]:
+    """A job for each sequence that can be used, and what is wrong with the data."""
+    from maslam.frontend.datasets.base import Severity
+
+    from .tracking_cache import make_job
+
+    jobs, problems = [], [problem.message for problem in dataset.problems]
+    for sequence in dataset.sequences:
+        problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
+        if all(problem.severity is not Severity.ERROR for problem in sequence.problems):
+            of = (sequence, settings.odometry, settings.model, settings.vocabulary, settings.store or out / FRONTEND)
+            jobs.append(make_job(*of, settings.provider))
+    return jobs, problems
+
+
+def _split(settings: PreprocessSettings) -> SplitEntry | None:
+    from maslam.mas.sequence import SplitEntry
+
+    return SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents is not None else None
+
+
+def _as_set(settings: PreprocessSettings) -> dict[str, Any]:
+    """For the manifest."""
+    return {
+        SECTION: settings.odometry.model_dump(mode="json"),
+        "rig": settings.rig,
+        "model": settings.model,
+        "provider": settings.provider,
+        "vocabulary": str(settings.vocabulary) if settings.vocabulary else None,
+    }

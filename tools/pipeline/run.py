@@ -1,0 +1,56 @@
+"""``maslam run``: the multi-agent system on agent sequences."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..common.options import DEST, add_model_options, build, read_yaml
+from ..common.progress import counter, progress_on
+
+if TYPE_CHECKING:
+    from maslam.mas.config import MasConfig
+
+DEFAULT_PRESET = "maslam"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``SEQS OUT`` and everything that can be set."""
+    parser.add_argument("sequences", metavar="SEQS", type=Path, help="folder that `maslam preprocess` made")
+    parser.add_argument("out", metavar="OUT", type=Path, help="folder for the results")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="YAML with settings; a run's config.yaml repeats it"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_run_arguments(parser)
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options shared with ``maslam slam``: all of :class:`maslam.mas.config.MasConfig`."""
+    from maslam.mas.policies.presets import preset
+
+    add_model_options(parser, preset(DEFAULT_PRESET))
+
+
+def config_from(arguments: argparse.Namespace, file: Mapping[str, Any]) -> MasConfig:
+    """A preset, changed by the file's keys and then by the options given; the preset itself may stand in either."""
+    from maslam.mas.policies.presets import preset
+
+    name = getattr(arguments, f"{DEST}preset", None) or file.get("preset") or DEFAULT_PRESET
+    return build(preset(str(name)), arguments, file, arguments.config)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from maslam.mas.sequence import load_sequences
+    from maslam.mas.simulation import run
+
+    from ..report.summary_table import table_of
+
+    config = config_from(arguments, read_yaml(arguments.config) if arguments.config else {})
+    manifest, sequences = load_sequences(arguments.sequences)
+    with progress_on(quiet=arguments.quiet) as progress:
+        run(manifest, sequences, config, arguments.out, counter(progress, "agents"))
+    print(table_of(arguments.out))

@@ -1,0 +1,65 @@
+"""``maslam slam``: from a folder of images to a report, in one go."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..common.options import read_yaml
+from ..common.progress import Progress, counter, progress_on
+from .preprocess import (
+    SECTION,
+    PreprocessSettings,
+    add_preprocess_arguments,
+    preprocess,
+    settings_from,
+    summary_line,
+)
+from .run import add_run_arguments, config_from
+
+if TYPE_CHECKING:
+    from maslam.mas.config import MasConfig
+
+SEQUENCES = "sequences"  # in OUT: what preprocessing made
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``SRC OUT`` and the options of ``preprocess`` and ``run``."""
+    parser.add_argument(
+        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` says what is read"
+    )
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, help=f"folder for the results; OUT/{SEQUENCES} holds the agent sequences"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"YAML with settings of `run`, and `{SECTION}: {{...}}`"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_preprocess_arguments(parser)
+    add_run_arguments(parser)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from ..report.summary_table import table_of
+
+    content = read_yaml(arguments.config) if arguments.config else {}
+    settings = settings_from(arguments, content)
+    config = config_from(arguments, {key: value for key, value in content.items() if key != SECTION})
+    with progress_on(quiet=arguments.quiet) as progress:
+        page = slam(arguments.source, arguments.out, settings, config, progress)
+    print(f"{table_of(arguments.out)}\n\nreport: {page}")
+
+
+def slam(source: Path, out: Path, settings: PreprocessSettings, config: MasConfig, progress: Progress) -> Path:
+    """Preprocess ``source``, run the agents, write ``out`` and its report; returns the report's page."""
+    from maslam.mas.sequence import load_sequences
+    from maslam.mas.simulation import run
+
+    from ..report.command import write_report
+
+    manifest = preprocess(source, out / SEQUENCES, settings, progress)
+    progress.say(summary_line(manifest, out / SEQUENCES))
+    run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"))
+    return write_report(out)

@@ -1,0 +1,165 @@
+"""One sequence through the front end: odometry and place vectors in one pass, every image decoded once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.trajectory import Trajectory
+from maslam.frontend.files.vo_files import VoTrack
+
+if TYPE_CHECKING:
+    from maslam.descriptors.inference import NetVlad
+    from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.datasets import ImageSequence
+    from maslam.frontend.frames import Frame
+    from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult
+    from maslam.frontend.stopwatch import Stopwatch
+    from maslam.frontend.vocabulary.vocabulary import Vocabulary
+
+UNREADABLE_SHARE = (
+    0.1  # more unreadable frames than this, and the sequence is refused: what is left is not what was filmed
+)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Frames ``first_frame`` to ``last_frame`` (inclusive, counted in the sequence) have no pose, and why."""
+
+    first_frame: int
+    last_frame: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What the front end made of one sequence of F frames.
+
+    ``tracks``: one for each uninterrupted track, their key-frames numbered in ``keyframes`` by frame (ascending).
+    ``trajectories``: every tracked frame of each track, ``T_W_C`` in the track's frame. ``vectors`` ``(K, dim)`` and
+    ``textured`` ``(K,)``: one a key-frame, all tracks in order. ``unreadable``: what was wrong with each image that
+    was needed and could not be read.
+    """
+
+    tracks: tuple[VoTrack, ...]
+    keyframes: tuple[NDArray[np.int64], ...]
+    trajectories: tuple[Trajectory, ...]
+    vectors: NDArray[np.float32]
+    textured: NDArray[np.bool_]
+    lost: tuple[Gap, ...]
+    unreadable: tuple[str, ...]
+    stats: dict[str, float]
+
+
+def track(
+    sequence: ImageSequence,
+    config: OdometryConfig,
+    vocabulary: Vocabulary,
+    model: NetVlad,
+    advance: Callable[[int], None],
+) -> Tracked:
+    """Run every frame through odometry, and each key-frame's image through the place descriptor.
+
+    A frame that cannot be read is left out and reported, and so is a second image (right, depth) of a key-frame,
+    which is then made without it; ``FrontendError`` where too many are, or where nothing could be tracked.
+    """
+    from maslam.frontend.odometry import Odometry
+
+    odometry = Odometry(sequence.rig, config, vocabulary)
+    places = _Places(sequence, model)
+    unreadable: list[str] = []
+    refusals: Counter[str] = Counter()
+    for frame, result in follow(sequence, odometry, unreadable):
+        for keyframe in (result.first, frame if result.stays else None):
+            if keyframe is not None:
+                places.describe(keyframe.index, keyframe.image)
+        if result.T_W_C is None:
+            refusals[result.reason] += 1
+        advance(frame.index + 1)
+    finished = odometry.finish()
+    if not any(len(one) for one in finished.tracks):
+        why = (
+            ", ".join(f"{reason} ({count} x)" for reason, count in refusals.most_common(3)) or "no frame could be used"
+        )
+        raise FrontendError(f"no frame of {len(sequence)} could be tracked: {why}")
+    return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
+
+
+def follow(
+    sequence: ImageSequence, odometry: Odometry, unreadable: list[str]
+) -> Iterator[tuple[Frame, FrameResult]]:
+    """Every readable frame of ``sequence`` with what ``odometry`` makes of it; what is wrong with the others goes to
+    ``unreadable``."""
+    for frame in _readable(sequence, unreadable, odometry.stopwatch):
+        result = odometry.process(frame)
+        if result.problem:
+            _report(result.problem, unreadable, frame.index + 1, len(sequence))
+        yield frame, result
+
+
+def _readable(sequence: ImageSequence, unreadable: list[str], watch: Stopwatch) -> Iterator[Frame]:
+    """The frames in order without those that cannot be read; what is wrong with these goes to ``unreadable``."""
+    following = 0
+    while following < len(sequence):
+        try:
+            for frame in sequence.frames(following, watch=watch):
+                following = frame.index + 1
+                yield frame
+        except FrontendError as error:
+            following += 1
+            _report(str(error), unreadable, following, len(sequence))
+
+
+def _report(problem: str, unreadable: list[str], frames: int, all_frames: int) -> None:
+    """Note a frame of the first ``frames`` that cannot be read; an error where they are too many."""
+    unreadable.append(problem)
+    if len(unreadable) > max(1.0, UNREADABLE_SHARE * all_frames):
+        raise FrontendError(f"{len(unreadable)} of the first {frames} frames cannot be read: {problem}")
+
+
+class _Places:
+    """Place vectors by frame number, made while the image is at hand; others are read again when they are asked for."""
+
+    def __init__(self, sequence: ImageSequence, model: NetVlad) -> None:
+        self._sequence = sequence
+        self._model = model
+        self._made: dict[int, tuple[NDArray[np.float32], bool]] = {}
+
+    def describe(self, index: int, image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], bool]:
+        # Odometry decodes grey; a colour network's few key-frames are read again for their colours.
+        seen = self._sequence.read_colour(index) if self._model.colour else image
+        vectors, textured = self._model.look([seen])
+        self._made[index] = vectors[0], bool(textured[0])
+        return self._made[index]
+
+    def of(self, index: int) -> tuple[NDArray[np.float32], bool]:
+        if index not in self._made:
+            # As in tracking, a damaged second image does not matter.
+            self.describe(index, next(self._sequence.frames(index, index + 1)).image)
+        return self._made[index]
+
+
+def _collect(
+    finished: OdometryResult, places: _Places, stamps_ns: NDArray[np.int64], unreadable: tuple[str, ...]
+) -> Tracked:
+    def frame(stamp_ns: int) -> int:
+        return int(np.searchsorted(stamps_ns, stamp_ns))
+
+    order = [k for k in range(len(finished.tracks)) if len(finished.tracks[k])]
+    described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
+    return Tracked(
+        tracks=tuple(finished.tracks[k] for k in order),
+        keyframes=tuple(np.asarray(finished.keyframe_indices[k], dtype=np.int64) for k in order),
+        trajectories=tuple(finished.trajectories[k] for k in order),
+        vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
+        textured=np.array([textured for _, textured in described], dtype=bool),
+        lost=tuple(Gap(frame(gap.first_ns), frame(gap.last_ns), gap.reason) for gap in finished.lost),
+        unreadable=unreadable,
+        stats={name: float(value) for name, value in sorted(finished.stats.items())},
+    )

@@ -1,0 +1,149 @@
+"""What the front end made of a sequence, kept on disk and used again while images, settings and code are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from zipfile import BadZipFile
+
+import numpy as np
+
+from maslam.frontend.files.trajectory import Trajectory
+from maslam.frontend.files.vo_files import VoTrack
+
+from ..common.digests import code_digest
+from ..common.errors import ToolError
+from .tracking import Gap, Tracked, track
+
+if TYPE_CHECKING:
+    from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.datasets.base import ImageSequence
+
+TRACK_FIELDS = ("stamps_s", "poses", "points", "observations", "descriptors", "words")
+# What decides a tracking result.
+CODE_PARTS = ("frontend", "descriptors", "backend/geometry.py", "tools/pipeline/tracking.py")
+
+
+@dataclass(frozen=True)
+class TrackingJob:
+    """One sequence to be tracked, with what it takes, the file for the result, and the fingerprint of all of it."""
+
+    sequence: ImageSequence
+    odometry: OdometryConfig
+    model: str
+    vocabulary: Path | None
+    store: Path
+    fingerprint: str
+    provider: str
+
+
+def make_job(
+    sequence: ImageSequence,
+    odometry: OdometryConfig,
+    model: str,
+    vocabulary: Path | None,
+    folder: Path,
+    provider: str = "CPU",
+) -> TrackingJob:
+    """The job of a sequence, its result to be kept in ``folder``; ``provider``: what runs the descriptor.
+
+    The fingerprint covers the images (names, sizes, times of change), the calibration, the settings, the models and the
+    code.
+    """
+    code = code_digest(*CODE_PARTS)
+    digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {provider} {code}".encode())
+    digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
+    models = [path for path in (vocabulary, Path(model), Path(model).with_suffix(".json")) if path and path.is_file()]
+    for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
+        status = path.stat() if path.exists() else None
+        digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
+    store = folder / f"{sequence.name}.npz"
+    return TrackingJob(sequence, odometry, model, vocabulary, store, digest.hexdigest(), provider)
+
+
+def _decoding(sequence: ImageSequence) -> bytes:
+    """What turns stored files into frames, beside the rig: depth unit, depth sensor, rectification."""
+    parts = [repr(sequence.depth_unit_m).encode()]
+    if sequence.registration is not None:
+        sensor = sequence.registration
+        parts += [repr(sensor.depth_camera).encode(), repr(sensor.camera).encode(), sensor.T_C_D.tobytes()]
+    if sequence.rectifier is not None:
+        maps = (*sequence.rectifier.left, *(sequence.rectifier.right or ()), sequence.rectifier.depth_index)
+        parts += [m.tobytes() for m in maps if m is not None]
+    return b"".join(parts)
+
+
+def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
+    """Track the job's sequence into its store, unless the store has it."""
+    if load_tracked(job.store, job.fingerprint) is None:
+        from maslam.descriptors.inference import NetVlad
+        from maslam.frontend.vocabulary.vocabulary import Vocabulary
+
+        vocabulary, model = Vocabulary.load(job.vocabulary), NetVlad.load(job.model, provider=job.provider)
+        save_tracked(job.store, track(job.sequence, job.odometry, vocabulary, model, advance), job.fingerprint)
+    advance(len(job.sequence))
+
+
+def take_tracked(job: TrackingJob) -> Tracked:
+    """The result of a job that :func:`track_job` has done."""
+    tracked = load_tracked(job.store, job.fingerprint)
+    if tracked is None:
+        raise ToolError(f"{job.store}: changed or deleted while it was needed; run the command again")
+    return tracked
+
+
+def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:
+    """Write ``path`` (npz) in one move; ``fingerprint`` says what it was made from and how."""
+    header = {
+        "fingerprint": fingerprint,
+        "tracks": len(tracked.tracks),
+        "lost": [asdict(gap) for gap in tracked.lost],
+        "unreadable": tracked.unreadable,
+        "stats": tracked.stats,
+    }
+    arrays = {
+        "header": np.array(json.dumps(header)),
+        "vectors": tracked.vectors,
+        "textured": tracked.textured,
+    }
+    for k, (one, keyframes) in enumerate(zip(tracked.tracks, tracked.keyframes, strict=True)):
+        arrays[f"keyframes_{k}"] = keyframes
+        arrays[f"frame_stamps_ns_{k}"] = tracked.trajectories[k].stamps_ns
+        arrays[f"frame_poses_{k}"] = tracked.trajectories[k].poses
+        arrays |= {f"{name}_{k}": getattr(one, name) for name in TRACK_FIELDS}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(f".{os.getpid()}.part")
+    with open(temporary, "wb") as out:
+        np.savez(out, allow_pickle=False, **arrays)
+    os.replace(temporary, path)
+
+
+def load_tracked(path: Path, fingerprint: str) -> Tracked | None:
+    """What :func:`save_tracked` wrote, or None where there is nothing or it was made from something else."""
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            header = json.loads(str(stored["header"]))
+            if header["fingerprint"] != fingerprint:
+                return None
+            count = header["tracks"]
+            return Tracked(
+                tracks=tuple(VoTrack(**{name: stored[f"{name}_{k}"] for name in TRACK_FIELDS}) for k in range(count)),
+                keyframes=tuple(stored[f"keyframes_{k}"] for k in range(count)),
+                trajectories=tuple(
+                    Trajectory(stored[f"frame_stamps_ns_{k}"], stored[f"frame_poses_{k}"]) for k in range(count)
+                ),
+                vectors=stored["vectors"],
+                textured=stored["textured"],
+                lost=tuple(Gap(**gap) for gap in header["lost"]),
+                unreadable=tuple(header["unreadable"]),
+                stats=header["stats"],
+            )
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None  # damaged: made anew

@@ -1,0 +1,172 @@
+"""A RUN folder read for its report: trajectories brought into the world's frame, tables as columns."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Sim3
+from maslam.backend.trajectory_error import trajectory_error
+from maslam.frontend.files.trajectory import Trajectory, read_tum
+from maslam.mas.evaluation.ground_truth import MIN_POSES, TRUTH_TOLERANCE_NS
+from maslam.mas.sequence import GROUNDTRUTH, TRAJECTORY, Manifest, read_manifest
+
+from ..common.errors import ToolError
+from .summary_table import read_summary, read_timing
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AgentData:
+    """One agent's results: ``estimate`` in its group's frame on its own clock; ``copies``: the key-frames of each map
+    it holds.
+    """
+
+    index: int
+    name: str
+    start_ns: int
+    estimate: Trajectory
+    truth: Trajectory | None
+    copies: dict[int, Trajectory]
+
+
+@dataclass(frozen=True)
+class RunData:
+    """Everything a report shows."""
+
+    folder: Path
+    summary: dict[str, Any]
+    timing: dict[str, Any]
+    manifest: Manifest
+    config: str
+    agents: list[AgentData]
+    matches: list[dict[str, str]]
+    timeline: dict[str, Array]
+    traffic: list[dict[str, str]]
+    optimised_s: list[float]
+
+    @property
+    def has_truth(self) -> bool:
+        return any(agent.truth is not None for agent in self.agents)
+
+    @property
+    def groups(self) -> list[list[int]]:
+        """Agents that share one frame at the end."""
+        return [list(group) for group in self.summary["groups"]]
+
+    @cached_property
+    def T_world_agent(self) -> list[Sim3]:
+        """From each agent's frame to the world: one alignment to the truth for each group, identity where none is
+        known.
+        """
+        transforms = [Sim3.identity()] * len(self.agents)
+        for group in self.groups:
+            T = self.alignment([(i, self.agents[i].estimate) for i in group])
+            for i in group:
+                transforms[i] = T
+        return transforms
+
+    @cached_property
+    def in_world(self) -> list[Array]:
+        """Positions ``(N, 3)`` of each agent in the world."""
+        return [T @ agent.estimate.centres for T, agent in zip(self.T_world_agent, self.agents, strict=True)]
+
+    def alignment(self, pieces: Sequence[tuple[int, Trajectory]]) -> Sim3:
+        """The one transform that brings all ``pieces`` (an agent, a trajectory on its clock) nearest to the truth."""
+        estimates, truths = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        for index, trajectory in pieces:
+            truth = self.agents[index].truth
+            if truth is not None and len(truth):
+                rows = truth.nearest(trajectory.stamps_ns, TRUTH_TOLERANCE_NS)
+                estimates.append(trajectory.centres[rows >= 0])
+                truths.append(truth.centres[rows[rows >= 0]])
+        estimate, truth_xyz = np.concatenate(estimates), np.concatenate(truths)
+        if len(estimate) < MIN_POSES:
+            return Sim3.identity()
+        return trajectory_error(estimate, truth_xyz, self.manifest.scale == "arbitrary").T_truth_estimate
+
+    def position_at(self, agent: int, stamp_ns: int) -> Array | None:
+        """Where the agent was at a moment of the source's clock; None where it has no pose within half a second."""
+        estimate = self.agents[agent].estimate
+        row = int(estimate.nearest(np.array([stamp_ns - self.agents[agent].start_ns]), 500_000_000)[0])
+        return None if row < 0 else self.in_world[agent][row]
+
+    @cached_property
+    def accepted(self) -> list[dict[str, str]]:
+        """The rows of ``matches.csv`` that were used."""
+        return [row for row in self.matches if row["fate"] == "accepted"]
+
+    def traffic_matrix(self) -> NDArray[np.int64]:
+        """Wire bytes from each agent (row) to each (column)."""
+        matrix = np.zeros((len(self.agents), len(self.agents)), dtype=np.int64)
+        for row in self.traffic:
+            matrix[int(row["sender"]), int(row["recipient"])] += int(row["wire_bytes"])
+        return matrix
+
+
+def read_run(folder: Path) -> RunData:
+    """Read a finished run; what is missing or broken is an error that names the file."""
+    summary = read_summary(folder)
+    try:
+        manifest = read_manifest(folder)
+        starts_ns = [entry.start_ns for entry in manifest.agents]
+        agents = [_read_agent(folder, i, starts_ns) for i in range(len(starts_ns))]
+        timeline = _read_csv(folder / "timeline.csv")
+        return RunData(
+            folder=folder,
+            summary=summary,
+            timing=read_timing(folder),
+            manifest=manifest,
+            config=(folder / "config.yaml").read_text(encoding="utf-8"),
+            agents=agents,
+            matches=_read_csv(folder / "matches.csv"),
+            timeline={
+                name: np.array([_number(row[name]) for row in timeline]) for name in (timeline[0] if timeline else [])
+            },
+            traffic=_read_csv(folder / "traffic.csv"),
+            optimised_s=_optimised(folder / "events.jsonl"),
+        )
+    except (KeyError, ValueError) as error:
+        raise ToolError(f"{folder}: not a run this version can report on ({type(error).__name__}: {error})") from error
+
+
+def _read_agent(run: Path, index: int, starts_ns: list[int]) -> AgentData:
+    folder = run / f"agent_{index:02d}"
+    copies = {}
+    for path in sorted((folder / "maps").glob("agent_*.tum")):
+        owner, copy = int(path.stem.removeprefix("agent_")), read_tum(path)
+        copies[owner] = Trajectory(copy.stamps_ns - starts_ns[owner], copy.poses)
+    truth = folder / GROUNDTRUTH
+    return AgentData(
+        index=index,
+        name=folder.name,
+        start_ns=starts_ns[index],
+        estimate=read_tum(folder / TRAJECTORY),
+        truth=read_tum(truth) if truth.is_file() else None,
+        copies=copies,
+    )
+
+
+def _read_csv(path: Path) -> list[dict[str, str]]:
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _number(text: str) -> float:
+    return float(text) if text else float("nan")
+
+
+def _optimised(path: Path) -> list[float]:
+    """Moments at which an optimisation ended, seconds, each once."""
+    with open(path, encoding="utf-8") as file:
+        events = [json.loads(line) for line in file]
+    return sorted({float(event["time_s"]) for event in events if event["event"] == "optimised"})

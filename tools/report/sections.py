@@ -1,0 +1,259 @@
+"""What a report says, section by section."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from ..common.svg import INK, colour_of, dash_of, legend
+from .charts import (
+    OPERATION_COLOUR,
+    OPERATIONS,
+    TRUTH,
+    Path2D,
+    bars,
+    bytes_chart,
+    format_bytes,
+    lines_chart,
+    map_chart,
+    plane_of,
+    traffic_matrix,
+)
+from .html import Section, Tile, table
+from .match_images import sample_images
+from .run_data import AgentData, Array, RunData
+
+MAX_MATCH_ROWS = 400
+
+
+def headline(run: RunData) -> tuple[str, str]:
+    """Title and the line below it."""
+    s = run.summary
+    title = f"{s['agents']} agent{'' if s['agents'] == 1 else 's'} in {Path(run.manifest.source).name}"
+    settings = f"preset {s['preset']}, seed {s['seed']}, scale {run.manifest.scale}"
+    return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}"
+
+
+def tiles(run: RunData) -> list[Tile]:
+    """The key figures; green and red only where there was something to gain."""
+    s = run.summary
+    biggest = max((len(group) for group in run.groups), default=0)
+    shared = "good" if biggest == s["agents"] > 1 else ""
+    accepted, false = s["matches"]["accepted"], s["matches"]["false_accepted"]
+    known = "truth unknown" if false is None else f"{false} of them false"
+    judged = "" if false is None or not accepted else "bad" if false else "good"
+    explored = s["exploration_percent"]
+    total = s["traffic"]["total"]
+    return [
+        *_error_tiles(run),
+        Tile("agents in one frame", f"{biggest} of {s['agents']}", mood=shared),
+        Tile("accepted matches", str(accepted), known, judged),
+        Tile("explored, mean", f"{np.mean(explored):.0f} %", f"least {min(explored):.0f} %"),
+        Tile("on the air", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
+        Tile("time of the agents", f"{run.timing['wall_s']:.1f} s", f"{run.timing['realtime_factor']:.1f} x real time"),
+    ]
+
+
+def _error_tiles(run: RunData) -> list[Tile]:
+    after, before = run.summary["ate_rmse_m"]["mean_agents"], run.summary["odometry_mean_rmse_m"]
+    paths = [p for p in run.summary["path_length_m"] if p]
+    if after is None:
+        return [Tile("mean ATE", "unknown", "no ground truth")]
+    better = before is not None and after < before
+    share = f" ({100 * after / np.mean(paths):.2f} % of the path)" if paths else ""
+    alone = "" if before is None else f"odometry alone {before:.3f} m"
+    return [Tile(f"mean ATE{share}", f"{after:.3f} m", alone, "good" if better else "")]
+
+
+def sections(run: RunData) -> list[Section]:
+    """The whole report."""
+    return [
+        *_map(run),
+        _copies(run),
+        _errors(run),
+        _bytes(run),
+        _exploration(run),
+        _images(run),
+        _matches(run),
+        _pairs(run),
+        Section("Settings", "", f"<details><summary>config.yaml</summary><pre>{escape(run.config)}</pre></details>"),
+    ]
+
+
+def _axes(run: RunData) -> list[int]:
+    truths = [agent.truth.centres for agent in run.agents if agent.truth is not None]
+    return list(plane_of(np.concatenate([np.zeros((0, 3)), *(truths or run.in_world)])))
+
+
+def _agent_legend(run: RunData) -> str:
+    names = [(agent.name, colour_of(agent.index), dash_of(agent.index)) for agent in run.agents]
+    return legend([("ground truth", TRUTH, ""), *names] if run.has_truth else names)
+
+
+def _map(run: RunData) -> list[Section]:
+    """One chart with truth; without it, one for each frame, since nothing relates two frames."""
+    axes = _axes(run)
+    note = "Top view. Dark links join the two places of each accepted match."
+    if run.has_truth:
+        note += " One transform lays each group of agents that shares a frame on the ground truth."
+        charts = [_map_of(run, [agent.index for agent in run.agents], axes)]
+    else:
+        note += " There is no ground truth: each group of agents is drawn in its own frame."
+        charts = [_map_of(run, group, axes) for group in sorted(run.groups, key=lambda group: (-len(group), group))]
+    shared = len(run.groups) == 1
+    title = (
+        "Trajectory"
+        if len(run.agents) == 1
+        else "All agents in one frame"
+        if shared
+        else f"Agents in {len(run.groups)} frames that no match joins"
+    )
+    return [Section(title, note, _agent_legend(run) + "".join(charts))]
+
+
+def _map_of(run: RunData, members: list[int], axes: list[int]) -> str:
+    agents = [run.agents[i] for i in members]
+    paths = [Path2D(agent.name, run.in_world[agent.index][:, axes], agent.index) for agent in agents]
+    truths = [agent.truth.centres[:, axes] for agent in agents if agent.truth is not None]
+    ends = []
+    for row in run.accepted:
+        pair = [run.position_at(int(row[f"{end}_agent"]), int(row[f"{end}_stamp_ns"])) for end in ("query", "match")]
+        if int(row["query_agent"]) in members and pair[0] is not None and pair[1] is not None:
+            ends.append([pair[0][axes], pair[1][axes]])
+    return map_chart(paths, truths, np.array(ends).reshape(-1, 2, 2), (1060, 560))
+
+
+def _copies(run: RunData) -> Section:
+    """A small map for each holder: its own trajectory and the copies it bought."""
+    axes = _axes(run)
+    figures = []
+    for agent in run.agents:
+        paths, truths = _held(run, agent, axes)
+        error = run.summary["ate_rmse_m"]["maps"][agent.index]
+        measured = "" if error is None else f", ATE of all {error:.3f} m"
+        said = f"holds {len(agent.copies)} of {len(run.agents) - 1}{measured}"
+        chart = map_chart(paths, truths, np.zeros((0, 2, 2)), (300, 230), names=False)
+        head = f'<h3 style="color:{colour_of(agent.index)}">{escape(agent.name)}</h3>'
+        figures.append(f"<figure>{head}{chart}<figcaption>{escape(said)}</figcaption></figure>")
+    note = "What each agent knows in the end: its own key-frames and the maps it bought from others, in its own frame."
+    return Section("Map copies", note, f'<div class="copies">{"".join(figures)}</div>')
+
+
+def _held(run: RunData, agent: AgentData, axes: list[int]) -> tuple[list[Path2D], list[Array]]:
+    pieces = [(agent.index, agent.estimate), *sorted(agent.copies.items())]
+    T = run.alignment(pieces)
+    paths = [Path2D(run.agents[i].name, (T @ t.centres)[:, axes], i, faint=i != agent.index) for i, t in pieces]
+    truths = [t.centres[:, axes] for i, _ in pieces if (t := run.agents[i].truth) is not None]
+    return paths, truths
+
+
+def _errors(run: RunData) -> Section:
+    times = run.timeline.get("time_s", np.zeros(0))
+    own = {agent.name: run.timeline[f"ate_rmse_m_{agent.name}"] for agent in run.agents}
+    maps = {agent.name: run.timeline[f"map_rmse_m_{agent.name}"] for agent in run.agents}
+    if not run.has_truth or not len(times):
+        return Section("Error over time", "There is no ground truth to measure against.", "")
+    charts = [
+        f"<div><h3>{title}</h3>{lines_chart(times, series, label, run.optimised_s, mean=True)}</div>"
+        for title, series, label in (
+            ("Own trajectory so far", own, "ATE RMSE, m"),
+            ("Own map and all copies held", maps, "ATE RMSE, m"),
+        )
+    ]
+    note = "Position error after alignment, of what each agent had at that moment. Dotted lines: an optimisation ended."
+    mean = [("mean", INK, "")] if len(run.agents) > 1 else []
+    key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
+    return Section("Error over time", note, f'{key}<div class="columns">{"".join(charts)}</div>{_error_table(run)}')
+
+
+def _error_table(run: RunData) -> str:
+    s = run.summary
+    columns = [
+        s["path_length_m"],
+        s["odometry_rmse_m"],
+        s["ate_rmse_m"]["agents"],
+        s["ate_mean_m"]["agents"],
+        s["ate_rmse_m"]["maps"],
+        s["ate_rmse_m"]["connected"],
+    ]
+    head = ["agent", "path", "odometry ATE", "ATE", "ATE, mean error", "maps held", "in the shared frame"]
+    rows = [
+        [escape(a.name), *("–" if c[a.index] is None else f"{c[a.index]:.3f} m" for c in columns)] for a in run.agents
+    ]
+    return f'<div class="scroll">{table(head, rows)}</div>'
+
+
+def _bytes(run: RunData) -> Section:
+    times = run.timeline.get("time_s", np.zeros(0))
+    bands = {name: run.timeline[f"{name}_wire_bytes"] for name in OPERATIONS} if len(times) else {}
+    rows = []
+    for name in (*OPERATIONS, "total"):
+        one = run.summary["traffic"][name]
+        title = escape(OPERATIONS.get(name, name))
+        rows.append([title, f"{one['messages']:,}", f"{one['payload_bytes']:,}", f"{one['wire_bytes']:,}"])
+    key = legend([(title, OPERATION_COLOUR[name], "") for name, title in OPERATIONS.items()])
+    chart = bytes_chart(times, bands) if len(times) else ""
+    note = "Payload counts as published tables do; wire is the exact length of every encoded message."
+    parts = table(["operation", "messages", "payload bytes", "wire bytes"], rows, total=True)
+    return Section("Bytes by operation", note, f'<div class="columns"><div>{key}{chart}</div><div>{parts}</div></div>')
+
+
+def _exploration(run: RunData) -> Section:
+    explored = run.summary["exploration_percent"]
+    entries = [(a.name, explored[a.index], f"{explored[a.index]:.1f} %", colour_of(a.index)) for a in run.agents]
+    note = (
+        "Frames of an agent's own map and the copies it holds, over all frames of all agents, each frame counted once."
+    )
+    return Section("Exploration", note, bars(entries, 100.0))
+
+
+def _images(run: RunData) -> Section:
+    images, reason = sample_images(run)
+    figures = []
+    for one in images:
+        row = one.row
+        ends = [
+            f"agent_{int(row[f'{end}_agent']):02d} key-frame {row[f'{end}_keyframe']}" for end in ("query", "match")
+        ]
+        said = f"{ends[0]} at {ends[1]}: {row['inliers']} map points agree"
+        pair = f'<img src="{one.query}" alt="query image"><img src="{one.match}" alt="matched image">'
+        figures.append(f'<figure><div class="pair">{pair}</div><figcaption>{escape(said)}</figcaption></figure>')
+    note = reason or "Left the query, right the place it was recognised as."
+    return Section(
+        "Images of accepted matches", note, f'<div class="pairs">{"".join(figures)}</div>' if figures else ""
+    )
+
+
+def _matches(run: RunData) -> Section:
+    matches = run.summary["matches"]
+    counts = {"accepted": matches["accepted"], **matches["rejected"]}
+    most = max(counts.values(), default=0)
+    fates = bars([(n, c, str(c), "#009E73" if n == "accepted" else "#9aa7b3") for n, c in counts.items()], most)
+    head = ["time", "query", "match", "distance", "fate", "why", "matches", "inliers", "error"]
+    shown = sorted(run.matches, key=lambda row: (row["fate"] != "accepted", float(row["time_s"])))[:MAX_MATCH_ROWS]
+    listing = f'<div class="scroll">{table(head, [_match_cells(row) for row in shown], text_columns=3)}</div>'
+    hidden = len(run.matches) - len(shown)
+    more = f"{hidden} more rows stand in matches.csv." if hidden else ""
+    note = f"{matches['candidates']} pairs looked alike, {matches['verified']} passed the geometric check. {more}"
+    return Section("Matches and their fate", note, fates + listing)
+
+
+def _match_cells(row: dict[str, str]) -> list[str]:
+    false = row["false"] == "1"
+    fate = "false" if false else row["fate"]
+    said = "accepted, but false" if false else row["fate"]
+    ends = [f"agent_{int(row[f'{end}_agent']):02d} · {row[f'{end}_keyframe']}" for end in ("query", "match")]
+    error = f"{float(row['error_m']):.2f} m" if row["error_m"] else "–"
+    why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word and word != row["fate"]))
+    badge = f'<span class="fate {fate}">{escape(said)}</span>'
+    return [f"{float(row['time_s']):.1f} s", *ends, row["distance"], badge, why, row["matches"], row["inliers"], error]
+
+
+def _pairs(run: RunData) -> Section:
+    names = [agent.name for agent in run.agents]
+    note = "Wire bytes from the agent of the row to the agent of the column."
+    return Section(
+        "Who talked to whom", note, f'<div class="scroll">{traffic_matrix(names, run.traffic_matrix())}</div>'
+    )

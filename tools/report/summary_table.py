@@ -1,0 +1,130 @@
+"""``maslam eval``: the figures of a run (thesis Table 3.2) as a text table or as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from ..common.errors import ToolError
+from ..common.text_table import aligned
+
+SUMMARY = "summary.json"
+TIMING = "timing.json"
+OPERATIONS = {
+    "dvpr": "DVPR data exchange",
+    "relpose": "RelPose data exchange",
+    "dopt": "decentralised optimisation",
+    "mapmerge": "map-merge data exchange",
+    "negotiation": "negotiation",
+    "total": "total",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``RUN``."""
+    parser.add_argument("run", metavar="RUN", type=Path, help="folder that `maslam run` or `maslam slam` made")
+    parser.add_argument("--json", action="store_true", help="the figures as one JSON object")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Print the figures."""
+    print(json.dumps(read_summary(arguments.run), indent=2) if arguments.json else table_of(arguments.run))
+
+
+def table_of(run: Path) -> str:
+    """The figures of a finished run and what it took, for people."""
+    return table(read_summary(run), read_timing(run))
+
+
+def read_summary(run: Path) -> dict[str, Any]:
+    """``summary.json`` of a finished run."""
+    if not (run / SUMMARY).is_file():
+        raise ToolError(f"{run}: no {SUMMARY}: not the folder of a run, or the run did not finish")
+    return _object(run / SUMMARY)
+
+
+def read_timing(run: Path) -> dict[str, Any]:
+    """``wall_s`` and ``realtime_factor`` of a finished run: ``timing.json``; of a run of version 0.1 its summary."""
+    return _object(run / TIMING) if (run / TIMING).is_file() else read_summary(run)
+
+
+def _object(path: Path) -> dict[str, Any]:
+    """One JSON object."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ToolError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
+    if not isinstance(content, dict):
+        raise ToolError(f"{path}: expected one object")
+    return content
+
+
+def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
+    """The figures of Table 3.2 in columns for people."""
+    head = "preset {preset}, seed {seed}, {agents} agents, {keyframes} key-frames".format(**summary)
+    return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary), _time(timing)])
+
+
+def _errors(summary: dict[str, Any]) -> list[str]:
+    """A row an agent: RMSE and mean of its trajectory, of the maps it holds, in the frame it shares, and what it
+    knows.
+    """
+    rmse, mean, explored = summary["ate_rmse_m"], summary["ate_mean_m"], summary["exploration_percent"]
+    metres = [
+        summary["odometry_rmse_m"],
+        rmse["agents"],
+        mean["agents"],
+        rmse["maps"],
+        rmse["connected"],
+        summary["path_length_m"],
+    ]
+    rows = [["", "odometry", "ATE", "ATE mean", "maps held", "connected", "path", "explored"]]
+    for i in range(summary["agents"]):
+        rows.append([f"agent_{i:02d}", *(_metres(column[i]) for column in metres), _percent(explored[i])])
+    rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(explored))])
+    biggest = max(len(group) for group in summary["groups"])
+    shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
+    truth = [] if any(v is not None for v in rmse["agents"]) else ["no ground truth: errors cannot be known"]
+    return [*aligned(rows), *shared, *truth]
+
+
+def _traffic(summary: dict[str, Any]) -> list[str]:
+    traffic = summary["traffic"]
+    rows = [["", "messages", "payload bytes", "wire bytes"]]
+    for key, name in OPERATIONS.items():
+        one = traffic.get(key, {})
+        rows.append([name, *(f"{one.get(column, 0):,}" for column in ("messages", "payload_bytes", "wire_bytes"))])
+    return aligned(rows)
+
+
+def _matches(summary: dict[str, Any]) -> list[str]:
+    matches, solved = summary["matches"], summary["optimisations"]
+    false = matches.get("false_accepted")
+    rejected = ", ".join(f"{reason} {count}" for reason, count in sorted((matches.get("rejected") or {}).items()))
+    said = f"{matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
+    return [
+        f"matches        {said}" + ("" if false is None else f", {false} of them false"),
+        *([f"  rejected     {rejected}"] if rejected else []),
+        f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
+        f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
+    ]
+
+
+def _time(timing: dict[str, Any]) -> str:
+    return f"time           {timing['wall_s']:.1f} s, {timing['realtime_factor']:.2f} x real time"
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.3f} m"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f} %"

@@ -1,0 +1,214 @@
+"""The omniscient reference of a run: what one server with all images, all verified matches and a robust central solver
+reaches, and the bytes that takes. A policy is judged by its regret against it.
+
+The server gets every key-frame whole, compares it with all key-frames of all agents by exact vectors, verifies every
+candidate, keeps the matches that agree with each other, and solves one graph. It knows what the agents know together,
+not the truth; only its errors are measured against that.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.central.optimise import optimise
+from maslam.backend.config import CentralConfig
+from maslam.backend.geometry import Array
+from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_poses
+from maslam.frontend.files.trajectory import Trajectory
+from maslam.mas.config import MasConfig
+from maslam.mas.evaluation.ground_truth import Onlooker
+from maslam.mas.place_recognition.verification import verify, view_of
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import MatchId
+from maslam.mas.sequence import AgentSequence, Manifest, load_sequences
+from maslam.mas.simulation import make_agents
+from maslam.mas.state.agent_state import AgentState
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.state.place_match import Match
+from maslam.mas.state.pose_graph import match_edge, odometry_edges
+from maslam.mas.state.trajectories import frame_trajectory
+
+from ..common.digests import code_digest, sequences_digest
+from ..common.errors import ToolError
+
+FILE = "reference.json"
+# What a key-frame costs on its way to the server and back: a place vector of 256 float32, 12 + 32 bytes a map point as
+# the published tables count, its pose; and the solved pose back.
+_POSE_BYTES, _POINT_BYTES = 48, 44
+
+
+@dataclass(frozen=True)
+class Reference:
+    """``made_from``: fingerprint of sequences and code; ``ate_rmse_m``: of each agent's trajectory under its own
+    alignment, None without truth; ``groups``: agents that matches join; ``exploration_percent``: what each agent can
+    know at most, given these groups; ``bytes``: key-frames to the server and poses back."""
+
+    made_from: str
+    ate_rmse_m: list[float | None]
+    mean_ate_m: float | None
+    groups: list[list[int]]
+    exploration_percent: list[float]
+    keyframes: int
+    candidates: int
+    matches: int
+    false_matches: int | None
+    bytes: int
+
+
+def reference_of(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Reference:
+    """The reference of a SEQS folder, kept in it as ``reference.json`` and taken from there the next time."""
+    path = folder / FILE
+    made_from = f"{sequences_digest(folder)} {code_digest('mas', 'backend', 'tools/sweep/reference.py')}"
+    if path.is_file():
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if stored.get("made_from") == made_from:
+            return Reference(**stored)
+    made = replace(make_reference(*load_sequences(folder), preset("maslam"), progress), made_from=made_from)
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(json.dumps(asdict(made), indent=1) + "\n", encoding="utf-8")
+    os.replace(partial, path)
+    return made
+
+
+def make_reference(
+    manifest: Manifest,
+    sequences: Sequence[AgentSequence],
+    config: MasConfig,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Reference:
+    """Solve everything at one place. ``config``: of verification, consistency and the graph's weights."""
+    if manifest.scale != "metric":
+        raise ToolError("the omniscient reference needs metric sequences: one camera's agents have units of their own")
+    agents = make_agents(manifest, sequences, config)
+    states = [agent.state for agent in agents]
+    for state, sequence in zip(states, sequences, strict=True):
+        for keyframe in keyframes_of(sequence):
+            state.observe(keyframe)
+    pairs = list(_candidates(states, config))
+    for done, pair in enumerate(pairs, 1):
+        _verify(states, pair)
+        progress(done, len(pairs))
+    matches = sorted({m.id: m for state in states for m in state.accepted_matches()}.items())
+    accepted = [match for _, match in matches]
+    groups = _groups(len(states), [match.id for match in accepted])
+    graph = _solved(states, accepted)
+    onlooker = Onlooker(sequences)
+    errors = [onlooker.error_of(s.me, _trajectory(s, graph, q)) for s, q in zip(states, sequences, strict=True)]
+    rmse = [None if e is None else float(e.rmse_m) for e in errors]
+    known = [e for e in rmse if e is not None]
+    wrong = [onlooker.match_error(match, agents) for match in accepted]
+    return Reference(
+        made_from="",
+        ate_rmse_m=rmse,
+        mean_ate_m=float(np.mean(known)) if known else None,
+        groups=groups,
+        exploration_percent=_reachable(onlooker, groups),
+        keyframes=sum(len(s.keyframes) for s in states),
+        candidates=len(pairs),
+        matches=len(accepted),
+        false_matches=sum(e.false for e in wrong if e is not None) if any(e is not None for e in wrong) else None,
+        bytes=_bytes(states, config),
+    )
+
+
+def _candidates(states: Sequence[AgentState], config: MasConfig) -> Iterator[MatchId]:
+    """Each key-frame with the nearest one of every other agent and with its own nearest old one, where they are near
+    enough; a pair of agents is asked in one direction only."""
+    vectors = [np.array([k.vector for k in s.keyframes]) for s in states]
+    usable = [np.array([k.textured for k in s.keyframes]) for s in states]
+    for query, mine in enumerate(vectors):
+        for match in range(query + 1):
+            if not len(mine) or not len(vectors[match]):
+                continue
+            distances = np.sqrt(np.maximum(2.0 - 2.0 * mine @ vectors[match].T, 0.0))
+            distances[~usable[query]] = np.inf
+            distances[:, ~usable[match]] = np.inf
+            if query == match:
+                distances[_too_young(states[query], config)] = np.inf
+            nearest = distances.argmin(axis=1)
+            limit = states[query].profile.threshold
+            for row in np.flatnonzero(distances[np.arange(len(mine)), nearest] < limit):
+                yield MatchId(query, int(row), match, int(nearest[row]))
+
+
+def _too_young(state: AgentState, config: MasConfig) -> NDArray[np.bool_]:
+    """Pairs ``(n, n)`` of an agent's own key-frames that are no loop: the other one is not old enough."""
+    times = np.array([k.time_ns for k in state.keyframes])
+    tracks = np.array([k.track for k in state.keyframes])
+    numbers = np.arange(len(times))
+    old = times[:, None] - times[None, :] >= config.places.own_age_s * 1e9
+    if config.places.own_age_keyframes is not None:
+        old |= numbers[:, None] - numbers[None, :] >= config.places.own_age_keyframes
+    return np.asarray(~(old | (tracks[:, None] > tracks[None, :])))
+
+
+def _verify(states: Sequence[AgentState], pair: MatchId) -> None:
+    """Verify a candidate; both owners learn a match."""
+    asking, asked = states[pair.query_agent], states[pair.match_agent]
+    query, match = asking.keyframes[pair.query], asked.keyframes[pair.match]
+    verdict = verify(asked, pair, view_of(asking, query), match)
+    if not verdict.accepted or verdict.T_M_Q is None or verdict.information is None:
+        return
+    found = Match(
+        pair, query.track, match.track, verdict.T_M_Q, verdict.information, verdict.inliers, query.T_T_C, match.T_T_C,
+        asking.travelled[query.index], asked.travelled[match.index], match.depth,
+    )  # fmt: skip
+    asked.add_match(found)
+    if asking is not asked:
+        asking.add_match(found)
+
+
+def _solved(states: Sequence[AgentState], accepted: Sequence[Match]) -> dict[NodeId, Array]:
+    edges: list[Edge] = []
+    for state in states:
+        for piece in state.pieces:
+            edges += odometry_edges(state, piece.track)
+    edges += [match_edge(match, states[0].config.optimisation) for match in accepted]
+    start = {NodeId(s.me, k): s.poses[k] for s in states for k in range(len(s.keyframes)) if not accepted}
+    poses = spread_poses(start, edges)
+    for state in states:
+        for index, pose in enumerate(state.poses):
+            poses.setdefault(NodeId(state.me, index), pose)
+    # One that no other match agrees with is left out already; the loss is for what agrees by chance.
+    solved = optimise(PoseGraph(poses, tuple(edges)), CentralConfig(cost="E", loss="cauchy"))
+    return dict(solved.graph.poses)
+
+
+def _trajectory(state: AgentState, poses: dict[NodeId, Array], sequence: AgentSequence) -> Trajectory:
+    """Every frame of the agent's longest track after solving, as its own run would write it."""
+    state.poses = [poses[NodeId(state.me, index)] for index in range(len(state.keyframes))]
+    return frame_trajectory(state, sequence)
+
+
+def _groups(count: int, matches: Sequence[MatchId]) -> list[list[int]]:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = np.array([m.agents for m in matches], dtype=int).reshape(-1, 2)
+    joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    label = connected_components(joined, directed=False)[1]
+    return sorted([np.flatnonzero(label == k).tolist() for k in np.unique(label)])
+
+
+def _reachable(onlooker: Onlooker, groups: Sequence[Sequence[int]]) -> list[float]:
+    """Percent of all frames that the members of an agent's group have seen together."""
+    shares = dict.fromkeys(range(len(onlooker.sequences)), 0.0)
+    for group in groups:
+        shares.update(dict.fromkeys(group, onlooker.share_seen_by(group)))
+    return [shares[agent] for agent in sorted(shares)]
+
+
+def _bytes(states: Sequence[AgentState], config: MasConfig) -> int:
+    total = 0
+    for state in states:
+        for keyframe in state.keyframes:
+            points = min(len(keyframe.points_C), config.places.max_points)
+            total += 4 * len(keyframe.vector) + _POINT_BYTES * points + 2 * _POSE_BYTES
+    return total

@@ -1,0 +1,50 @@
+"""``maslam render``: synthetic images of several agents from the command line."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..common.errors import UsageError
+from ..common.options import DEST, add_model_options, build
+from ..common.progress import counter, progress_on
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``OUT`` and everything that can be set."""
+    from .dataset import RenderConfig
+
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, help="folder for the images; an interrupted rendering is gone on with"
+    )
+    parser.add_argument("--size", metavar="WxH", help="pixels, for --width and --height together")
+    parser.add_argument(
+        "--poses", type=Path, metavar="FILE", help="a KITTI pose file to drive; the same as --poses-file"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="threads (default: one a core)")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_model_options(parser, RenderConfig())
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from .dataset import RenderConfig, render_dataset
+
+    changes: dict[str, object] = {}
+    if arguments.size is not None:
+        changes["width"], changes["height"] = size(arguments.size)
+    if arguments.poses is not None:
+        setattr(arguments, f"{DEST}poses_file", str(arguments.poses))
+    config = build(RenderConfig(), arguments, changes)
+    with progress_on(quiet=arguments.quiet) as progress:
+        render_dataset(config, arguments.out, counter(progress, "images"), arguments.workers)
+    pictures = f"{config.rig} {config.width}x{config.height}"
+    print(f"{arguments.out}: {config.world}, {config.agents} agents, {pictures}, seed {config.seed}")
+
+
+def size(text: str) -> tuple[int, int]:
+    """Width and height in pixels of ``640x360``; ``UsageError`` for anything else."""
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise UsageError(f"--size {text}: width and height in pixels are meant, like 640x360")
+    return int(width), int(height)

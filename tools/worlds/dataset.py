@@ -1,0 +1,224 @@
+"""``maslam render``: synthetic images, depth and ground truth of several agents, in the layout of
+``docs/architecture.md``."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from maslam.frontend.cameras.models import PinholeCamera, RigKind
+from maslam.frontend.files.trajectory import write_kitti_poses
+
+from ..common.parallel import core_count, each_finished
+from .errors import RenderError
+from .rendering.light import Light
+from .rendering.renderer import Renderer, View
+from .rendering.sensor import DEPTH_UNIT_M, SensorConfig, depth_map, develop
+from .scenario import AgentPlan, Scenario, plan_scenario
+
+VERSION = 2
+"""Of the layout and the pictures: another version's pictures are not mixed with these."""
+Progress = Callable[[int, int], None]
+_WORTH_A_PROCESS = 30  # pictures: a further process takes some seconds to start
+
+
+class RenderConfig(BaseModel):
+    """What to render. The same configuration gives the same bytes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    world: Literal["town", "indoor"] = "town"
+    seed: int = Field(0, ge=0, description="of the world, the ways, the lights and the noise")
+    agents: int = Field(4, ge=1, le=100)
+    frames: int = Field(120, ge=1, description="of each agent; of all agents together with a pose file")
+    width: int = Field(640, ge=32, le=4096, description="pixels")
+    height: int = Field(360, ge=32, le=4096, description="pixels")
+    fov_deg: float = Field(84.0, gt=20, lt=140, description="horizontal field of view")
+    rig: RigKind = RigKind.STEREO
+    baseline_m: float | None = Field(None, gt=0, description="stereo; default 0.54 m in town, 0.12 m indoors")
+    rate_hz: float = Field(10.0, gt=0)
+    poses_file: Path | None = Field(
+        None, description="KITTI poses to drive instead of ways of our own; the world grows around them"
+    )
+    poses_step: int = Field(1, ge=1, description="take every so many poses of the file")
+    moving_cars: int = Field(0, ge=0, le=200, description="cars that drive through the town")
+    light_change: float = Field(1.0, ge=0, le=1, description="how far the light differs between the agents")
+    sensor: SensorConfig = SensorConfig()
+    cheap: bool = Field(False, description="fewer facades and a coarser ground: for tests")
+
+    def camera(self) -> PinholeCamera:
+        f = 0.5 * self.width / float(np.tan(np.deg2rad(self.fov_deg) / 2))
+        return PinholeCamera(self.width, self.height, f, f, (self.width - 1) / 2, (self.height - 1) / 2)
+
+    def baseline(self) -> float:
+        """Metres between the cameras of a stereo pair."""
+        return self.baseline_m if self.baseline_m is not None else (0.54 if self.world == "town" else 0.12)
+
+
+def render_dataset(
+    config: RenderConfig, out: Path, progress: Progress | None = None, workers: int | None = None
+) -> None:
+    """Write the pictures of ``config`` under ``out``; ``progress(done, total)`` counts pictures.
+
+    ``world.json`` is written last and marks the folder as complete: a folder that was finished with the same settings
+    is left as it is, one that was interrupted is gone on with. Raises RenderError where ``out`` holds anything else,
+    and where the way cannot be driven.
+    """
+    settings = {"version": VERSION, **config.model_dump(mode="json")}
+    if config.poses_file is not None:
+        settings["poses_file"] = config.poses_file.name
+    if _finished(out, settings):
+        return
+    scenario = plan_scenario(config)
+    camera = config.camera()
+    for k, plan in enumerate(scenario.agents):
+        _write_agent(out / f"agent_{k:02d}", plan, config, camera)
+    jobs = [
+        _Job(out / f"agent_{k:02d}", k, f, right)
+        for k, plan in enumerate(scenario.agents)
+        for f in range(len(plan.poses))
+        for right in ([False, True] if config.rig is RigKind.STEREO else [False])
+    ]
+    _render_all(jobs, scenario, config, camera, progress, workers)
+    described = {**settings, "lights": [plan.light.to_dict() for plan in scenario.agents]}
+    _write_text(out / "world.json", json.dumps(described, indent=2) + "\n")
+    (out / "unfinished.json").unlink()
+
+
+@dataclass(frozen=True)
+class _Job:
+    folder: Path
+    agent: int
+    frame: int
+    right: bool
+
+    def image(self) -> Path:
+        return self.folder / ("image_1" if self.right else "image_0") / f"{self.frame:06d}.png"
+
+    def depth(self) -> Path:
+        return self.folder / "depth_0" / f"{self.frame:06d}.png"
+
+
+def _finished(out: Path, settings: dict[str, object]) -> bool:
+    """Whether ``out`` is complete; otherwise it is marked as being worked on with these settings."""
+    done, begun = out / "world.json", out / "unfinished.json"
+    if done.exists():
+        found = json.loads(done.read_text(encoding="utf-8"))
+        found.pop("lights", None)
+        if found != settings:
+            changed = sorted(k for k in {*found, *settings} if found.get(k) != settings.get(k))
+            raise RenderError(
+                f"{out}: holds other settings ({', '.join(changed)}); delete it or choose another folder"
+            )
+        return True
+    if begun.exists():
+        if json.loads(begun.read_text(encoding="utf-8")) != settings:
+            raise RenderError(
+                f"{out}: holds an unfinished rendering with other settings; choose another folder or delete it"
+            )
+        return False
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RenderError(f"{out}: exists and is not a rendering; choose an empty or new folder")
+    out.mkdir(parents=True, exist_ok=True)
+    _write_text(begun, json.dumps(settings, indent=2) + "\n")
+    return False
+
+
+def _write_agent(folder: Path, plan: AgentPlan, config: RenderConfig, camera: PinholeCamera) -> None:
+    for name in {
+        RigKind.MONO: ["image_0"],
+        RigKind.STEREO: ["image_0", "image_1"],
+        RigKind.RGBD: ["image_0", "depth_0"],
+    }[config.rig]:
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    lines = [f"width: {camera.width}", f"height: {camera.height}"]
+    lines += [f"{name}: {getattr(camera, name)!r}" for name in ("fx", "fy", "cx", "cy")]
+    if config.rig is RigKind.STEREO:
+        lines.append(f"baseline_m: {config.baseline()!r}")
+    if config.rig is RigKind.RGBD:
+        lines.append(f"depth_unit_m: {DEPTH_UNIT_M!r}")
+    _write_text(folder / "camera.yaml", "\n".join([*lines, f"rate_hz: {config.rate_hz!r}"]) + "\n")
+    _write_text(folder / "times.txt", "".join(f"{k / config.rate_hz:.6f}\n" for k in range(len(plan.poses))))
+    write_kitti_poses(folder / "poses.txt", plan.poses)
+
+
+def _write_text(path: Path, text: str) -> None:
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def _render_all(
+    jobs: list[_Job],
+    scenario: Scenario,
+    config: RenderConfig,
+    camera: PinholeCamera,
+    progress: Progress | None,
+    workers: int | None,
+) -> None:
+    """All jobs whose files are missing. Processes, not threads: ray casting holds Python's lock."""
+    todo = [j for j in jobs if not j.image().exists() or (config.rig is RigKind.RGBD and not j.depth().exists())]
+    done = len(jobs) - len(todo)
+    if progress is not None:
+        progress(done, len(jobs))
+    if not todo:
+        return
+    if workers is None:
+        workers = max(1, min(core_count(), len(todo) // _WORTH_A_PROCESS))
+    for _ in each_finished(_Draughtsman(scenario, config, camera), todo, workers):
+        done += 1
+        if progress is not None:
+            progress(done, len(jobs))
+
+
+class _Draughtsman:
+    """Draws jobs; travels to a worker as settings and world, and prepares its renderer there once."""
+
+    def __init__(self, scenario: Scenario, config: RenderConfig, camera: PinholeCamera) -> None:
+        self.scenario, self.config, self.camera = scenario, config, camera
+        self.renderer: Renderer | None = None
+
+    def __call__(self, job: _Job) -> None:
+        if self.renderer is None:
+            self.renderer = Renderer(self.scenario.world)
+        _render_one(job, self.renderer, self.scenario, self.config, self.camera)
+
+
+def _render_one(job: _Job, renderer: Renderer, scenario: Scenario, config: RenderConfig, camera: PinholeCamera) -> None:
+    plan = scenario.agents[job.agent]
+    pose = plan.poses[job.frame]
+    if job.right:
+        pose = pose.copy()
+        pose[:3, 3] += config.baseline() * pose[:3, 0]
+    view: View = renderer.render(pose, camera, plan.light, scenario.moving(job.frame))
+    rng = np.random.default_rng([config.seed, 7, job.agent, job.frame, int(job.right)])
+    exposure = exposure_of(plan.light, plan.exposures[job.frame])
+    image = develop(view.radiance, config.sensor, exposure, rng)
+    _write_png(job.image(), image[:, :, ::-1])
+    if config.rig is RigKind.RGBD:
+        _write_png(job.depth(), depth_map(view.depth_m, config.sensor, rng))
+
+
+def exposure_of(light: Light, drift: float) -> float:
+    """What an exposure meter would choose in this light, times the agent's own bias and the drift of this frame."""
+    return light.metered() * light.exposure * drift
+
+
+def _write_png(path: Path, image: NDArray) -> None:
+    import cv2
+
+    # Noise repeats nothing: entropy coding of differences along the row is as small as a search, at half its cost.
+    how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+    how += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
+    part = path.with_name(path.stem + ".part.png")
+    if not cv2.imwrite(str(part), image, how):
+        raise RenderError(f"{path}: cannot be written")
+    os.replace(part, path)
