@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .card import Calibration, ModelCard, read_card
 from .errors import DescriptorError
-from .session import CPU, Session
+from .session import CPU, ModelSession
 from .texture import has_texture
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ MAX_SIDE_RATIO = 8.0
 class NetVlad:
     """A loaded model. ``describe`` gives the same bytes for the same image, alone or among others, on every call."""
 
-    def __init__(self, session: Session, card: ModelCard, batch: int = 1) -> None:
+    def __init__(self, session: ModelSession, card: ModelCard, batch: int = 1) -> None:
         self._session, self._card, self._batch = session, card, batch
 
     @classmethod
@@ -44,7 +44,7 @@ class NetVlad:
             if count < 1:
                 raise DescriptorError(f"a descriptor needs at least 1 {name}, got {count}")
         path, card = read_card(model)
-        return cls(Session.open(path, card, threads, provider), card, batch)
+        return cls(ModelSession.open(path, card, threads, provider), card, batch)
 
     @property
     def name(self) -> str:

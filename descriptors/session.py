@@ -35,7 +35,7 @@ def find_provider(wanted: str) -> str:
     raise DescriptorError(f"onnxruntime has no provider '{wanted}' here, only: {names}")
 
 
-class Session:
+class ModelSession:
     """One opened graph. ``run`` may be called from several threads at a time."""
 
     def __init__(self, session: Any, path: Path, card: ModelCard) -> None:
@@ -45,7 +45,7 @@ class Session:
         self._output = session.get_outputs()[0].name
 
     @classmethod
-    def open(cls, path: Path, card: ModelCard, threads: int, provider: str) -> Session:
+    def open(cls, path: Path, card: ModelCard, threads: int, provider: str) -> ModelSession:
         """``threads``: that share one image's work on a CPU. ``DescriptorError`` where the graph cannot be loaded, or
         is not what ``card`` says."""
         import onnxruntime

@@ -19,20 +19,20 @@ from .files.vo_files import VoTrack
 from .frames import Frame
 from .mapping.map import Map
 from .mapping.range_sensor import Ranging
-from .stopwatch import Stage, Stopwatch
+from .stopwatch import Stopwatch, TimedStage
 from .tracking.export import export_track
 from .tracking.initialisation import make_starter
 from .tracking.keyframe_policy import wants_keyframe
 from .tracking.pose_log import LostInterval, MomentLog
 from .tracking.relocalisation import Relocaliser
 from .tracking.track import Segment
-from .tracking.tracker import Tracked
+from .tracking.tracker import TrackedFrame
 from .vocabulary.lookup import WordLookup
 
 log = logging.getLogger(__name__)
 
 
-class State(StrEnum):
+class TrackingState(StrEnum):
     STARTING = "starting"
     TRACKING = "tracking"
     LOST = "lost"
@@ -47,7 +47,7 @@ class FrameResult:
 
     stamp_ns: int
     T_W_C: NDArray[np.float64] | None
-    state: State
+    state: TrackingState
     is_keyframe: bool
     reason: str = ""
     problem: str = ""
@@ -97,7 +97,7 @@ class Odometry:
             # The first map: from one view with depth, from two without.
             return self._note(self._start(frame))
         # Follow the points into this frame; the pose that explains them best.
-        with self.stopwatch.stage(Stage.TRACK):
+        with self.stopwatch.stage(TimedStage.TRACK):
             tracked = segment.tracker.track(frame, segment.map)
         found_again = tracked.T_C_W is None
         if found_again:
@@ -115,7 +115,7 @@ class Odometry:
             segment.insert_keyframe(frame)
         T_W_C = se3_inverse(segment.tracker.T_C_W)
         stays = is_keyframe and segment.latest is not None and segment.latest.stays
-        result = FrameResult(frame.stamp_ns, T_W_C, State.TRACKING, is_keyframe, problem=frame.problem, stays=stays)
+        result = FrameResult(frame.stamp_ns, T_W_C, TrackingState.TRACKING, is_keyframe, problem=frame.problem, stays=stays)
         return self._note(result)
 
     @property
@@ -130,7 +130,7 @@ class Odometry:
             segment.close()
         kept = [s for s in segments if len(s.map.keyframes) >= self.config.min_track_keyframes]
         trajectories = [s.trajectory() for s in kept]
-        with self.stopwatch.stage(Stage.EXPORT):
+        with self.stopwatch.stage(TimedStage.EXPORT):
             tracks = [export_track(s, self.vocabulary) for s in kept]
         return OdometryResult(
             tracks=tracks,
@@ -143,18 +143,18 @@ class Odometry:
     def _start(self, frame: Frame) -> FrameResult:
         """Offer the frame to a new map; where that begins, the one before, if any, is finished."""
         frame.prepare()
-        with self.stopwatch.stage(Stage.START):
+        with self.stopwatch.stage(TimedStage.START):
             start = self._starter.offer(frame)
         if start.segment is None:
-            return FrameResult(frame.stamp_ns, None, State.STARTING, False, start.reason, frame.problem)
+            return FrameResult(frame.stamp_ns, None, TrackingState.STARTING, False, start.reason, frame.problem)
         if self._segment is not None:
             self._finished.append(self._segment)
         self._segment, self._lost_frames = start.segment, 0
         log.info("track %d starts at frame %d", len(self._finished), frame.index)
         T_W_C = se3_inverse(start.segment.tracker.T_C_W)
-        return FrameResult(frame.stamp_ns, T_W_C, State.TRACKING, True, stays=True, first=start.first)
+        return FrameResult(frame.stamp_ns, T_W_C, TrackingState.TRACKING, True, stays=True, first=start.first)
 
-    def _search(self, frame: Frame, segment: Segment, reason: str) -> tuple[Segment, Tracked]:
+    def _search(self, frame: Frame, segment: Segment, reason: str) -> tuple[Segment, TrackedFrame]:
         """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""
         if not self._lost_frames:
             log.warning("tracking lost at frame %d: %s", frame.index, reason)
@@ -166,7 +166,7 @@ class Odometry:
                 self._relocaliser = Relocaliser(segment, self.ranging, self.config, self.vocabulary)
             self._relocaliser.searches = 0
         assert self._relocaliser is not None
-        with self.stopwatch.stage(Stage.RELOCALISE):
+        with self.stopwatch.stage(TimedStage.RELOCALISE):
             found = self._relocaliser.search(frame)
         if found.T_C_W is not None:
             self._relocalised += 1
@@ -183,16 +183,16 @@ class Odometry:
             if started.T_W_C is not None:
                 return started
             reason = f"{reason}; no new track yet: {started.reason}"
-        return FrameResult(frame.stamp_ns, None, State.LOST, False, reason, frame.problem)
+        return FrameResult(frame.stamp_ns, None, TrackingState.LOST, False, reason, frame.problem)
 
     def _note(self, result: FrameResult) -> FrameResult:
         self._moments.note(result.stamp_ns, result.reason)
         return result
 
-    def _state(self) -> State:
+    def _state(self) -> TrackingState:
         if self._segment is None:
-            return State.STARTING
-        return State.LOST if self._lost_frames else State.TRACKING
+            return TrackingState.STARTING
+        return TrackingState.LOST if self._lost_frames else TrackingState.TRACKING
 
     def _unfit(self, frame: Frame) -> str:
         """Why a frame cannot be used at all, or nothing."""

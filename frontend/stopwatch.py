@@ -8,7 +8,7 @@ from enum import StrEnum
 from threading import Lock
 
 
-class Stage(StrEnum):
+class TimedStage(StrEnum):
     """What the front end does with an image, in order; every moment belongs to one stage."""
 
     DECODE = "decode"
@@ -38,18 +38,18 @@ class Stopwatch:
     work overlaps, report theirs with :meth:`add`. A start and a stop cost about two microseconds."""
 
     def __init__(self) -> None:
-        self._times: dict[Stage, list[float]] = {}
+        self._times: dict[TimedStage, list[float]] = {}
         self.running: _Running | None = None
         self._lock = Lock()
 
     @property
-    def times(self) -> dict[Stage, StageTime]:
-        """What was measured so far, in the order of :class:`Stage`; stages that never ran are left out."""
+    def times(self) -> dict[TimedStage, StageTime]:
+        """What was measured so far, in the order of :class:`TimedStage`; stages that never ran are left out."""
         with self._lock:
             found = {stage: StageTime(cpu, wall, int(n)) for stage, (cpu, wall, n) in self._times.items()}
-        return {stage: found[stage] for stage in Stage if stage in found}
+        return {stage: found[stage] for stage in TimedStage if stage in found}
 
-    def add(self, stage: Stage, cpu_s: float, wall_s: float) -> None:
+    def add(self, stage: TimedStage, cpu_s: float, wall_s: float) -> None:
         """One more run of ``stage``, measured elsewhere."""
         with self._lock:
             entry = self._times.setdefault(stage, [0.0, 0.0, 0.0])
@@ -57,7 +57,7 @@ class Stopwatch:
             entry[1] += wall_s
             entry[2] += 1.0
 
-    def stage(self, stage: Stage) -> _Running:
+    def stage(self, stage: TimedStage) -> _Running:
         """``with`` this: time what happens inside; processor time is that of the calling thread."""
         return _Running(self, stage)
 
@@ -67,7 +67,7 @@ class _Running:
 
     __slots__ = ("_cpu", "_inner_cpu", "_inner_wall", "_outer", "_stage", "_wall", "_watch")
 
-    def __init__(self, watch: Stopwatch, stage: Stage) -> None:
+    def __init__(self, watch: Stopwatch, stage: TimedStage) -> None:
         self._watch, self._stage = watch, stage
         self._inner_cpu = self._inner_wall = self._cpu = self._wall = 0.0
         self._outer: _Running | None = None

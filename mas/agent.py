@@ -9,20 +9,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .config import MasConfig
-from .contracts.call_queue import Pool
-from .contracts.context import Desk, Event, Trade, WorkError
+from .contracts.call_queue import CallQueue
+from .contracts.context import AgentContext, Event, Operation, WorkError
 from .contracts.contract import Contract, LateMessage, ProtocolError, Repeated
 from .contracts.ledger import Ledger
-from .contracts.reputation import Regard
-from .map_exchange.final_round import FinalPurchases
-from .map_exchange.operation import MapTrade
+from .contracts.reputation import Trust
+from .map_exchange.final_round import FinalRound
+from .map_exchange.operation import MapExchange
 from .optimisation.operation import Optimisation
-from .optimisation.pending_matches import News
-from .place_recognition.candidates import PlaceBook
+from .optimisation.pending_matches import PendingMatches
+from .place_recognition.candidates import Candidates
 from .place_recognition.operation import PlaceRecognition
 from .place_recognition.verification import Verification, tell_group
 from .policies.base import Outlook, Policy
-from .protocol.ids import ContractId, MatchId, Operation
+from .protocol.ids import ContractId, MatchId, OperationKind
 from .protocol.messages import (
     Award,
     Begin,
@@ -58,23 +58,23 @@ class Agent:
     def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
         self.state = AgentState(profile, config)
         self.policy = policy
-        self.desk = Desk(self.state, Ledger(profile.me))
-        self.book = PlaceBook(self.state)
+        self.desk = AgentContext(self.state, Ledger(profile.me))
+        self.book = Candidates(self.state)
         verification = Verification(self.desk, self.book)
         self.places = PlaceRecognition(self.desk, self.book, verification)
         self.optimisation = Optimisation(self.desk, lambda: policy.peer_to_peer(self.state, self.outlook()))
-        self.maps = MapTrade(self.desk)
+        self.maps = MapExchange(self.desk)
         self.refused: list[Refused] = []
-        self._trades: dict[Operation, Trade] = {
-            Operation.DVPR: self.places,
-            Operation.RELPOSE: verification,
-            Operation.DOPT: self.optimisation,
-            Operation.MAPMERGE: self.maps,
+        self._trades: dict[OperationKind, Operation] = {
+            OperationKind.DVPR: self.places,
+            OperationKind.RELPOSE: verification,
+            OperationKind.DOPT: self.optimisation,
+            OperationKind.MAPMERGE: self.maps,
         }
-        self.pool = Pool(self.desk, self._trades)
+        self.pool = CallQueue(self.desk, self._trades)
         self._new: list[KeyFrame] = []
-        self.news = News(self.state)
-        self.final = FinalPurchases(self.desk, self.maps)
+        self.news = PendingMatches(self.state)
+        self.final = FinalRound(self.desk, self.maps)
 
     # -- what comes in ------------------------------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class Agent:
             return
         sellers = self.policy.buy(self.state, outlook)
         if self.desk.closing:
-            sellers = [] if self.desk.calling(Operation.MAPMERGE) else self.final.choose(sellers)
+            sellers = [] if self.desk.calling(OperationKind.MAPMERGE) else self.final.choose(sellers)
         if sellers:
             self.maps.buy(sellers)
 
@@ -246,7 +246,7 @@ class Agent:
         elif isinstance(body, Result):
             trade.on_result(contract, body.outcome)
 
-    def _work(self, trade: Trade, contract: Contract, award: Award) -> None:
+    def _work(self, trade: Operation, contract: Contract, award: Award) -> None:
         try:
             trade.work(contract, award.task)
         except (WorkError, ValueError) as error:
@@ -284,4 +284,4 @@ class Agent:
                 "standing", of=other, regard=str(record.regard), reliability=round(record.reliability, 4),
                 honesty=round(record.honesty, 4), silent=record.unheard,
             )  # fmt: skip
-            self.state.distrust(other, record.regard is Regard.UNTRUSTED)
+            self.state.distrust(other, record.regard is Trust.UNTRUSTED)

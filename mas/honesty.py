@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .contracts.context import Desk
+from .contracts.context import AgentContext
 from .protocol.ids import MatchId
 from .state.agent_state import AgentState
 
@@ -29,7 +29,7 @@ def judged(state: AgentState, other: int) -> tuple[int, int]:
     return borne_out, contradicted
 
 
-def hold_against(desk: Desk, contradicted: frozenset[MatchId]) -> None:
+def hold_against(desk: AgentContext, contradicted: frozenset[MatchId]) -> None:
     """What a whole group's matches contradict is held against who reported it to me, as long as that is so; where it
     may be one of several it is left out and held against nobody."""
     state = desk.state

@@ -15,7 +15,7 @@ from maslam.descriptors.errors import DescriptorError
 from .agent import Agent
 from .config import AUTO_CODE, MasConfig
 from .errors import MasError
-from .evaluation.ground_truth import Onlooker, groups_of
+from .evaluation.ground_truth import GroundTruthEvaluator, groups_of
 from .evaluation.summarise import summarise
 from .evaluation.summary import Summary, Timing
 from .output.run_folder import Recorder, match_errors
@@ -34,7 +34,7 @@ _CLOSING_STEPS = 20
 # Where optimisations take time: as many of their deadlines more.
 _CLOSING_OPTIMISATIONS = 6
 
-Progress = Callable[[int, int], None]
+RunProgress = Callable[[int, int], None]
 
 
 class Environment:
@@ -134,7 +134,7 @@ def run(
     sequences: Sequence[AgentSequence],
     config: MasConfig,
     out: Path,
-    progress: Progress | None = None,
+    progress: RunProgress | None = None,
 ) -> Summary:
     """Run the multi-agent system on agent sequences and write the RUN folder ``out``, whole or not at all.
 
@@ -147,7 +147,7 @@ def run(
     started = time.perf_counter()
     keyframes = [keyframes_of(sequence) for sequence in sequences]
     agents = make_agents(manifest, sequences, config)
-    onlooker = Onlooker(sequences)
+    onlooker = GroundTruthEvaluator(sequences)
     with Recorder(out) as recorder:
         transport = make_transport(config, recorder.sent)
         environment = Environment(agents, keyframes, transport, config)
@@ -217,7 +217,7 @@ def coder_of(manifest: Manifest, code: str) -> Coder:
         raise MasError(f"{error}, or choose another code (places.code)") from error
 
 
-def _play(environment: Environment, onlooker: Onlooker, recorder: Recorder, progress: Progress | None) -> int:
+def _play(environment: Environment, onlooker: GroundTruthEvaluator, recorder: Recorder, progress: RunProgress | None) -> int:
     """Step until all agents are done; returns how many steps that took."""
     total = environment.steps
     config = environment.config
@@ -234,7 +234,7 @@ def _play(environment: Environment, onlooker: Onlooker, recorder: Recorder, prog
     return limit
 
 
-def timeline_row(number: int, environment: Environment, onlooker: Onlooker) -> list[object]:
+def timeline_row(number: int, environment: Environment, onlooker: GroundTruthEvaluator) -> list[object]:
     """What ``timeline.csv`` says about a step; errors are empty without truth."""
     agents = environment.agents
     own = [onlooker.keyframe_error(a) for a in agents]

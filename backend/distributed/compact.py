@@ -16,7 +16,7 @@ _WEIGHTS = struct.Struct("<ff")
 _START = struct.Struct("<6f")
 
 
-class Writer:
+class CompactWriter:
     """Appends to a message."""
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Writer:
             self.signed(int(value))
 
 
-class Reader:
+class CompactReader:
     """Takes the same from a message; one that ends too early raises :class:`BackendError`."""
 
     def __init__(self, data: bytes) -> None:

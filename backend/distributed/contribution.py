@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..geometry import Array, se3_inverse
 from ..pose_graph.graph import NodeId
-from .compact import Reader, Writer, from_steps, numbers_of, poses_of, step_sizes, to_steps
+from .compact import CompactReader, CompactWriter, from_steps, numbers_of, poses_of, step_sizes, to_steps
 from .condense import Condensed, OwnGraph, weights_of
 from .share import Share
 
@@ -67,7 +67,7 @@ def contribution(share: Share, own: OwnGraph, leader: int | None, longest: int, 
 
 def encode(c: Contribution) -> bytes:
     """Node indices as differences, each pair of weights once, poses in steps of ``1 / fineness`` deviations."""
-    out, fineness = Writer(), c.fineness
+    out, fineness = CompactWriter(), c.fineness
     out.rough(fineness)
     out.count(len(c.graph.nodes))
     before = 0
@@ -110,7 +110,7 @@ def encode(c: Contribution) -> bytes:
 
 def decode(data: bytes, robot: int) -> Contribution:
     """Inverse of :func:`encode`, measurements and weights as they were rounded."""
-    source = Reader(data)
+    source = CompactReader(data)
     fineness = source.rough()
     # Each of six numbers is off by half a step at most.
     off = 0.5 * 6.0**0.5 / fineness
@@ -170,7 +170,7 @@ def encode_solution(
 
     ``graph`` as it arrived, so that the member can say the same.
     """
-    out, fineness = Writer(), float(np.float32(fineness))
+    out, fineness = CompactWriter(), float(np.float32(fineness))
     out.rough(fineness)
     out.count(0 if reached.all() else 1 + int(reached.sum()))
     if not reached.all():
@@ -190,7 +190,7 @@ def encode_solution(
 
 def decode_solution(data: bytes, graph: Condensed) -> dict[NodeId, Array]:
     """Inverse of :func:`encode_solution`: poses of the nodes that were reached."""
-    source = Reader(data)
+    source = CompactReader(data)
     fineness = source.rough()
     reached = np.ones(len(graph.nodes), dtype=bool)
     some = source.count()

@@ -16,11 +16,11 @@ from ..errors import BackendError
 from ..geometry import Array, se3, so3_exp
 from ..robust.schedule import settled
 from .descent import BlockDescent, stepped
-from .messages import Decision, Deltas, Round, Stage, Values, number_type
+from .messages import Decision, Deltas, Round, SolverStage, Values, number_type
 from .mixing import Mixer, MixingRule
 from .rounds import Separators
 from .selection import Selection
-from .share import Outcome, Share
+from .share import Share, SolverOutcome
 from .staged import StagedNode
 
 # F counts squared standard deviations: a smaller fall matters to nobody.
@@ -55,11 +55,11 @@ class DescentNode(StagedNode):
         self._descent = BlockDescent(self._problem, self._warm, trusted, bound)
         self._mixer = Mixer(self._config.mixed_sweeps, self._descent.metric())
         if self._warm:
-            self._descent.round_to_numbers(number_type(Stage.START))
-        return Round(Stage.DESCENT, 1 if self._warm and self._selection is not None else 0)
+            self._descent.round_to_numbers(number_type(SolverStage.START))
+        return Round(SolverStage.DESCENT, 1 if self._warm and self._selection is not None else 0)
 
     def _enter(self) -> None:
-        if self._round.stage is not Stage.DESCENT:
+        if self._round.stage is not SolverStage.DESCENT:
             super()._enter()
             return
         self._costs.clear()
@@ -69,7 +69,7 @@ class DescentNode(StagedNode):
 
     @property
     def _judging(self) -> bool:
-        return self._round.stage is Stage.DESCENT and self._round.step > 0 and self._round.sweep == 0
+        return self._round.stage is SolverStage.DESCENT and self._round.step > 0 and self._round.sweep == 0
 
     @property
     def _placing(self) -> bool:
@@ -77,7 +77,7 @@ class DescentNode(StagedNode):
         return self._selection is not None and self._round.step == 0
 
     def _waits_for_lower(self) -> bool:
-        return self._round.stage is Stage.SCALE or (self._round.stage is Stage.DESCENT and not self._judging)
+        return self._round.stage is SolverStage.SCALE or (self._round.stage is SolverStage.DESCENT and not self._judging)
 
     def _receivers(self) -> list[int]:
         return [] if self._judging else super()._receivers()
@@ -88,7 +88,7 @@ class DescentNode(StagedNode):
     # -- one sweep ---------------------------------------------------------------------------------------------------
 
     def _work(self) -> float:
-        if self._round.stage is not Stage.DESCENT:
+        if self._round.stage is not SolverStage.DESCENT:
             return super()._work()
         if self._judging:
             return self._judge()
@@ -99,7 +99,7 @@ class DescentNode(StagedNode):
         me, at = self.share.robot, self._round
         if new or not self._told:
             self._told = bool(descent.placed[: self._problem.own_count].any())
-            self._message = Values(me, me, at, descent.round_to_numbers(number_type(Stage.DESCENT)))
+            self._message = Values(me, me, at, descent.round_to_numbers(number_type(SolverStage.DESCENT)))
         elif self._placing or not self._told:
             self._message = Values(me, me, at, np.zeros((0, 6)))
         else:
@@ -114,7 +114,7 @@ class DescentNode(StagedNode):
 
     def _say(self, neighbour: int) -> Separators:
         message = self._message
-        if self._round.stage is not Stage.DESCENT or message is None:
+        if self._round.stage is not SolverStage.DESCENT or message is None:
             return super()._say(neighbour)
         rows = np.searchsorted(self._descent.shared, self._problem.sent_rows[neighbour])
         if isinstance(message, Deltas):
@@ -123,7 +123,7 @@ class DescentNode(StagedNode):
         return replace(message, receiver=neighbour, values=message.values[rows] if known else np.zeros((0, 6)))
 
     def _hear(self, neighbour: int, message: Separators) -> None:
-        if self._round.stage is not Stage.DESCENT:
+        if self._round.stage is not SolverStage.DESCENT:
             super()._hear(neighbour, message)
             return
         rows = np.array(self._problem.heard_rows[neighbour], dtype=np.intp)
@@ -136,7 +136,7 @@ class DescentNode(StagedNode):
             self._descent.placed[rows[known]] = True
 
     def _found(self) -> tuple[float, tuple[float, ...]]:
-        if self._round.stage is not Stage.DESCENT:
+        if self._round.stage is not SolverStage.DESCENT:
             return super()._found()
         if self._judging:
             return 0.0, ()
@@ -148,7 +148,7 @@ class DescentNode(StagedNode):
     # -- what follows ------------------------------------------------------------------------------------------------
 
     def _decide(self, change: float, cost: float, numbers: tuple[float, ...]) -> Decision:
-        if self._round.stage is not Stage.DESCENT:
+        if self._round.stage is not SolverStage.DESCENT:
             return super()._decide(change, cost, numbers)
         if self._judging:
             return self._decision(True, change)
@@ -169,7 +169,7 @@ class DescentNode(StagedNode):
         return len(costs) < limit and fall > self._config.cost_tolerance * min(costs) + _NOTHING
 
     def _stay(self, decision: Decision) -> None:
-        if self._round.stage is not Stage.DESCENT:
+        if self._round.stage is not SolverStage.DESCENT:
             return
         if self._judging:
             self._take_weights(decision.cost)
@@ -198,7 +198,7 @@ class DescentNode(StagedNode):
         self._descent.edge_weights = self._selection.weights
 
     def _take_cost(self, cost: float) -> None:
-        self._sweeps[Stage.POSE] += 1
+        self._sweeps[SolverStage.POSE] += 1
         if np.isinf(cost):
             self._costs.clear()
             return
@@ -207,22 +207,22 @@ class DescentNode(StagedNode):
             self._best = (cost, self._problem.poses.copy())
 
     def _leave(self, decision: Decision) -> None:
-        if self._round.stage is not Stage.DESCENT:
+        if self._round.stage is not SolverStage.DESCENT:
             super()._leave(decision)
             return
         self._take_cost(decision.cost)
         if self._best is not None:
             self._problem.poses[:] = self._best[1]
         if not self._final:
-            self._round = Round(Stage.DESCENT, self._round.step + 1)
+            self._round = Round(SolverStage.DESCENT, self._round.step + 1)
             return
         # What found no place stays where it was, at its neighbours' side too.
         lost = ~self._descent.placed
         self._problem.poses[lost] = self._elsewhere[lost]
         self._reached = self._descent.placed
-        self._round = Round(Stage.COST)
+        self._round = Round(SolverStage.COST)
 
-    def _finish(self, cost_after: float) -> Outcome:
+    def _finish(self, cost_after: float) -> SolverOutcome:
         if not np.isfinite(cost_after):
             raise BackendError("the cost after block descent is not finite")
         outcome = super()._finish(cost_after)

@@ -23,7 +23,7 @@ from .condense import Condensed, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
 from .gathered import Gathered, cost_between, solve
-from .share import Outcome, Share
+from .share import Share, SolverOutcome
 
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
@@ -42,7 +42,7 @@ class ElectedNode:
         if share.arbitrary_scale:
             raise BackendError(f"robots {sorted(share.arbitrary_scale)} have units of their own: not with an election")
         self.share = share
-        self.outcome: Outcome | None = None
+        self.outcome: SolverOutcome | None = None
         self._config = config
         self._own = OwnGraph(share)
         self._fineness = config.elected_fineness / self._own.noise()
@@ -248,7 +248,7 @@ class ElectedNode:
         elif not mine:
             reason = "left out: others heard nothing from this robot"
         poses = self._poses if mine and self._poses is not None else own.poses
-        self.outcome = Outcome(
+        self.outcome = SolverOutcome(
             robot=self.share.robot,
             accepted=mine,
             reason=reason,

@@ -13,16 +13,16 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, PoseGraph
 from .elected_messages import ElectedMessage
-from .messages import Decision, Deltas, Message, Stage, State, Values, decode, encode
+from .messages import Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values, decode, encode
 from .methods import node_for
-from .share import JudgedEdge, Outcome, Share, shares
+from .share import JudgedEdge, Share, SolverOutcome, shares
 
 # Ticks of a group that works without rounds, for each version a robot may make, before it counts as stuck.
 _MOST_TICKS = 20
 
 
 @dataclass(frozen=True)
-class Traffic:
+class GroupTraffic:
     """``payload_bytes``: rotations and poses of separators as they were sent: 8 bytes a number in the two-stage sweeps
     (as published tables count, which leave the exchange of starting poses out); all separators that block descent
     sends, of which most numbers take one byte; all that an elected robot gathers and sends back. ``wire_bytes``: all.
@@ -41,8 +41,8 @@ class GroupResult:
     """What a group of nodes ended with."""
 
     graph: PoseGraph
-    outcomes: Mapping[int, Outcome]
-    traffic: Traffic
+    outcomes: Mapping[int, SolverOutcome]
+    traffic: GroupTraffic
 
     @property
     def judged(self) -> tuple[JudgedEdge | None, ...]:
@@ -84,18 +84,18 @@ class _Post:
         data = self.queue.popleft()
         return ElectedMessage.decode(data) if self._elected else decode(data)
 
-    def _count(self, message: Message) -> None:
+    def _count(self, message: NodeMessage) -> None:
         stage = message.round.stage
-        if isinstance(message, Values | Deltas | State):
-            if self._descends or stage in (Stage.ROTATION, Stage.POSE):
+        if isinstance(message, Values | Deltas | SeparatorState):
+            if self._descends or stage in (SolverStage.ROTATION, SolverStage.POSE):
                 self._payload += message.payload_bytes
         elif isinstance(message, Decision) and (
-            stage in (Stage.START, Stage.COST) or (stage is Stage.DESCENT and message.round.step == 0)
+            stage in (SolverStage.START, SolverStage.COST) or (stage is SolverStage.DESCENT and message.round.step == 0)
         ):
             self._note(message.cost)
 
-    def traffic(self) -> Traffic:
-        return Traffic(self._messages, self._payload, self._wire, tuple(self._trace))
+    def traffic(self) -> GroupTraffic:
+        return GroupTraffic(self._messages, self._payload, self._wire, tuple(self._trace))
 
     def _note(self, cost: float) -> None:
         """The group's cost, which every member passes on."""
@@ -103,7 +103,7 @@ class _Post:
             self._trace.append((self._payload, cost))
 
 
-def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[int, Outcome], Traffic]:
+def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[int, SolverOutcome], GroupTraffic]:
     """Run one node a share until all have ended; first sent, first delivered, so the same every time."""
     nodes = {robot: node_for(group[robot], config) for robot in sorted(group)}
     post, ticks = _Post(config.method), 0

@@ -15,7 +15,7 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..geometry import Array, se3, so3_exp
 from .descent_node import DescentNode
-from .messages import Decision, Message, Round, Stage, Standing, State, Status, number_type
+from .messages import Decision, NodeMessage, Round, SeparatorState, SolverStage, Standing, Status, number_type
 from .mixing import moved
 from .share import Share
 
@@ -27,7 +27,7 @@ _RELAXATION = 0.85
 _LEFTOVER = 0.3
 # Steps at most in which only poses move that no neighbour sees.
 _MOST_IDLE = 20
-_HERE = Round(Stage.FREE)
+_HERE = Round(SolverStage.FREE)
 
 
 class FreeNode(DescentNode):
@@ -38,7 +38,7 @@ class FreeNode(DescentNode):
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
         super().__init__(share, config)
-        self._latest: dict[int, State] = {}
+        self._latest: dict[int, SeparatorState] = {}
         self._used = dict.fromkeys(share.neighbours, 0)
         self._confirmed = dict.fromkeys(share.neighbours, 0)
         self._sent_at = dict.fromkeys(share.neighbours, -_PATIENCE)
@@ -58,10 +58,10 @@ class FreeNode(DescentNode):
 
     # -- messages ----------------------------------------------------------------------------------------------------
 
-    def handle(self, message: Message) -> list[Message]:
-        if not isinstance(message, Message):
+    def handle(self, message: NodeMessage) -> list[NodeMessage]:
+        if not isinstance(message, NodeMessage):
             raise BackendError(f"robot {self.share.robot} was handed a message of another method")
-        if not isinstance(message, State | Status):
+        if not isinstance(message, SeparatorState | Status):
             return super().handle(message)
         if message.receiver != self.share.robot:
             raise BackendError(f"robot {self.share.robot} was handed a message for robot {message.receiver}")
@@ -74,7 +74,7 @@ class FreeNode(DescentNode):
             self._take(message)
         return [] if self.outcome is not None else self._advance()
 
-    def _take(self, state: State) -> None:
+    def _take(self, state: SeparatorState) -> None:
         expected = self._expected.get(state.sender)
         if expected is None:
             raise BackendError(
@@ -97,7 +97,7 @@ class FreeNode(DescentNode):
         if known is None or standing.serial > known.serial:
             self._standings[standing.robot] = standing
 
-    def tick(self) -> list[Message]:
+    def tick(self) -> list[NodeMessage]:
         """Work with what has been heard, and say what neighbours have not confirmed."""
         if self.outcome is not None or self._round != _HERE:
             return super().tick()
@@ -123,7 +123,7 @@ class FreeNode(DescentNode):
         limit = self._config.free_threshold
         may_move = self._version < self._config.descent_sweeps
         if new or (shift > (limit if newer else max(limit, _LEFTOVER * self._shift)) and may_move):
-            self._values = descent.round_to_numbers(number_type(Stage.FREE))
+            self._values = descent.round_to_numbers(number_type(SolverStage.FREE))
             self._version += 1
             self._shift = shift
             self._sent_at = dict.fromkeys(self._sent_at, self._ticks - _PATIENCE)
@@ -141,7 +141,7 @@ class FreeNode(DescentNode):
         """The largest move, in standard deviations."""
         return float(np.abs(np.nan_to_num(moved(before, after)) * metric).max(initial=0.0))
 
-    def _adopt(self, neighbour: int, state: State) -> None:
+    def _adopt(self, neighbour: int, state: SeparatorState) -> None:
         rows = np.array(self._problem.heard_rows[neighbour], dtype=np.intp)
         known = np.isfinite(state.values).all(axis=1)
         values = state.values[known]
@@ -155,9 +155,9 @@ class FreeNode(DescentNode):
         serial = known.serial + 1 if known else 1
         self._standings[me] = Standing(me, serial, self._version, self._quiet, tuple(sorted(self._used.items())))
 
-    def _states(self) -> list[Message]:
+    def _states(self) -> list[NodeMessage]:
         """To each neighbour that lacks the newest version or a confirmation."""
-        out: list[Message] = []
+        out: list[NodeMessage] = []
         shared, nothing = self._descent.shared, np.zeros((0, 6))
         for neighbour in self.share.neighbours:
             late = self._ticks - self._sent_at[neighbour] >= _PATIENCE
@@ -168,13 +168,13 @@ class FreeNode(DescentNode):
             values = self._values[rows] if whole else nothing
             if whole:
                 self._sent_at[neighbour] = self._ticks
-            out.append(State(self.share.robot, neighbour, _HERE, self._version, self._used[neighbour], values))
+            out.append(SeparatorState(self.share.robot, neighbour, _HERE, self._version, self._used[neighbour], values))
         self._owed.clear()
         return out
 
     # -- the end -----------------------------------------------------------------------------------------------------
 
-    def _status(self) -> list[Message]:
+    def _status(self) -> list[NodeMessage]:
         """Up the tree, once all below are quiet; again from time to time, as it may be lost."""
         below = tuple(self._standings[r] for r in sorted(self._standings))
         if self._parent is None or not all(s.quiet for s in below):
@@ -184,7 +184,7 @@ class FreeNode(DescentNode):
         self._reported_up, self._status_at = below, self._ticks
         return [Status(self.share.robot, self._parent, _HERE, below)]
 
-    def _try_report(self) -> list[Message] | None:
+    def _try_report(self) -> list[NodeMessage] | None:
         if self._round != _HERE:
             return super()._try_report()
         if self._reported:
@@ -206,9 +206,9 @@ class FreeNode(DescentNode):
             super()._leave(decision)
             return
         # Everybody has everybody's newest separators: the rounds go on from there.
-        self._sweeps[Stage.POSE] = self._version
+        self._sweeps[SolverStage.POSE] = self._version
         self._told = True
-        self._round = Round(Stage.DESCENT)
+        self._round = Round(SolverStage.DESCENT)
 
     def _receivers(self) -> list[int]:
         return [] if self._round == _HERE else super()._receivers()

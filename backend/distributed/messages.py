@@ -18,7 +18,7 @@ from ..errors import BackendError
 from ..geometry import Array
 
 
-class Stage(IntEnum):
+class SolverStage(IntEnum):
     """What a sweep works on, in this order."""
 
     SCALE = 0
@@ -32,13 +32,13 @@ class Stage(IntEnum):
 
 # Numbers that one separator pose (one robot, for SCALE) costs each sweep.
 WIDTH = {
-    Stage.SCALE: 1,
-    Stage.START: 6,
-    Stage.ROTATION: 9,
-    Stage.POSE: 6,
-    Stage.DESCENT: 6,
-    Stage.FREE: 6,
-    Stage.COST: 0,
+    SolverStage.SCALE: 1,
+    SolverStage.START: 6,
+    SolverStage.ROTATION: 9,
+    SolverStage.POSE: 6,
+    SolverStage.DESCENT: 6,
+    SolverStage.FREE: 6,
+    SolverStage.COST: 0,
 }
 
 
@@ -46,7 +46,7 @@ WIDTH = {
 class Round:
     """One synchronous round: a sweep of a stage; ``step`` counts Gauss-Newton steps, or changes of weights."""
 
-    stage: Stage
+    stage: SolverStage
     step: int = 0
     sweep: int = 0
 
@@ -130,7 +130,7 @@ class Decision:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class SeparatorState:
     """Without rounds: a robot's separators as of its ``version``, whole, so that a later one replaces a lost one.
 
     ``used``: the version of the receiver's that the sender works with, which tells the receiver what has arrived.
@@ -176,14 +176,14 @@ class Status:
         return sum(_STANDING.size + _USED.size * len(s.used) for s in self.standings)
 
 
-Message = Values | Report | Decision | Deltas | State | Status
+NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status
 _STANDING = struct.Struct("<HHH?B")
 _USED = struct.Struct("<HH")
 
 
-def number_type(stage: Stage) -> str:
+def number_type(stage: SolverStage) -> str:
     """How the numbers of :class:`Values` travel: block descent starts from single precision and sends steps after."""
-    return "<f4" if stage in (Stage.DESCENT, Stage.FREE) else "<f8"
+    return "<f4" if stage in (SolverStage.DESCENT, SolverStage.FREE) else "<f8"
 
 
 def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
@@ -198,10 +198,10 @@ _DECISION = struct.Struct("<?d")
 _SCALES = struct.Struct("<ff")
 
 
-def encode(message: Message) -> bytes:
+def encode(message: NodeMessage) -> bytes:
     """The message as bytes, little endian: a header of 10, then its numbers."""
     r = message.round
-    kind = (Values, Report, Decision, Deltas, State, Status).index(type(message))
+    kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
     head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
     match message:
         case Values():
@@ -212,18 +212,18 @@ def encode(message: Message) -> bytes:
             return head + _REPORT.pack(message.change, message.cost) + _pack(message.numbers)
         case Decision():
             return head + _DECISION.pack(message.go_on, message.cost) + _pack(message.numbers)
-        case State():
+        case SeparatorState():
             numbers = np.ascontiguousarray(message.values, dtype=number_type(r.stage)).tobytes()
             return head + _USED.pack(message.version, message.used) + numbers
         case Status():
             return head + b"".join(_pack_standing(s) for s in message.standings)
 
 
-def decode(data: bytes) -> Message:
+def decode(data: bytes) -> NodeMessage:
     """Inverse of :func:`encode`; bytes that are no such message raise :class:`BackendError`."""
     try:
         kind, stage, step, sweep, sender, receiver = _HEADER.unpack_from(data)
-        body, round_ = data[_HEADER.size :], Round(Stage(stage), step, sweep)
+        body, round_ = data[_HEADER.size :], Round(SolverStage(stage), step, sweep)
         width = max(WIDTH[round_.stage], 1)
         if kind == 0:
             values = np.frombuffer(body, dtype=number_type(round_.stage)).reshape(-1, width).astype(np.float64)
@@ -240,7 +240,7 @@ def decode(data: bytes) -> Message:
         if kind == 4:
             values = np.frombuffer(body[_USED.size :], dtype=number_type(round_.stage)).reshape(-1, width)
             version, used = _USED.unpack_from(body)
-            return State(sender, receiver, round_, version, used, values.astype(np.float64))
+            return SeparatorState(sender, receiver, round_, version, used, values.astype(np.float64))
         if kind == 5:
             return Status(sender, receiver, round_, _unpack_standings(body))
     except (struct.error, ValueError) as error:

@@ -11,14 +11,14 @@ from .descent_node import DescentNode
 from .elected import ElectedNode
 from .free_node import FreeNode
 from .node import Node
-from .share import Outcome, Share
+from .share import Share, SolverOutcome
 
 
 class SolverNode(Protocol):
     """One robot's part in any method; what the messages are is the method's own matter."""
 
     share: Share
-    outcome: Outcome | None
+    outcome: SolverOutcome | None
 
     def start(self) -> Sequence[Any]:
         """The first messages."""

@@ -10,11 +10,11 @@ import numpy as np
 
 from ..central.relaxation import Relaxation
 from ..geometry import Array
-from .messages import WIDTH, Decision, Round, Stage, Values
+from .messages import WIDTH, Decision, Round, SolverStage, Values
 from .rounds import Separators
 from .staged import StagedNode
 
-_SWEPT = (Stage.ROTATION, Stage.POSE)
+_SWEPT = (SolverStage.ROTATION, SolverStage.POSE)
 
 
 class Node(StagedNode):
@@ -25,18 +25,18 @@ class Node(StagedNode):
     _stage: Relaxation
 
     def _after_start(self) -> Round:
-        return Round(Stage.ROTATION)
+        return Round(SolverStage.ROTATION)
 
     def _enter(self) -> None:
-        if self._round.stage is Stage.ROTATION:
+        if self._round.stage is SolverStage.ROTATION:
             self._stage = self._problem.rotation_stage(self._warm)
-        elif self._round.stage is Stage.POSE:
+        elif self._round.stage is SolverStage.POSE:
             self._stage = self._problem.pose_stage(self._reached, self._warm or self._round.step > 0)
         else:
             super()._enter()
 
     def _waits_for_lower(self) -> bool:
-        return self._round.stage in (*_SWEPT, Stage.SCALE) and self._config.method != "jor"
+        return self._round.stage in (*_SWEPT, SolverStage.SCALE) and self._config.method != "jor"
 
     def _work(self) -> float:
         if self._round.stage not in _SWEPT:
@@ -51,8 +51,8 @@ class Node(StagedNode):
 
     def _decide(self, change: float, cost: float, numbers: tuple[float, ...]) -> Decision:
         limits = {
-            Stage.ROTATION: (self._config.rotation_sweeps, self._config.rotation_threshold),
-            Stage.POSE: (self._config.pose_sweeps, self._config.pose_threshold),
+            SolverStage.ROTATION: (self._config.rotation_sweeps, self._config.rotation_threshold),
+            SolverStage.POSE: (self._config.pose_sweeps, self._config.pose_threshold),
         }
         if self._round.stage not in limits:
             return super()._decide(change, cost, numbers)
@@ -67,14 +67,14 @@ class Node(StagedNode):
 
     def _leave(self, decision: Decision) -> None:
         self._stay(decision)
-        if self._round.stage is Stage.ROTATION:
+        if self._round.stage is SolverStage.ROTATION:
             self._reached = self._stage.known()
             self._problem.take_rotations(self._stage)
-            self._round = Round(Stage.POSE)
-        elif self._round.stage is Stage.POSE:
+            self._round = Round(SolverStage.POSE)
+        elif self._round.stage is SolverStage.POSE:
             self._problem.take_poses(self._stage)
             last = self._round.step + 1 == self._config.newton_steps
-            self._round = Round(Stage.COST) if last else Round(Stage.POSE, self._round.step + 1)
+            self._round = Round(SolverStage.COST) if last else Round(SolverStage.POSE, self._round.step + 1)
         else:
             super()._leave(decision)
 
@@ -83,7 +83,7 @@ class Node(StagedNode):
             return super()._say(neighbour)
         rows = self._problem.sent_rows[neighbour]
         values = self._stage.values[rows]
-        if self._round.stage is Stage.ROTATION:
+        if self._round.stage is SolverStage.ROTATION:
             values = np.swapaxes(values, 1, 2)
         flat: Array = values.reshape(len(rows), WIDTH[self._round.stage])
         known = flat.copy() if np.isfinite(flat).any() else flat[:0].copy()
@@ -97,7 +97,7 @@ class Node(StagedNode):
         if not len(message.values):
             return
         rows = self._problem.heard_rows[neighbour]
-        if self._round.stage is Stage.ROTATION:
+        if self._round.stage is SolverStage.ROTATION:
             self._stage.values[rows] = np.swapaxes(message.values.reshape(-1, 3, 3), 1, 2)
         else:
             self._stage.values[rows] = message.values[:, :, None]

@@ -11,8 +11,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from ..errors import BackendError
-from .messages import WIDTH, Decision, Deltas, Message, Report, Round, Stage, Values
-from .share import Outcome, Share
+from .messages import WIDTH, Decision, Deltas, NodeMessage, Report, Round, SolverStage, Values
+from .share import Share, SolverOutcome
 
 Separators = Values | Deltas
 
@@ -27,14 +27,14 @@ class Rounds(ABC):
 
     def __init__(self, share: Share, first: Round) -> None:
         self.share = share
-        self.outcome: Outcome | None = None
+        self.outcome: SolverOutcome | None = None
         self._round = first
         self._solved = self._reported = False
         self._change = 0.0
         self._heard: dict[Round, dict[int, Separators]] = {}
         self._reports: dict[Round, dict[int, Report]] = {}
         self._decisions: dict[Round, Decision] = {}
-        self._recent: dict[Round, list[Message]] = {}
+        self._recent: dict[Round, list[NodeMessage]] = {}
         self._expected = {n: len(share.separators_with(n)[1]) for n in share.neighbours}
         rank = share.members.index(share.robot)
         self._parent = share.members[(rank - 1) // 2] if rank else None
@@ -87,14 +87,14 @@ class Rounds(ABC):
 
     # -- what happens to it ------------------------------------------------------------------------------------------
 
-    def start(self) -> list[Message]:
+    def start(self) -> list[NodeMessage]:
         """The first messages."""
         self._enter()
         return self._advance()
 
-    def handle(self, message: Message) -> list[Message]:
+    def handle(self, message: NodeMessage) -> list[NodeMessage]:
         """Take a message in; returns what is to be sent because of it."""
-        if not isinstance(message, Message):
+        if not isinstance(message, NodeMessage):
             raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if message.receiver != self.share.robot:
             raise BackendError(f"robot {self.share.robot} was handed a message for robot {message.receiver}")
@@ -112,7 +112,7 @@ class Rounds(ABC):
                 self._decisions[message.round] = message
         return self._advance()
 
-    def tick(self) -> list[Message]:
+    def tick(self) -> list[NodeMessage]:
         """The messages of the last two rounds once more."""
         return [m for r in sorted(self._recent) for m in self._recent[r]]
 
@@ -127,7 +127,7 @@ class Rounds(ABC):
             )
         stage, rows = message.round.stage, self._expected[message.sender]
         values = message.values if isinstance(message, Values) else message.steps
-        expected = (1 if stage is Stage.SCALE else rows, WIDTH[stage])
+        expected = (1 if stage is SolverStage.SCALE else rows, WIDTH[stage])
         if values.shape != expected and len(values):
             raise BackendError(
                 f"robot {message.sender} sent {values.shape} values to robot {self.share.robot}, "
@@ -136,9 +136,9 @@ class Rounds(ABC):
 
     # -- one round ---------------------------------------------------------------------------------------------------
 
-    def _advance(self) -> list[Message]:
+    def _advance(self) -> list[NodeMessage]:
         """Do everything that can be done with what has been heard."""
-        out: list[Message] = []
+        out: list[NodeMessage] = []
         while self.outcome is None:
             progress = self._try_work()
             if progress is None:
@@ -150,14 +150,14 @@ class Rounds(ABC):
             out += progress
         return out
 
-    def _emit(self, messages: Sequence[Message]) -> list[Message]:
+    def _emit(self, messages: Sequence[NodeMessage]) -> list[NodeMessage]:
         for message in messages:
             self._recent.setdefault(message.round, []).append(message)
         for old in sorted(self._recent)[:-2]:
             del self._recent[old]
         return list(messages)
 
-    def _try_work(self) -> list[Message] | None:
+    def _try_work(self) -> list[NodeMessage] | None:
         """The work itself, once what it needs is there; sends the separators."""
         if self._solved:
             return None
@@ -172,7 +172,7 @@ class Rounds(ABC):
         self._solved = True
         return self._emit([self._say(n) for n in self._receivers()])
 
-    def _try_report(self) -> list[Message] | None:
+    def _try_report(self) -> list[NodeMessage] | None:
         """Once the work is done here, at every neighbour and below in the tree: pass the sums up."""
         heard, below = self._heard.get(self._round, {}), self._reports.get(self._round, {})
         if not self._solved or self._reported:
@@ -193,7 +193,7 @@ class Rounds(ABC):
         self._decisions[self._round] = self._decide(change, cost, numbers)
         return []
 
-    def _try_decide(self) -> list[Message] | None:
+    def _try_decide(self) -> list[NodeMessage] | None:
         """Pass the decision down and go to the next round."""
         decision = self._decisions.get(self._round)
         if decision is None or not self._reported:

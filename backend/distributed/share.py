@@ -80,7 +80,7 @@ class JudgedEdge:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class SolverOutcome:
     """What a node ends with; acceptance, reason and costs are the same at every member, as are sweep counts where all
     work in rounds.
 

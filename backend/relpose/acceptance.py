@@ -18,7 +18,7 @@ _MAX_RMSE_SHARE = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundPose:
     """What verification found: the refined pose; ``tentative`` ``(k, 3)``: the match's points of tentative matches that
     fit it; ``guided_M``, ``guided_Q`` ``(g, 3)``: points matched again under it; ``similar``: share of all pairs of
     descriptors of the two views that are similar enough to be one point's."""
@@ -42,7 +42,7 @@ class Found:
         return float(np.degrees(np.sqrt(np.mean(angles**2))))
 
 
-def problem_of(found: Found, config: RelPoseConfig) -> tuple[str | None, float | None]:
+def problem_of(found: FoundPose, config: RelPoseConfig) -> tuple[str | None, float | None]:
     """The first thing that is too little, with its figures, or None; and the log odds, where they are weighed."""
     T, n = found.alignment.T_M_Q, len(found.tentative)
     shapes = [shape(points) for points in (found.tentative, found.guided_M)]
@@ -80,7 +80,7 @@ def problem_of(found: Found, config: RelPoseConfig) -> tuple[str | None, float |
     return problem, odds
 
 
-def log_odds(found: Found, thickness: float) -> float:
+def log_odds(found: FoundPose, thickness: float) -> float:
     """Log odds that this is one place, beyond those of the bound: a logistic model of what was found."""
     return float(WEIGHTS @ features(found, thickness))
 
@@ -92,7 +92,7 @@ given; the first was then lowered until 3 of the 1650 hardest look-alikes were l
 _CHANCE, _CHANCE_RANGE = 0.011, 0.35
 
 
-def features(found: Found, thickness: float) -> Array:
+def features(found: FoundPose, thickness: float) -> Array:
     """``(7,)``: one; share of floating points, of deserted ones; log of the share of repeated ones, of the thickness,
     of the guided matches among the visible points; and of the descriptors that are similar by chance: where texture
     is monotonous, more is asked for."""

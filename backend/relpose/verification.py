@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..config import RelPoseConfig
 from ..errors import BackendError
 from ..geometry import Array, Sim3
-from .acceptance import Found, problem_of
+from .acceptance import FoundPose, problem_of
 from .alignment import ITERATIONS, Alignment
 from .evidence import Evidence, weigh
 from .matching import (
@@ -181,7 +181,7 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
         return _rejected(pose, len(pairs), int(inside.sum()))
     T = pose.T_M_Q
     surface = solver.surface(T, match.points_C, query.points_C, query.known, best.guided)
-    found = Found(
+    found = FoundPose(
         alignment=pose,
         tentative=points_M[inside],
         guided_M=guided_M,

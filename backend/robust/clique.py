@@ -32,12 +32,12 @@ def largest_clique(adjacent: NDArray[np.bool_], work: int = 5_000_000) -> Clique
     joined = np.asarray(adjacent, dtype=bool)[np.ix_(order, order)].copy()
     np.fill_diagonal(joined, False)
     packed = np.packbits(joined, axis=1, bitorder="little")
-    search = _Search([int.from_bytes(row.tobytes(), "little") for row in packed], work)
+    search = _CliqueSearch([int.from_bytes(row.tobytes(), "little") for row in packed], work)
     search.run()
     return Clique(tuple(sorted(int(order[k]) for k in search.best)), search.exact)
 
 
-class _Search:
+class _CliqueSearch:
     def __init__(self, neighbours: list[int], work: int) -> None:
         self._neighbours, self._left = neighbours, work
         self.exact = True

@@ -46,7 +46,7 @@ def graduate(
 
     ``graph``: with the poses to start from. ``noise``: what is known of it so far.
     """
-    search = _Search(graph, noise, central, config)
+    search = _GncState(graph, noise, central, config)
     known = np.array([e.kind is EdgeKind.ODOMETRY for e in graph.edges], dtype=bool)
     weights = np.where(known | candidates, 1.0, 0.0)
     search.solve(weights)
@@ -85,7 +85,7 @@ def _judged(weights: Array, rows: NDArray[np.intp], distances: Array, back: floa
     return out
 
 
-class _Search:
+class _GncState:
     """The current solution, its residuals, and the noise they speak of."""
 
     def __init__(self, graph: PoseGraph, noise: Noise, central: CentralConfig, config: RobustConfig) -> None:

@@ -19,7 +19,7 @@ from .gnc import graduate, squared_residuals
 from .pcm import Consistency, consistent_edges
 from .prediction import predicted_distances
 
-Method = Literal["pcm", "gnc", "pcm+gnc"]
+RobustMethod = Literal["pcm", "gnc", "pcm+gnc"]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class RobustResult:
 
 
 def optimise_robustly(
-    graph: PoseGraph, method: Method, central: CentralConfig | None = None, config: RobustConfig | None = None
+    graph: PoseGraph, method: RobustMethod, central: CentralConfig | None = None, config: RobustConfig | None = None
 ) -> RobustResult:
     """Optimise with the edges worth believing. Odometry always is; weights that ``graph`` has already are not used:
     every edge can come back.
@@ -108,7 +108,7 @@ def _contradicted(
 
 
 def _rejected(
-    graph: PoseGraph, weights: Array, residuals: Array, found: Consistency | None, method: Method
+    graph: PoseGraph, weights: Array, residuals: Array, found: Consistency | None, method: RobustMethod
 ) -> tuple[RejectedEdge, ...]:
     out = []
     for k, (e, residual) in enumerate(zip(graph.edges, residuals.tolist(), strict=True)):

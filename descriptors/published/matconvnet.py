@@ -42,7 +42,7 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class _Layer:
+class _NetworkLayer:
     """``kind``: a key of ``_WORDS``, or MatConvNet's own word for anything else; ``number`` counts from one."""
 
     number: int
@@ -134,7 +134,7 @@ def _weights(variables: dict[str, Any], dim: int | None) -> VggWeights:
     )  # fmt: skip
 
 
-def _layers(cells: Any, workspace: Any) -> list[_Layer]:
+def _layers(cells: Any, workspace: Any) -> list[_NetworkLayer]:
     """Layers as they stand in the file, be they structs or objects of a class."""
     objects: MatlabObjects | None = None
     layers = []
@@ -151,11 +151,11 @@ def _layers(cells: Any, workspace: Any) -> list[_Layer]:
         kind = _text(fields.get("type"))
         if kind == "custom":
             kind = "vlad" if np.asarray(fields.get("weights")).size > 1 else "unit"
-        layers.append(_Layer(number, name, kind, fields))
+        layers.append(_NetworkLayer(number, name, kind, fields))
     return layers
 
 
-def _check_order(layers: list[_Layer]) -> None:
+def _check_order(layers: list[_NetworkLayer]) -> None:
     """An error that names the first layer which VGG16-NetVLAD has not at its place."""
     kinds = [layer.kind for layer in layers]
     order = list(range(len(kinds)))
@@ -177,7 +177,7 @@ def _check_order(layers: list[_Layer]) -> None:
         _check_settings(layer)
 
 
-def _check_settings(layer: _Layer) -> None:
+def _check_settings(layer: _NetworkLayer) -> None:
     """Anything but the settings of VGG16 would change what comes out without changing a size."""
     wanted: dict[str, float] = {}
     if layer.kind == "conv":
@@ -194,14 +194,14 @@ def _check_settings(layer: _Layer) -> None:
             raise DescriptorError(f"{layer} has {key} {found.ravel().tolist()}, VGG16 {value:g}")
 
 
-def _convolution(layer: _Layer) -> Convolution:
+def _convolution(layer: _NetworkLayer) -> Convolution:
     weight, bias = _arrays(layer, 2)
     if weight.ndim != 4:
         raise DescriptorError(f"{layer}: filters are (height, width, in, out), found {weight.shape}")
     return Convolution(np.ascontiguousarray(weight.transpose(3, 2, 0, 1)), bias.ravel())
 
 
-def _vlad(layer: _Layer) -> tuple[Floats, Floats, Floats]:
+def _vlad(layer: _NetworkLayer) -> tuple[Floats, Floats, Floats]:
     """Assignment ``(K, D)``, its bias ``(K,)`` and centres ``(K, D)``; the second version of the layer has a bias."""
     arrays = _arrays(layer, 2, 3)
     assign, stored = (_matrix(layer, array).T for array in (arrays[0], arrays[-1]))
@@ -209,7 +209,7 @@ def _vlad(layer: _Layer) -> tuple[Floats, Floats, Floats]:
     return np.ascontiguousarray(assign), bias, np.ascontiguousarray(-stored)
 
 
-def _whitening(layer: _Layer, centres: tuple[int, ...], dim: int | None) -> tuple[Floats, Floats]:
+def _whitening(layer: _NetworkLayer, centres: tuple[int, ...], dim: int | None) -> tuple[Floats, Floats]:
     """The first ``dim`` rows of the whitening, turned to our order of a VLAD vector."""
     weight, bias = _arrays(layer, 2)
     matrix, (clusters, channels) = _matrix(layer, weight), centres
@@ -223,7 +223,7 @@ def _whitening(layer: _Layer, centres: tuple[int, ...], dim: int | None) -> tupl
     return np.ascontiguousarray(cut.transpose(0, 2, 1)).reshape(len(cut), -1), bias.ravel()[:rows].copy()
 
 
-def _softening(layer: _Layer, channels: int) -> float:
+def _softening(layer: _NetworkLayer, channels: int) -> float:
     """What vl_nnnormalize adds, from its four numbers: window, kappa, alpha, beta of x / (kappa + alpha * sum)^beta."""
     found = np.asarray(layer.fields.get("param", ())).ravel().astype(np.float64)
     if len(found) != 4 or found[0] < 2 * channels or found[2] != 1 or found[3] != 0.5 or not 0 <= found[1] < 1e-3:
@@ -242,7 +242,7 @@ def _mean(net: dict[str, Any]) -> Floats:
     raise DescriptorError("holds no averageImage of three channels under net.meta.normalization")
 
 
-def _arrays(layer: _Layer, *counts: int) -> list[Floats]:
+def _arrays(layer: _NetworkLayer, *counts: int) -> list[Floats]:
     """The layer's weights as float32, so many of them."""
     found = layer.fields.get("weights")
     cells = list(np.asarray(found).ravel()) if found is not None else []
@@ -255,7 +255,7 @@ def _arrays(layer: _Layer, *counts: int) -> list[Floats]:
     return [np.asarray(cell).astype(np.float32, copy=False) for cell in cells]
 
 
-def _matrix(layer: _Layer, array: NDArray[Any]) -> NDArray[Any]:
+def _matrix(layer: _NetworkLayer, array: NDArray[Any]) -> NDArray[Any]:
     """``(1, 1, in, out)`` as ``(in, out)``."""
     if array.ndim < 2 or array.shape[-2] * array.shape[-1] != array.size:
         raise DescriptorError(f"{layer}: expected 1x1xINxOUT, found {'x'.join(map(str, array.shape))}")

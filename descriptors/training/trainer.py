@@ -82,7 +82,7 @@ class PlaceSet:
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """One line of a training's log; ``validation`` is empty between validations."""
 
     step: int
@@ -128,7 +128,7 @@ class Trainer:
 
     def run(
         self, validate: Callable[[NetVladNetwork], dict[str, float]] | None = None, every: int = 50
-    ) -> Iterator[Progress]:
+    ) -> Iterator[TrainingProgress]:
         """Train up to the configured number of steps; yields the averages of every ``every`` steps."""
         loss_sum = accuracy_sum = count = 0.0
         for batch in self._batches():
@@ -141,7 +141,7 @@ class Trainer:
                 ):
                     self.network.eval()
                     figures = validate(self.network)
-                yield Progress(
+                yield TrainingProgress(
                     self.step, loss_sum / count, accuracy_sum / count, float(self.log_scale.detach().exp()), figures
                 )
                 loss_sum = accuracy_sum = count = 0.0

@@ -32,7 +32,7 @@ class DepthSensor:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundSequence:
     """What a reader found in a folder. Paths need not exist: missing ones become problems.
 
     ``calibration``: where ``raw`` comes from; ``stamps_source``: where ``stamps_ns`` come from (for messages).
@@ -54,7 +54,7 @@ class Found:
     truth: Trajectory | None = None
 
 
-def assemble(found: Found, kind: RigKind, problems: Problems) -> ImageSequence:
+def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSequence:
     """The sequence, rectified as ``kind``; files that this rig does not use are left out. What is wrong is added to
     ``problems``."""
     right = found.right if kind is RigKind.STEREO else ()

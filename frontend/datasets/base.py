@@ -22,7 +22,7 @@ from ..cameras.rectification import Rectifier
 from ..errors import FrontendError
 from ..files.trajectory import Trajectory
 from ..frames import Frame, PutOff
-from ..stopwatch import Stage, Stopwatch
+from ..stopwatch import Stopwatch, TimedStage
 from .images import read_colour, read_depth, read_grey
 
 Pixel = TypeVar("Pixel", bound=np.generic)
@@ -170,7 +170,7 @@ def _timed(make: Callable[[], Value], watch: Stopwatch | None) -> Callable[[], V
         cpu, wall = time.thread_time(), time.perf_counter()
         value = make()
         if watch is not None:
-            watch.add(Stage.DECODE, time.thread_time() - cpu, time.perf_counter() - wall)
+            watch.add(TimedStage.DECODE, time.thread_time() - cpu, time.perf_counter() - wall)
         return value
 
     return timed

@@ -17,7 +17,7 @@ from ..errors import FrontendError
 from ..files import text_tables
 from ..files.timestamps import integer_ns, read_stamps
 from ..files.trajectory import Trajectory, read_tum
-from .assemble import Found, assemble, available_rigs
+from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .images import list_images
 
@@ -54,7 +54,7 @@ class EurocReader(Reader):
             left_stamps, left_images, right_images = _pairs(
                 left_stamps, left_images, right_stamps, right_images, mav, problems
             )
-        found = Found(
+        found = FoundSequence(
             kind=cls.kind,
             folder=mav.resolve().parent,
             raw=raw,

@@ -12,7 +12,7 @@ from ..cameras.models import RigKind
 from ..errors import FrontendError
 from ..files.timestamps import NS_PER_S, decimal_ns, read_stamps
 from ..files.trajectory import Trajectory, read_kitti_poses, read_tum
-from .assemble import Found, assemble, available_rigs, frame_truth
+from .assemble import FoundSequence, assemble, available_rigs, frame_truth
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
 from .images import list_images
@@ -60,7 +60,7 @@ class FolderReader(Reader):
         if depth and raw.depth_unit_m is None:
             problems.warning(f"{source}: no depth unit (depth_unit_m, DepthMapFactor): millimetres taken")
         times, times_source = _times(folder, images, raw, problems)
-        found = Found(
+        found = FoundSequence(
             kind=cls.kind,
             folder=folder,
             raw=raw,

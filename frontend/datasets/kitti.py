@@ -14,7 +14,7 @@ from ..cameras.models import RigKind
 from ..errors import FrontendError
 from ..files import text_tables, timestamps
 from ..files.trajectory import Trajectory, read_kitti_poses
-from .assemble import Found, assemble, available_rigs, frame_truth
+from .assemble import FoundSequence, assemble, available_rigs, frame_truth
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .images import list_images
 
@@ -45,7 +45,7 @@ class KittiReader(Reader):
         has_right = (folder / f"image_{right}").is_dir() and len(projections) > 1
         P_right = _projection(projections, right, folder) if has_right else None
         times = _times(folder, images, problems)
-        found = Found(
+        found = FoundSequence(
             kind=cls.kind,
             folder=folder,
             raw=_rig(P_left, P_right),

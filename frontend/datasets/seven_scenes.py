@@ -16,7 +16,7 @@ from ..errors import FrontendError
 from ..files import text_tables
 from ..files.timestamps import NS_PER_S
 from ..files.trajectory import Trajectory
-from .assemble import DepthSensor, Found, assemble, available_rigs, frame_truth
+from .assemble import DepthSensor, FoundSequence, assemble, available_rigs, frame_truth
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .images import first_size, list_images
 
@@ -55,7 +55,7 @@ class SevenScenesReader(Reader):
             [int(_stem(path).removeprefix("frame-")) * NS_PER_S // _RATE_HZ for path in images], dtype=np.int64
         )
         size = first_size(images)
-        found = Found(
+        found = FoundSequence(
             kind=cls.kind,
             folder=folder,
             raw=RawRig(_camera(folder, size, problems)),

@@ -14,7 +14,7 @@ from ..errors import FrontendError
 from ..files import text_tables
 from ..files.timestamps import decimal_ns
 from ..files.trajectory import read_tum
-from .assemble import Found, assemble, available_rigs
+from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
 
@@ -55,7 +55,7 @@ class TumReader(Reader):
             stamps, images, depth = _with_depth(folder, stamps, images, problems)
         raw, source = _camera(folder, problems)
         truth = folder / "groundtruth.txt"
-        found = Found(
+        found = FoundSequence(
             kind=cls.kind,
             folder=folder,
             raw=raw,

@@ -101,7 +101,7 @@ def adjust_window(
     observations are sorted by point, those of point j are ``start[j]:start[j + 1]``; ``kf``, ``pt`` ``(N,)`` indices,
     ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration:
     ``basis`` ``(N, 3, C)``, start and prior mean ``(C,)``, prior information ``(C, C)``; C = 0 keeps it out. Pairs of
-    poses: the arrays of a :class:`maslam.frontend.estimation.depth_alignment.Alignment`. Returns poses, points,
+    poses: the arrays of a :class:`maslam.frontend.estimation.depth_alignment.DepthAlignment`. Returns poses, points,
     calibration, the calibration's information, cost before and after; the cost never rises.
     """
     poses, points, calib = poses.copy(), points.copy(), calib.copy()

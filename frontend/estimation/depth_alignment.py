@@ -53,7 +53,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Alignment:
+class DepthAlignment:
     """M pairs of key-frames, linearised at ``T_A_B`` ``(M, 4, 4)``: ``pairs`` ``(M, 2)`` their places in the window;
     ``information`` ``(M, 6, 6)`` and ``gradient`` ``(M, 6)`` by a left update of ``T_A_B`` (translation first);
     ``cost`` ``(M,)`` there."""
@@ -65,7 +65,7 @@ class Alignment:
     cost: Array
 
     @classmethod
-    def none(cls) -> Alignment:
+    def none(cls) -> DepthAlignment:
         nothing = np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros((0, 6)), np.zeros(0)
         return cls(np.zeros((0, 2), dtype=np.int64), *nothing)
 
@@ -86,7 +86,7 @@ def align_surfaces(
     cam: Array,
     sigma_m: float,
     correlated: float,
-) -> Alignment:
+) -> DepthAlignment:
     """Linearise each pair that overlaps, at ``poses`` ``(K, 4, 4)`` (``T_C_W``). ``sigma_m``: depth noise at 1 m;
     ``correlated``: so many neighbouring places err alike, their information counts as that of one."""
     found: list[tuple[tuple[int, int], Array, Array, Array, float]] = []
@@ -99,9 +99,9 @@ def align_surfaces(
         if hits >= max(_MIN_PLACES, _MIN_SHARE * tried):
             found.append(((a, b), T_A_B, H / correlated, g / correlated, cost / correlated))
     if not found:
-        return Alignment.none()
+        return DepthAlignment.none()
     places, T, H, g, cost = zip(*found, strict=True)
-    return Alignment(np.array(places, dtype=np.int64), np.stack(T), np.stack(H), np.stack(g), np.array(cost))
+    return DepthAlignment(np.array(places, dtype=np.int64), np.stack(T), np.stack(H), np.stack(g), np.array(cost))
 
 
 @njit(cache=True, nogil=True)
@@ -223,7 +223,7 @@ def _quadratic(H: Array, g: Array, x: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array, cost: Array) -> float:
-    """Of the linearised pairs (:class:`Alignment`) at ``poses``."""
+    """Of the linearised pairs (:class:`DepthAlignment`) at ``poses``."""
     total = 0.0
     for k in range(len(pairs)):
         _, x = _moved(poses[pairs[k, 0]], poses[pairs[k, 1]], T_A_B[k])

@@ -12,9 +12,9 @@ from maslam.backend.geometry import product
 
 from ..config import OdometryConfig
 from ..estimation.bundle_adjustment import adjust_window, window_residuals
-from ..estimation.depth_alignment import Alignment, align_surfaces
+from ..estimation.depth_alignment import DepthAlignment, align_surfaces
 from ..estimation.self_calibration import basis, with_rows
-from .map import Array, Ints, KeyFrame, Map
+from .map import Array, Ints, Map, MapKeyFrame
 from .range_sensor import Ranging
 
 
@@ -95,17 +95,17 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
     _drop_outliers(map_, ranging, config, keyframes, poses, points, seen)
 
 
-def _align(ranging: Ranging, keyframes: list[KeyFrame], poses: Array, slot: Ints) -> Alignment:
+def _align(ranging: Ranging, keyframes: list[MapKeyFrame], poses: Array, slot: Ints) -> DepthAlignment:
     """The depth images of the free key-frames against those before them."""
     config = ranging.config
     if keyframes[-1].surface is None:
-        return Alignment.none()
+        return DepthAlignment.none()
     pairs = [(k - lag, k) for k in np.flatnonzero(slot >= 0).tolist() for lag in config.align_lags if lag <= k]
     surfaces = [k.surface for k in keyframes]
     return align_surfaces(surfaces, poses, pairs, ranging.cam, config.depth_sigma_m, config.align_correlated)
 
 
-def _calibration_prior(ranging: Ranging, keyframes: list[KeyFrame], count: int) -> tuple[Array, Array]:
+def _calibration_prior(ranging: Ranging, keyframes: list[MapKeyFrame], count: int) -> tuple[Array, Array]:
     """Mean and information of the rig's residual calibration by its prior and by the rows of the stereo matches."""
     if not count:
         return np.zeros(0), np.zeros((0, 0))
@@ -117,7 +117,7 @@ def _calibration_prior(ranging: Ranging, keyframes: list[KeyFrame], count: int) 
     return with_rows(uv[ok], disparity[ok], row[ok], ranging.cam, ranging.prior(len(keyframes)), ranging.calib, sigma)
 
 
-def gather(map_: Map, keyframes: list[KeyFrame], slot: Ints) -> Observations:
+def gather(map_: Map, keyframes: list[MapKeyFrame], slot: Ints) -> Observations:
     """What the key-frames see of points that a free key-frame sees (``slot`` >= 0); points seen once say nothing and
     stay out."""
     rows_of, kf_of = [], []
@@ -150,7 +150,7 @@ def gather(map_: Map, keyframes: list[KeyFrame], slot: Ints) -> Observations:
     )
 
 
-def _move_points_seen_once(map_: Map, ranging: Ranging, keyframes: list[KeyFrame]) -> None:
+def _move_points_seen_once(map_: Map, ranging: Ranging, keyframes: list[MapKeyFrame]) -> None:
     """They hang on their key-frame: they move with it and with the calibration."""
     rows_of = []
     for keyframe in keyframes:
@@ -171,7 +171,7 @@ def _drop_outliers(
     map_: Map,
     ranging: Ranging,
     config: OdometryConfig,
-    keyframes: list[KeyFrame],
+    keyframes: list[MapKeyFrame],
     poses: Array,
     points: Array,
     seen: Observations,

@@ -17,7 +17,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass
-class KeyFrame:
+class MapKeyFrame:
     """A frame that stays. Rows of the arrays are its observations; ``point`` is -1 where an observation was dropped.
 
     ``T_C_W`` ``(4, 4)``; ``uv`` ``(n, 2)`` pixels; ``disparity`` and ``row`` (the row
@@ -88,7 +88,7 @@ class Map:
     ``xyz``."""
 
     def __init__(self) -> None:
-        self.keyframes: dict[int, KeyFrame] = {}  # in order of their numbers
+        self.keyframes: dict[int, MapKeyFrame] = {}  # in order of their numbers
         self.culled: dict[int, CulledKeyFrame] = {}
         self.observers: list[list[tuple[int, int]]] = []
         self._xyz = np.full((1024, 3), np.nan)
@@ -156,7 +156,7 @@ class Map:
         """Numbers of the latest key-frames, at most ``count``, oldest first."""
         return list(islice(reversed(self.keyframes), count))[::-1]
 
-    def insert(self, keyframe: KeyFrame) -> None:
+    def insert(self, keyframe: MapKeyFrame) -> None:
         """Add a key-frame and enter its observations with their points."""
         self.keyframes[keyframe.number] = keyframe
         for row in np.flatnonzero(keyframe.point >= 0).tolist():

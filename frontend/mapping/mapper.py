@@ -12,9 +12,9 @@ from ..estimation.triangulation import triangulate
 from ..frames import Frame
 from ..image.guided_matching import guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe, spread_cells, undescribed
-from ..stopwatch import Stage, Stopwatch
+from ..stopwatch import Stopwatch, TimedStage
 from .local_bundle_adjustment import adjust_locally, window_keyframes
-from .map import Array, Ints, KeyFrame, Map, union, without
+from .map import Array, Ints, Map, MapKeyFrame, union, without
 from .range_sensor import Ranging
 
 _TRIANGULATION_SIGMAS = 4.0
@@ -32,24 +32,24 @@ class Mapper:
         self._detector = Detector(config.features)
         self._log_scale = np.log(config.features.scale_factor)
 
-    def insert(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> KeyFrame:
+    def insert(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> MapKeyFrame:
         """Make ``frame`` a key-frame that sees map points ``point`` at ``uv`` (followed by flow), and improve the map
         with it."""
-        with self._stage(Stage.DETECT):
+        with self._stage(TimedStage.DETECT):
             keyframe = self._make(frame, T_C_W, point, uv)
-        with self._stage(Stage.TRIANGULATE):
+        with self._stage(TimedStage.TRIANGULATE):
             self.map.insert(keyframe)
             self._position_new(keyframe)
             self._triangulate_waiting(keyframe)
-        with self._stage(Stage.MATCH):
+        with self._stage(TimedStage.MATCH):
             self._fuse(keyframe)
-        with self._stage(Stage.ADJUST):
+        with self._stage(TimedStage.ADJUST):
             adjust_locally(self.map, self.ranging, self.config)
-        with self._stage(Stage.CULL):
+        with self._stage(TimedStage.CULL):
             self._cull_keyframes()
         return keyframe
 
-    def _make(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> KeyFrame:
+    def _make(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> MapKeyFrame:
         """Observations of the new key-frame: what was followed, what fills empty cells, and (if it stays) more ORB
         key-points."""
         features, stays = self.config.features, self._stays(T_C_W, point)
@@ -65,7 +65,7 @@ class Mapper:
         level = np.concatenate([level, new_level])
         keypoints = describe(pyramid, all_uv, level) if stays else undescribed(all_uv, level)
         described = np.isfinite(keypoints.angle_deg)
-        with self._stage(Stage.MATCH):
+        with self._stage(TimedStage.MATCH):
             points = np.concatenate([point, self._seen_again(T_C_W, point, keypoints, n)])
         matched = (np.arange(len(points)) >= n) & (points >= 0)
         followed = np.arange(len(points)) < n
@@ -73,10 +73,10 @@ class Mapper:
         fresh = points < 0
         points[fresh] = self.map.add_points(int(fresh.sum()))
         _, depth = self.ranging.project(T_C_W, self.map.xyz[points])
-        with self._stage(Stage.STEREO):
+        with self._stage(TimedStage.STEREO):
             disparity, row = self.ranging.measure(frame, all_uv, np.where(depth > 0, depth, np.nan))
         sigma = np.where(matched, features.scale_factor ** level.astype(np.float64), self.config.pose.pixel_sigma_px)
-        return KeyFrame(
+        return MapKeyFrame(
             number=len(self.map.keyframes) + len(self.map.culled),
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
@@ -155,7 +155,7 @@ class Mapper:
         ids = union([self.map.keyframes[k].point for k in older + recent])
         return ids[self.map.alive[ids] & np.isfinite(self.map.xyz[ids, 0])]
 
-    def _position_new(self, keyframe: KeyFrame) -> None:
+    def _position_new(self, keyframe: MapKeyFrame) -> None:
         """Points without a position get one where this key-frame measured their disparity."""
         rows = np.flatnonzero(keyframe.point >= 0)
         rows = rows[np.isnan(self.map.xyz[keyframe.point[rows], 0])]
@@ -169,7 +169,7 @@ class Mapper:
             # What has no depth here is hardly worth following: the next key-frame fills its cell anew.
             keyframe.followed &= (keyframe.point < 0) | np.isfinite(self.map.xyz[keyframe.point, 0])
 
-    def _triangulate_waiting(self, keyframe: KeyFrame) -> None:
+    def _triangulate_waiting(self, keyframe: MapKeyFrame) -> None:
         """Points without a position get one where their rays have parallax by now."""
         ids = keyframe.point[keyframe.followed & (keyframe.point >= 0)]
         ids = ids[np.isnan(self.map.xyz[ids, 0]) & (self.map.views[ids] >= 2)]
@@ -191,7 +191,7 @@ class Mapper:
         self.map.xyz[ids[good]] = points[good]
         _, self.map.depth[ids[good]] = self.ranging.project(keyframe.T_C_W, points[good])
 
-    def _fuse(self, keyframe: KeyFrame) -> None:
+    def _fuse(self, keyframe: MapKeyFrame) -> None:
         """Local points that look the same as, and fall on, a point this key-frame sees are that point: the older one
         stays."""
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
@@ -221,7 +221,7 @@ class Mapper:
             if not self.map.seen_together(a, b):
                 self.map.merge_points(min(a, b), max(a, b))
 
-    def _forget_waiting(self, keyframe: KeyFrame) -> None:
+    def _forget_waiting(self, keyframe: MapKeyFrame) -> None:
         """Points that never got a position and that nobody follows any more go."""
         ids = np.unique(keyframe.point[keyframe.point >= 0])
         for point in ids[np.isnan(self.map.xyz[ids, 0])].tolist():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .map import KeyFrame, Map
+from .map import Map, MapKeyFrame
 
 _ROW = 1000  # as large as a row of a key-frame: an integer object of its own
 
@@ -45,7 +45,7 @@ def footprint(map_: Map) -> Footprint:
     return Footprint(len(map_.keyframes), len(map_.culled), int(map_.alive.sum()), len(map_), observations, size)
 
 
-def _keyframe_bytes(keyframe: KeyFrame) -> int:
+def _keyframe_bytes(keyframe: MapKeyFrame) -> int:
     values = vars(keyframe)
     arrays = sum(_array_bytes(value) for value in values.values() if isinstance(value, np.ndarray))
     return sys.getsizeof(keyframe) + sys.getsizeof(values) + arrays

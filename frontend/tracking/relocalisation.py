@@ -26,7 +26,7 @@ from ..mapping.range_sensor import Ranging
 from ..vocabulary.lookup import WordLookup
 from ..vocabulary.vocabulary import WordIndex
 from .track import Segment
-from .tracker import Tracked
+from .tracker import TrackedFrame
 
 _ORB_SIGMA_PX = 1.0
 """Standard deviation of an ORB key-point on level 0."""
@@ -64,12 +64,12 @@ class Relocaliser:
         """Images with texture that were searched; whoever asks starts the count."""
         self._numbers: list[int] = []
 
-    def search(self, frame: Frame) -> Tracked:
+    def search(self, frame: Frame) -> TrackedFrame:
         """The pose of ``frame`` in the map; on success the tracker follows the points found from here on."""
         keypoints = self._describe(frame)
         settings, best, spread = self.config.lost, 0, 0.0
         if len(keypoints) < settings.min_matches:
-            return Tracked(None, 0, f"lost: {len(keypoints)} key-points in the image, need {settings.min_matches}")
+            return TrackedFrame(None, 0, f"lost: {len(keypoints)} key-points in the image, need {settings.min_matches}")
         self.searches += 1
         for number in self.candidates(keypoints):
             first = self._from_keyframe(number, keypoints)
@@ -79,10 +79,10 @@ class Relocaliser:
             best, spread = max((best, spread), (len(found.ids), found.spread))
             if len(found.ids) >= settings.min_matches and found.spread >= settings.min_spread:
                 self.segment.tracker.start(frame, found.T_C_W, found.ids, found.uv)
-                return Tracked(found.T_C_W, len(found.ids))
+                return TrackedFrame(found.T_C_W, len(found.ids))
         need = f"need {settings.min_matches} in {100 * settings.min_spread:.0f} %"
         seen = f"{best} points of the map in {100 * spread:.0f} % of the image"
-        return Tracked(None, best, f"lost: at best {seen} agree on a pose, {need}")
+        return TrackedFrame(None, best, f"lost: at best {seen} agree on a pose, {need}")
 
     def candidates(self, keypoints: Keypoints) -> list[int]:
         """Numbers of key-frames to try: the latest that stayed, then the best of each group that looks like the

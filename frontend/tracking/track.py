@@ -11,7 +11,7 @@ from ..cameras.models import Rig
 from ..config import OdometryConfig
 from ..files.trajectory import Trajectory
 from ..frames import Frame
-from ..mapping.map import KeyFrame, Map
+from ..mapping.map import Map, MapKeyFrame
 from ..mapping.mapper import Mapper
 from ..mapping.range_sensor import Ranging
 from ..stopwatch import Stopwatch
@@ -30,7 +30,7 @@ class Segment:
         self.mapper = Mapper(self.map, ranging, config, watch)
         self.tracker = Tracker(ranging, config)
         self.frames = PoseLog()
-        self.latest: KeyFrame | None = None
+        self.latest: MapKeyFrame | None = None
         self._reference_points = 0
 
     def record(self, frame: Frame, T_C_W: Array) -> None:

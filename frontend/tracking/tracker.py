@@ -27,7 +27,7 @@ found."""
 
 
 @dataclass(frozen=True)
-class Tracked:
+class TrackedFrame:
     """``T_C_W`` is None where tracking failed, and ``reason`` says why with its numbers. ``inliers`` map points agree
     with the pose."""
 
@@ -68,7 +68,7 @@ class Tracker:
         self.found = np.ones(len(point), dtype=bool)
         self.motion = None
 
-    def track(self, frame: Frame, map_: Map) -> Tracked:
+    def track(self, frame: Frame, map_: Map) -> TrackedFrame:
         """Find the points in ``frame`` and its pose. On failure the state stays as it was."""
         image = half_sized(frame.image, self.config.flow.align_levels)
         dt = (frame.stamp_ns - self.stamp_ns) / 1e9
@@ -150,9 +150,9 @@ class Tracker:
         predicted: Array,
         uv: Array,
         ok: NDArray[np.bool_],
-        result: Tracked,
+        result: TrackedFrame,
         inlier: NDArray[np.bool_],
-    ) -> tuple[Array, NDArray[np.bool_], Tracked, NDArray[np.bool_]]:
+    ) -> tuple[Array, NDArray[np.bool_], TrackedFrame, NDArray[np.bool_]]:
         assert result.T_C_W is not None
         before, _ = self.ranging.project(predicted, xyz[inlier])
         after, _ = self.ranging.project(result.T_C_W, xyz[inlier])
@@ -165,13 +165,13 @@ class Tracker:
 
     def _pose(
         self, uv: Array, ok: NDArray[np.bool_], xyz: Array, predicted: Array
-    ) -> tuple[Tracked, NDArray[np.bool_]]:
+    ) -> tuple[TrackedFrame, NDArray[np.bool_]]:
         settings = self.config.pose
         index = np.flatnonzero(ok)
         inlier = np.zeros(len(uv), dtype=bool)
         n = len(index)
         if n < settings.min_inliers:
-            return Tracked(None, 0, f"only {n} of {len(uv)} points found, need {settings.min_inliers}"), inlier
+            return TrackedFrame(None, 0, f"only {n} of {len(uv)} points found, need {settings.min_inliers}"), inlier
         ideal = self.ranging.ideal(uv[index])
         args = (
             xyz[index],
@@ -189,11 +189,11 @@ class Tracker:
                 if good2.sum() > good.sum():
                     T, good = T2, good2
         if good.sum() < settings.min_inliers or not np.isfinite(T).all():
-            return Tracked(
+            return TrackedFrame(
                 None, int(good.sum()), f"only {good.sum()} of {n} points agree on a pose, need {settings.min_inliers}"
             ), inlier
         inlier[index] = good
-        return Tracked(T, int(good.sum())), inlier
+        return TrackedFrame(T, int(good.sum())), inlier
 
     def _follow_unknown(
         self, frame: Frame, xyz: Array, uv: Array, ok: NDArray[np.bool_], T_C_W: Array

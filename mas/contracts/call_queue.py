@@ -10,16 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..protocol.ids import Operation
+from ..protocol.ids import OperationKind
 from ..protocol.messages import Call, Refusal
-from .context import Desk, Trade
-from .contract import Contract, LateMessage, State
+from .context import AgentContext, Operation
+from .contract import Contract, ContractState, LateMessage
 
 
-class Pool:
+class CallQueue:
     """Answers calls by the operations' bids, now or when idle; lower managers first, as all agents prefer them."""
 
-    def __init__(self, desk: Desk, trades: Mapping[Operation, Trade]) -> None:
+    def __init__(self, desk: AgentContext, trades: Mapping[OperationKind, Operation]) -> None:
         self.desk = desk
         self._trades = trades
         self._waiting: list[tuple[Contract, Call, int]] = []
@@ -51,7 +51,7 @@ class Pool:
 
     def _open(self, contract: Contract) -> bool:
         try:
-            return self.desk.ledger.get(contract.id, contract.contractor).state is State.CALLED
+            return self.desk.ledger.get(contract.id, contract.contractor).state is ContractState.CALLED
         except LateMessage:
             return False
 

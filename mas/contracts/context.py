@@ -7,14 +7,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..protocol.ids import ContractId, Operation
+from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Bid, Body, Call, Cancel, ContractBody, Message, Refusal
 from ..protocol.tasks import Outcome, Task
 from ..state.agent_state import AgentState
 from .contract import Contract
 from .ledger import Ledger
-from .reputation import SILENT, Regard, Standing
-from .retransmission import Words
+from .reputation import SILENT, ReputationBook, Trust
+from .retransmission import Retransmitter
 
 # Answers waited for one after the other in an optimisation, losses included.
 _ROUNDS = 150
@@ -33,7 +33,7 @@ class Event:
 
 
 @dataclass
-class Desk:
+class AgentContext:
     """Shared by the operations of one agent. ``now_ns``: logical time of the last tick or message; ``closing``: all
     sequences have ended."""
 
@@ -47,18 +47,18 @@ class Desk:
     _last_probes: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        self.words = Words(self.me, self.state.config.link)
-        self.standing = Standing(self.state.config.standing)
+        self.words = Retransmitter(self.me, self.state.config.link)
+        self.standing = ReputationBook(self.state.config.standing)
 
     @property
     def me(self) -> int:
         return self.state.me
 
-    def deadline_ns(self, operation: Operation, contractors: Iterable[int] = ()) -> int:
+    def deadline_ns(self, operation: OperationKind, contractors: Iterable[int] = ()) -> int:
         """When a contract opened now expires. An optimisation has many rounds, each of as many messages one after the
         other as there are members: many of them, or slow answers, make it longer."""
         config = self.state.config
-        if operation is not Operation.DOPT:
+        if operation is not OperationKind.DOPT:
             return self.now_ns + round(config.deadline_s * 1e9)
         others = list(contractors)
         slowest = max((self.words.pace.wait_ns(c) for c in others), default=0)
@@ -67,16 +67,16 @@ class Desk:
         longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
         return self.now_ns + round(longest * max(1.0, len(others) / 2))
 
-    def calling(self, operation: Operation) -> bool:
+    def calling(self, operation: OperationKind) -> bool:
         """Whether a contract of this kind runs that I manage."""
         return any(c.manager == self.me for c in self.ledger.running(operation))
 
-    def may_call(self, other: int, operation: Operation = Operation.DVPR) -> bool:
+    def may_call(self, other: int, operation: OperationKind = OperationKind.DVPR) -> bool:
         """Whether a call to the other is worth its bytes. Probes of who is in bad standing are small questions, never
         a part in an optimisation or a sale, and end with the sequences."""
-        small = operation not in (Operation.DOPT, Operation.MAPMERGE)
+        small = operation not in (OperationKind.DOPT, OperationKind.MAPMERGE)
         if self.closing or not small:
-            return self.standing.regard(other) is Regard.GOOD or (small and other in self._last_probes)
+            return self.standing.regard(other) is Trust.GOOD or (small and other in self._last_probes)
         return self.standing.may_call(other, self.now_ns)
 
     def close(self) -> None:
@@ -84,14 +84,14 @@ class Desk:
         if not self.closing:
             self.closing = True
             others = self.state.profile.others
-            self._last_probes = {a for a in others if self.standing.regard(a) is Regard.SILENT}
+            self._last_probes = {a for a in others if self.standing.regard(a) is Trust.SILENT}
 
-    def serves(self, other: int, operation: Operation) -> bool:
+    def serves(self, other: int, operation: OperationKind) -> bool:
         """Whether to work for the other: questions about places always, they let it come back."""
-        return operation in (Operation.DVPR, Operation.RELPOSE) or self.standing.regard(other) is Regard.GOOD
+        return operation in (OperationKind.DVPR, OperationKind.RELPOSE) or self.standing.regard(other) is Trust.GOOD
 
     def call(
-        self, operation: Operation, contractors: Iterable[int], members: tuple[int, ...] = ()
+        self, operation: OperationKind, contractors: Iterable[int], members: tuple[int, ...] = ()
     ) -> tuple[ContractId, list[int]]:
         """Call for proposals; returns the contract's id and who was called (not those that still have one of this
         kind, nor those in bad standing)."""
@@ -175,11 +175,11 @@ class WorkError(Exception):
     """A contractor cannot do what it was awarded; becomes a Failure with this reason."""
 
 
-class Trade(ABC):
+class Operation(ABC):
     """One operation, as manager and as contractor. Every method is called with a contract that the ledger has
     advanced."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: AgentContext) -> None:
         self.desk = desk
 
     @property

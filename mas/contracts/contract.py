@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from ..errors import MasError
-from ..protocol.ids import ContractId, Operation
+from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Award, Bid, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
 
 
@@ -47,7 +47,7 @@ class Repeated(LateMessage):
         self.contract = contract
 
 
-class State(StrEnum):
+class ContractState(StrEnum):
     CALLED = "called"
     BID = "bid"
     AWARDED = "awarded"
@@ -60,27 +60,27 @@ class State(StrEnum):
     EXPIRED = "expired"
 
 
-ENDED = frozenset({State.DONE, State.REFUSED, State.REJECTED, State.FAILED, State.CANCELLED, State.EXPIRED})
+ENDED = frozenset({ContractState.DONE, ContractState.REFUSED, ContractState.REJECTED, ContractState.FAILED, ContractState.CANCELLED, ContractState.EXPIRED})
 
 # Who may say what, in which state, and what follows. A call opens a contract and cannot come twice.
-CONTRACTOR_SAYS: dict[tuple[State, type], State] = {
-    (State.CALLED, Bid): State.BID,
-    (State.CALLED, Refusal): State.REFUSED,
-    (State.AWARDED, Confirmation): State.WORKING,
-    (State.AWARDED, Failure): State.FAILED,
-    (State.WORKING, Result): State.DONE,
-    (State.WORKING, Failure): State.FAILED,
+CONTRACTOR_SAYS: dict[tuple[ContractState, type], ContractState] = {
+    (ContractState.CALLED, Bid): ContractState.BID,
+    (ContractState.CALLED, Refusal): ContractState.REFUSED,
+    (ContractState.AWARDED, Confirmation): ContractState.WORKING,
+    (ContractState.AWARDED, Failure): ContractState.FAILED,
+    (ContractState.WORKING, Result): ContractState.DONE,
+    (ContractState.WORKING, Failure): ContractState.FAILED,
 }
-MANAGER_SAYS: dict[tuple[State, type], State] = {
-    (State.BID, Award): State.AWARDED,
-    (State.BID, Rejection): State.REJECTED,
-    (State.CALLED, Cancel): State.CANCELLED,
-    (State.BID, Cancel): State.CANCELLED,
-    (State.AWARDED, Cancel): State.CANCELLED,
-    (State.WORKING, Cancel): State.CANCELLED,
+MANAGER_SAYS: dict[tuple[ContractState, type], ContractState] = {
+    (ContractState.BID, Award): ContractState.AWARDED,
+    (ContractState.BID, Rejection): ContractState.REJECTED,
+    (ContractState.CALLED, Cancel): ContractState.CANCELLED,
+    (ContractState.BID, Cancel): ContractState.CANCELLED,
+    (ContractState.AWARDED, Cancel): ContractState.CANCELLED,
+    (ContractState.WORKING, Cancel): ContractState.CANCELLED,
 }
 # What a manager takes although it missed the confirmation; no contractor may say it so.
-RESULT_CONFIRMS: dict[tuple[State, type], State] = {(State.AWARDED, Result): State.DONE}
+RESULT_CONFIRMS: dict[tuple[ContractState, type], ContractState] = {(ContractState.AWARDED, Result): ContractState.DONE}
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ class Contract:
 
     id: ContractId
     contractor: int
-    operation: Operation
+    operation: OperationKind
     deadline_ns: int
-    state: State = State.CALLED
+    state: ContractState = ContractState.CALLED
     reason: str = ""
     said: frozenset[type] = frozenset()
 
@@ -126,4 +126,4 @@ def expire(contract: Contract, now_ns: int) -> Contract:
     """The contract, expired if its deadline has passed before its end."""
     if contract.ended or now_ns <= contract.deadline_ns:
         return contract
-    return replace(contract, state=State.EXPIRED, reason=f"{contract.state} when its time was over")
+    return replace(contract, state=ContractState.EXPIRED, reason=f"{contract.state} when its time was over")

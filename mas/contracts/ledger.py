@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from ..protocol.ids import ContractId, Operation
+from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Call, Cancel, ContractBody, Rejection
-from .contract import Contract, LateMessage, ProtocolError, Repeated, State, advance, expire
+from .contract import Contract, ContractState, LateMessage, ProtocolError, Repeated, advance, expire
 
 # Ended contracts an agent remembers, to tell a late message from a wrong one.
 _REMEMBERED = 10_000
@@ -21,10 +21,10 @@ class Ledger:
         self.superseded: list[Contract] = []
         self._number = 0
         self._running: dict[tuple[ContractId, int], Contract] = {}
-        self._heard: dict[tuple[int, Operation], int] = {}
+        self._heard: dict[tuple[int, OperationKind], int] = {}
         self._ended: dict[tuple[ContractId, int], Contract | None] = {}
 
-    def call(self, operation: Operation, contractors: Iterable[int], deadline_ns: int) -> tuple[ContractId, list[int]]:
+    def call(self, operation: OperationKind, contractors: Iterable[int], deadline_ns: int) -> tuple[ContractId, list[int]]:
         """Open one contract as manager with each contractor; those that still have one of the kind are left out.
         Returns the id and who is to be called."""
         busy = {c.contractor for c in self._running.values() if c.manager == self.me and c.operation is operation}
@@ -51,7 +51,7 @@ class Ledger:
         self._heard[sender, call.operation] = identity.number
         for old in self.running(call.operation):
             if old.manager == sender and old.contractor == self.me:
-                over = replace(old, state=State.CANCELLED, reason="its manager calls anew")
+                over = replace(old, state=ContractState.CANCELLED, reason="its manager calls anew")
                 self._keep(over)
                 self.superseded.append(over)
         contract = Contract(identity, self.me, call.operation, call.deadline_ns)
@@ -101,7 +101,7 @@ class Ledger:
         mine = [c for (i, _), c in self._running.items() if i == identity and c.manager == self.me]
         return sorted(mine, key=lambda c: c.contractor)
 
-    def running(self, operation: Operation | None = None) -> list[Contract]:
+    def running(self, operation: OperationKind | None = None) -> list[Contract]:
         """All running contracts, of one operation or of all, in the order in which they were opened."""
         return [c for c in self._running.values() if operation is None or c.operation is operation]
 

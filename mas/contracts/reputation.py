@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from ..config import StandingConfig
-from ..protocol.ids import Operation
+from ..protocol.ids import OperationKind
 from ..protocol.messages import Award, Bid, Confirmation
-from .contract import Contract, State
+from .contract import Contract, ContractState
 
 # What a contract that ended without its result counts as: not done, said so, or stuck among several members.
 _NOT_DELIVERED, _FAILED, _STUCK = 1.0, 0.25, 0.5
@@ -27,7 +27,7 @@ _SILENT_AFTER = 2
 SILENT = "silent"
 
 
-class Regard(StrEnum):
+class Trust(StrEnum):
     """How an agent is dealt with."""
 
     GOOD = "good"
@@ -37,7 +37,7 @@ class Regard(StrEnum):
 
 
 @dataclass
-class Record:
+class Reputation:
     """One agent's figures: whole contracts by end, the two pairs of counts, and when the next probe is due."""
 
     delivered: int = 0
@@ -50,7 +50,7 @@ class Record:
     blamed: float = 0.0
     unheard: int = 0
     probe_ns: int = 0
-    regard: Regard = Regard.GOOD
+    regard: Trust = Trust.GOOD
 
     @property
     def reliability(self) -> float:
@@ -62,27 +62,27 @@ class Record:
 
     @property
     def value(self) -> float:
-        """Standing, 0 to 1."""
+        """ReputationBook, 0 to 1."""
         return self.reliability * self.honesty
 
 
-class Standing:
+class ReputationBook:
     """The records of one agent about the others."""
 
     def __init__(self, config: StandingConfig) -> None:
         self.config = config
-        self.records: dict[int, Record] = {}
+        self.records: dict[int, Reputation] = {}
         # Whose figures may have changed since :meth:`changes` looked last.
         self._touched: set[int] = set()
 
-    def of(self, other: int) -> Record:
+    def of(self, other: int) -> Reputation:
         """The record of one agent, to look at; a stranger's is empty."""
         record = self.records.get(other)
         if record is None:
-            record = self.records[other] = Record()
+            record = self.records[other] = Reputation()
         return record
 
-    def _touch(self, other: int) -> Record:
+    def _touch(self, other: int) -> Reputation:
         """The record of one agent, to change it."""
         self._touched.add(other)
         return self.of(other)
@@ -94,23 +94,23 @@ class Standing:
     def ended(self, contract: Contract) -> None:
         """A contract that I managed has ended. What I ended myself, or never awarded, is not held against anybody."""
         record = self._touch(contract.contractor)
-        if contract.state is State.DONE:
+        if contract.state is ContractState.DONE:
             record.delivered += 1
             self._count(record, good=1.0)
-        elif contract.state is State.FAILED:
+        elif contract.state is ContractState.FAILED:
             record.failed += 1
             self._count(record, poor=_FAILED)
-        elif contract.state is State.EXPIRED or contract.reason == SILENT:
+        elif contract.state is ContractState.EXPIRED or contract.reason == SILENT:
             record.expired += 1
             if Award in contract.said:
-                stuck = contract.operation is Operation.DOPT and contract.reason != SILENT
+                stuck = contract.operation is OperationKind.DOPT and contract.reason != SILENT
                 self._count(record, poor=_STUCK if stuck else _NOT_DELIVERED)
             elif Bid not in contract.said:
                 record.unheard += 1
 
     def left_waiting(self, contract: Contract) -> None:
         """An optimisation that I took part in never ended: its manager answers for that."""
-        if contract.operation is Operation.DOPT and contract.state is State.EXPIRED and Confirmation in contract.said:
+        if contract.operation is OperationKind.DOPT and contract.state is ContractState.EXPIRED and Confirmation in contract.said:
             self._count(self._touch(contract.manager), poor=_STUCK)
 
     def judged(self, other: int, borne_out: int, contradicted: int) -> None:
@@ -124,40 +124,40 @@ class Standing:
 
     def may_call(self, other: int, now_ns: int) -> bool:
         """Whether a call is worth its bytes now."""
-        return self.regard(other) is Regard.GOOD or now_ns >= self.of(other).probe_ns
+        return self.regard(other) is Trust.GOOD or now_ns >= self.of(other).probe_ns
 
     def called(self, other: int, now_ns: int) -> None:
         """A call went out: to one in bad standing that was the probe."""
         record = self.of(other)
-        if self.regard(other) is not Regard.GOOD and now_ns >= record.probe_ns:
+        if self.regard(other) is not Trust.GOOD and now_ns >= record.probe_ns:
             record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
 
     def trusts(self, other: int) -> bool:
         """Whether its word is taken for what only it has computed."""
-        return self.regard(other) is not Regard.UNTRUSTED
+        return self.regard(other) is not Trust.UNTRUSTED
 
-    def regard(self, other: int) -> Regard:
+    def regard(self, other: int) -> Trust:
         """How to deal with the other now."""
         record = self.of(other)
         if record.honesty < self.config.honesty:
-            return Regard.UNTRUSTED
+            return Trust.UNTRUSTED
         if record.unheard >= _SILENT_AFTER:
-            return Regard.SILENT
-        return Regard.UNDELIVERING if record.reliability < self.config.reliability else Regard.GOOD
+            return Trust.SILENT
+        return Trust.UNDELIVERING if record.reliability < self.config.reliability else Trust.GOOD
 
-    def changes(self, now_ns: int) -> list[tuple[int, Record]]:
+    def changes(self, now_ns: int) -> list[tuple[int, Reputation]]:
         """Agents that are regarded otherwise than when this was asked last; the first probe waits its time."""
         out = []
         touched, self._touched = self._touched, set()
         for other in sorted(touched):
             record, regard = self.of(other), self.regard(other)
             if regard is not record.regard:
-                if record.regard is Regard.GOOD:
+                if record.regard is Trust.GOOD:
                     record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
                 record.regard = regard
                 out.append((other, record))
         return out
 
-    def _count(self, record: Record, good: float = 0.0, poor: float = 0.0) -> None:
+    def _count(self, record: Reputation, good: float = 0.0, poor: float = 0.0) -> None:
         keep = self.config.forgetting
         record.g, record.p = keep * record.g + good, keep * record.p + poor

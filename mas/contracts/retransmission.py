@@ -15,16 +15,16 @@ from dataclasses import dataclass
 from ..config import LinkConfig
 from ..protocol.ids import ContractId
 from ..protocol.messages import Award, Bid, Call, Confirmation, Failure, Message, Refusal, Result
-from .contract import Contract, State
-from .rtt import Pace
+from .contract import Contract, ContractState
+from .rtt import RttEstimator
 
 Key = tuple[ContractId, int]
 _CONTRACTORS = Bid | Refusal | Confirmation | Result | Failure
 # In these states the other side owes the manager an answer.
-_OWED = (State.CALLED, State.AWARDED, State.WORKING)
+_OWED = (ContractState.CALLED, ContractState.AWARDED, ContractState.WORKING)
 # A last word worth repeating after the end: the other side may not know that it ended.
-_CONTRACTOR_ENDS = (State.DONE, State.FAILED, State.REFUSED)
-_MANAGER_ENDS = (State.REJECTED, State.CANCELLED)
+_CONTRACTOR_ENDS = (ContractState.DONE, ContractState.FAILED, ContractState.REFUSED)
+_MANAGER_ENDS = (ContractState.REJECTED, ContractState.CANCELLED)
 # So many waits in vain until a contractor is given up, where answers are slow.
 _TRIES = 20
 
@@ -45,14 +45,14 @@ class _Last:
     tries: int = 0
 
 
-class Words:
+class Retransmitter:
     """Last words of one agent's contracts, kept until their deadlines. ``repeated``: how many were said again."""
 
     def __init__(self, me: int, config: LinkConfig) -> None:
         self.me = me
         self.config = config
         self.repeated = 0
-        self.pace = Pace(config)
+        self.pace = RttEstimator(config)
         self._last: dict[Key, _Last] = {}
         self._owed: set[Key] = set()
         self._deadlines: list[tuple[int, Key]] = []
@@ -72,7 +72,7 @@ class Words:
         last = self._last.get((contract.id, contract.contractor))
         if last is not None:
             before = last.contract.state
-            if contract.manager == self.me and before in (State.CALLED, State.AWARDED) and contract.state is not before:
+            if contract.manager == self.me and before in (ContractState.CALLED, ContractState.AWARDED) and contract.state is not before:
                 self.pace.answered(contract.contractor, now_ns - last.first_ns)
             last.contract, last.since_ns, last.tries = contract, now_ns, 0
             self._note_owed((contract.id, contract.contractor), contract)
@@ -97,7 +97,7 @@ class Words:
     def _patience_ns(self, contract: Contract) -> int:
         shortest = round(self.config.silence_s * 1e9)
         # Who works was there a moment ago, and giving it up costs all other members of an optimisation their work.
-        times = 2 if contract.state is State.WORKING else 1
+        times = 2 if contract.state is ContractState.WORKING else 1
         return times * max(shortest, _TRIES * self.pace.wait_ns(self._other(contract)))
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
@@ -108,7 +108,7 @@ class Words:
             return None
         if contract.manager == self.me:
             missed = contract.state in _MANAGER_ENDS and isinstance(body, Bid | Confirmation)
-            missed |= contract.state is State.AWARDED and isinstance(body, Bid)
+            missed |= contract.state is ContractState.AWARDED and isinstance(body, Bid)
         else:
             missed = isinstance(body, Call | Award) and (not contract.ended or contract.state in _CONTRACTOR_ENDS)
             missed &= isinstance(last.word.body, _CONTRACTORS)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
-from .contract import Contract, State
+from .contract import Contract, ContractState
 from .reputation import SILENT
 
 
-class Retender:
+class RetryBudget:
     """Counts for each subject (a key-frame, a match, a map) and contractor how often the work was called for again."""
 
     def __init__(self, limit: int) -> None:
@@ -18,7 +18,7 @@ class Retender:
     def wanted(self, contract: Contract, subject: Hashable) -> bool:
         """Whether to call again after this end; False once it is done, was not wanted, or was tried often enough."""
         key = (subject, contract.contractor)
-        lost = contract.state in (State.EXPIRED, State.FAILED, State.REFUSED) or contract.reason == SILENT
+        lost = contract.state in (ContractState.EXPIRED, ContractState.FAILED, ContractState.REFUSED) or contract.reason == SILENT
         tried = self._tried.pop(key, 0)
         if not lost or tried >= self.limit:
             return False

@@ -11,7 +11,7 @@ _ANSWERS = 8
 _PATIENCE = 1.5
 
 
-class Pace:
+class RttEstimator:
     """The quickest of the last answers of each other agent. A lost word makes an answer late, never early: so the
     quickest one tells what a word there and back takes."""
 

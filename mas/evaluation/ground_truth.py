@@ -13,7 +13,7 @@ from maslam.backend.trajectory_error import TrajectoryError, connected_error, pa
 from maslam.frontend.files.trajectory import Trajectory
 
 from ..agent import Agent
-from ..map_exchange.map_copy import HeldMap
+from ..map_exchange.map_copy import MapCopy
 from ..sequence import STAMP_TOLERANCE_NS, AgentSequence
 from ..state.agent_state import AgentState
 from ..state.place_match import Match
@@ -48,7 +48,7 @@ class MatchError:
         return self.metres > self.allowed_m or self.degrees > FALSE_DEG
 
 
-class Onlooker:
+class GroundTruthEvaluator:
     """Compares agents with the truth, as far as their sequences have one."""
 
     def __init__(self, sequences: Sequence[AgentSequence]) -> None:
@@ -56,7 +56,7 @@ class Onlooker:
         self._scales: dict[int, float] = {}
         # What was paired last, and of what: while that is the same, so are the pairs.
         self._own_pairs: dict[int, tuple[AgentState, int, _Pair | None]] = {}
-        self._copy_pairs: dict[tuple[int, int], tuple[HeldMap, _Pair | None]] = {}
+        self._copy_pairs: dict[tuple[int, int], tuple[MapCopy, _Pair | None]] = {}
         self._frames = [self._frame_names(i) for i in range(len(self.sequences))]
         self._all_frames = set().union(*self._frames) if self._frames else set()
 
@@ -188,14 +188,14 @@ class Onlooker:
             self._own_pairs[state.me] = state, state.version, pair
         return pair
 
-    def _copy_pair(self, holder: int, held: HeldMap) -> _Pair | None:
+    def _copy_pair(self, holder: int, held: MapCopy) -> _Pair | None:
         known, pair = self._copy_pairs.get((holder, held.owner), (None, None))
         if known is not held:
             pair = self._paired(held.owner, self._times(held), held.poses[:, :3, 3])
             self._copy_pairs[holder, held.owner] = held, pair
         return pair
 
-    def _times(self, held: HeldMap) -> NDArray[np.int64]:
+    def _times(self, held: MapCopy) -> NDArray[np.int64]:
         stamps: NDArray[np.int64] = held.stamps_ns.astype(np.int64)
         return stamps - self.sequences[held.owner].start_ns
 

@@ -11,7 +11,7 @@ from maslam.backend.geometry import Array
 from maslam.backend.trajectory_error import TrajectoryError
 
 from ..agent import Agent
-from ..map_exchange.map_copy import HeldMap
+from ..map_exchange.map_copy import MapCopy
 from ..state.agent_state import AgentState
 from .summary import MapCopy
 
@@ -45,7 +45,7 @@ class Original:
         self.owner = owner
         self._trees: dict[int, cKDTree] = {}
 
-    def off(self, held: HeldMap, holder: AgentState) -> float | None:
+    def off(self, held: MapCopy, holder: AgentState) -> float | None:
         """Median distance of a copy's points from where their owner has them, in the unit of their frame; None where
         the two are in different coordinates, or the copy has no points.
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..agent import Agent
-from ..contracts.reputation import Record, Regard
+from ..contracts.reputation import Reputation, Trust
 from ..transport.faults import FaultyTransport
 from ..transport.transport import Transport
 from .summary import FaultFigures, StandingFigures
@@ -19,7 +19,7 @@ def standings(agents: Sequence[Agent]) -> list[StandingFigures]:
 
 
 def _of(me: int, agents: Sequence[Agent]) -> StandingFigures:
-    views: dict[int, Record] = {}
+    views: dict[int, Reputation] = {}
     for other in agents:
         if me in other.desk.standing.records:
             views[other.state.me] = other.desk.standing.records[me]
@@ -32,7 +32,7 @@ def _of(me: int, agents: Sequence[Agent]) -> StandingFigures:
         contradicted=int(sum(r.f for r in views.values())),
         mean=float(np.mean(values)) if values else None,
         lowest=min(values) if values else None,
-        shunned_by=sorted(a for a, r in views.items() if r.regard is not Regard.GOOD),
+        shunned_by=sorted(a for a, r in views.items() if r.regard is not Trust.GOOD),
     )
 
 

@@ -16,8 +16,8 @@ from ..protocol.ids import MatchId
 from ..sequence import AgentSequence
 from ..state.place_match import Fate
 from ..state.trajectories import frame_trajectory
-from ..transport.transport import Count, Transport
-from .ground_truth import MatchError, Onlooker, groups_of, odometry_frames
+from ..transport.transport import TrafficCount, Transport
+from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames
 from .map_copies import map_copies
 from .reputation_figures import fault_figures, standings
 from .summary import Errors, MatchFigures, OptimisationFigures, Summary, TrafficFigures
@@ -27,7 +27,7 @@ def summarise(
     agents: Sequence[Agent],
     sequences: Sequence[AgentSequence],
     config: MasConfig,
-    onlooker: Onlooker,
+    onlooker: GroundTruthEvaluator,
     transport: Transport,
     errors: dict[MatchId, MatchError],
     steps: int,
@@ -79,7 +79,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _traffic(counts: Sequence[Count]) -> TrafficFigures:
+def _traffic(counts: Sequence[TrafficCount]) -> TrafficFigures:
     return TrafficFigures(
         messages=sum(c.messages for c in counts),
         payload_bytes=sum(c.payload_bytes for c in counts),

@@ -18,8 +18,8 @@ from ..protocol.ids import MatchId
 from ..protocol.map_messages import MapDelivery
 from ..protocol.tensors import unpack_sim3s
 from ..state.agent_state import AgentState
-from .evidence_checks import Standing, Witness, best_motion, standing, tolerance, witnesses
-from .map_copy import HeldMap, with_new_keyframes
+from .evidence_checks import EvidenceStatistics, Witness, best_motion, standing, tolerance, witnesses
+from .map_copy import MapCopy, with_new_keyframes
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,18 +27,18 @@ class Admission:
     """``held``: the map as it is kept, None if it is rejected, with the ``reason``; ``standing``: how it stands to the
     place matches then; ``aligned_by``: the match it was laid on, ``redundant``: only new key-frames were taken."""
 
-    held: HeldMap | None
-    standing: Standing | None
+    held: MapCopy | None
+    standing: EvidenceStatistics | None
     reason: str = ""
     aligned_by: MatchId | None = None
     redundant: bool = False
 
 
 def admit(
-    new: HeldMap,
-    old: HeldMap | None,
+    new: MapCopy,
+    old: MapCopy | None,
     state: AgentState,
-    others: Mapping[int, HeldMap],
+    others: Mapping[int, MapCopy],
     placed_by: MatchId | None = None,
 ) -> Admission:
     """Judge a map that came in. ``placed_by``: the match that told where it stands, which can therefore not judge
@@ -52,7 +52,7 @@ def admit(
     return verdict
 
 
-def recheck(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> Admission:
+def recheck(held: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> Admission:
     """Judge a map that is held. It may have been laid on any of its matches, so the one that agrees best says nothing
     where there are others."""
     found = witnesses(held, state, others)
@@ -60,7 +60,7 @@ def recheck(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> 
     return _judged(held, found, state, best)
 
 
-def _judged(held: HeldMap, found: list[Witness], state: AgentState, placed_by: MatchId | None) -> Admission:
+def _judged(held: MapCopy, found: list[Witness], state: AgentState, placed_by: MatchId | None) -> Admission:
     """Consistency, then accuracy."""
     held, found, aligned_by = aligned(held, found, state)
     limit = tolerance(state.config.merge.accuracy_m, state)
@@ -87,8 +87,8 @@ def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None
 
 
 def aligned(
-    held: HeldMap, found: list[Witness], state: AgentState
-) -> tuple[HeldMap, list[Witness], MatchId | None]:
+    held: MapCopy, found: list[Witness], state: AgentState
+) -> tuple[MapCopy, list[Witness], MatchId | None]:
     """The consistency check: the map, laid on a match where its witnesses say that it stands too far off; the witnesses
     then, and that match."""
     limit = tolerance(state.config.merge.consistency_m, state)

@@ -18,7 +18,7 @@ from maslam.backend.geometry import Array, Sim3
 
 from ..protocol.ids import MatchId
 from ..state.agent_state import AgentState
-from .map_copy import HeldMap
+from .map_copy import MapCopy
 
 # Witnesses of one map that are asked.
 ENOUGH = 16
@@ -56,7 +56,7 @@ class Witness:
 
 
 @dataclass(frozen=True)
-class Standing:
+class EvidenceStatistics:
     """How a map stands to its witnesses: how many, how far off at best, at the median and at worst."""
 
     matches: int
@@ -73,7 +73,7 @@ class Standing:
         }  # fmt: skip
 
 
-def witnesses(held: HeldMap, state: AgentState, others: Mapping[int, HeldMap]) -> list[Witness]:
+def witnesses(held: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> list[Witness]:
     """The accepted matches between the map and the agent itself; where there are none, those that came with maps
     between it and other held ones. In order of id; of many, :data:`ENOUGH` spread evenly.
 
@@ -93,7 +93,7 @@ def _between(matches: Iterable[MatchId], one: int, other: int) -> list[MatchId]:
     return [i for i in matches if one in i.agents and other in i.agents]
 
 
-def _own(held: HeldMap, state: AgentState, matches: list[MatchId]) -> list[Witness]:
+def _own(held: MapCopy, state: AgentState, matches: list[MatchId]) -> list[Witness]:
     frame, out = state.frame, []
     for match in matches:
         mine = match.query if match.query_agent == state.me else match.match
@@ -102,7 +102,7 @@ def _own(held: HeldMap, state: AgentState, matches: list[MatchId]) -> list[Witne
     return [w for w in out if w is not None]
 
 
-def _bought(held: HeldMap, others: Mapping[int, HeldMap]) -> list[Witness]:
+def _bought(held: MapCopy, others: Mapping[int, MapCopy]) -> list[Witness]:
     known: dict[MatchId, Sim3] = {}
     for other in sorted(set(others) - {held.owner}):
         for match, T_M_Q in (*held.matches_with.get(other, ()), *others[other].matches_with.get(held.owner, ())):
@@ -117,7 +117,7 @@ def _bought(held: HeldMap, others: Mapping[int, HeldMap]) -> list[Witness]:
     return [w for w in out if w is not None]
 
 
-def _witness(held: HeldMap, match: MatchId, T_M_Q: Sim3, camera: Sim3) -> Witness | None:
+def _witness(held: MapCopy, match: MatchId, T_M_Q: Sim3, camera: Sim3) -> Witness | None:
     """What a match from a known camera, ``T_O_C``, says about a key-frame of the map; None if that is not in it."""
     queried = match.query_agent == held.owner
     row = held.rows.get(match.query if queried else match.match)
@@ -132,7 +132,7 @@ def _some(matches: list[MatchId]) -> list[MatchId]:
     return [matches[i] for i in np.linspace(0, len(matches) - 1, ENOUGH).astype(int)]
 
 
-def standing(found: Iterable[Witness]) -> Standing | None:
+def standing(found: Iterable[Witness]) -> EvidenceStatistics | None:
     """None without witnesses."""
     rows = list(found)
     if not rows:
@@ -140,7 +140,7 @@ def standing(found: Iterable[Witness]) -> Standing | None:
     off = _distances(rows, Sim3.identity())
     chords = np.array([w.expected.rotation for w in rows]) - np.array([w.found.rotation for w in rows])
     worst = _degrees(float((chords**2).sum(axis=(1, 2)).max()))
-    return Standing(len(rows), float(off.min()), float(np.median(off)), float(off.max()), worst)
+    return EvidenceStatistics(len(rows), float(off.min()), float(np.median(off)), float(off.max()), worst)
 
 
 def best_motion(found: list[Witness]) -> tuple[Sim3, MatchId]:

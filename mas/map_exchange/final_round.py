@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from ..contracts.context import Desk
-from ..protocol.ids import Operation
+from ..contracts.context import AgentContext
+from ..protocol.ids import OperationKind
 from ..protocol.messages import MapNotice
-from .operation import MapTrade
+from .operation import MapExchange
 
 # An agent that lacks maps of its group asks for them after so many looks without anything new, and then waits no more.
 _ASKS_AFTER = (4, 8, 16)
 
 
-class FinalPurchases:
+class FinalRound:
     """Each agent asks its partners once, then tells them what else it gets, and buys from who tells it something new:
     a map travels on through all who have met, however long the chain, and who has everything is not asked again.
 
     A notice may get lost: who lacks the map of a member of its group for long asks again.
     """
 
-    def __init__(self, desk: Desk, maps: MapTrade) -> None:
+    def __init__(self, desk: AgentContext, maps: MapExchange) -> None:
         self.desk, self.maps = desk, maps
         self.searching = True
         self._rounds = 0
@@ -33,7 +33,7 @@ class FinalPurchases:
         """Those of them from whom it may still buy."""
         config = self.desk.state.config.merge
         allowed = config.enabled and self._rounds < config.closing_rounds
-        return [a for a in sellers if self.desk.may_call(a, Operation.MAPMERGE)] if allowed else []
+        return [a for a in sellers if self.desk.may_call(a, OperationKind.MAPMERGE)] if allowed else []
 
     def choose(self, sellers: list[int]) -> list[int]:
         """Whom of these to buy from now."""

@@ -11,7 +11,7 @@ from ..protocol.map_messages import SubMap
 from ..protocol.tensors import Tensor, pack_poses, pack_sim3s
 from ..state.agent_state import AgentState, thinned
 from ..state.keyframe import KeyFrame
-from .map_copy import HeldMap, held_of_submap
+from .map_copy import MapCopy, held_of_submap
 
 
 def own_submap(state: AgentState, max_points: int) -> SubMap:
@@ -44,7 +44,7 @@ def fresh_rows(keyframe: KeyFrame, max_points: int) -> NDArray[np.int64]:
     return thinned(np.flatnonzero(keyframe.first_seen & (keyframe.points_C[:, 2] > 0)), max_points)
 
 
-def own_map(state: AgentState) -> HeldMap:
+def own_map(state: AgentState) -> MapCopy:
     """The agent's own map with all its points, seen like a held one: for export."""
     limit = max((len(k.points_C) for k in state.keyframes), default=0)
     return held_of_submap(own_submap(state, limit), state.frame, Sim3.identity(), state.me, 0)

@@ -20,7 +20,7 @@ from maslam.backend.geometry import Array
 
 from ..protocol.map_messages import Runs, SubMap, indices_of
 from ..protocol.tensors import Tensor
-from .map_copy import HeldMap
+from .map_copy import MapCopy
 from .versions import StaleBase
 
 
@@ -50,7 +50,7 @@ def without(submap: SubMap, held: Runs) -> SubMap:
     )
 
 
-def completed(submap: SubMap, held: HeldMap | None) -> SubMap:
+def completed(submap: SubMap, held: MapCopy | None) -> SubMap:
     """The whole map, with the points of the copy where the seller left them out; :class:`StaleBase` where the copy
     lacks some, or is not what the seller has."""
     if not submap.known:

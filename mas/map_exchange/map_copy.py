@@ -15,11 +15,11 @@ from ..protocol.ids import FrameId, MatchId
 from ..protocol.map_messages import SubMap
 from ..protocol.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 from ..state.agent_state import stretched
-from .versions import Stock
+from .versions import MapVersion
 
 
 @dataclass(frozen=True, eq=False)
-class HeldMap:
+class MapCopy:
     """``version`` (edition) of ``owner``'s map, bought from ``seller`` at ``now_ns``; ``route``: through whose hands
     it came, the owner first, the seller last.
 
@@ -43,7 +43,7 @@ class HeldMap:
     points_C: Array
     descriptors: NDArray[np.uint8] | None
     matches: tuple[tuple[MatchId, Sim3], ...]
-    stock: Stock | None = None
+    stock: MapVersion | None = None
 
     @cached_property
     def poses(self) -> Array:
@@ -78,24 +78,24 @@ class HeldMap:
         poses = self.poses[self.references]
         return np.einsum("pij,pj->pi", poses[:, :3, :3], self.points_C * self.unit) + poses[:, :3, 3]
 
-    def moved(self, motion: Sim3) -> HeldMap:
+    def moved(self, motion: Sim3) -> MapCopy:
         """The copy in another place: ``motion`` in the holder's coordinates."""
         return replace(self, placement=motion @ self.placement)
 
 
-def held_of_stock(stock: Stock, placement: Sim3, route: tuple[int, ...], now_ns: int) -> HeldMap:
+def held_of_stock(stock: MapVersion, placement: Sim3, route: tuple[int, ...], now_ns: int) -> MapCopy:
     """A held map of an edition that was bought."""
     m = stock.map
-    return HeldMap(
+    return MapCopy(
         m.owner, m.edition, route[-1] if route else m.owner, now_ns, route, m.frame, placement, m.keyframes,
         m.stamps_ns, m.poses_F(), m.references, m.points_C(), m.descriptors, tuple(m.match_list()), stock,
     )  # fmt: skip
 
 
-def held_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int, now_ns: int) -> HeldMap:
+def held_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int, now_ns: int) -> MapCopy:
     """A held map in the thesis's form; ``frame``: the seller's coordinates."""
     placement = T_mine_seller @ Sim3(np.eye(3), np.zeros(3), submap.unit)
-    return HeldMap(
+    return MapCopy(
         submap.owner, submap.version, seller, now_ns, (*submap.route, seller), frame, placement,
         submap.keyframes.array(), submap.stamps_ns.array(),
         stretched(unpack_poses(submap.poses.array()), 1.0 / submap.unit), submap.references.array(),
@@ -104,7 +104,7 @@ def held_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: 
     )  # fmt: skip
 
 
-def submap_of(held: HeldMap) -> SubMap:
+def submap_of(held: MapCopy) -> SubMap:
     """The copy as it is sold on in the thesis's form, in the holder's coordinates."""
     described = held.descriptors
     return SubMap(
@@ -117,7 +117,7 @@ def submap_of(held: HeldMap) -> SubMap:
     )  # fmt: skip
 
 
-def with_new_keyframes(old: HeldMap, new: HeldMap) -> HeldMap:
+def with_new_keyframes(old: MapCopy, new: MapCopy) -> MapCopy:
     """The old copy with the key-frames that only the new one has: each follows the key-frame before it, or, before the
     first, precedes the one after it, by the new map's own relative poses (equations 3.5 and 3.6)."""
     common = [row for k, row in sorted(new.rows.items()) if k in old.rows]

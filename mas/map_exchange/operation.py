@@ -14,12 +14,12 @@ import numpy as np
 
 from maslam.backend.geometry import Sim3
 
-from ..contracts.context import Desk, Trade, WorkError
-from ..contracts.contract import Contract, State
-from ..contracts.retries import Retender
+from ..contracts.context import AgentContext, Operation, WorkError
+from ..contracts.contract import Contract, ContractState
+from ..contracts.retries import RetryBudget
 from ..place_recognition.verification import str_match
 from ..policies.utility import orders
-from ..protocol.ids import ContractId, MatchId, Operation
+from ..protocol.ids import ContractId, MatchId, OperationKind
 from ..protocol.map_messages import MapDelivery, MapOrder, Parcel
 from ..protocol.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
 from ..protocol.tasks import Outcome, Task
@@ -28,13 +28,13 @@ from ..state.pose_graph import Adoption
 from .admission import Admission, admit, recheck, seller_frame
 from .announcements import Announcements
 from .full_map_increments import completed, runs_of
-from .map_copy import HeldMap, held_of_stock, held_of_submap
-from .seller import Shop
+from .map_copy import MapCopy, held_of_stock, held_of_submap
+from .seller import Seller
 from .versions import stock_of
 
 
 @dataclass
-class Tender:
+class MapTender:
     """One call for maps until all have answered, or long enough has been waited for them."""
 
     called_ns: int
@@ -42,18 +42,18 @@ class Tender:
     bids: dict[int, Bid] = field(default_factory=dict)
 
 
-class MapTrade(Trade):
+class MapExchange(Operation):
     """Manager: the buyer; contractor: the seller."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: AgentContext) -> None:
         super().__init__(desk)
-        self.held: dict[int, HeldMap] = {}
+        self.held: dict[int, MapCopy] = {}
         self.last_bought: dict[int, int] = {}
         self.stale: set[int] = set()
-        self.shop = Shop(desk.state)
+        self.shop = Seller(desk.state)
         self.announcements = Announcements()
-        self._again = Retender(desk.state.config.link.retries)
-        self._tenders: dict[ContractId, Tender] = {}
+        self._again = RetryBudget(desk.state.config.link.retries)
+        self._tenders: dict[ContractId, MapTender] = {}
         self._rejected: set[tuple[int, int, int]] = set()
         self._spoilt: set[int] = set()
         self._checked: dict[int, tuple[int, int]] = {}
@@ -62,9 +62,9 @@ class MapTrade(Trade):
 
     def buy(self, sellers: list[int]) -> None:
         """Call for the maps of these agents."""
-        identity, called = self.desk.call(Operation.MAPMERGE, sellers)
+        identity, called = self.desk.call(OperationKind.MAPMERGE, sellers)
         if called:
-            self._tenders[identity] = Tender(self.desk.now_ns, set(called))
+            self._tenders[identity] = MapTender(self.desk.now_ns, set(called))
         for seller in called:
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
@@ -94,7 +94,7 @@ class MapTrade(Trade):
         if contract.manager != self.state.me:
             return
         self._answered(contract)
-        if self._again.wanted(contract, Operation.MAPMERGE):
+        if self._again.wanted(contract, OperationKind.MAPMERGE):
             self.stale.add(contract.contractor)
             self.last_bought.pop(contract.contractor, None)
 
@@ -127,7 +127,7 @@ class MapTrade(Trade):
         deadline_ns = max((c.deadline_ns for c in contracts), default=0)
         wanted = orders(tender.bids, standing, self._wants, deadline_ns)
         for one in contracts:
-            if one.state is State.BID:
+            if one.state is ContractState.BID:
                 self._order(one, wanted.get(one.contractor, ()))
 
     def _order(self, contract: Contract, owners: tuple[int, ...]) -> None:
@@ -206,7 +206,7 @@ class MapTrade(Trade):
         route = (*parcel.route, seller)
         self._take(held_of_stock(stock, placement, route, self.desk.now_ns), placed_by)
 
-    def _take(self, new: HeldMap, placed_by: MatchId | None) -> None:
+    def _take(self, new: MapCopy, placed_by: MatchId | None) -> None:
         """Algorithm 1: update the copy or append a new one, if it passes the checks."""
         seller, owner, version = new.route[-1], new.owner, new.version
         if not self._wants(seller, Offer(owner, version, len(new.keyframes))):
@@ -257,14 +257,14 @@ class MapTrade(Trade):
         if verdict.standing is not None and (verdict.aligned_by is not None or final):
             self.desk.note("map_checked", owner=owner, version=held.version, final=final, **_remarks(verdict))
 
-    def _refuse(self, held: HeldMap, reason: str) -> None:
+    def _refuse(self, held: MapCopy, reason: str) -> None:
         """Not kept, and not bought again from this seller."""
         self._rejected.add((held.seller, held.owner, held.version))
         if held.seller == held.owner:
             self.desk.standing.blame(held.seller)
         self.desk.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
 
-    def _anchor(self, held: HeldMap, adoption: Adoption) -> int:
+    def _anchor(self, held: MapCopy, adoption: Adoption) -> int:
         me = self.state.me
         for other in (held.owner, held.seller):
             mine = [m.end_of(me)[0] for m in self.state.accepted if set(m.agents) == {me, other}]

@@ -14,7 +14,7 @@ from .coding.map_delta import encode, is_prefix
 from .coding.point_selection import sellable, well_spread
 from .coding.pose_corrections import Bound
 from .coding.quantised_map import TICK_NS, LatticeMap, Steps, empty_map, match_on_lattice, on_lattice, points_on_lattice
-from .versions import Stock, make_patch
+from .versions import MapVersion, make_patch
 
 # A change of unit below this is none.
 _SAME_UNIT = 1e-3
@@ -25,7 +25,7 @@ class Publisher:
     """The owner's side: makes an edition of its own map when there is something to tell."""
 
     state: AgentState
-    stock: Stock | None = None
+    stock: MapVersion | None = None
     _at_version: int = -1
     _sold: set[int] = field(default_factory=set)
 
@@ -33,7 +33,7 @@ class Publisher:
     def _config(self) -> MergeConfig:
         return self.state.config.merge
 
-    def edition(self, closing: bool) -> Stock | None:
+    def edition(self, closing: bool) -> MapVersion | None:
         """The map to sell now, None while there is none. On the way a new edition waits for ``edition_keyframes`` new
         key-frames or new coordinates; at the end any change makes one."""
         if self.stock is not None and self._at_version == self.state.version:
@@ -53,7 +53,7 @@ class Publisher:
         bits, made = encode(continued, wanted, Bound())
         patch = make_patch(continued, made, bits)
         known = self.stock.patches if self.stock is not None and continued is not None else ()
-        self.stock = Stock(made, (*known, patch) if continued is not None else ())
+        self.stock = MapVersion(made, (*known, patch) if continued is not None else ())
         return self.stock
 
     def _same_coordinates(self, base: LatticeMap) -> bool:

@@ -12,7 +12,7 @@ from ..protocol.tensors import pack_sim3, pack_sim3s
 from ..state.agent_state import AgentState
 from .full_map import fresh_rows, own_submap
 from .full_map_increments import without
-from .map_copy import HeldMap, submap_of
+from .map_copy import MapCopy, submap_of
 from .publisher import Publisher
 
 # What a key-frame's pose and a point take in a compact map, roughly: for the estimate in a bid.
@@ -21,7 +21,7 @@ _POSE_BYTES, _POINT_BYTES = 8, 2
 _FULL_POSE_BYTES, _FULL_POINT_BYTES, _FULL_MATCH_BYTES, _FULL_MAP_BYTES = 68, 48, 74, 150
 
 
-class Shop:
+class Seller:
     """The seller's side of map merging, without contracts."""
 
     def __init__(self, state: AgentState) -> None:
@@ -34,7 +34,7 @@ class Shop:
     def _compact(self) -> bool:
         return self.state.config.merge.form == "compact"
 
-    def offers(self, held: Mapping[int, HeldMap], closing: bool) -> tuple[Offer, ...]:
+    def offers(self, held: Mapping[int, MapCopy], closing: bool) -> tuple[Offer, ...]:
         """All maps for sale, by owner: flat, so that no buyer has to walk from sub-map to sub-map."""
         offers = [Offer(h.owner, h.version, len(h.keyframes)) for _, h in sorted(held.items())]
         mine = self._own_offer(closing)
@@ -47,7 +47,7 @@ class Shop:
         placed = len(self.state.placed())
         return Offer(self.state.me, self.state.version, placed) if placed else None
 
-    def estimate(self, offers: Sequence[Offer], held: Mapping[int, HeldMap]) -> int:
+    def estimate(self, offers: Sequence[Offer], held: Mapping[int, MapCopy]) -> int:
         """Bytes that all of it would take, roughly, for a buyer who has nothing: a bid does not know what that is."""
         if self._compact:
             each = _POSE_BYTES + _POINT_BYTES * self.state.config.merge.max_points
@@ -67,7 +67,7 @@ class Shop:
         self._points += [len(fresh_rows(k, limit)) for k in self.state.keyframes[len(self._points) :]]
         return sum(self._points[i] for i in self.state.placed())
 
-    def delivery(self, buyer: int, order: MapOrder, held: Mapping[int, HeldMap], closing: bool) -> MapDelivery:
+    def delivery(self, buyer: int, order: MapOrder, held: Mapping[int, MapCopy], closing: bool) -> MapDelivery:
         """What was ordered, in the agent's coordinates; where the buyer has others, with what to place it by.
         ValueError where something ordered is not here."""
         for owner in order.owners:
@@ -98,13 +98,13 @@ class Shop:
             self._full = own_submap(self.state, self.state.config.merge.max_points)
         return self._full
 
-    def _resold(self, held: HeldMap, edition: int) -> SubMap | Parcel:
+    def _resold(self, held: MapCopy, edition: int) -> SubMap | Parcel:
         if held.stock is None:
             return submap_of(held)
         placement = None if self._in_place(held) else pack_sim3(held.placement)
         return Parcel(held.owner, placement, held.route, held.stock.since(edition))
 
-    def _in_place(self, held: HeldMap) -> bool:
+    def _in_place(self, held: MapCopy) -> bool:
         """Whether a copy stands in its owner's coordinates, which are mine, as its owner had it."""
         p = held.placement
         unmoved = not p.translation.any() and np.array_equal(p.rotation, np.eye(3))

@@ -20,7 +20,7 @@ class StaleBase(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Stock:
+class MapVersion:
     """One edition of a map, and the patches that led to it since the copy was last made whole."""
 
     map: LatticeMap
@@ -41,7 +41,7 @@ class Stock:
         return min(later, whole, key=lambda patches: sum(p.payload_bytes for p in patches))
 
 
-def stock_of(owner: int, known: Stock | None, patches: tuple[MapPatch, ...]) -> Stock:
+def stock_of(owner: int, known: MapVersion | None, patches: tuple[MapPatch, ...]) -> MapVersion:
     """The stock that patches make of what was known; ValueError where they make none."""
     stock = known
     for patch in patches:
@@ -51,7 +51,7 @@ def stock_of(owner: int, known: Stock | None, patches: tuple[MapPatch, ...]) -> 
     return stock
 
 
-def _applied(stock: Stock | None, owner: int, patch: MapPatch) -> Stock:
+def _applied(stock: MapVersion | None, owner: int, patch: MapPatch) -> MapVersion:
     if patch.base and (stock is None or stock.map.edition != patch.base):
         have = "none" if stock is None else f"edition {stock.map.edition}"
         raise StaleBase(f"a patch for edition {patch.base} of agent {owner}'s map, but {have} is here")
@@ -66,7 +66,7 @@ def _applied(stock: Stock | None, owner: int, patch: MapPatch) -> Stock:
         made = replace(made, descriptors=np.concatenate([known, new]))
     if checksum(made) != patch.check:
         raise StaleBase(f"edition {patch.edition} of agent {owner}'s map is not what its owner made")
-    return Stock(made, (*stock.patches, patch) if stock is not None and patch.base else ())
+    return MapVersion(made, (*stock.patches, patch) if stock is not None and patch.base else ())
 
 
 def checksum(edition: LatticeMap) -> int:

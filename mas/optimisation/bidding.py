@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from ..contracts.context import Desk
+from ..contracts.context import AgentContext
 from ..policies.utility import ENVELOPE_BYTES, SOLVER_BYTES_A_ROW
 from ..protocol.messages import Bid
 from ..state.pose_graph import terms
-from .session import Session
+from .session import OptimisationSession
 
 
-class Terms:
+class BidEstimator:
     """Costs are learned: bytes for each match end, and logical time, of the agent's last optimisation."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: AgentContext) -> None:
         self.desk = desk
         self._bytes_a_row = SOLVER_BYTES_A_ROW
         self._took_ns = 0
@@ -31,7 +31,7 @@ class Terms:
             self._made = ((state.version, peer), replace(bid, cost_bytes=cost))
         return replace(self._made[1], ready_ns=now_ns + self._took_ns)
 
-    def paid(self, session: Session) -> None:
+    def paid(self, session: OptimisationSession) -> None:
         """An optimisation came to its end."""
         self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
         self._took_ns = self.desk.now_ns - session.began_ns

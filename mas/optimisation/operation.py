@@ -7,22 +7,22 @@ from collections.abc import Callable, Sequence
 
 from maslam.backend.errors import BackendError
 
-from ..contracts.context import Desk, Trade, WorkError
-from ..contracts.contract import Contract, ProtocolError, State
+from ..contracts.context import AgentContext, Operation, WorkError
+from ..contracts.contract import Contract, ContractState, ProtocolError
 from ..honesty import hold_against
 from ..policies.utility import ENVELOPE_BYTES
-from ..protocol.ids import ContractId, Operation
+from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Award, Begin, Bid, Call, Confirmation, Failure, Refusal, Rejection, Result
 from ..protocol.solver_messages import SolverBody, SolverMessage, decides, from_wire, to_wire
 from ..protocol.solver_messages import payload_bytes as solver_payload
 from ..protocol.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 from ..state.pose_graph import Adoption, adopt, share_of
-from .bidding import Terms
+from .bidding import BidEstimator
 from .planning import plan
-from .session import Attempts, Past, Session, Tender, solver_node
+from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
 
 
-class Optimisation(Trade):
+class Optimisation(Operation):
     """At most one at a time for an agent. Of two managers that call at once, the lower number goes first.
 
     Nobody can be sure that all others have heard the last message (two generals). So whoever has not keeps its poses
@@ -30,18 +30,18 @@ class Optimisation(Trade):
     of before and after lie in the same one. Its contract ends without a result, and the manager calls again.
     """
 
-    def __init__(self, desk: Desk, peer_to_peer: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, desk: AgentContext, peer_to_peer: Callable[[], bool] = lambda: False) -> None:
         """``peer_to_peer``: whether the agent takes part in others' optimisations with their managers only."""
         super().__init__(desk)
         self._peer_to_peer = peer_to_peer
-        self.tender: Tender | None = None
-        self.session: Session | None = None
+        self.tender: OptimisationTender | None = None
+        self.session: OptimisationSession | None = None
         self.adoptions: list[Adoption] = []
-        self.attempts = Attempts(desk.state.config.link)
+        self.attempts = Backoff(desk.state.config.link)
         self.repeated = 0
         self._bid_ns: dict[int, int] = {}
-        self._before = Past()
-        self.terms = Terms(desk)
+        self._before = SessionHistory()
+        self.terms = BidEstimator(desk)
 
     @property
     def busy(self) -> bool:
@@ -50,28 +50,28 @@ class Optimisation(Trade):
     @property
     def ready(self) -> bool:
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
-        settling = self.desk.calling(Operation.DOPT) or self._engaged
+        settling = self.desk.calling(OperationKind.DOPT) or self._engaged
         return not self.busy and not settling and self.desk.now_ns >= self.attempts.not_before_ns
 
     @property
     def _engaged(self) -> bool:
         """Whether a manager that got a bid lately may still award: calling now would only get in its way."""
         since_ns = self.desk.now_ns - round(self.state.config.link.silence_s * 1e9)
-        mine = (c for c in self.desk.ledger.running(Operation.DOPT) if c.contractor == self.state.me)
+        mine = (c for c in self.desk.ledger.running(OperationKind.DOPT) if c.contractor == self.state.me)
         return any(self._bid_ns.get(c.manager, since_ns) > since_ns for c in mine)
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
     def start(self, members: list[int]) -> None:
         """Call for an optimisation with these agents; alone if nobody else is named."""
-        others = [a for a in members if a != self.state.me and self.desk.may_call(a, Operation.DOPT)]
+        others = [a for a in members if a != self.state.me and self.desk.may_call(a, OperationKind.DOPT)]
         mine = self.terms.bid()
         if not others:
-            self._award(Tender(None, set(), {self.state.me: mine}))
+            self._award(OptimisationTender(None, set(), {self.state.me: mine}))
             return
-        identity, called = self.desk.call(Operation.DOPT, others, tuple(sorted(members)))
+        identity, called = self.desk.call(OperationKind.DOPT, others, tuple(sorted(members)))
         if called:
-            self.tender = Tender(identity, set(called), {self.state.me: mine}, set(others) - set(called))
+            self.tender = OptimisationTender(identity, set(called), {self.state.me: mine}, set(others) - set(called))
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         if self.tender is None or self.tender.identity != contract.id:
@@ -93,7 +93,7 @@ class Optimisation(Trade):
             self.tender = None
             self._award(tender)
 
-    def _award(self, tender: Tender) -> None:
+    def _award(self, tender: OptimisationTender) -> None:
         """Everyone has answered: plan, award to those who are connected, reject the others."""
         me = self.state.me
         found = plan(me, tender.bids, self.state.depths())
@@ -103,7 +103,7 @@ class Optimisation(Trade):
         for contract in contracts:
             if contract.contractor in found.tasks:
                 self.desk.say(contract, Award(found.tasks[contract.contractor]))
-            elif contract.state is State.BID:
+            elif contract.state is ContractState.BID:
                 self.desk.say(contract, Rejection("not connected"))
         if tender.missing and found.members == (me,):
             self.attempts.failed(self.desk.now_ns, self.state.me)
@@ -112,7 +112,7 @@ class Optimisation(Trade):
         task = found.tasks[me]
         node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
-        self.session = Session(tender.identity if others else None, task, node, unconfirmed=others)
+        self.session = OptimisationSession(tender.identity if others else None, task, node, unconfirmed=others)
         if not others:
             self._run(self.session)
 
@@ -149,7 +149,7 @@ class Optimisation(Trade):
 
     def _bid_to_lower(self, contract: Contract) -> bool:
         """Whether a bid to a lower manager is still open: that one goes first."""
-        bids = (c for c in self.desk.ledger.running(Operation.DOPT) if c.state is State.BID)
+        bids = (c for c in self.desk.ledger.running(OperationKind.DOPT) if c.state is ContractState.BID)
         return any(c.manager < contract.manager for c in bids if c.contractor == self.state.me)
 
     def work(self, contract: Contract, task: Task) -> None:
@@ -162,7 +162,7 @@ class Optimisation(Trade):
             node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
         except (BackendError, ValueError) as error:
             raise WorkError(f"cannot take part: {error}") from error
-        self.session = Session(contract.id, task, node, contract)
+        self.session = OptimisationSession(contract.id, task, node, contract)
         self.desk.say(contract, Confirmation())
 
     def begin(self, sender: int, identity: ContractId | None) -> None:
@@ -193,7 +193,7 @@ class Optimisation(Trade):
         if self.session is session:
             self._hear(session, sender, body)
 
-    def _late(self, session: Session | None, sender: int, body: SolverBody) -> None:
+    def _late(self, session: OptimisationSession | None, sender: int, body: SolverBody) -> None:
         """Another member still works on what is over here. All it can lack is the last decision: nobody ends before all
         have reported. Decisions are not answered, or two who are done would talk for ever."""
         if session is None or sender not in session.task.members or decides(body):
@@ -207,7 +207,7 @@ class Optimisation(Trade):
         if self.tender is not None and self.tender.identity == contract.id:
             self._answered(contract.contractor)
             return
-        if contract.state is State.DONE:
+        if contract.state is ContractState.DONE:
             return
         session = self.session
         if session is None or session.identity != contract.id:
@@ -221,7 +221,7 @@ class Optimisation(Trade):
             self.attempts.failed(self.desk.now_ns, self.state.me)
             self.desk.cancel(self.desk.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
 
-    def _leave(self, session: Session) -> None:
+    def _leave(self, session: OptimisationSession) -> None:
         """Out of an optimisation that did not come to its end; late messages of it are ignored."""
         self.session = None
         self._before.remember(session.identity, None)
@@ -231,7 +231,7 @@ class Optimisation(Trade):
         session = self.session
         if session is not None and session.begun:
             others = set(session.task.members) - {self.state.me}
-            patience_ns = self.desk.deadline_ns(Operation.DOPT, others) - self.desk.now_ns
+            patience_ns = self.desk.deadline_ns(OperationKind.DOPT, others) - self.desk.now_ns
             if others and self.desk.now_ns > session.began_ns + patience_ns:
                 # The others are through, and their last word does not reach this agent.
                 self._leave(session)
@@ -241,7 +241,7 @@ class Optimisation(Trade):
                 return
             self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.desk.words.pace))
 
-    def _run(self, session: Session) -> None:
+    def _run(self, session: OptimisationSession) -> None:
         session.begun, session.began_ns = True, self.desk.now_ns
         session.link.goes_on(self.desk.now_ns)
         self._send(session, session.node.start())
@@ -250,7 +250,7 @@ class Optimisation(Trade):
             self._hear(session, sender, body)
         self._finish_if_done(session)
 
-    def _hear(self, session: Session, sender: int, body: SolverBody) -> None:
+    def _hear(self, session: OptimisationSession, sender: int, body: SolverBody) -> None:
         try:
             out = session.node.handle(from_wire(sender, self.state.me, body))
         except BackendError as error:
@@ -263,17 +263,17 @@ class Optimisation(Trade):
         self._send(session, out)
         self._finish_if_done(session)
 
-    def _send(self, session: Session, messages: Sequence[SolverMessage]) -> None:
+    def _send(self, session: OptimisationSession, messages: Sequence[SolverMessage]) -> None:
         for message in messages:
             body = to_wire(message)
             session.sent_bytes += ENVELOPE_BYTES + solver_payload(body)
             self.desk.tell(message.receiver, session.identity, body)
 
-    def _repeat(self, session: Session, messages: Sequence[SolverMessage]) -> None:
+    def _repeat(self, session: OptimisationSession, messages: Sequence[SolverMessage]) -> None:
         self.repeated += len(messages)
         self._send(session, messages)
 
-    def _finish_if_done(self, session: Session) -> None:
+    def _finish_if_done(self, session: OptimisationSession) -> None:
         outcome = session.node.outcome
         if outcome is None or self.session is not session:
             return

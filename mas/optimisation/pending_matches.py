@@ -8,7 +8,7 @@ from ..protocol.ids import MatchId
 from ..state.agent_state import AgentState
 
 
-class News:
+class PendingMatches:
     """``optimised_at``: how many key-frames there were at the last optimisation."""
 
     def __init__(self, state: AgentState) -> None:

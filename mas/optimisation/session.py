@@ -20,7 +20,7 @@ _REMEMBERED = 16
 
 
 @dataclass
-class Tender:
+class OptimisationTender:
     """The manager's side until the award: who still has to answer, what was bid, who did not bid; alone: no
     contract."""
 
@@ -31,7 +31,7 @@ class Tender:
 
 
 @dataclass
-class Session:
+class OptimisationSession:
     """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
     ``early``: solver messages that came before the start; ``link``: what the others may have missed;
     ``sent_bytes``, ``began_ns``: what it cost, for the next bid."""
@@ -48,18 +48,18 @@ class Session:
     link: SolverLink = field(default_factory=SolverLink)
 
 
-class Past(dict[ContractId, Session | None]):
+class SessionHistory(dict[ContractId, OptimisationSession | None]):
     """The last optimisations, None where this agent left before the end: to tell late messages from wrong ones, and to
     help who is still in one."""
 
-    def remember(self, identity: ContractId | None, session: Session | None) -> None:
+    def remember(self, identity: ContractId | None, session: OptimisationSession | None) -> None:
         if identity is not None:
             self[identity] = session
             if len(self) > _REMEMBERED:
                 del self[next(iter(self))]
 
 
-class Attempts:
+class Backoff:
     """How often optimisations failed, and when to call for the next. ``missed``: a member has not adopted the last
     one, or was not there."""
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from maslam.backend.distributed.elected_messages import ElectedMessage
 from maslam.backend.distributed.methods import SolverNode
 
-from ..contracts.rtt import Pace
+from ..contracts.rtt import RttEstimator
 from ..protocol.solver_messages import SolverBody, SolverMessage, place_of, round_of
 
 
@@ -35,7 +35,7 @@ class SolverLink:
         self._seen.add(key)
         return known
 
-    def due(self, node: SolverNode, now_ns: int, pace: Pace) -> list[SolverMessage]:
+    def due(self, node: SolverNode, now_ns: int, pace: RttEstimator) -> list[SolverMessage]:
         """The last message to each other member, once the node has waited long enough: whoever has it already answers
         with what this node may have missed, and learns by the next that it missed something itself."""
         last = {m.receiver: m for m in node.tick()}
@@ -45,7 +45,7 @@ class SolverLink:
         self.said_ns, self.tries = now_ns, self.tries + 1
         return list(last.values())
 
-    def again(self, node: SolverNode, member: int, body: SolverBody, now_ns: int, pace: Pace) -> list[SolverMessage]:
+    def again(self, node: SolverNode, member: int, body: SolverBody, now_ns: int, pace: RttEstimator) -> list[SolverMessage]:
         """The last messages to a member that said ``body`` again: those of its round and later, for it has all before.
         Not twice at once."""
         told = self._told_ns.get(member)

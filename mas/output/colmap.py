@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from maslam.backend.geometry import quat_wxyz_from_rotation, se3_inverse
 
-from ..map_exchange.map_copy import HeldMap
+from ..map_exchange.map_copy import MapCopy
 from ..sequence import CameraEntry
 from .fused_map import COLOURS, FusedMap
 
@@ -55,7 +55,7 @@ def _camera(owner: int, c: CameraEntry) -> bytes:
 
 
 def _images(
-    held: HeldMap, labels: NDArray[np.intp], order: NDArray[np.intp], first: int, c: CameraEntry
+    held: MapCopy, labels: NDArray[np.intp], order: NDArray[np.intp], first: int, c: CameraEntry
 ) -> list[bytes]:
     p = held.points_C[order]
     xy = p[:, :2] / p[:, 2:] * [c.fx, c.fy] + np.array([c.cx, c.cy]) + _HALF_PX

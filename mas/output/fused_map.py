@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from maslam.backend.fusion import PointMap, associate, merged
 from maslam.backend.geometry import Array
 
-from ..map_exchange.map_copy import HeldMap
+from ..map_exchange.map_copy import MapCopy
 
 # Points of two maps are the same within this share of the median depth: a few pixels, a stereo depth's error.
 _SAME_POINT = 0.01
@@ -30,13 +30,13 @@ class FusedMap:
     """An agent's own map and its copies as one: ``maps``, all points of these in order, and the merged ``points``
     ``(m, 3)`` with ``owners`` ``(m,)`` in its coordinates; ``labels`` ``(n,)``: which merged point each became."""
 
-    maps: tuple[HeldMap, ...]
+    maps: tuple[MapCopy, ...]
     points: Array
     owners: NDArray[np.int32]
     labels: NDArray[np.intp]
 
 
-def fused(maps: Sequence[HeldMap]) -> FusedMap:
+def fused(maps: Sequence[MapCopy]) -> FusedMap:
     """Duplicates among an agent's maps merged (:mod:`maslam.backend.fusion`): closer than a hundredth of the median
     depth and, where both have descriptors, alike."""
     parts = [PointMap(m.points(), np.full(len(m.references), m.owner, dtype=np.int32), m.descriptors) for m in maps]

@@ -25,7 +25,7 @@ from ..agent import Agent
 from ..config import MasConfig
 from ..contracts.context import Event
 from ..errors import MasError
-from ..evaluation.ground_truth import MatchError, Onlooker
+from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError
 from ..evaluation.summary import Summary, Timing
 from ..map_exchange.full_map import own_map
 from ..protocol.ids import MatchId
@@ -220,7 +220,7 @@ def figure(value: Any) -> Any:
     return f"{value:.6g}" if isinstance(value, float) else value
 
 
-def match_errors(agents: Sequence[Agent], onlooker: Onlooker) -> dict[MatchId, MatchError]:
+def match_errors(agents: Sequence[Agent], onlooker: GroundTruthEvaluator) -> dict[MatchId, MatchError]:
     """The error of every verified match whose truth is known."""
     errors = {}
     for agent in agents:

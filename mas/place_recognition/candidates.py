@@ -36,7 +36,7 @@ class Candidate:
 
 
 @dataclass
-class PlaceBook:
+class Candidates:
     """Candidates of the agent's own queries, and when it was last matched with whom. ``gaps``: own key-frames until a
     next match with that agent is worth it.
 

@@ -10,25 +10,25 @@ from numpy.typing import NDArray
 
 from maslam.descriptors.errors import DescriptorError
 
-from ..contracts.context import Desk, Trade, WorkError
+from ..contracts.context import AgentContext, Operation, WorkError
 from ..contracts.contract import Contract
-from ..contracts.retries import Retender
+from ..contracts.retries import RetryBudget
 from ..policies.utility import PLACE_ANSWER_BYTES
-from ..protocol.ids import ContractId, MatchId, Operation
+from ..protocol.ids import ContractId, MatchId, OperationKind
 from ..protocol.messages import Award, Bid, Call, Confirmation, Refusal, Rejection, Result
 from ..protocol.tasks import EarlierAnswer, Outcome, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect, Task
 from ..state.agent_state import Ownership
 from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
-from .candidates import Candidate, PlaceBook
-from .peer_queries import ClusterLog, LatestQueries
-from .sent_queries import Told
+from .candidates import Candidate, Candidates
+from .peer_queries import ClusterIndex, RecentQueries
+from .sent_queries import SentQueries
 from .verification import Verification, kind_of, verify, view_of
 
 _FARTHEST = 2.0
 
 
-class PlaceRecognition(Trade):
+class PlaceRecognition(Operation):
     """Manager: sends the vector of one of its key-frames; contractor: answers with its own nearest key-frame and the
     distance. Where clusters of vectors have owners, the owner answers with the nearest key-frame it was asked about,
     whoever's it is.
@@ -36,17 +36,17 @@ class PlaceRecognition(Trade):
     ``distances``: how near each agent's last answer came, 0 to 2.
     """
 
-    def __init__(self, desk: Desk, book: PlaceBook, verification: Verification) -> None:
+    def __init__(self, desk: AgentContext, book: Candidates, verification: Verification) -> None:
         super().__init__(desk)
         self.book = book
         self.verification = verification
         self._waiting: dict[int, deque[int]] = {}
         self._asked: dict[ContractId, int] = {}
-        self._cluster = ClusterLog()
-        self._latest = LatestQueries(book, desk.state.config.places.latest_frames)
-        self.told = Told()
+        self._cluster = ClusterIndex()
+        self._latest = RecentQueries(book, desk.state.config.places.latest_frames)
+        self.told = SentQueries()
         self.distances: dict[int, float] = {}
-        self._again = Retender(desk.state.config.link.retries)
+        self._again = RetryBudget(desk.state.config.link.retries)
 
     @property
     def threshold(self) -> float:
@@ -190,13 +190,13 @@ class PlaceRecognition(Trade):
 
     def _next(self, others: Iterable[int]) -> None:
         """Call those who are free: one call for all who are asked about the same key-frame."""
-        busy = {c.contractor for c in self.desk.ledger.running(Operation.DVPR) if c.manager == self.state.me}
+        busy = {c.contractor for c in self.desk.ledger.running(OperationKind.DVPR) if c.manager == self.state.me}
         wanted: dict[int, list[int]] = {}
         for other in others:
             if self._waiting.get(other) and other not in busy and self.desk.may_call(other):
                 wanted.setdefault(self._waiting[other].popleft(), []).append(other)
         for keyframe, agents in sorted(wanted.items()):
-            identity, _ = self.desk.call(Operation.DVPR, agents)
+            identity, _ = self.desk.call(OperationKind.DVPR, agents)
             self._asked[identity] = keyframe
 
     # -- own loop closures --------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .candidates import PlaceBook
+from .candidates import Candidates
 
 Vector = NDArray[np.float32]
 
@@ -17,7 +17,7 @@ _ROUGH = 1e-3
 
 
 @dataclass(eq=False)
-class ClusterLog:
+class ClusterIndex:
     """All key-frames whose vectors fell into the cluster that this agent owns, whoever's they are (thesis sections
     2.2.3 and 3.5; Cieslewski and Scaramuzza 2017)."""
 
@@ -67,7 +67,7 @@ class _Earlier:
 
 
 @dataclass(eq=False)
-class LatestQueries:
+class RecentQueries:
     """The latest queries of each asker, compared again with what the asked agent has seen since (thesis sections 3.5
     and 4.3: the latest five frames are matched, for the bytes of one).
 
@@ -75,7 +75,7 @@ class LatestQueries:
     earlier ones with those that came since.
     """
 
-    book: PlaceBook
+    book: Candidates
     latest: int
     _queries: dict[int, deque[_Earlier]] = field(default_factory=dict)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ..contracts.contract import Contract, State
+from ..contracts.contract import Contract, ContractState
 
 
-class Told:
+class SentQueries:
     """Each other agent is told of a key-frame once, and again only where the contract failed for good.
 
     ``delivered``: contracts about places that each other agent fulfilled since the last that it did not.
@@ -41,7 +41,7 @@ class Told:
     def ended(self, contract: Contract, keyframe: int, again: bool) -> None:
         """A contract about a key-frame has ended; ``again``: it will be called for once more."""
         other = contract.contractor
-        done = contract.state is State.DONE
+        done = contract.state is ContractState.DONE
         self.delivered[other] = self.delivered.get(other, 0) + 1 if done else 0
         if not done and not again:
             self._missed.setdefault(other, set()).add(keyframe)

@@ -9,12 +9,12 @@ import numpy as np
 from maslam.backend.relpose.point_coding import pack_points, unpack_points, worth_sending
 from maslam.backend.relpose.verification import PlaceView, Verdict, joined, promising, relative_pose
 
-from ..contracts.context import Desk, Trade, WorkError
+from ..contracts.context import AgentContext, Operation, WorkError
 from ..contracts.contract import Contract
-from ..contracts.retries import Retender
+from ..contracts.retries import RetryBudget
 from ..honesty import judged
 from ..policies.utility import VERIFY_ANSWER_BYTES
-from ..protocol.ids import ContractId, MatchId, Operation
+from ..protocol.ids import ContractId, MatchId, OperationKind
 from ..protocol.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
 from ..protocol.tasks import Outcome, Task, VerifyAnswer, VerifyTask
 from ..protocol.tensors import (
@@ -29,22 +29,22 @@ from ..protocol.tensors import (
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
-from .candidates import Candidate, PlaceBook
+from .candidates import Candidate, Candidates
 
 _REASON_LENGTH = 200
 # Views of which only the first points have come, at most.
 _KEPT = 256
 
 
-class Verification(Trade):
+class Verification(Operation):
     """Manager: the agent that asked; contractor: the agent that knew the place."""
 
-    def __init__(self, desk: Desk, book: PlaceBook) -> None:
+    def __init__(self, desk: AgentContext, book: Candidates) -> None:
         super().__init__(desk)
         self.book = book
         self._waiting: dict[int, deque[MatchId]] = {}
         self._running: dict[ContractId, MatchId] = {}
-        self._again = Retender(desk.state.config.link.retries)
+        self._again = RetryBudget(desk.state.config.link.retries)
         self._promising: set[MatchId] = set()
         self._first: dict[MatchId, PlaceView] = {}
 
@@ -153,12 +153,12 @@ class Verification(Trade):
         waiting = self._waiting.get(other)
         if not waiting or not self.desk.may_call(other):
             return
-        identity, called = self.desk.call(Operation.RELPOSE, [other])
+        identity, called = self.desk.call(OperationKind.RELPOSE, [other])
         if called:
             self._running[identity] = waiting.popleft()
 
 
-def tell_group(desk: Desk) -> None:
+def tell_group(desk: AgentContext) -> None:
     """Tell the group's other members who is in it, after it grew; they pass it on as far as it is news to them."""
     members = tuple(sorted(desk.state.group))
     desk.note("group", members=list(members))

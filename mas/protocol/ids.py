@@ -11,15 +11,15 @@ import msgspec
 MAX_AGENTS = 4096
 MAX_POINTS = 1_000_000
 MAX_VECTOR_BYTES = 65_536
-Agent = Annotated[int, msgspec.Meta(ge=0, lt=MAX_AGENTS)]
+AgentId = Annotated[int, msgspec.Meta(ge=0, lt=MAX_AGENTS)]
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 Language = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 Stamp = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 Reason = Annotated[str, msgspec.Meta(max_length=200)]
-Members = Annotated[tuple[Agent, ...], msgspec.Meta(max_length=MAX_AGENTS)]
+Members = Annotated[tuple[AgentId, ...], msgspec.Meta(max_length=MAX_AGENTS)]
 
 
-class Operation(IntEnum):
+class OperationKind(IntEnum):
     """What a contract is about; the thesis's three operations, place recognition in its two halves."""
 
     DVPR = 0
@@ -31,16 +31,16 @@ class Operation(IntEnum):
 class ContractId(msgspec.Struct, frozen=True, array_like=True, order=True):
     """The manager's number for one call for proposals."""
 
-    manager: Agent
+    manager: AgentId
     number: Index
 
 
 class MatchId(msgspec.Struct, frozen=True, array_like=True, order=True):
     """A place match: key-frame ``query`` of ``query_agent`` was recognised in ``match`` of ``match_agent``."""
 
-    query_agent: Agent
+    query_agent: AgentId
     query: Index
-    match_agent: Agent
+    match_agent: AgentId
     match: Index
 
     @property
@@ -55,5 +55,5 @@ class MatchId(msgspec.Struct, frozen=True, array_like=True, order=True):
 class FrameId(msgspec.Struct, frozen=True, array_like=True, order=True):
     """A coordinate frame O: the camera of the first key-frame of one agent's track; its unit is that track's own."""
 
-    agent: Agent
+    agent: AgentId
     track: Index

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from .ids import MAX_AGENTS, Agent, FrameId, Index, MatchId, Members
+from .ids import MAX_AGENTS, AgentId, FrameId, Index, MatchId, Members
 from .tensors import MAX_SCALE, Tensor, check, check_points, check_poses, check_sim3, check_sim3s
 
 Unit = Annotated[float, msgspec.Meta(ge=1.0 / MAX_SCALE, le=MAX_SCALE)]
@@ -58,7 +58,7 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
     them, with the checksum ``check`` of all points (:mod:`maslam.mas.map_exchange.full_map_increments`).
     """
 
-    owner: Agent
+    owner: AgentId
     version: Index
     unit: Unit
     keyframes: Tensor
@@ -139,7 +139,7 @@ class Parcel(msgspec.Struct, frozen=True, array_like=True):
     ``T_seller_map`` ``(8,)``; None: they are the seller's, with the unit of the last patch. ``route``: as in
     :class:`SubMap`."""
 
-    owner: Agent
+    owner: AgentId
     placement: Tensor | None
     route: Members
     patches: Annotated[tuple[MapPatch, ...], msgspec.Meta(min_length=1, max_length=10_000)]

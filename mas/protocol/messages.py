@@ -12,7 +12,7 @@ from typing import Annotated
 
 import msgspec
 
-from .ids import MAX_AGENTS, Agent, ContractId, FrameId, Index, MatchId, Members, Operation, Reason, Stamp
+from .ids import MAX_AGENTS, AgentId, ContractId, FrameId, Index, MatchId, Members, OperationKind, Reason, Stamp
 from .solver_messages import SolverBody
 from .tasks import Outcome, Task
 from .tensors import MessageError, Tensor, check_sim3s, pack_sim3s
@@ -58,7 +58,7 @@ class PieceTerms(msgspec.Struct, frozen=True, array_like=True):
 class Offer(msgspec.Struct, frozen=True, array_like=True):
     """A map for sale: whose, which version, how many key-frames."""
 
-    owner: Agent
+    owner: AgentId
     version: Index
     keyframes: Index
 
@@ -69,7 +69,7 @@ class Offer(msgspec.Struct, frozen=True, array_like=True):
 class Call(msgspec.Struct, frozen=True, array_like=True, tag=1):
     """Call for proposals: manager to possible contractors. ``members``: who is asked, where that matters."""
 
-    operation: Operation
+    operation: OperationKind
     deadline_ns: Stamp
     members: Members = ()
 
@@ -150,8 +150,8 @@ Body = ContractBody | Begin | GroupNotice | MapNotice | SolverBody
 class Message(msgspec.Struct, frozen=True, array_like=True):
     """Header and body. ``contract`` is None for notices only."""
 
-    sender: Agent
-    recipient: Agent
+    sender: AgentId
+    recipient: AgentId
     contract: ContractId | None
     body: Body
     version: int = VERSION

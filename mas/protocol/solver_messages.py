@@ -16,9 +16,9 @@ from maslam.backend.distributed.messages import (
     Deltas,
     Report,
     Round,
-    Stage,
+    SeparatorState,
+    SolverStage,
     Standing,
-    State,
     Status,
     Values,
     number_type,
@@ -26,7 +26,7 @@ from maslam.backend.distributed.messages import (
 
 from .tensors import Tensor, check
 
-Count = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
+RoundNumber = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 Short = Annotated[int, msgspec.Meta(ge=0, lt=2**16)]
 # More sums than any method needs are a mistake.
 _MOST_NUMBERS = 64
@@ -41,13 +41,13 @@ def _check_numbers(numbers: Tensor) -> None:
 class SolverValues(msgspec.Struct, frozen=True, array_like=True, tag=20):
     """Separator values of one sweep: ``(k, width)`` in the stage's precision; a row without an estimate yet is NaN."""
 
-    stage: Count
-    step: Count
-    sweep: Count
+    stage: RoundNumber
+    step: RoundNumber
+    sweep: RoundNumber
     values: Tensor
 
     def __post_init__(self) -> None:
-        width, kind = WIDTH[Stage(self.stage)], number_type(Stage(self.stage))
+        width, kind = WIDTH[SolverStage(self.stage)], number_type(SolverStage(self.stage))
         check("values", self.values, kind, (None, width if self.values.shape[:1] != (0,) else None), finite=False)
         if np.isinf(self.values.array()).any():
             raise ValueError("values: infinity")
@@ -56,15 +56,15 @@ class SolverValues(msgspec.Struct, frozen=True, array_like=True, tag=20):
 class SolverReport(msgspec.Struct, frozen=True, array_like=True, tag=21):
     """A round's summary, up the tree of members; ``change`` is infinite where a robot got its first estimate."""
 
-    stage: Count
-    step: Count
-    sweep: Count
+    stage: RoundNumber
+    step: RoundNumber
+    sweep: RoundNumber
     change: float
     cost: float
     numbers: Tensor = _NO_NUMBERS
 
     def __post_init__(self) -> None:
-        Stage(self.stage)
+        SolverStage(self.stage)
         _check_numbers(self.numbers)
         if np.isnan(self.change) or not np.isfinite(self.cost):
             raise ValueError("report: NaN, or an infinite cost")
@@ -73,31 +73,31 @@ class SolverReport(msgspec.Struct, frozen=True, array_like=True, tag=21):
 class SolverDecision(msgspec.Struct, frozen=True, array_like=True, tag=22):
     """What follows, down the tree of members; an infinite ``cost``: some robots have no place yet."""
 
-    stage: Count
-    step: Count
-    sweep: Count
+    stage: RoundNumber
+    step: RoundNumber
+    sweep: RoundNumber
     go_on: bool
     cost: float
     numbers: Tensor = _NO_NUMBERS
 
     def __post_init__(self) -> None:
         _check_numbers(self.numbers)
-        if np.isnan(self.cost) or (np.isinf(self.cost) and Stage(self.stage) is not Stage.DESCENT):
+        if np.isnan(self.cost) or (np.isinf(self.cost) and SolverStage(self.stage) is not SolverStage.DESCENT):
             raise ValueError("decision: an infinite cost or NaN")
 
 
 class SolverSteps(msgspec.Struct, frozen=True, array_like=True, tag=23):
     """How separators moved: ``steps`` ``(k, 6)`` signed bytes (as they stand in memory), of these two scales."""
 
-    stage: Count
-    step: Count
-    sweep: Count
+    stage: RoundNumber
+    step: RoundNumber
+    sweep: RoundNumber
     scale_m: float
     scale_rad: float
     steps: Tensor
 
     def __post_init__(self) -> None:
-        if Stage(self.stage) is not Stage.DESCENT:
+        if SolverStage(self.stage) is not SolverStage.DESCENT:
             raise ValueError("steps: of a stage that has none")
         check("steps", self.steps, "|u1", (None, 6))
         if not (np.isfinite(self.scale_m) and np.isfinite(self.scale_rad)):
@@ -143,7 +143,7 @@ class SolverParcel(msgspec.Struct, frozen=True, array_like=True, tag=26):
 
 
 SolverBody = SolverValues | SolverReport | SolverDecision | SolverSteps | SolverState | SolverStatus | SolverParcel
-SolverMessage = backend_messages.Message | ElectedMessage
+SolverMessage = backend_messages.NodeMessage | ElectedMessage
 """What nodes say, whatever their method."""
 
 
@@ -161,7 +161,7 @@ def to_wire(m: SolverMessage) -> SolverBody:
             return SolverDecision(*r, m.go_on, m.cost, Tensor.of(m.numbers, "<f4"))
         case Deltas():
             return SolverSteps(*r, *m.scales, Tensor.of(np.ascontiguousarray(m.steps).view(np.uint8), "|u1"))
-        case State():
+        case SeparatorState():
             return SolverState(m.version, m.used, Tensor.of(m.values, "<f4"))
         case Status():
             return SolverStatus(
@@ -176,11 +176,11 @@ def from_wire(sender: int, receiver: int, b: SolverBody) -> SolverMessage:
         case SolverParcel():
             return ElectedMessage(Kind(b.kind), b.term, sender, receiver, b.body)
         case SolverState():
-            return State(*ends, Round(Stage.FREE), b.version, b.used, b.values.array().astype(np.float64))
+            return SeparatorState(*ends, Round(SolverStage.FREE), b.version, b.used, b.values.array().astype(np.float64))
         case SolverStatus():
             standings = tuple(Standing(s.robot, s.serial, s.version, s.quiet, s.used) for s in b.standings)
-            return Status(*ends, Round(Stage.FREE), standings)
-    at = Round(Stage(b.stage), b.step, b.sweep)
+            return Status(*ends, Round(SolverStage.FREE), standings)
+    at = Round(SolverStage(b.stage), b.step, b.sweep)
     match b:
         case SolverValues():
             return Values(*ends, at, b.values.array().astype(np.float64))
@@ -208,7 +208,7 @@ def round_of(b: SolverBody) -> Round | None:
     """The round it belongs to; None for what is said without rounds."""
     if isinstance(b, SolverParcel | SolverState | SolverStatus):
         return None
-    return Round(Stage(b.stage), b.step, b.sweep)
+    return Round(SolverStage(b.stage), b.step, b.sweep)
 
 
 def decides(message: SolverMessage | SolverBody) -> bool:

@@ -14,7 +14,7 @@ from maslam.backend.relpose.verification import DESCRIPTOR_BYTES
 from .ids import (
     MAX_POINTS,
     MAX_VECTOR_BYTES,
-    Agent,
+    AgentId,
     FrameId,
     Index,
     Language,
@@ -148,7 +148,7 @@ class PlaceRedirect(msgspec.Struct, frozen=True, array_like=True, tag=6):
     """The owner of a cluster: key-frame ``keyframe`` of ``agent`` (the owner itself or any other) is the nearest that
     it was asked about; both None: it was asked about none of others yet."""
 
-    agent: Agent | None
+    agent: AgentId | None
     keyframe: Index | None
     distance: Annotated[float, msgspec.Meta(ge=0, le=2.001)]
 

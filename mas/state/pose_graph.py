@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from maslam.backend.distributed.share import Outcome, Share
+from maslam.backend.distributed.share import Share, SolverOutcome
 from maslam.backend.geometry import Array, Sim3, se3_inverse
 from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
 
@@ -95,7 +95,7 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
     )
 
 
-def adopt(state: AgentState, task: OptimiseTask, outcome: Outcome) -> Adoption:
+def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adoption:
     """Take the optimised poses over; key-frames that came later are carried along rigidly with the last optimised
     one."""
     before = {i: state.pose(i) for i in range(len(state.keyframes))}

@@ -103,7 +103,7 @@ class Sent:
 
 
 @dataclass
-class Count:
+class TrafficCount:
     """Messages and bytes so far."""
 
     messages: int = 0
@@ -122,8 +122,8 @@ class Transport(ABC):
 
     def __init__(self, max_message_bytes: int, record: Callable[[Sent], None] | None = None) -> None:
         self.max_message_bytes = max_message_bytes
-        self.by_operation: dict[Traffic, Count] = {t: Count() for t in Traffic}
-        self.by_pair: dict[tuple[int, int], Count] = {}
+        self.by_operation: dict[Traffic, TrafficCount] = {t: TrafficCount() for t in Traffic}
+        self.by_pair: dict[tuple[int, int], TrafficCount] = {}
         self.refused: list[tuple[int, str]] = []
         self._record = record
 
@@ -139,7 +139,7 @@ class Transport(ABC):
         operation, kind, payload = account(message)
         sent = Sent(now_ns, message.sender, message.recipient, operation, kind, payload, len(data))
         self.by_operation[operation].add(sent)
-        self.by_pair.setdefault((message.sender, message.recipient), Count()).add(sent)
+        self.by_pair.setdefault((message.sender, message.recipient), TrafficCount()).add(sent)
         if self._record is not None:
             self._record(sent)
         self.carry(message.recipient, data)

@@ -19,9 +19,9 @@ from maslam.backend.distributed.messages import (
     Deltas,
     Report,
     Round,
-    Stage,
+    SeparatorState,
+    SolverStage,
     Standing,
-    State,
     Status,
     Values,
     as_sent,
@@ -148,7 +148,7 @@ def test_a_share_that_contradicts_itself_is_an_error():
 
 
 @given(
-    st.sampled_from(list(Stage)),
+    st.sampled_from(list(SolverStage)),
     st.integers(0, 100),
     st.integers(0, 60_000),
     st.integers(0, 4),
@@ -177,7 +177,7 @@ def test_messages_survive_their_encoding(stage, sweep, robot, rows, number):
 
 def test_steps_survive_their_encoding():
     steps = np.arange(-12, 12, dtype=np.int8).reshape(4, 6)
-    message = Deltas(3, 4, Round(Stage.DESCENT, 2, 7), as_sent([0.1, 1e-9]), steps)
+    message = Deltas(3, 4, Round(SolverStage.DESCENT, 2, 7), as_sent([0.1, 1e-9]), steps)
     back = decode(encode(message))
     assert isinstance(back, Deltas) and back.round == message.round and back.scales == message.scales
     assert np.array_equal(back.steps, steps) and len(encode(message)) == 10 + message.payload_bytes == 42
@@ -187,11 +187,11 @@ def test_steps_survive_their_encoding():
 
 @given(st.integers(0, 65_535), st.integers(0, 65_535), st.integers(0, 5), st.booleans())
 def test_messages_without_rounds_survive_their_encoding(version, used, rows, quiet):
-    at = Round(Stage.FREE)
+    at = Round(SolverStage.FREE)
     values = np.arange(6.0 * rows).reshape(rows, 6)
-    state = State(1, 2, at, version, used, values)
+    state = SeparatorState(1, 2, at, version, used, values)
     back = decode(encode(state))
-    assert isinstance(back, State) and (back.version, back.used) == (version, used)
+    assert isinstance(back, SeparatorState) and (back.version, back.used) == (version, used)
     assert np.array_equal(back.values, values) and len(encode(state)) == 14 + state.payload_bytes
     neighbours = tuple((n, version) for n in range(rows))
     status = Status(3, 1, at, (Standing(3, used, version, quiet, neighbours), Standing(7, 1, 0, True, ())))

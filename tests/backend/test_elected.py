@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from maslam.backend.central.costs import cost
 from maslam.backend.central.optimise import optimise
 from maslam.backend.config import CentralConfig, SolverConfig
-from maslam.backend.distributed.compact import Reader, Writer, from_steps, step_sizes, to_steps
+from maslam.backend.distributed.compact import CompactReader, CompactWriter, from_steps, step_sizes, to_steps
 from maslam.backend.distributed.condense import OwnGraph
 from maslam.backend.distributed.elected import ElectedNode
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
@@ -50,12 +50,12 @@ def run(nodes, dead=(), rng=None, loss=0.0, repeat=0.0, ticks=2000):
 
 @given(st.lists(st.integers(-(2**70), 2**70), max_size=20), st.floats(allow_nan=False))
 def test_numbers_come_back(values, number):
-    out = Writer()
+    out = CompactWriter()
     for v in values:
         out.signed(v)
         out.count(abs(v))
     out.number(number)
-    source = Reader(out.bytes())
+    source = CompactReader(out.bytes())
     for v in values:
         assert source.signed() == v and source.count() == abs(v)
     assert source.number() == number and source.empty

@@ -12,7 +12,7 @@ from maslam.backend.central.costs import cost, edge_cost
 from maslam.backend.central.optimise import optimise
 from maslam.backend.config import CentralConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed, solve_group
-from maslam.backend.distributed.messages import Decision, Report, Round, Stage, Values
+from maslam.backend.distributed.messages import Decision, Report, Round, SolverStage, Values
 from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.share import shares
 from maslam.backend.errors import BackendError
@@ -90,11 +90,11 @@ class SolverContract:
             solve_group({0: group[0], 1: short}, self.config)
         node = node_for(group[0], self.config)
         with pytest.raises(BackendError, match="handed a message for robot 1"):
-            node.handle(Report(1, 1, Round(Stage.START), 0.0, 0.0))
+            node.handle(Report(1, 1, Round(SolverStage.START), 0.0, 0.0))
         with pytest.raises(BackendError, match="tree of members"):
-            node.handle(Decision(1, 0, Round(Stage.START), False, 0.0))
+            node.handle(Decision(1, 0, Round(SolverStage.START), False, 0.0))
         with pytest.raises(BackendError, match="shares no edge"):
-            node.handle(Values(7, 0, Round(Stage.START), np.zeros((1, 6))))
+            node.handle(Values(7, 0, Round(SolverStage.START), np.zeros((1, 6))))
 
     def test_what_no_edge_reaches_stays_and_is_named(self):
         graph, _ = loops(np.random.default_rng(9), robots=4, length=10)

@@ -36,7 +36,7 @@ from dataset_makers import (
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import Dataset, ImageSequence, Severity, base, open_dataset
 from maslam.frontend.errors import FrontendError
-from maslam.frontend.stopwatch import Stage, Stopwatch
+from maslam.frontend.stopwatch import Stopwatch, TimedStage
 
 
 def truncate(path: Path) -> None:
@@ -160,7 +160,7 @@ class Contract:
                     if mine is not None:
                         np.testing.assert_array_equal(mine, theirs)
                 assert frame.problem == ""
-        assert watch.times[Stage.DECODE].count == 4 + (2 if second else 0)
+        assert watch.times[TimedStage.DECODE].count == 4 + (2 if second else 0)
         # The reader's thread is free to work on what is asked for while the frames still come.
         del read[:]
         for frame in sequence.frames(0, 2):

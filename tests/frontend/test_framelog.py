@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 
 from maslam.backend.geometry import se3_exp
-from maslam.frontend.mapping.map import KeyFrame, Map
+from maslam.frontend.mapping.map import Map, MapKeyFrame
 from maslam.frontend.mapping.memory_footprint import EMPTY, footprint
 from maslam.frontend.tracking.pose_log import LostInterval, MomentLog, PoseLog
 
@@ -62,7 +62,7 @@ def test_the_footprint_counts_what_a_map_holds() -> None:
         ids = map_.add_points(n)
         zeros = np.zeros(n)
         map_.insert(
-            KeyFrame(
+            MapKeyFrame(
                 number=number, frame_index=number, stamp_ns=number, T_C_W=np.eye(4), uv=np.zeros((n, 2)),
                 disparity=zeros, row=zeros, point=ids, sigma=zeros, level=np.zeros(n, dtype=np.int8),
                 descriptors=np.zeros((n, 32), dtype=np.uint8), described=np.ones(n, dtype=bool),

@@ -18,8 +18,8 @@ from maslam.frontend.config import KeyframeConfig, OdometryConfig
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.frames import Frame, PutOff
-from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult, State
-from maslam.frontend.stopwatch import Stage
+from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult, TrackingState
+from maslam.frontend.stopwatch import TimedStage
 from maslam.frontend.vocabulary.vocabulary import BagOfWords, Vocabulary
 
 Change = Callable[[int, Frame], Frame | None]
@@ -101,7 +101,7 @@ def test_a_walk_through_a_room_is_tracked_to_half_a_percent(kind: RigKind) -> No
     assert all(f.T_W_C is not None or f.reason for f in frames)
     waiting = [f for f in frames if f.T_W_C is None]
     assert sum(lost.frames for lost in result.lost) == 60 - len(result.trajectories[0])
-    assert all(f.state is State.STARTING for f in waiting)
+    assert all(f.state is TrackingState.STARTING for f in waiting)
 
 
 @pytest.mark.parametrize("kind", list(RigKind))
@@ -165,7 +165,7 @@ def test_a_hidden_lens_is_estimated_by_one_camera() -> None:
 @pytest.mark.parametrize("kind", list(RigKind))
 def test_after_a_few_blank_frames_the_camera_is_found_again_in_its_map(kind: RigKind) -> None:
     result, frames, _ = track(kind, change=blank(30, 35))
-    assert [f.state for f in frames[30:35]] == [State.LOST] * 5
+    assert [f.state for f in frames[30:35]] == [TrackingState.LOST] * 5
     assert len(result.tracks) == 1
     interval = result.lost[-1]
     assert (interval.first_ns, interval.last_ns, interval.frames) == (3_000_000_000, 3_400_000_000, 5)
@@ -199,7 +199,7 @@ def test_a_second_image_that_cannot_be_read_costs_no_frame_and_is_said() -> None
 
     result, frames, _ = track(RigKind.STEREO, change=put_off)
     # The first map needs its second image; later key-frames do without.
-    assert "000000.png" in frames[0].reason and frames[0].state is State.STARTING
+    assert "000000.png" in frames[0].reason and frames[0].state is TrackingState.STARTING
     assert all(f.T_W_C is not None for f in frames[1:])
     assert len(result.tracks) == 1 and len(result.trajectories[0]) == 59
     assert error_m(result.trajectories[0], WALK, False) < 0.02
@@ -301,8 +301,8 @@ def test_the_stopwatch_knows_every_stage() -> None:
     _, frames, odometry = track(RigKind.STEREO, count=20)
     times = odometry.stopwatch.times
     made = sum(frame.is_keyframe for frame in frames)
-    assert times[Stage.TRACK].count == 19 and times[Stage.START].count == 1 and times[Stage.EXPORT].count == 1
-    for stage in (Stage.DETECT, Stage.STEREO, Stage.TRIANGULATE, Stage.ADJUST, Stage.CULL):
+    assert times[TimedStage.TRACK].count == 19 and times[TimedStage.START].count == 1 and times[TimedStage.EXPORT].count == 1
+    for stage in (TimedStage.DETECT, TimedStage.STEREO, TimedStage.TRIANGULATE, TimedStage.ADJUST, TimedStage.CULL):
         assert times[stage].count == made
     assert all(time.wall_s > 0.0 for time in times.values())
-    assert Stage.DECODE not in times
+    assert TimedStage.DECODE not in times

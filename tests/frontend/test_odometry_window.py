@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from maslam.backend.geometry import se3, se3_exp, so3_exp
 from maslam.frontend.estimation.bundle_adjustment import adjust_window, window_residuals
-from maslam.frontend.estimation.depth_alignment import Alignment
+from maslam.frontend.estimation.depth_alignment import DepthAlignment
 from maslam.frontend.estimation.triangulation import triangulate
 
 CAM = np.array([400.0, 400.0, 320.0, 180.0, 400.0 * 0.5])
@@ -50,7 +50,7 @@ class Problem:
         self.start_points = self.points + rng.normal(0, 0.1, self.points.shape)
 
     def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> tuple:
-        n, c, none = len(self.kf), 3 if estimate_calib else 0, Alignment.none()
+        n, c, none = len(self.kf), 3 if estimate_calib else 0, DepthAlignment.none()
         return adjust_window(
             self.start_poses, self.slot, self.start_points, self.start, self.kf, self.pt, self.uv, self.disparity,
             np.full(n, SIGMA), np.full(n, SIGMA_D), CAM, self.basis[:, :, :c], np.zeros(c), np.zeros(c),

@@ -16,7 +16,7 @@ from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import LostConfig, OdometryConfig
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.frames import Frame
-from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult, State
+from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult, TrackingState
 from maslam.frontend.tracking.relocalisation import Relocaliser
 from maslam.frontend.tracking.track import Segment
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
@@ -92,7 +92,7 @@ def test_a_blinded_camera_is_found_again_in_its_own_track(
     kind: RigKind, spoil: Callable[[np.ndarray], np.ndarray], count: int
 ) -> None:
     result, frames, _ = film(kind, home(), between(25, 25 + count, spoil))
-    assert frames[25].state is State.LOST and "need" in frames[25].reason
+    assert frames[25].state is TrackingState.LOST and "need" in frames[25].reason
     assert len(result.tracks) == 1 and frames[25 + count].T_W_C is not None
     interval = result.lost[-1]
     assert (interval.first_ns, interval.frames) == (2_500_000_000, count)
@@ -126,11 +126,11 @@ def test_a_camera_that_wakes_up_elsewhere_begins_another_track(kind: RigKind) ->
     result, frames, _ = film(kind, shots)
     wait = LostConfig().relocalise_frames
     assert len(result.tracks) == 2
-    assert [f.state for f in frames[30 : 30 + wait]] == [State.LOST] * wait
+    assert [f.state for f in frames[30 : 30 + wait]] == [TrackingState.LOST] * wait
     interval = result.lost[-1]
     assert (interval.first_ns, interval.frames) == (3_000_000_000, wait)
     assert "agree on a pose" in interval.reason
-    assert frames[30 + wait].is_keyframe and frames[30 + wait].state is State.TRACKING
+    assert frames[30 + wait].is_keyframe and frames[30 + wait].state is TrackingState.TRACKING
     assert len(result.trajectories[1]) == 30 - wait
     for trajectory, vo in zip(result.trajectories, result.tracks, strict=True):
         assert error_m(trajectory, shots) < 0.02

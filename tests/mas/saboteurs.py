@@ -11,7 +11,7 @@ import numpy as np
 from maslam.backend.geometry import Sim3, se3, so3_exp
 from maslam.mas.agent import Agent
 from maslam.mas.config import MasConfig
-from maslam.mas.evaluation.ground_truth import Onlooker
+from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
 from maslam.mas.policies.base import Outlook, Policy
 from maslam.mas.policies.presets import policy_of
 from maslam.mas.policies.query_all import QueryAll
@@ -139,7 +139,7 @@ def live(
     limit: int = 600,
     watch: Callable[[list[Agent], list[Any]], None] | None = None,
     listen: Callable[[Message, int], None] | None = None,
-) -> tuple[Environment, Onlooker]:
+) -> tuple[Environment, GroundTruthEvaluator]:
     """A run in memory, until all agents are quiet; an error if they never are. ``watch``: called after each step with
     the agents and their true poses. ``listen``: hears every message, with its wire bytes."""
     agents = make_agents(manifest, sequences, config)
@@ -154,5 +154,5 @@ def live(
         if watch is not None:
             watch(environment.agents, [s.groundtruth.poses for s in sequences if s.groundtruth is not None])
         if step + 1 >= environment.steps and environment.over:
-            return environment, Onlooker(sequences)
+            return environment, GroundTruthEvaluator(sequences)
     raise AssertionError(f"not over after {limit} steps")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from maslam.backend.distributed.messages import Stage
+from maslam.backend.distributed.messages import SolverStage
 from maslam.backend.geometry import Sim3
-from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, Operation
+from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, OperationKind
 from maslam.mas.protocol.map_messages import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
 from maslam.mas.protocol.messages import (
     LINK_DTYPE,
@@ -87,7 +87,7 @@ def examples() -> list[Message]:
     rows = pack_sim3s([Sim3.identity()], LINK_DTYPE)
     links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), rows, rows)
     bodies = [
-        Call(Operation.DOPT, 5_000_000_000, (0, 1)),
+        Call(OperationKind.DOPT, 5_000_000_000, (0, 1)),
         Bid(100, 0, links),
         Refusal("busy"),
         Award(PlaceQuery(3, 0xAB12CD34, vector)),
@@ -111,7 +111,7 @@ def examples() -> list[Message]:
         SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
         SolverReport(2, 0, 1, float("inf"), 3.0),
         SolverReport(4, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
-        SolverSteps(int(Stage.DESCENT), 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
+        SolverSteps(int(SolverStage.DESCENT), 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
         SolverState(3, 2, Tensor.of(np.zeros((2, 6)), "<f4")),
         SolverStatus((SolverStanding(1, 2, 3, True, ((0, 4),)),)),
         SolverParcel(1, 0, b"whatever its kind lays out"),

@@ -12,15 +12,15 @@ from maslam.mas.contracts.contract import (
     MANAGER_SAYS,
     RESULT_CONFIRMS,
     Contract,
+    ContractState,
     LateMessage,
     ProtocolError,
     Repeated,
-    State,
     advance,
     expire,
 )
 from maslam.mas.contracts.ledger import Ledger
-from maslam.mas.protocol.ids import ContractId, Operation
+from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Award, Bid, Call, Cancel, Confirmation, Failure, Refusal, Rejection, Result
 from maslam.mas.protocol.tasks import MapOrder, PlaceAnswer
 
@@ -39,7 +39,7 @@ sayings = st.lists(st.tuples(st.sampled_from([MANAGER, CONTRACTOR, STRANGER]), s
 
 
 def opened() -> Contract:
-    return Contract(ContractId(MANAGER, 0), CONTRACTOR, Operation.DVPR, deadline_ns=100)
+    return Contract(ContractId(MANAGER, 0), CONTRACTOR, OperationKind.DVPR, deadline_ns=100)
 
 
 @given(sayings)
@@ -79,36 +79,36 @@ def test_every_contract_ends(said: list) -> None:  # type: ignore[type-arg]
 
 def test_every_state_can_be_reached_and_left_by_the_table() -> None:
     table = {**CONTRACTOR_SAYS, **MANAGER_SAYS}
-    reached = {State.CALLED, State.EXPIRED, *table.values()}
-    assert reached == set(State)
-    assert {state for state, _ in table} == set(State) - ENDED
+    reached = {ContractState.CALLED, ContractState.EXPIRED, *table.values()}
+    assert reached == set(ContractState)
+    assert {state for state, _ in table} == set(ContractState) - ENDED
 
 
 def test_both_sides_keep_the_same_state() -> None:
     manager, contractor = Ledger(MANAGER), Ledger(CONTRACTOR)
-    identity, called = manager.call(Operation.MAPMERGE, [CONTRACTOR], deadline_ns=10)
+    identity, called = manager.call(OperationKind.MAPMERGE, [CONTRACTOR], deadline_ns=10)
     assert called == [CONTRACTOR]
-    contractor.called(MANAGER, identity, Call(Operation.MAPMERGE, 10))
+    contractor.called(MANAGER, identity, Call(OperationKind.MAPMERGE, 10))
     steps = [(CONTRACTOR, BODIES[0]), (MANAGER, BODIES[2]), (CONTRACTOR, BODIES[4]), (CONTRACTOR, BODIES[5])]
     for sender, body in steps:
         speaker, listener = (manager, contractor) if sender == MANAGER else (contractor, manager)
         said = speaker.say(speaker.get(identity, CONTRACTOR), body)
         states = {said.state, listener.hear(identity, sender, body).state}
         assert len(states) == 1
-    assert states == {State.DONE}
+    assert states == {ContractState.DONE}
     assert not manager.running() and not contractor.running()
 
 
 def test_at_most_one_contract_of_a_kind_a_pair() -> None:
     ledger = Ledger(MANAGER)
-    ledger.call(Operation.DVPR, [1, 2], 10)
-    assert ledger.call(Operation.DVPR, [1, 2, 4], 10)[1] == [4]
-    assert ledger.call(Operation.DOPT, [1, 2], 10)[1] == [1, 2]
+    ledger.call(OperationKind.DVPR, [1, 2], 10)
+    assert ledger.call(OperationKind.DVPR, [1, 2, 4], 10)[1] == [4]
+    assert ledger.call(OperationKind.DOPT, [1, 2], 10)[1] == [1, 2]
 
 
 def test_a_call_that_comes_twice_is_refused() -> None:
     ledger = Ledger(CONTRACTOR)
-    call = Call(Operation.DVPR, 10)
+    call = Call(OperationKind.DVPR, 10)
     ledger.called(MANAGER, ContractId(MANAGER, 4), call)
     with pytest.raises(Repeated, match="twice"):
         ledger.called(MANAGER, ContractId(MANAGER, 4), call)
@@ -120,10 +120,10 @@ def test_a_call_that_comes_twice_is_refused() -> None:
 def test_a_newer_call_ends_the_contractors_copy_of_an_older_one() -> None:
     """The manager calls anew only after its own copy has ended: that end was lost on the way."""
     ledger = Ledger(CONTRACTOR)
-    for number, operation in ((0, Operation.DVPR), (1, Operation.DOPT), (2, Operation.DVPR)):
+    for number, operation in ((0, OperationKind.DVPR), (1, OperationKind.DOPT), (2, OperationKind.DVPR)):
         ledger.called(MANAGER, ContractId(MANAGER, number), Call(operation, 10))
     assert [c.id.number for c in ledger.running()] == [1, 2]
-    assert [(c.id.number, c.state) for c in ledger.superseded] == [(0, State.CANCELLED)]
+    assert [(c.id.number, c.state) for c in ledger.superseded] == [(0, ContractState.CANCELLED)]
 
 
 def test_a_call_that_its_withdrawal_overtook_opens_nothing() -> None:
@@ -131,7 +131,7 @@ def test_a_call_that_its_withdrawal_overtook_opens_nothing() -> None:
     with pytest.raises(LateMessage):
         ledger.hear(ContractId(MANAGER, 0), MANAGER, Cancel("no longer wanted"))
     with pytest.raises(LateMessage):
-        ledger.called(MANAGER, ContractId(MANAGER, 0), Call(Operation.DVPR, 10))
+        ledger.called(MANAGER, ContractId(MANAGER, 0), Call(OperationKind.DVPR, 10))
     assert ledger.running() == []
 
 
@@ -140,10 +140,10 @@ def test_a_result_confirms_too_but_nobody_may_leave_the_confirmation_out() -> No
     for sender, body in ((CONTRACTOR, BODIES[0]), (MANAGER, BODIES[2])):
         awarded = advance(awarded, sender, body)
     result = Result(PlaceAnswer(None, 2.0))
-    assert advance(awarded, CONTRACTOR, result, heard=True).state is State.DONE
+    assert advance(awarded, CONTRACTOR, result, heard=True).state is ContractState.DONE
     with pytest.raises(ProtocolError):
         advance(awarded, CONTRACTOR, result)
-    assert set(RESULT_CONFIRMS) == {(State.AWARDED, Result)}
+    assert set(RESULT_CONFIRMS) == {(ContractState.AWARDED, Result)}
 
 
 def test_a_word_that_came_twice_is_told_from_one_out_of_place() -> None:
@@ -157,13 +157,13 @@ def test_a_word_that_came_twice_is_told_from_one_out_of_place() -> None:
 
 def test_nobody_calls_in_another_name() -> None:
     with pytest.raises(ProtocolError, match="in the name"):
-        Ledger(CONTRACTOR).called(STRANGER, ContractId(MANAGER, 0), Call(Operation.DVPR, 10))
+        Ledger(CONTRACTOR).called(STRANGER, ContractId(MANAGER, 0), Call(OperationKind.DVPR, 10))
 
 
 def test_a_late_message_is_told_from_a_wrong_one() -> None:
     ledger = Ledger(MANAGER)
-    identity, _ = ledger.call(Operation.DVPR, [CONTRACTOR], deadline_ns=10)
-    assert [c.state for c in ledger.expired(11)] == [State.EXPIRED]
+    identity, _ = ledger.call(OperationKind.DVPR, [CONTRACTOR], deadline_ns=10)
+    assert [c.state for c in ledger.expired(11)] == [ContractState.EXPIRED]
     with pytest.raises(LateMessage):
         ledger.get(identity, CONTRACTOR)
     with pytest.raises(ProtocolError, match="no running contract"):

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maslam.mas.contracts.contract import Contract, ProtocolError, State
+from maslam.mas.contracts.contract import Contract, ContractState, ProtocolError
 from maslam.mas.contracts.ledger import Ledger
-from maslam.mas.protocol.ids import ContractId, Operation
+from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import (
     Award,
     Bid,
@@ -35,7 +35,7 @@ WORDS: dict[str, ContractBody] = {
     "cancel": Cancel("no"),
 }
 PATIENCE_NS = 20
-OPERATIONS = [Operation.DVPR, Operation.DOPT]
+OPERATIONS = [OperationKind.DVPR, OperationKind.DOPT]
 agents = st.integers(0, 3)
 actions = st.one_of(
     st.tuples(st.just("call"), agents, st.integers(1, 15), st.sampled_from(OPERATIONS)),
@@ -55,14 +55,14 @@ class World:
     air: list[tuple[int, int, ContractId, ContractBody]] = field(default_factory=list)
     said: set[tuple[int, ContractId, int, type]] = field(default_factory=set)
     heard: set[tuple[int, ContractId, int, type]] = field(default_factory=set)
-    ends: dict[tuple[int, ContractId, int], State] = field(default_factory=dict)
+    ends: dict[tuple[int, ContractId, int], ContractState] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.ledgers = [Ledger(a) for a in range(self.count)]
 
     def act(self, kind: str, agent: int, number: int, what: object) -> None:
         agent %= self.count
-        if kind == "call" and isinstance(what, Operation):
+        if kind == "call" and isinstance(what, OperationKind):
             self.call(agent, number, what)
         elif kind == "say":
             self.say(agent, number, WORDS[str(what)])
@@ -76,7 +76,7 @@ class World:
             if kind != "lose":
                 self.deliver(*message)
 
-    def call(self, manager: int, mask: int, operation: Operation) -> None:
+    def call(self, manager: int, mask: int, operation: OperationKind) -> None:
         others = [a for a in range(self.count) if mask >> a & 1]
         call = Call(operation, self.now_ns + PATIENCE_NS)
         identity, called = self.ledgers[manager].call(operation, others, call.deadline_ns)
@@ -147,14 +147,14 @@ def test_promises_hold_whatever_happens_to_messages(count: int, played: list) ->
     world.act("wait", 0, PATIENCE_NS + 1, None)
     assert not any(ledger.running() for ledger in world.ledgers), "a contract did not end"
     for (agent, identity, contractor), state in world.ends.items():
-        if agent == identity.manager and state is State.DONE:
-            assert world.ends[contractor, identity, contractor] is State.DONE, "done, but not by the contractor"
+        if agent == identity.manager and state is ContractState.DONE:
+            assert world.ends[contractor, identity, contractor] is ContractState.DONE, "done, but not by the contractor"
 
 
 def test_the_promises_are_put_to_the_test() -> None:
     """The world above can play a whole contract, doubled and out of order: the property is not empty."""
     world = World(2)
-    world.act("call", 0, 2, Operation.DVPR)
+    world.act("call", 0, 2, OperationKind.DVPR)
     world.act("again", 0, 0, None)
     world.act("deliver", 0, 0, None)
     for agent, word in ((1, "bid"), (0, "award"), (1, "confirm"), (1, "result")):
@@ -165,4 +165,4 @@ def test_the_promises_are_put_to_the_test() -> None:
     world.act("deliver", 0, 1, None)
     world.act("deliver", 0, 0, None)
     world.check()
-    assert set(world.ends.values()) == {State.DONE} and len(world.ends) == 2
+    assert set(world.ends.values()) == {ContractState.DONE} and len(world.ends) == 2

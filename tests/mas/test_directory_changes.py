@@ -13,12 +13,12 @@ from test_autonomous import outlook
 
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, LinkConfig, MasConfig
-from maslam.mas.evaluation.ground_truth import Onlooker, groups_of
+from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator, groups_of
 from maslam.mas.output.run_folder import match_errors
 from maslam.mas.place_recognition.candidates import Candidate
 from maslam.mas.policies.directory import Directory
 from maslam.mas.policies.presets import preset
-from maslam.mas.protocol.ids import ContractId, MatchId, Operation
+from maslam.mas.protocol.ids import ContractId, MatchId, OperationKind
 from maslam.mas.protocol.messages import Award, Message
 from maslam.mas.protocol.tasks import OwnerQuery
 from maslam.mas.simulation import Environment, make_agents
@@ -36,7 +36,7 @@ def faulty(link: LinkConfig | None = None, **faults: object) -> MasConfig:
 
 def play(
     config: MasConfig, keyframes: int, spacing_m: float, odd: Mapping[int, type[Agent]] | None = None
-) -> tuple[Environment, Onlooker, Told]:
+) -> tuple[Environment, GroundTruthEvaluator, Told]:
     """A town of four in a row, and in which contracts who told whom of which key-frame, whether it arrived or not."""
     told: Told = {}
 
@@ -142,7 +142,7 @@ def test_on_a_link_that_fails_often_there_is_no_storm() -> None:
     assert moved, "otherwise this test shows nothing"
     assert len(told) <= 3 * 3 * keyframes
     assert dvpr_bytes(environment) <= 3 / (1 - loss) * dvpr_bytes(whole)
-    assert not any(a.desk.ledger.running(Operation.DVPR) for a in environment.agents)
+    assert not any(a.desk.ledger.running(OperationKind.DVPR) for a in environment.agents)
 
 
 def agent_of(number: int, keyframes: int) -> Agent:

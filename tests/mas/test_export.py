@@ -9,7 +9,7 @@ import pytest
 from factory import CAMERA, heading
 
 from maslam.backend.geometry import Array, Sim3, se3_inverse, transform_points
-from maslam.mas.map_exchange.map_copy import HeldMap
+from maslam.mas.map_exchange.map_copy import MapCopy
 from maslam.mas.output.colmap import write_colmap
 from maslam.mas.output.fused_map import fused, write_map
 from maslam.mas.protocol.ids import FrameId
@@ -23,14 +23,14 @@ def street(rng: np.random.Generator, count: int) -> Array:
 
 def map_of(
     owner: int, points: Array, references: Array, descriptors: Array | None = None, unit: float = 1.0
-) -> HeldMap:
+) -> MapCopy:
     """A held map with world points, each seen from one of three poses; the owner's unit is worth ``unit`` metres."""
     inverse = se3_inverse(POSES)
     points_C = np.array([transform_points(inverse[r], p[None])[0] for p, r in zip(points, references, strict=True)])
     poses = POSES.copy()
     poses[:, :3, 3] /= unit
     placement = Sim3(np.eye(3), np.zeros(3), unit)
-    return HeldMap(
+    return MapCopy(
         owner, 1, owner, 0, (owner,), FrameId(owner, 0), placement, np.arange(3), np.arange(3) * 10**9, poses,
         references, points_C.reshape(-1, 3) / unit, descriptors, (),
     )  # fmt: skip

@@ -14,7 +14,7 @@ from sample_messages import examples
 from test_transport import TransportContract
 
 from maslam.backend.distributed.elected_messages import Kind
-from maslam.backend.distributed.messages import Stage
+from maslam.backend.distributed.messages import SolverStage
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
 from maslam.mas.errors import MasError
@@ -145,7 +145,7 @@ class Deaf(Agent):
 
     def handle(self, message: Message) -> list[Message]:
         body = message.body
-        last = isinstance(body, SolverDecision) and Stage(body.stage) is Stage.COST
+        last = isinstance(body, SolverDecision) and SolverStage(body.stage) is SolverStage.COST
         if last or (isinstance(body, SolverParcel) and body.kind == Kind.DECISION):
             self.missed = self.missed or message.contract
             if message.contract == self.missed:

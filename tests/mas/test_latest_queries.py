@@ -7,7 +7,7 @@ import pytest
 from factory import town
 
 from maslam.mas.agent import Agent
-from maslam.mas.place_recognition.peer_queries import LatestQueries
+from maslam.mas.place_recognition.peer_queries import RecentQueries
 from maslam.mas.policies.base import Outlook, Policy
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.messages import Award, Message, Result
@@ -26,7 +26,7 @@ def pair(seed: int = 0) -> tuple[list[Agent], list[list[KeyFrame]]]:
 def test_the_answer_is_the_nearest_of_all_pairs_not_compared_before() -> None:
     """The agent that is asked sees key-frames between the queries, by a fixed plan; brute force over all pairs."""
     agents, keyframes = pair()
-    log = LatestQueries(agents[1].book, 5)
+    log = RecentQueries(agents[1].book, 5)
     compared: set[tuple[int, int]] = set()
     earlier = 0
     for query, seen in enumerate([0, 1, 2, 2, 5, 9, 9, 10, 12, 13, 13, 16]):
@@ -48,7 +48,7 @@ def test_the_answer_is_the_nearest_of_all_pairs_not_compared_before() -> None:
 
 def test_askers_are_kept_apart_and_one_frame_only_means_no_memory() -> None:
     agents, keyframes = pair()
-    five, one = LatestQueries(agents[1].book, 5), LatestQueries(agents[1].book, 1)
+    five, one = RecentQueries(agents[1].book, 5), RecentQueries(agents[1].book, 1)
     place, elsewhere = keyframes[0][12].vector, keyframes[0][0].vector
     assert five.nearest(0, 0, place) is None and one.nearest(0, 0, place) is None
     for keyframe in keyframes[1]:
@@ -60,7 +60,7 @@ def test_askers_are_kept_apart_and_one_frame_only_means_no_memory() -> None:
 
 def test_a_query_said_again_is_answered_again_and_kept_once() -> None:
     agents, keyframes = pair()
-    log = LatestQueries(agents[1].book, 2)
+    log = RecentQueries(agents[1].book, 2)
     agents[1].observe(keyframes[1][0])
     first = log.nearest(0, 0, keyframes[0][0].vector)
     log.nearest(0, 1, keyframes[0][14].vector)

@@ -12,7 +12,7 @@ from factory import circuit, heading, make_sequence, make_world, manifest_of
 from maslam.backend.geometry import Array, Sim3, se3_exp, se3_inverse
 from maslam.mas.map_exchange.admission import admit, aligned, recheck
 from maslam.mas.map_exchange.evidence_checks import best_motion, standing, tolerance, witnesses
-from maslam.mas.map_exchange.map_copy import HeldMap, with_new_keyframes
+from maslam.mas.map_exchange.map_copy import MapCopy, with_new_keyframes
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import FrameId, MatchId
 from maslam.mas.simulation import make_agents
@@ -39,10 +39,10 @@ def holder(scale: float = 1.0, **merge: object) -> AgentState:
 def held(
     owner: int, poses: Array, first: int = 0, placement: Sim3 | None = None,
     matches: tuple[tuple[MatchId, Sim3], ...] = (), version: int = 1,
-) -> HeldMap:  # fmt: skip
+) -> MapCopy:  # fmt: skip
     """A copy with these poses in its own coordinates and no points."""
     count = len(poses)
-    return HeldMap(
+    return MapCopy(
         owner, version, owner, 0, (owner,), FrameId(owner, 0), placement or Sim3.identity(),
         np.arange(first, first + count), np.arange(count), poses, np.zeros(0, dtype=np.int64), np.zeros((0, 3)), None,
         matches,

@@ -18,7 +18,7 @@ from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.config import FaultsConfig
 from maslam.mas.map_exchange.full_map import own_submap
 from maslam.mas.map_exchange.full_map_increments import completed, runs_of, without
-from maslam.mas.map_exchange.map_copy import HeldMap, held_of_submap, submap_of
+from maslam.mas.map_exchange.map_copy import MapCopy, held_of_submap, submap_of
 from maslam.mas.map_exchange.versions import StaleBase
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import ContractId, FrameId
@@ -55,7 +55,7 @@ class Buyer:
 
     def __init__(self, me: int) -> None:
         self.me = me
-        self.held: HeldMap | None = None
+        self.held: MapCopy | None = None
         self.got: set[int] = set()
 
     def buy(self, whole: SubMap) -> None:
@@ -129,7 +129,7 @@ def act(
 # -- what can go wrong between an order and its delivery --------------------------------------------------------------
 
 
-def two_purchases() -> tuple[HeldMap, SubMap]:
+def two_purchases() -> tuple[MapCopy, SubMap]:
     """A copy of eight key-frames, and the map when it has twelve."""
     state, keyframes = driver(30, form="full", max_points=POINTS)
     see(state, keyframes, 8)
@@ -194,7 +194,7 @@ def test_a_second_purchase_brings_only_what_is_new_from_the_owner_and_from_a_hol
     assert [len(c.keyframes) for c in agents[0].maps.held.values()] == [8, 8]
 
 
-def same(copy: HeldMap, whole: SubMap) -> None:
+def same(copy: MapCopy, whole: SubMap) -> None:
     """A copy has the key-frames and points of a map."""
     assert copy.keyframes.tolist() == whole.keyframes.array().tolist()
     assert copy.references.tolist() == whole.references.array().tolist()

@@ -18,7 +18,7 @@ from maslam.mas.map_exchange.coding.pose_corrections import Bound, anchors_for, 
 from maslam.mas.map_exchange.coding.quantised_map import LatticeMap, on_lattice
 from maslam.mas.map_exchange.coding.rice import BitsError
 from maslam.mas.map_exchange.publisher import Publisher
-from maslam.mas.map_exchange.versions import StaleBase, Stock, make_patch, stock_of
+from maslam.mas.map_exchange.versions import MapVersion, StaleBase, make_patch, stock_of
 from maslam.mas.protocol.ids import FrameId, MatchId
 from maslam.mas.protocol.map_messages import MapPatch
 from maslam.mas.state.agent_state import AgentState, Piece
@@ -129,14 +129,14 @@ def _match(state: AgentState, query: int, rng: np.random.Generator) -> None:
     state.version += 1
 
 
-def _bought(seller: Stock | None, known: Stock | None) -> Stock:
+def _bought(seller: MapVersion | None, known: MapVersion | None) -> MapVersion:
     assert seller is not None
     if known is not None and known.map.edition == seller.map.edition:
         return known
     return stock_of(0, known, seller.since(known.map.edition if known else 0))
 
 
-def two_editions() -> tuple[Stock, Stock]:
+def two_editions() -> tuple[MapVersion, MapVersion]:
     state, keyframes = driver()
     see(state, keyframes, 12)
     publisher = Publisher(state)
@@ -172,7 +172,7 @@ def test_a_patch_for_another_edition_is_refused_and_an_unknown_one_gets_the_whol
     with pytest.raises(StaleBase, match="edition 1"):
         stock_of(0, None, second.since(1))
     assert second.since(77) == (second.whole,)
-    spoilt = Stock(replace(first.map, poses=first.map.poses + 1))
+    spoilt = MapVersion(replace(first.map, poses=first.map.poses + 1))
     with pytest.raises(StaleBase, match="not what its owner made"):
         stock_of(0, spoilt, second.since(1))
 

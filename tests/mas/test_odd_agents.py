@@ -12,8 +12,8 @@ from test_wrong_map import LyingPublisher
 
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
-from maslam.mas.contracts.reputation import Regard
-from maslam.mas.evaluation.ground_truth import Onlooker, groups_of
+from maslam.mas.contracts.reputation import Trust
+from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator, groups_of
 from maslam.mas.output.run_folder import match_errors
 from maslam.mas.policies.base import Policy
 from maslam.mas.policies.presets import preset
@@ -42,7 +42,7 @@ def honest(odd: int) -> list[int]:
     return [a for a in range(4) if a != odd]
 
 
-def error_m(environment: Environment, onlooker: Onlooker, agent: int) -> float:
+def error_m(environment: Environment, onlooker: GroundTruthEvaluator, agent: int) -> float:
     error = onlooker.error_of(agent, keyframe_trajectory(environment.agents[agent].state))
     assert error is not None
     return error.rmse_m
@@ -70,7 +70,7 @@ def play(
     for agent, alone in zip(honest(odd), without(preset_name, odd), strict=True):
         assert error_m(environment, onlooker, agent) <= 1.1 * alone + 0.02
         assert not agents[agent].desk.ledger.running() and not agents[agent].refused
-        assert all(agents[agent].desk.standing.regard(a) is Regard.GOOD for a in honest(odd)), "nobody else is blamed"
+        assert all(agents[agent].desk.standing.regard(a) is Trust.GOOD for a in honest(odd)), "nobody else is blamed"
         for owner in set(agents[agent].maps.held) - {odd}:
             assert map_off_m(environment, onlooker, agent, owner).max() < FALSE_M
     for match, error in match_errors(agents, onlooker).items():
@@ -78,7 +78,7 @@ def play(
     return environment
 
 
-def map_off_m(environment: Environment, onlooker: Onlooker, holder: int, owner: int) -> np.ndarray:  # type: ignore[type-arg]
+def map_off_m(environment: Environment, onlooker: GroundTruthEvaluator, holder: int, owner: int) -> np.ndarray:  # type: ignore[type-arg]
     """How far off each key-frame ``(K,)`` of a held map is, when the holder's own trajectory is laid on the truth."""
     agent = environment.agents[holder]
     error = onlooker.error_of(holder, keyframe_trajectory(agent.state))
@@ -92,7 +92,7 @@ def map_off_m(environment: Environment, onlooker: Onlooker, holder: int, owner: 
 @pytest.mark.parametrize(("name", "odd"), PLACES)
 def test_one_that_bids_and_never_delivers(name: str, odd: int) -> None:
     agents = play(name, odd, Idler).agents
-    assert {agents[a].desk.standing.regard(odd) for a in honest(odd)} == {Regard.UNDELIVERING}
+    assert {agents[a].desk.standing.regard(odd) for a in honest(odd)} == {Trust.UNDELIVERING}
     assert not any(odd in agents[a].maps.held for a in honest(odd))
 
 
@@ -105,7 +105,7 @@ def test_one_that_lies_about_its_matches(name: str) -> None:
     for agent in honest(2):
         assert not [m for m in environment.agents[agent].state.accepted if m.match_agent == 2 != m.query_agent]
         if 2 in environment.agents[agent].maps.held:
-            off = map_off_m(environment, Onlooker(four()), agent, 2)
+            off = map_off_m(environment, GroundTruthEvaluator(four()), agent, 2)
             assert off.max() < FALSE_M, "what it says about itself is true"
 
 
@@ -124,7 +124,7 @@ def test_one_whose_map_is_bent(name: str, odd: int) -> None:
             continue
         agreed = [m for m in shared if m in state.accepted]
         assert agreed or len(shared) < 3
-        off = map_off_m(environment, Onlooker(four(odd)), agent, odd)
+        off = map_off_m(environment, GroundTruthEvaluator(four(odd)), agent, odd)
         seen = [m.match if m.match_agent == odd else m.query for m in agreed]
         assert np.median(off[seen]) < limit if seen else True
     if odd == 2:
@@ -149,12 +149,12 @@ def test_one_that_comes_late(name: str, odd: int) -> None:
     environment = play(name, odd, late_s={odd: 6.0})
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
     for agent in honest(odd):
-        assert map_off_m(environment, Onlooker(four()), agent, odd).max() < FALSE_M, "its map is there, and right"
+        assert map_off_m(environment, GroundTruthEvaluator(four()), agent, odd).max() < FALSE_M, "its map is there, and right"
 
 
 @pytest.mark.parametrize(("name", "odd"), PLACES)
 def test_one_that_leaves(name: str, odd: int) -> None:
     agents = play(name, odd, leave_s={odd: 5.0}).agents
-    assert Regard.SILENT in {agents[a].desk.standing.regard(odd) for a in honest(odd)}
+    assert Trust.SILENT in {agents[a].desk.standing.regard(odd) for a in honest(odd)}
     for agent in honest(odd):
         assert set(agents[agent].maps.held) >= (set(honest(odd)) - {agent} if name == "maslam" else set())

@@ -14,7 +14,7 @@ from maslam.backend.trajectory_error import path_length
 from maslam.frontend.files.trajectory import Trajectory, read_tum
 from maslam.mas.errors import MasError
 from maslam.mas.policies.presets import preset
-from maslam.mas.protocol.ids import ContractId, MatchId, Operation
+from maslam.mas.protocol.ids import ContractId, MatchId, OperationKind
 from maslam.mas.protocol.messages import Award, Begin, Call, Failure, Message, Result, encode
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import make_agents, run
@@ -192,7 +192,7 @@ def test_a_claim_about_a_key_frame_that_is_not_there_fails_politely() -> None:
     manifest, sequences = town(2, 4)
     agent = make_agents(manifest, sequences, DEFAULT)[1]
     contract = ContractId(0, 0)
-    agent.handle(Message(0, 1, contract, Call(Operation.RELPOSE, 10**9)))
+    agent.handle(Message(0, 1, contract, Call(OperationKind.RELPOSE, 10**9)))
     out = agent.handle(Message(0, 1, contract, Award(verify_task(match=MatchId(0, 3, 1, 99)))))
     assert [type(m.body) for m in out] == [Failure]
     assert not agent.desk.ledger.running()

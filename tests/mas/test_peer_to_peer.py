@@ -16,7 +16,7 @@ from test_submaps import agents_in_a_row
 
 from maslam.backend.geometry import se3_inverse
 from maslam.mas.agent import Agent
-from maslam.mas.optimisation.pending_matches import News
+from maslam.mas.optimisation.pending_matches import PendingMatches
 from maslam.mas.optimisation.planning import plan
 from maslam.mas.policies.autonomous import Autonomous
 from maslam.mas.policies.base import Outlook
@@ -74,7 +74,7 @@ def test_matches_with_agents_that_were_not_called_stay_news() -> None:
     state = state_of(6)
     match(state, 5)
     match(state, 2)
-    news = News(state)
+    news = PendingMatches(state)
     news.offered([0, 2])
     news.used(frozenset())
     assert news.matches == {m for m in state.accepted if 5 in m.agents}

@@ -13,10 +13,10 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.mas.agent import Agent
 from maslam.mas.config import MasConfig
 from maslam.mas.errors import MasError
-from maslam.mas.place_recognition.peer_queries import ClusterLog
+from maslam.mas.place_recognition.peer_queries import ClusterIndex
 from maslam.mas.policies.cluster_owners import centres_of, owner_of
 from maslam.mas.policies.presets import preset
-from maslam.mas.protocol.ids import Operation
+from maslam.mas.protocol.ids import OperationKind
 from maslam.mas.protocol.messages import Award, Call, Confirmation, Message, Result
 from maslam.mas.protocol.tasks import OwnerQuery, PlaceRedirect
 from maslam.mas.simulation import make_agents, run
@@ -92,7 +92,7 @@ def test_the_owner_names_the_nearest_that_it_was_asked_about_whoever_has_it() ->
 def test_a_redirected_match_is_verified_with_the_agent_that_has_the_key_frame() -> None:
     agents = agents_of(4, 8)
     said = play(agents, 8)
-    wanted = {m.recipient for m in said if isinstance(m.body, Call) and m.body.operation is Operation.RELPOSE}
+    wanted = {m.recipient for m in said if isinstance(m.body, Call) and m.body.operation is OperationKind.RELPOSE}
     book = [c for a in agents for c in a.book.candidates.values()]
     third = [c for c in book if c.verified and owner_of_candidate(agents, c.id) not in c.id.agents]
     assert third and {c.id.match_agent for c in third} <= wanted
@@ -140,12 +140,12 @@ def test_a_redirect_to_nobody_who_can_be_asked_is_refused() -> None:
     asker = agents[award.sender]
     for body in (Confirmation(), Result(PlaceRedirect(7, 0, 0.1))):
         mail = asker.handle(Message(award.recipient, award.sender, award.contract, body))
-        assert not any(isinstance(m.body, Call) and m.body.operation is Operation.RELPOSE for m in mail)
+        assert not any(isinstance(m.body, Call) and m.body.operation is OperationKind.RELPOSE for m in mail)
     assert [r.reason for r in asker.refused] == ["redirected to agent 7, which cannot be asked"]
 
 
 def test_a_log_leaves_the_askers_own_key_frames_out() -> None:
-    log = ClusterLog()
+    log = ClusterIndex()
     x, y = np.eye(4, dtype=np.float32)[:2]
     assert log.nearest(x, 0) is None
     log.remember(0, 5, x)

@@ -10,8 +10,8 @@ from saboteurs import Idler, Liar, Swindler, live
 from maslam.backend.trajectory_error import TrajectoryError
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
-from maslam.mas.contracts.reputation import Regard
-from maslam.mas.evaluation.ground_truth import Onlooker, groups_of
+from maslam.mas.contracts.reputation import Trust
+from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator, groups_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
 from maslam.mas.sequence import AgentSequence, Manifest
@@ -31,12 +31,12 @@ def faulty(**faults: object) -> MasConfig:
     return CONFIG.model_copy(update={"faults": FaultsConfig.model_validate(faults)})
 
 
-def errors(environment: Environment, onlooker: Onlooker) -> list[TrajectoryError]:
+def errors(environment: Environment, onlooker: GroundTruthEvaluator) -> list[TrajectoryError]:
     found = [onlooker.error_of(a.state.me, keyframe_trajectory(a.state)) for a in environment.agents]
     return [e for e in found if e is not None]
 
 
-def regards(agents: list[Agent], of: int) -> list[Regard]:
+def regards(agents: list[Agent], of: int) -> list[Trust]:
     return [a.desk.standing.regard(of) for a in agents if a.state.me != of]
 
 
@@ -55,8 +55,8 @@ def undisturbed() -> list[float]:
 def test_one_that_bids_and_never_delivers_is_found_out_and_waited_for_no_more(undisturbed: list[float]) -> None:
     environment, onlooker = live(*four(), CONFIG, {ODD: Idler})
     agents = environment.agents
-    assert regards(agents, ODD) == [Regard.UNDELIVERING] * 3
-    assert all(regards(agents, a)[-1] is Regard.GOOD for a in HONEST), "nobody else is blamed"
+    assert regards(agents, ODD) == [Trust.UNDELIVERING] * 3
+    assert all(regards(agents, a)[-1] is Trust.GOOD for a in HONEST), "nobody else is blamed"
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
         assert errors(environment, onlooker)[honest].rmse_m <= 1.1 * alone + 0.02
@@ -70,7 +70,7 @@ def test_one_that_lies_about_matches_is_found_out_and_its_matches_are_not_used(u
     liar = agents[ODD]
     assert isinstance(liar, Liar) and liar.lies >= 6
     told = [a for a in HONEST if any(reported_by_liar(m) for m in agents[a].state.verified)]
-    assert told and all(agents[a].desk.standing.regard(ODD) is Regard.UNTRUSTED for a in told)
+    assert told and all(agents[a].desk.standing.regard(ODD) is Trust.UNTRUSTED for a in told)
     assert not [m for a in HONEST for m in agents[a].state.accepted if reported_by_liar(m)]
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
@@ -116,7 +116,7 @@ def test_one_that_comes_late_is_taken_in() -> None:
 def test_one_that_leaves_is_noticed_and_what_it_brought_is_kept(undisturbed: list[float]) -> None:
     environment, onlooker = live(*four(), faulty(leave_s={ODD: 6.0}))
     agents = environment.agents
-    assert Regard.SILENT in regards(agents, ODD)
+    assert Trust.SILENT in regards(agents, ODD)
     assert groups_with(environment, HONEST)
     assert any(ODD in agents[a].maps.held for a in HONEST), "its map lives on"
     assert not any(agents[a].desk.ledger.running() for a in HONEST)
@@ -136,7 +136,7 @@ def test_under_loss_the_group_is_found_all_contracts_end_and_it_costs_a_bounded_
     assert groups_of(environment.agents) == [[0, 1, 2]]
     for agent in environment.agents:
         assert not agent.desk.ledger.running() and not agent.refused
-        assert all(r is Regard.GOOD for r in regards(environment.agents, agent.state.me)), "losses blame nobody"
+        assert all(r is Trust.GOOD for r in regards(environment.agents, agent.state.me)), "losses blame nobody"
     odometry = [onlooker.error_of(a.state.me, odometry_of(a)) for a in environment.agents]
     after = np.mean([e.rmse_m for e in errors(environment, onlooker)])
     assert after < np.mean([e.rmse_m for e in odometry if e is not None])

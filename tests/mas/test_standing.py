@@ -12,31 +12,31 @@ from hypothesis import strategies as st
 from saboteurs import live
 
 from maslam.mas.config import FaultsConfig, StandingConfig
-from maslam.mas.contracts.contract import Contract, State
-from maslam.mas.contracts.reputation import SILENT, Regard, Standing
-from maslam.mas.contracts.retries import Retender
+from maslam.mas.contracts.contract import Contract, ContractState
+from maslam.mas.contracts.reputation import SILENT, ReputationBook, Trust
+from maslam.mas.contracts.retries import RetryBudget
 from maslam.mas.honesty import judged
 from maslam.mas.policies.utility import orders, utility
-from maslam.mas.protocol.ids import ContractId, Operation
+from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Award, Bid, Confirmation, Message, Offer, Result
 from maslam.mas.protocol.solver_messages import SolverBody
 
 CONFIG = StandingConfig()
 SECOND = 1_000_000_000
-CALL = Contract(ContractId(0, 0), 1, Operation.DVPR, 10)
+CALL = Contract(ContractId(0, 0), 1, OperationKind.DVPR, 10)
 
 
-def ended(state: State, *said: type, reason: str = "", operation: Operation = Operation.DVPR) -> Contract:
+def ended(state: ContractState, *said: type, reason: str = "", operation: OperationKind = OperationKind.DVPR) -> Contract:
     return replace(CALL, state=state, said=frozenset(said), reason=reason, operation=operation)
 
 
-DONE = ended(State.DONE, Bid, Award, Confirmation, Result)
-NOT_DELIVERED = ended(State.EXPIRED, Bid, Award, Confirmation)
-UNHEARD = ended(State.CANCELLED, reason=SILENT)
+DONE = ended(ContractState.DONE, Bid, Award, Confirmation, Result)
+NOT_DELIVERED = ended(ContractState.EXPIRED, Bid, Award, Confirmation)
+UNHEARD = ended(ContractState.CANCELLED, reason=SILENT)
 
 
-def standing_after(*contracts: Contract) -> Standing:
-    standing = Standing(CONFIG)
+def standing_after(*contracts: Contract) -> ReputationBook:
+    standing = ReputationBook(CONFIG)
     for contract in contracts:
         standing.ended(contract)
     return standing
@@ -53,26 +53,26 @@ def test_standing_is_the_mean_of_what_was_seen() -> None:
 
 def test_a_few_losses_ruin_nobody_and_nothing_delivered_does() -> None:
     good = standing_after(*[DONE] * 10, NOT_DELIVERED, DONE, NOT_DELIVERED)
-    assert good.regard(1) is Regard.GOOD
+    assert good.regard(1) is Trust.GOOD
     idle = standing_after(*[NOT_DELIVERED] * 3)
-    assert idle.regard(1) is Regard.UNDELIVERING
+    assert idle.regard(1) is Trust.UNDELIVERING
 
 
 def test_what_a_manager_did_itself_is_held_against_nobody() -> None:
     """Given way, rejected, refused, never awarded: no change."""
     mine = [
-        ended(State.CANCELLED, Bid, reason="gives way to a lower number"),
-        ended(State.REJECTED, Bid),
-        ended(State.REFUSED),
-        ended(State.EXPIRED, Bid),
+        ended(ContractState.CANCELLED, Bid, reason="gives way to a lower number"),
+        ended(ContractState.REJECTED, Bid),
+        ended(ContractState.REFUSED),
+        ended(ContractState.EXPIRED, Bid),
     ]
-    assert standing_after(*mine * 5).of(1).value == Standing(CONFIG).of(1).value
+    assert standing_after(*mine * 5).of(1).value == ReputationBook(CONFIG).of(1).value
 
 
 def test_who_vanished_is_probed_now_and_then_and_welcome_when_it_comes_back() -> None:
     standing = standing_after(UNHEARD, UNHEARD)
     assert [other for other, _ in standing.changes(0)] == [1]
-    assert standing.regard(1) is Regard.SILENT
+    assert standing.regard(1) is Trust.SILENT
     probes = []
     for now_s in range(45):
         if standing.may_call(1, now_s * SECOND):
@@ -80,24 +80,24 @@ def test_who_vanished_is_probed_now_and_then_and_welcome_when_it_comes_back() ->
             probes.append(now_s)
     assert probes == [10, 20, 30, 40]
     standing.heard(1)
-    assert standing.regard(1) is Regard.GOOD and standing.may_call(1, 45 * SECOND)
+    assert standing.regard(1) is Trust.GOOD and standing.may_call(1, 45 * SECOND)
 
 
 def test_one_silence_is_bad_luck() -> None:
     standing = standing_after(UNHEARD)
     standing.heard(1)
     standing.ended(UNHEARD)
-    assert standing.regard(1) is Regard.GOOD
+    assert standing.regard(1) is Trust.GOOD
 
 
 def test_who_is_contradicted_more_than_borne_out_is_not_trusted_until_that_changes() -> None:
-    standing = Standing(CONFIG)
+    standing = ReputationBook(CONFIG)
     for borne_out, contradicted, trusted in ((0, 3, True), (0, 4, False), (10, 4, True), (2, 6, False)):
         standing.judged(1, borne_out, contradicted)
         assert standing.trusts(1) is trusted
 
 
-@given(st.lists(st.sampled_from([DONE, NOT_DELIVERED, UNHEARD, ended(State.FAILED, Bid, Award)]), max_size=60))
+@given(st.lists(st.sampled_from([DONE, NOT_DELIVERED, UNHEARD, ended(ContractState.FAILED, Bid, Award)]), max_size=60))
 def test_standing_stays_between_nought_and_one(contracts: list[Contract]) -> None:
     record = standing_after(*contracts).of(1)
     assert 0.0 < record.value <= 1.0
@@ -107,10 +107,10 @@ def test_standing_stays_between_nought_and_one(contracts: list[Contract]) -> Non
 
 
 def test_work_is_called_for_again_so_often_and_not_when_it_was_not_wanted() -> None:
-    again = Retender(2)
+    again = RetryBudget(2)
     assert [again.wanted(NOT_DELIVERED, 5) for _ in range(4)] == [True, True, False, True]
-    assert not again.wanted(DONE, 6) and not again.wanted(ended(State.REJECTED, Bid), 6)
-    assert not again.wanted(ended(State.CANCELLED, Bid, reason="gives way to a lower number"), 6)
+    assert not again.wanted(DONE, 6) and not again.wanted(ended(ContractState.REJECTED, Bid), 6)
+    assert not again.wanted(ended(ContractState.CANCELLED, Bid, reason="gives way to a lower number"), 6)
     assert again.wanted(UNHEARD, 6)
 
 
@@ -148,7 +148,7 @@ def test_bids_state_what_results_take_on_the_air() -> None:
     """Every result's true wire bytes against what its bid had stated."""
     bid_for: dict[tuple[ContractId, int], tuple[int, int]] = {}
     solver: dict[tuple[ContractId, int], int] = {}
-    ratios: dict[Operation, list[float]] = {o: [] for o in Operation}
+    ratios: dict[OperationKind, list[float]] = {o: [] for o in OperationKind}
 
     def listen(message: Message, wire_bytes: int) -> None:
         assert message.contract is not None or not isinstance(message.body, Bid | Result)
@@ -160,17 +160,17 @@ def test_bids_state_what_results_take_on_the_air() -> None:
         elif isinstance(message.body, Result) and message.contract is not None:
             stated, ready_ns = bid_for[message.contract, message.sender]
             kind = {"PlaceAnswer": 0, "VerifyAnswer": 1, "OptimiseAnswer": 2, "MapDelivery": 3}
-            operation = Operation(kind[type(message.body.outcome).__name__])
+            operation = OperationKind(kind[type(message.body.outcome).__name__])
             ratios[operation].append(wire_bytes / stated)
             assert ready_ns <= 20 * SECOND
 
     manifest, sequences = town(3, 24, spacing_m=9.0, drifting=0.03)
     live(manifest, sequences, talkative(), listen=listen)
-    for operation in (Operation.DVPR, Operation.RELPOSE):
+    for operation in (OperationKind.DVPR, OperationKind.RELPOSE):
         assert ratios[operation] and min(ratios[operation]) > 0.7 and max(ratios[operation]) < 1.4
     # A bid offers all that the seller has; the buyer orders what is new.
-    assert ratios[Operation.MAPMERGE] and max(ratios[Operation.MAPMERGE]) < 1.3
-    assert max(ratios[Operation.MAPMERGE]) > 0.7, "who buys all pays about what was stated"
+    assert ratios[OperationKind.MAPMERGE] and max(ratios[OperationKind.MAPMERGE]) < 1.3
+    assert max(ratios[OperationKind.MAPMERGE]) > 0.7, "who buys all pays about what was stated"
     # What an optimisation costs depends on how fast it converges: learned from the last one.
     paid: dict[int, list[float]] = {}
     for key, bytes_ in sorted(solver.items()):

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 
 from maslam.backend.geometry import Sim3, se3_exp, transform_points
 from maslam.mas.agent import Agent
-from maslam.mas.map_exchange.versions import Stock
+from maslam.mas.map_exchange.versions import MapVersion
 from maslam.mas.policies.presets import preset
-from maslam.mas.protocol.ids import FrameId, MatchId, Operation
+from maslam.mas.protocol.ids import FrameId, MatchId, OperationKind
 from maslam.mas.protocol.map_messages import MapOrder, MapPatch, Parcel
 from maslam.mas.simulation import make_agents
 from maslam.mas.state.agent_state import stretched
@@ -180,7 +180,7 @@ def test_a_copy_that_went_bad_is_bought_whole_again() -> None:
     trade(agents, 0, [1])
     held = agents[0].maps.held[1]
     assert held.stock is not None
-    bad = Stock(replace(held.stock.map, poses=held.stock.map.poses + 7))
+    bad = MapVersion(replace(held.stock.map, poses=held.stock.map.poses + 7))
     agents[0].maps.held[1] = replace(held, stock=bad)
     agents[1].state.observe(frames[1][6])
     trade(agents, 0, [1])
@@ -291,4 +291,4 @@ def test_a_purchase_is_one_contract_that_ends() -> None:
     agents = agents_in_a_row()
     trade(agents, 0, [1])
     ends = [e.fields for e in agents[0].diary if e.kind == "contract"]
-    assert [(e["operation"], e["end"]) for e in ends] == [(Operation.MAPMERGE.name.lower(), "done")]
+    assert [(e["operation"], e["end"]) for e in ends] == [(OperationKind.MAPMERGE.name.lower(), "done")]

@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maslam.tools.bench.relpose.places import PlacesConfig, angle_between_deg, rendered_visits, seen_share, shared_view
+from maslam.tools.bench.relpose.places import (
+    RelPosePlacesConfig,
+    angle_between_deg,
+    rendered_visits,
+    seen_share,
+    shared_view,
+)
 from maslam.tools.cli import main
 
 
@@ -32,7 +38,7 @@ def test_right_matches_are_found_and_look_alikes_refused(cache: Path, capsys: py
 
 @pytest.mark.slow
 def test_what_two_views_share_follows_from_their_poses(cache: Path) -> None:
-    config = PlacesConfig(width=160, height=120, places=3, twins=2)
+    config = RelPosePlacesConfig(width=160, height=120, places=3, twins=2)
     visits = rendered_visits("indoor", 0, config, cache)
     again = rendered_visits("indoor", 0, config, cache)
     pairs = zip(visits, again, strict=True)

@@ -19,7 +19,7 @@ from ..pgo.methods import Request, solve, solver_of
 
 
 @dataclass(frozen=True)
-class Measured:
+class PgoMeasurement:
     """One method on one city. ``gap``: cost F over the central optimum's, minus one; bytes a robot and in all;
     ``cpu_s`` of all robots together, one after the other."""
 
@@ -39,9 +39,9 @@ class Measured:
 def measure(
     sizes: Sequence[int], poses: int, methods: Sequence[str], seed: int = 0,
     tick: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Measured]:  # fmt: skip
+) -> list[PgoMeasurement]:  # fmt: skip
     """Every method on a city of each number of robots, ``poses`` each."""
-    out: list[Measured] = []
+    out: list[PgoMeasurement] = []
     tick(0, len(sizes) * len(methods))
     for robots in sizes:
         graph, _ = city(robots, poses, seed)
@@ -61,7 +61,7 @@ def measure(
             excess = cost(graph.with_poses(found.poses), "F") - optimum
             gap = excess / optimum if optimum > 0 else 0.0  # without a loop every measurement can be met
             out.append(
-                Measured(
+                PgoMeasurement(
                     method, robots, len(graph.poses), len(graph.edges), sum(e.is_separator for e in graph.edges), gap,
                     found.iterations, found.payload_bytes, found.wire_bytes, cpu_s, central_s,
                 )
@@ -70,7 +70,7 @@ def measure(
     return out
 
 
-def table(results: Sequence[Measured]) -> str:
+def table(results: Sequence[PgoMeasurement]) -> str:
     """For people."""
     heads = ["method", "robots", "poses", "separators", "above optimum", "iterations", "payload kB"]
     heads += ["kB a robot", "wire kB", "CPU s", "central s"]
@@ -85,17 +85,17 @@ def table(results: Sequence[Measured]) -> str:
     return "\n".join(aligned([heads, *rows]))
 
 
-def as_json(results: Sequence[Measured]) -> str:
+def as_json(results: Sequence[PgoMeasurement]) -> str:
     """One list."""
     return json.dumps([asdict(r) for r in results], indent=1)
 
 
-def draw(results: Sequence[Measured], path: Path) -> None:
+def draw(results: Sequence[PgoMeasurement], path: Path) -> None:
     """Bytes a robot, processor time a robot, and the gap, against the number of robots."""
     from ..common.figures import dress, saved_figure
     from ..common.svg import colour_of
 
-    panels: list[tuple[str, Callable[[Measured], float]]] = [
+    panels: list[tuple[str, Callable[[PgoMeasurement], float]]] = [
         ("kB on the wire a robot", lambda r: r.wire_bytes / 1e3 / r.robots),
         ("processor seconds a robot", lambda r: r.cpu_s / r.robots),
         ("above the optimum, share", lambda r: max(r.gap, 1e-8)),

@@ -26,7 +26,7 @@ _work: Any = None  # in a worker: what it does with each small job
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[Result]):
+class JobOutcome(Generic[Result]):
     """What became of one job: its result, or the error that ended it."""
 
     result: Result | None
@@ -64,7 +64,7 @@ def run_jobs(
     workers: int,
     progress: Progress,
     fresh: bool = False,
-) -> dict[str, Outcome[Result]]:
+) -> dict[str, JobOutcome[Result]]:
     """``work(job, advance)`` for each named job (with its number of steps), the outcomes in the order of ``jobs``.
 
     A failing job does not stop the others. With one worker or one job everything happens in this process, but with
@@ -121,7 +121,7 @@ def _pool(
     pool.shutdown()
 
 
-def _watch(futures: dict[Future[Outcome[Result]], str], levels: Any, tasks: dict[str, int], progress: Progress) -> None:
+def _watch(futures: dict[Future[JobOutcome[Result]], str], levels: Any, tasks: dict[str, int], progress: Progress) -> None:
     waiting = set(futures)
     while waiting:
         _, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
@@ -161,15 +161,15 @@ def _settle_in() -> None:
     cv2.setNumThreads(1)
 
 
-def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> Outcome[Result]:
+def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> JobOutcome[Result]:
     return _guarded(work, job, lambda level: _levels.put((name, level)))
 
 
 def _guarded(
     work: Callable[[Job, Callable[[int], None]], Result], job: Job, advance: Callable[[int], None]
-) -> Outcome[Result]:
+) -> JobOutcome[Result]:
     try:
-        return Outcome(work(job, advance), None)
+        return JobOutcome(work(job, advance), None)
     except Exception as error:  # noqa: BLE001 - whatever ended this job, the others go on; the caller decides
         error.add_note(traceback.format_exc())  # a process of its own takes the traceback with it; --debug shows this
-        return Outcome(None, error)
+        return JobOutcome(None, error)

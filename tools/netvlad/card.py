@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from maslam.descriptors.card import Figure, ModelCard, read_card, write_card
-from maslam.descriptors.session import CPU, Session
+from maslam.descriptors.session import CPU, ModelSession
 
 from ..common.errors import ToolError
 from .foreign_model import InputForm, card_for
@@ -37,7 +37,7 @@ def complete_card(model: Path, form: InputForm, words: Mapping[str, str], figure
     if figures is not None:
         changes["figures"] = _figures(figures, changes.get("name", card.name))
     card = ModelCard.model_validate(card.model_dump() | changes)
-    Session.open(model, card, 1, CPU)  # a card of something that cannot be used is none
+    ModelSession.open(model, card, 1, CPU)  # a card of something that cannot be used is none
     write_card(model, card)
     uncalibrated = "" if card.calibration else "; thresholds not calibrated: maslam netvlad calibrate"
     return f"{model.with_suffix('.json')}: {card.name}, {card.dim} numbers{uncalibrated}"

@@ -38,7 +38,7 @@ class DescribeSettings:
 
 
 @dataclass(frozen=True)
-class Images:
+class ImageSet:
     """Images to be described: ``files`` N paths, ``stamps_ns`` ``(N,)`` (plain images: their number), ``read(i)`` one
     of them; ``identity`` says what decides their pixels beside the files."""
 
@@ -59,7 +59,7 @@ class _Done:
     textured: NDArray[np.bool_]
 
 
-def find_images(sources: Sequence[Path], every: int, colour: bool, say: Callable[[str], None]) -> list[Images]:
+def find_images(sources: Sequence[Path], every: int, colour: bool, say: Callable[[str], None]) -> list[ImageSet]:
     """The sequences of a data set (rectified, with their times), else the images of a folder or those named, as they
     are stored, in natural order."""
     if len(sources) > 1 or sources[0].is_file():
@@ -78,7 +78,7 @@ def find_images(sources: Sequence[Path], every: int, colour: bool, say: Callable
     return [_of_sequence(sequence, every, colour) for sequence in dataset.sequences]
 
 
-def describe_file(images: Images, model: NetVlad, out: Path, settings: DescribeSettings, progress: Progress) -> str:
+def describe_file(images: ImageSet, model: NetVlad, out: Path, settings: DescribeSettings, progress: Progress) -> str:
     """Write ``out``, the container of all vectors; a line that says what is in it.
 
     What is done so far stands in ``out.unfinished`` and is taken up again as long as images and model are the same.
@@ -114,7 +114,7 @@ def describe_file(images: Images, model: NetVlad, out: Path, settings: DescribeS
 
 
 def _next(
-    images: Images, model: NetVlad, parts: Sequence[_Done], settings: DescribeSettings, say: Callable[[str], None]
+    images: ImageSet, model: NetVlad, parts: Sequence[_Done], settings: DescribeSettings, say: Callable[[str], None]
 ) -> list[_Done]:
     """The images after those of ``parts``, some for each thread."""
     first, total = sum(one.count for one in parts), len(images.files)
@@ -132,25 +132,25 @@ def _next(
     return [one for one, _ in made]
 
 
-def _plain(name: str, files: tuple[Path, ...], every: int, colour: bool) -> Images:
+def _plain(name: str, files: tuple[Path, ...], every: int, colour: bool) -> ImageSet:
     for path in files:
         if path.is_dir() or path.suffix.lower() not in IMAGE_SUFFIXES:
             raise ToolError(f"{path}: not an image file; several sources must be images, one may be a folder")
     kept, read = files[::every], read_colour if colour else read_grey
     stamps = np.arange(len(files), dtype=np.int64)[::every]
-    return Images(name, kept, stamps, lambda i: read(kept[i]), "as stored")
+    return ImageSet(name, kept, stamps, lambda i: read(kept[i]), "as stored")
 
 
-def _of_sequence(sequence: ImageSequence, every: int, colour: bool) -> Images:
+def _of_sequence(sequence: ImageSequence, every: int, colour: bool) -> ImageSet:
     def read(i: int) -> NDArray[np.uint8]:
         return sequence.read_colour(i * every) if colour else sequence.read_image(i * every)
 
     maps = sequence.rectifier.left if sequence.rectifier is not None else ()
     identity = hashlib.sha256(b"".join(m.tobytes() for m in maps)).hexdigest()
-    return Images(sequence.name, sequence.left[::every], sequence.stamps_ns[::every], read, identity)
+    return ImageSet(sequence.name, sequence.left[::every], sequence.stamps_ns[::every], read, identity)
 
 
-def _describe(images: Images, numbers: NDArray[np.int64], model: NetVlad) -> tuple[_Done, list[str]]:
+def _describe(images: ImageSet, numbers: NDArray[np.int64], model: NetVlad) -> tuple[_Done, list[str]]:
     rows, pixels, problems = [], [], []
     for i in numbers:
         try:
@@ -170,7 +170,7 @@ def _joined(parts: Sequence[_Done]) -> _Done:
     )
 
 
-def _fingerprint(images: Images, model: NetVlad) -> str:
+def _fingerprint(images: ImageSet, model: NetVlad) -> str:
     digest = hashlib.sha256(f"{model.card.model_dump_json()} {images.identity}".encode() + images.stamps_ns.tobytes())
     for path in images.files:
         status = path.stat() if path.exists() else None

@@ -10,7 +10,7 @@ import numpy as np
 
 from maslam.descriptors.card import ModelCard, file_sha256
 from maslam.descriptors.inference import NetVlad
-from maslam.descriptors.session import CPU, Session
+from maslam.descriptors.session import CPU, ModelSession
 
 from ..common.errors import ToolError
 
@@ -43,7 +43,7 @@ def load_model(model: str, form: InputForm | None = None) -> NetVlad:
     if not path.is_file():
         raise ToolError(f"{path}: no such file")
     card = card_for(path, form)
-    return NetVlad(Session.open(path, card, 1, CPU), card)
+    return NetVlad(ModelSession.open(path, card, 1, CPU), card)
 
 
 def card_for(path: Path, form: InputForm) -> ModelCard:

@@ -37,7 +37,7 @@ from maslam.mas.sequence import (
 )
 
 from ..common.errors import ToolError
-from .split import Share, cut_track, share_out
+from .split import SequenceShare, cut_track, share_out
 from .tracking import Tracked
 
 
@@ -46,7 +46,7 @@ class _AgentPlan:
     name: str
     sequence: ImageSequence
     tracked: Tracked
-    share: Share
+    share: SequenceShare
 
     @property
     def start_ns(self) -> int:

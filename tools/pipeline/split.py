@@ -21,7 +21,7 @@ from ..common.errors import UsageError
 
 
 @dataclass(frozen=True)
-class Share:
+class SequenceShare:
     """What one agent gets: frames ``first`` to ``last`` (inclusive), and of each track the key-frames
     ``keyframes[track]`` (a slice).
     """
@@ -37,7 +37,7 @@ def check_shares(frames: int, agents: int) -> None:
         raise UsageError(f"--agents {agents}: the sequence has {frames} frames to share out")
 
 
-def share_out(frames: int, keyframe_indices: list[NDArray[np.int64]], agents: int, overlap: int) -> list[Share]:
+def share_out(frames: int, keyframe_indices: list[NDArray[np.int64]], agents: int, overlap: int) -> list[SequenceShare]:
     """Shares of ``agents`` agents; ``keyframe_indices`` holds the ascending frame numbers of each track's key-frames.
 
     A block in which nothing was tracked gives a share without key-frames.
@@ -56,7 +56,7 @@ def share_out(frames: int, keyframe_indices: list[NDArray[np.int64]], agents: in
             first = min(first, int(every[max(lower - overlap, 0)]))
         if lower < upper and agent < agents - 1 and overlap:
             last = max(last, int(every[min(upper + overlap, len(every)) - 1]))
-        shares.append(Share(first, last, tuple(_between(k, first, last) for k in keyframe_indices)))
+        shares.append(SequenceShare(first, last, tuple(_between(k, first, last) for k in keyframe_indices)))
     return shares
 
 

@@ -84,7 +84,7 @@ def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None
 
     A run that fails does not stop the others; the first failure is raised at the end.
     """
-    jobs = {cell.name: (Job(shop.sequences(cell), shop.run(cell), cell, plan.settings), 100) for cell in plan.cells()}
+    jobs = {cell.name: (SweepJob(shop.sequences(cell), shop.run(cell), cell, plan.settings), 100) for cell in plan.cells()}
     todo = {name: job for name, job in jobs.items() if not job[0].done()}
     if ray is not None:
         errors = _on_ray([job for job, _ in todo.values()], ray, progress)
@@ -101,7 +101,7 @@ def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None
 
 
 @dataclass(frozen=True)
-class Job:
+class SweepJob:
     """One run, for a worker."""
 
     sequences: Path
@@ -127,7 +127,7 @@ class Job:
         )
 
 
-def run_cell(job: Job, advance: Callable[[int], None]) -> None:
+def run_cell(job: SweepJob, advance: Callable[[int], None]) -> None:
     """Do it, in whatever process."""
     from maslam.mas.policies.presets import preset
     from maslam.mas.sequence import load_sequences
@@ -171,7 +171,7 @@ def _rendering(plan: SweepPlan, shop: Workshop, cell: Cell) -> Any:
     )
 
 
-def _on_ray(jobs: Sequence[Job], address: str, progress: Progress) -> dict[str, Exception]:
+def _on_ray(jobs: Sequence[SweepJob], address: str, progress: Progress) -> dict[str, Exception]:
     """The same on a Ray cluster, whose machines must see the same folders."""
     try:
         import ray
@@ -192,5 +192,5 @@ def _on_ray(jobs: Sequence[Job], address: str, progress: Progress) -> dict[str, 
     return errors
 
 
-def _quietly(job: Job) -> None:
+def _quietly(job: SweepJob) -> None:
     run_cell(job, lambda level: None)

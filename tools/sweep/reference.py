@@ -23,7 +23,7 @@ from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_poses
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.mas.config import MasConfig
-from maslam.mas.evaluation.ground_truth import Onlooker
+from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
 from maslam.mas.place_recognition.verification import verify, view_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
@@ -99,7 +99,7 @@ def make_reference(
     accepted = [match for _, match in matches]
     groups = _groups(len(states), [match.id for match in accepted])
     graph = _solved(states, accepted)
-    onlooker = Onlooker(sequences)
+    onlooker = GroundTruthEvaluator(sequences)
     errors = [onlooker.error_of(s.me, _trajectory(s, graph, q)) for s, q in zip(states, sequences, strict=True)]
     rmse = [None if e is None else float(e.rmse_m) for e in errors]
     known = [e for e in rmse if e is not None]
@@ -197,7 +197,7 @@ def _groups(count: int, matches: Sequence[MatchId]) -> list[list[int]]:
     return sorted([np.flatnonzero(label == k).tolist() for k in np.unique(label)])
 
 
-def _reachable(onlooker: Onlooker, groups: Sequence[Sequence[int]]) -> list[float]:
+def _reachable(onlooker: GroundTruthEvaluator, groups: Sequence[Sequence[int]]) -> list[float]:
     """Percent of all frames that the members of an agent's group have seen together."""
     shares = dict.fromkeys(range(len(onlooker.sequences)), 0.0)
     for group in groups:

@@ -26,7 +26,7 @@ from .scenario import AgentPlan, Scenario, plan_scenario
 
 VERSION = 2
 """Of the layout and the pictures: another version's pictures are not mixed with these."""
-Progress = Callable[[int, int], None]
+RenderProgress = Callable[[int, int], None]
 _WORTH_A_PROCESS = 30  # pictures: a further process takes some seconds to start
 
 
@@ -64,7 +64,7 @@ class RenderConfig(BaseModel):
 
 
 def render_dataset(
-    config: RenderConfig, out: Path, progress: Progress | None = None, workers: int | None = None
+    config: RenderConfig, out: Path, progress: RenderProgress | None = None, workers: int | None = None
 ) -> None:
     """Write the pictures of ``config`` under ``out``; ``progress(done, total)`` counts pictures.
 
@@ -161,7 +161,7 @@ def _render_all(
     scenario: Scenario,
     config: RenderConfig,
     camera: PinholeCamera,
-    progress: Progress | None,
+    progress: RenderProgress | None,
     workers: int | None,
 ) -> None:
     """All jobs whose files are missing. Processes, not threads: ray casting holds Python's lock."""
@@ -173,13 +173,13 @@ def _render_all(
         return
     if workers is None:
         workers = max(1, min(core_count(), len(todo) // _WORTH_A_PROCESS))
-    for _ in each_finished(_Draughtsman(scenario, config, camera), todo, workers):
+    for _ in each_finished(_JobRenderer(scenario, config, camera), todo, workers):
         done += 1
         if progress is not None:
             progress(done, len(jobs))
 
 
-class _Draughtsman:
+class _JobRenderer:
     """Draws jobs; travels to a worker as settings and world, and prepares its renderer there once."""
 
     def __init__(self, scenario: Scenario, config: RenderConfig, camera: PinholeCamera) -> None:

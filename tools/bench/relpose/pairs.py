@@ -14,7 +14,7 @@ from maslam.frontend.frames import Frame
 from maslam.frontend.image.orb_features import Detector, Pyramid, describe
 from maslam.frontend.mapping.range_sensor import Ranging
 
-from .places import Visit, angle_between_deg, seen_share, shared_view
+from .places import StereoVisit, angle_between_deg, seen_share, shared_view
 
 # Two views that share less of what either sees show different places.
 _APART = 0.02
@@ -43,7 +43,7 @@ class Pair:
     angle_deg: float
 
 
-def key_points(visit: Visit, words: Callable[[NDArray[np.uint8]], NDArray[np.int32]]) -> KeyPoints:
+def key_points(visit: StereoVisit, words: Callable[[NDArray[np.uint8]], NDArray[np.int32]]) -> KeyPoints:
     """ORB key-points of a new key-frame and their stereo depth, by the odometry's own detector and matcher."""
     config = OdometryConfig()
     features = config.features
@@ -58,7 +58,7 @@ def key_points(visit: Visit, words: Callable[[NDArray[np.uint8]], NDArray[np.int
     return KeyPoints(points, descriptors, words(descriptors)[:, 1].astype(np.int32))
 
 
-def right_pairs(visits: list[Visit]) -> list[Pair]:
+def right_pairs(visits: list[StereoVisit]) -> list[Pair]:
     """The two visits of each place."""
     return [
         _pair(visits, row + 1, row, True)
@@ -67,7 +67,7 @@ def right_pairs(visits: list[Visit]) -> list[Pair]:
     ]
 
 
-def look_alike_pairs(visits: list[Visit], vectors: NDArray[np.float32], count: int) -> list[Pair]:
+def look_alike_pairs(visits: list[StereoVisit], vectors: NDArray[np.float32], count: int) -> list[Pair]:
     """``count`` pairs that share no surface, those of nearest place ``vectors`` ``(n, dim)`` first."""
     first, second = np.triu_indices(len(visits), 1)
     distances = np.linalg.norm(vectors[first] - vectors[second], axis=1)
@@ -82,7 +82,7 @@ def look_alike_pairs(visits: list[Visit], vectors: NDArray[np.float32], count: i
     return out
 
 
-def _pair(visits: list[Visit], query: int, match: int, right: bool) -> Pair:
+def _pair(visits: list[StereoVisit], query: int, match: int, right: bool) -> Pair:
     q, m = visits[query], visits[match]
     T_M_Q = se3_inverse(m.T_W_C) @ q.T_W_C
     return Pair(query, match, right, T_M_Q, shared_view(q, m), angle_between_deg(q, m))

@@ -33,7 +33,7 @@ _EVERY = 5  # of those depths is a point to test
 _HIDDEN_SHARE, _HIDDEN_M = 0.1, 0.1
 
 
-class PlacesConfig(BaseModel):
+class RelPosePlacesConfig(BaseModel):
     """How places are drawn and visited. Lengths in metres, angles in degrees."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -48,7 +48,7 @@ class PlacesConfig(BaseModel):
 
 
 @dataclass(frozen=True)
-class Visit:
+class StereoVisit:
     """One view: ``left``, ``right`` ``(h, w)`` uint8; ``depth_m`` ``(h / 4, w / 4)`` of every fourth pixel, 0 = sky;
     ``place``: visits of one place share it, a look-alike has none (-1)."""
 
@@ -68,12 +68,12 @@ class Visit:
         return np.asarray(local[z > 0] @ self.T_W_C[:3, :3].T + self.T_W_C[:3, 3])
 
 
-def shared_view(first: Visit, second: Visit) -> float:
+def shared_view(first: StereoVisit, second: StereoVisit) -> float:
     """Share of the surface in view that the other sees as well, not hidden: the smaller one of both directions."""
     return min(seen_share(first, second), seen_share(second, first))
 
 
-def seen_share(source: Visit, target: Visit) -> float:
+def seen_share(source: StereoVisit, target: StereoVisit) -> float:
     """Share of the surface that ``source`` sees which ``target`` sees as well."""
     points = source.points_W()[::_EVERY]
     if not len(points):
@@ -89,7 +89,7 @@ def seen_share(source: Visit, target: Visit) -> float:
     return float(seen.sum() / len(points))
 
 
-def angle_between_deg(first: Visit, second: Visit) -> float:
+def angle_between_deg(first: StereoVisit, second: StereoVisit) -> float:
     """Between the two directions of view."""
     cosine = float(first.T_W_C[:3, 2] @ second.T_W_C[:3, 2])
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
@@ -98,10 +98,10 @@ def angle_between_deg(first: Visit, second: Visit) -> float:
 def rendered_visits(
     kind: Literal["town", "indoor"],
     seed: int,
-    config: PlacesConfig,
+    config: RelPosePlacesConfig,
     cache: Path | None,
     tick: Callable[[], None] = lambda: None,
-) -> list[Visit]:
+) -> list[StereoVisit]:
     """The visits of one world, taken from ``cache`` (a folder) where they were rendered before with the same
     settings. ``tick`` is called once a place."""
     path = None
@@ -118,16 +118,16 @@ def rendered_visits(
 
 
 def _visit(
-    kind: Literal["town", "indoor"], seed: int, config: PlacesConfig, tick: Callable[[], None]
-) -> list[Visit]:
+    kind: Literal["town", "indoor"], seed: int, config: RelPosePlacesConfig, tick: Callable[[], None]
+) -> list[StereoVisit]:
     from ...worlds.rendering.light import random_light
     from ...worlds.rendering.renderer import Renderer
 
     rng = np.random.default_rng([seed, 91])
     world, sampler = build_world(kind, seed), STREETS if kind == "town" else INDOORS
     doors = _doors(kind, seed)
-    draw = _Draughtsman(Renderer(world), _rig(kind, config), rng, sampler.indoors)
-    out: list[Visit] = []
+    draw = _PairRenderer(Renderer(world), _rig(kind, config), rng, sampler.indoors)
+    out: list[StereoVisit] = []
     place = 0
     while place < config.places:
         base = standpoint(world, sampler, rng)
@@ -148,9 +148,9 @@ def _visit(
 
 
 def _revisit(
-    first: Visit, world: World, sampler: SamplerConfig, config: PlacesConfig, draw: _Draughtsman,
+    first: StereoVisit, world: World, sampler: SamplerConfig, config: RelPosePlacesConfig, draw: _PairRenderer,
     rng: np.random.Generator,
-) -> Visit | None:  # fmt: skip
+) -> StereoVisit | None:  # fmt: skip
     """Another view that shares enough with the first, under another light; None where some draws found none."""
     from ...worlds.rendering.light import random_light
 
@@ -196,7 +196,7 @@ def _door_frame(door: Door) -> Array:
     return se3(so3_exp([0.0, yaw, 0.0]), [door.at[0], 0.0, door.at[1]])
 
 
-def _rig(kind: str, config: PlacesConfig) -> Rig:
+def _rig(kind: str, config: RelPosePlacesConfig) -> Rig:
     focal = 0.5 * config.width / np.tan(np.radians(config.fov_deg) / 2)
     camera = PinholeCamera(
         config.width, config.height, focal, focal, (config.width - 1) / 2, (config.height - 1) / 2
@@ -204,13 +204,13 @@ def _rig(kind: str, config: PlacesConfig) -> Rig:
     return Rig(RigKind.STEREO, camera, 0.54 if kind == "town" else 0.12)
 
 
-class _Draughtsman:
+class _PairRenderer:
     """Stereo pairs as a real camera would store them."""
 
     def __init__(self, renderer: Renderer, rig: Rig, rng: np.random.Generator, indoors: bool) -> None:
         self.renderer, self.rig, self.rng, self.indoors = renderer, rig, rng, indoors
 
-    def __call__(self, pose: Array, light: Light, place: int) -> Visit:
+    def __call__(self, pose: Array, light: Light, place: int) -> StereoVisit:
         from ...worlds.dataset import exposure_of
         from ...worlds.rendering.sensor import SensorConfig, develop
 
@@ -223,16 +223,16 @@ class _Draughtsman:
             rgb = develop(view.radiance, SensorConfig(), exposure, self.rng)
             images.append(np.rint(rgb @ np.array([0.299, 0.587, 0.114])).astype(np.uint8))
         depth = view.depth_m[::_SUBSAMPLED, ::_SUBSAMPLED].astype(np.float32)
-        return Visit(images[1], images[0], depth, pose, place, self.rig)
+        return StereoVisit(images[1], images[0], depth, pose, place, self.rig)
 
 
-def _dull(visit: Visit, sampler: SamplerConfig) -> bool:
+def _dull(visit: StereoVisit, sampler: SamplerConfig) -> bool:
     """Whether a view is filled by something right before the camera, or by the sky."""
     known = visit.depth_m[visit.depth_m > 0]
     return len(known) < 0.2 * visit.depth_m.size or bool(np.median(known) < (0.8 if sampler.indoors else 2.5))
 
 
-def _save(path: Path, visits: list[Visit]) -> None:
+def _save(path: Path, visits: list[StereoVisit]) -> None:
     """Written whole or not at all."""
     camera, baseline = visits[0].rig.camera, visits[0].rig.baseline_m
     partial = path.with_name(path.name + ".part")
@@ -245,7 +245,7 @@ def _save(path: Path, visits: list[Visit]) -> None:
     partial.replace(path)
 
 
-def _load(path: Path) -> list[Visit]:
+def _load(path: Path) -> list[StereoVisit]:
     with np.load(path, allow_pickle=False) as file:
         data = {key: file[key] for key in file.files}
     h, w = data["left"].shape[1:]
@@ -253,4 +253,4 @@ def _load(path: Path) -> list[Visit]:
     camera = PinholeCamera(w, h, focal, focal, (w - 1) / 2, (h - 1) / 2)
     rig = Rig(RigKind.STEREO, camera, float(data["baseline"]))
     rows = zip(data["left"], data["right"], data["depth"], data["poses"], data["places"], strict=True)
-    return [Visit(left, right, depth, pose, int(place), rig) for left, right, depth, pose, place in rows]
+    return [StereoVisit(left, right, depth, pose, int(place), rig) for left, right, depth, pose, place in rows]

@@ -21,7 +21,7 @@ from ...common.errors import UsageError
 from ...common.progress import Progress
 from ...common.text_table import aligned
 from .pairs import KeyPoints, Pair, key_points, look_alike_pairs, right_pairs
-from .places import PlacesConfig, rendered_visits
+from .places import RelPosePlacesConfig, rendered_visits
 
 SHARED_BINS = (0.2, 0.3, 0.4, 0.5, 0.7, 1.01)
 ANGLE_BINS_DEG = (0.0, 10.0, 25.0, 40.0)
@@ -130,7 +130,7 @@ def _judge_world(
 
     twins = settings.right // 2 if kind == "indoor" else 0
     w, h = settings.size
-    config = PlacesConfig(width=w, height=h, places=settings.right, twins=twins)
+    config = RelPosePlacesConfig(width=w, height=h, places=settings.right, twins=twins)
     task, done = progress.start(f"{kind} {seed}: rendering", settings.right), 0
 
     def tick() -> None:

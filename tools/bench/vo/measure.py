@@ -53,7 +53,7 @@ class RunTimes:
 
 
 @dataclass(frozen=True)
-class Measured:
+class VoMeasurement:
     """``trajectories``: every frame with a pose, one a track; ``times``: the run of median cost, counted in yards, of
     ``runs``; ``same``: all runs gave the same poses, bit by bit. ``baseline_mb``: resident memory before the first
     image (Python, libraries, vocabulary); ``peak_mb`` includes it. ``lost``: gaps and why."""
@@ -69,7 +69,7 @@ class Measured:
     peak_mb: float
 
 
-def measure_job(job: BenchJob, advance: Callable[[int], None]) -> Measured:
+def measure_job(job: BenchJob, advance: Callable[[int], None]) -> VoMeasurement:
     """Warm up, run, and run again as often as the job says. The peak is that of the first run."""
     from maslam.frontend.odometry import Odometry  # noqa: F401 - in memory before the baseline is taken
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
@@ -93,7 +93,7 @@ def measure_job(job: BenchJob, advance: Callable[[int], None]) -> Measured:
         same &= _equal(first, result)
     assert first is not None
     advance(job.runs * len(job.sequence))
-    return Measured(
+    return VoMeasurement(
         trajectories=tuple(first.trajectories),
         stats={name: float(value) for name, value in first.stats.items()},
         lost=tuple(_gap(gap) for gap in first.lost),
@@ -157,14 +157,14 @@ def _run(
 
 def _stages(odometry: Odometry, files: bool, written: float) -> tuple[dict[str, float], tuple[float, float]]:
     """Processor time by stage; and processor and wall time of what does not count."""
-    from maslam.frontend.stopwatch import Stage, StageTime
+    from maslam.frontend.stopwatch import StageTime, TimedStage
 
     times = odometry.stopwatch.times
     stages = {stage.value: spent.cpu_s for stage, spent in times.items()}
     if files:
         return {**stages, WRITE: written}, (0.0, 0.0)
-    stages.pop(Stage.EXPORT.value, None)
-    export = times.get(Stage.EXPORT, StageTime())
+    stages.pop(TimedStage.EXPORT.value, None)
+    export = times.get(TimedStage.EXPORT, StageTime())
     return stages, (export.cpu_s, export.wall_s)
 
 

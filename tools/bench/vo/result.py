@@ -11,7 +11,7 @@ from maslam.frontend.files.trajectory import Trajectory
 
 from ...common.text_table import aligned
 from .accuracy import LENGTHS_M, Accuracy
-from .measure import Measured
+from .measure import VoMeasurement
 
 OURS = "maslam"
 
@@ -37,7 +37,7 @@ class BenchResult:
     frames: int
     files: bool
     truth: bool
-    measured: Measured
+    measured: VoMeasurement
     accuracy: Accuracy | None
     compared: tuple[Compared, ...] = ()
 

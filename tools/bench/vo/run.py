@@ -17,7 +17,7 @@ from ...common.errors import ToolError, describe
 from ...common.parallel import run_jobs
 from ...common.progress import Progress
 from .accuracy import Accuracy, accuracy
-from .measure import BenchJob, Measured, measure_job
+from .measure import BenchJob, VoMeasurement, measure_job
 from .other_systems import assign, read_other
 from .result import BenchResult, Compared, record, tables
 
@@ -119,7 +119,7 @@ def _result(
     name: str,
     sequence: ImageSequence,
     settings: VoSettings,
-    measured: Measured,
+    measured: VoMeasurement,
     others: Sequence[tuple[Path, Trajectory, str]],
 ) -> BenchResult:
     truth, stamps, with_scale = sequence.groundtruth, sequence.stamps_ns, not sequence.rig.metric

@@ -17,7 +17,7 @@ SETBACK_M = ROAD_HALF_M + PAVEMENT_M + 0.3
 
 
 @dataclass(frozen=True)
-class Plot:
+class BuildingPlot:
     """A rectangle of ground: ``corner`` (x, z) front left as seen from the street, ``along`` and ``inward`` unit
     vectors, metres."""
 
@@ -36,7 +36,7 @@ class Plot:
 
 def plots_along(
     lines: tuple[Line, ...], plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator
-) -> list[Plot]:
+) -> list[BuildingPlot]:
     """Plots on both sides of all lines, as many as fit; ``taken`` (raster of the plan, 0 = free) is filled as they are
     placed."""
     plots = []
@@ -54,7 +54,7 @@ def plots_along(
     return plots
 
 
-def _fit(path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator) -> Plot | None:
+def _fit(path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator) -> BuildingPlot | None:
     """The widest of three random houses that starts at point ``k`` on the right of ``path`` and stands on free
     ground."""
     import cv2
@@ -67,7 +67,7 @@ def _fit(path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np
         right = np.array([along[1], -along[0]])  # +Z forward, +X right: the right of (x, z) is (z, -x)
         depth = float(rng.choice([8.0, 9.6, 11.2, 12.8]))
         # Seen from the street, the house on the right begins on the left where the path goes on.
-        plot = Plot(path[k] + width * along + SETBACK_M * right, -along, right, width, depth)
+        plot = BuildingPlot(path[k] + width * along + SETBACK_M * right, -along, right, width, depth)
         cells = (plot.outline(-0.2) - plan.origin) / plan.cell_m
         x, y, w, h = cv2.boundingRect(np.floor(cells).astype(np.int32))
         if x < 0 or y < 0 or x + w >= taken.shape[1] or y + h >= taken.shape[0]:
@@ -93,7 +93,7 @@ class Masonry:
     awnings: tuple[int, ...]
 
 
-def add_house(mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, rng: np.random.Generator) -> None:
+def add_house(mesh: MeshBuilder, plot: BuildingPlot, m: Masonry, foot: float, rng: np.random.Generator) -> None:
     """A house on ``plot``; ``foot``: height of the ground there above y = 0, metres."""
     floors = int(rng.choice([2, 3, 3, 4]))
     top = foot + floors * FLOOR_M
@@ -132,7 +132,7 @@ def add_house(mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, rng: np.ra
 
 
 def _gable(
-    mesh: MeshBuilder, plot: Plot, base: float, rise: float, roof: int, wall: int, tint: object, roof_tint: object
+    mesh: MeshBuilder, plot: BuildingPlot, base: float, rise: float, roof: int, wall: int, tint: object, roof_tint: object
 ) -> None:
     """A ridge along the street with its two slopes and two triangles of wall."""
     c = plot.outline(0.35)
@@ -153,7 +153,7 @@ def _gable(
 
 
 def _boards(
-    mesh: MeshBuilder, plot: Plot, m: Masonry, foot: float, floors: int, axes: NDArray, rng: np.random.Generator
+    mesh: MeshBuilder, plot: BuildingPlot, m: Masonry, foot: float, floors: int, axes: NDArray, rng: np.random.Generator
 ) -> None:
     """Boards on the wall and hanging over the pavement, awnings."""
     out = -plot.inward
