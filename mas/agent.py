@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 from .config import MasConfig
 from .contracts.call_queue import CallQueue
-from .contracts.context import AgentContext, Event, Operation, WorkError
+from .contracts.context import AgentContext, Event
 from .contracts.contract import Contract, LateMessage, ProtocolError, Repeated
 from .contracts.ledger import Ledger
+from .contracts.operation import Operation, WorkError
 from .contracts.reputation import Trust
 from .map_exchange.final_round import FinalRound
 from .map_exchange.operation import MapExchange

@@ -21,12 +21,13 @@ from .evaluation.summary import Summary, Timing
 from .output.run_folder import Recorder, match_errors
 from .policies.cluster_owners import centres_before, ownership_of
 from .policies.presets import policy_of
+from .protocol.accounting import Traffic
 from .protocol.messages import Message
 from .sequence import AgentSequence, Manifest
 from .state.agent_state import Ownership, Profile
 from .state.keyframe import KeyFrame, keyframes_of
 from .transport.faults import FaultyTransport, gone, present
-from .transport.transport import InProcessTransport, Sent, Traffic, Transport
+from .transport.transport import InProcessTransport, Sent, Transport
 
 # Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
 # expire.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from maslam.tools.worlds.dataset import RenderConfig
+    from maslam.tools.worlds.config import RenderConfig
 
 Rendered = Callable[[str, "RenderConfig"], Path]
 
@@ -38,7 +38,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Rendered:
 def town_stereo(rendered: Rendered) -> Path:
     """Two cars in town, stereo 320x180, 20 frames each at 10 Hz; the second drives where the first did, in another
     light."""
-    from maslam.tools.worlds.dataset import RenderConfig
+    from maslam.tools.worlds.config import RenderConfig
 
     return rendered("town_stereo", RenderConfig(seed=5, agents=2, frames=20, width=320, height=180, cheap=True))
 
@@ -46,7 +46,7 @@ def town_stereo(rendered: Rendered) -> Path:
 @pytest.fixture(scope="session")
 def indoor_rgbd(rendered: Rendered) -> Path:
     """Two walkers on one office floor, RGB-D 320x240, 16 frames each at 10 Hz."""
-    from maslam.tools.worlds.dataset import RenderConfig
+    from maslam.tools.worlds.config import RenderConfig
 
     config = RenderConfig(world="indoor", rig="rgbd", seed=5, agents=2, frames=16, width=320, height=240, cheap=True)
     return rendered("indoor_rgbd", config)

@@ -35,7 +35,7 @@ def mutual_matches(distances: Distances, at_most: int, ratio: float = 1.0) -> ND
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class PointCandidates:
     """Entries of a matrix of distances that are small enough, in the order of rows: ``rows``, ``columns`` and
     ``distances`` ``(k,)``; ``shape`` of the matrix."""
 
@@ -45,12 +45,12 @@ class Candidates:
     shape: tuple[int, int]
 
     @classmethod
-    def within(cls, distances: Distances, at_most: int) -> Candidates:
+    def within(cls, distances: Distances, at_most: int) -> PointCandidates:
         rows, columns = _within(distances, at_most)
         return cls(rows, columns, distances[rows, columns], (distances.shape[0], distances.shape[1]))
 
 
-def mutual_candidates(candidates: Candidates, allowed: NDArray[np.bool_]) -> NDArray[np.intp]:
+def mutual_candidates(candidates: PointCandidates, allowed: NDArray[np.bool_]) -> NDArray[np.intp]:
     """:func:`mutual_matches` of the ``allowed`` ``(k,)`` entries alone."""
     c = candidates
     return np.asarray(_mutual(c.rows[allowed], c.columns[allowed], c.distances[allowed], *c.shape))

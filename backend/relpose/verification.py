@@ -15,8 +15,8 @@ from .alignment import ITERATIONS, Alignment
 from .evidence import Evidence, weigh
 from .matching import (
     FAR,
-    Candidates,
     Distances,
+    PointCandidates,
     hamming_distances,
     mutual_candidates,
     mutual_matches,
@@ -163,7 +163,7 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
     solver = solver_for(not (query.metric and match.metric), config)
     alike = config.guided_hamming * bits // _BITS
     points_Q, points_M = query.points_C[pairs[:, 0]], match.points_C[pairs[:, 1]]
-    candidates = Candidates.within(distances, alike)
+    candidates = PointCandidates.within(distances, alike)
     best: _Hypothesis | None = None
     for start in solver.search(points_M, points_Q, rng):
         settled = _settle(solver, points_M, points_Q, start, config, _QUICK)
@@ -238,7 +238,7 @@ def _settle(
 
 
 def _again(
-    solver: PoseSolver, best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: Candidates,
+    solver: PoseSolver, best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: PointCandidates,
     config: RelPoseConfig,
 ) -> _Hypothesis:  # fmt: skip
     """Refine on the guided matches, and match again with what that gives."""
@@ -258,7 +258,7 @@ def _inliers(
 
 
 def _guided(
-    solver: PoseSolver, query: PlaceView, match: PlaceView, candidates: Candidates, T_M_Q: Sim3, config: RelPoseConfig
+    solver: PoseSolver, query: PlaceView, match: PlaceView, candidates: PointCandidates, T_M_Q: Sim3, config: RelPoseConfig
 ) -> NDArray[np.intp]:
     """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
     near = _inliers(solver, T_M_Q, match.points_C[candidates.columns], query.points_C[candidates.rows], config)

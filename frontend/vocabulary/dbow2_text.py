@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,26 +11,40 @@ from numpy.typing import NDArray
 
 from ..errors import FrontendError
 from ..files.text_tables import read_bytes, write_atomically
-from .vocabulary import Vocabulary
 
 _TF_IDF, _L1 = 0, 0
 _BLOCK = 50_000
 """Lines read at a time."""
 
 
-def write_text(vocabulary: Vocabulary, path: Path) -> None:
+@dataclass(frozen=True)
+class TreeArrays:
+    """A vocabulary as arrays, the root first: ``parents`` ``(n,)`` int32, ``descriptors`` ``(n, 32)`` uint8,
+    ``weights`` ``(n,)`` float64. Nothing of them is checked."""
+
+    branching: int
+    depth: int
+    parents: NDArray[np.int32]
+    descriptors: NDArray[np.uint8]
+    weights: NDArray[np.float64]
+
+
+def write_text(tree: TreeArrays, path: Path) -> None:
     """Header ``k L scoring weighting``, then for nodes 1, 2, ...: parent, 1 for a leaf else 0, 32 bytes, weight."""
+    is_leaf = np.bincount(tree.parents[1:], minlength=len(tree.parents)) == 0
     rows = zip(
-        vocabulary.parents[1:].tolist(), vocabulary.is_leaf[1:].tolist(),
-        vocabulary.descriptors[1:].tolist(), vocabulary.weights[1:].tolist(),
+        tree.parents[1:].tolist(),
+        is_leaf[1:].tolist(),
+        tree.descriptors[1:].tolist(),
+        tree.weights[1:].tolist(),
         strict=True,
-    )  # fmt: skip
-    lines = [f"{vocabulary.branching} {vocabulary.depth}  {_L1} {_TF_IDF}"]
+    )
+    lines = [f"{tree.branching} {tree.depth}  {_L1} {_TF_IDF}"]
     lines += [f"{parent} {leaf:d} {' '.join(map(str, octets))} {weight!r}" for parent, leaf, octets, weight in rows]
     write_atomically([(path, "\n".join(lines) + "\n")])
 
 
-def read_text(path: Path) -> Vocabulary:
+def read_text(path: Path) -> TreeArrays:
     """Inverse of :func:`write_text`. Scoring and weighting must be tf-idf and L1, as in every published ORB
     vocabulary."""
     lines = read_bytes(path).split(b"\n")
@@ -46,11 +61,8 @@ def read_text(path: Path) -> Vocabulary:
             f"{path}:{number[row]}: no node of a tree (parent before its child, bytes 0 to 255, no children of a leaf)"
         )
     descriptors = np.concatenate([np.zeros((1, 32), np.uint8), octets])
-    try:
-        ids = np.concatenate([[-1], parents]).astype(np.int32)
-        return Vocabulary(branching, depth, ids, descriptors, np.concatenate([[0.0], weights]))
-    except ValueError as error:
-        raise FrontendError(f"{path}: not a vocabulary: {error}") from error
+    ids = np.concatenate([[-1], parents]).astype(np.int32)
+    return TreeArrays(branching, depth, ids, descriptors, np.concatenate([[0.0], weights]))
 
 
 def _read_block(lines: list[bytes], first: int, path: Path) -> tuple[NDArray[Any], ...]:

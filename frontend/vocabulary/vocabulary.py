@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import FrontendError
 from ..files.text_tables import write_npz
+from .dbow2_text import TreeArrays, read_text, write_text
 
 DEFAULT_PATH = Path(__file__).with_name("vocabulary.npz")
 WORD_LEVELS = (3, 4)
@@ -83,18 +84,18 @@ class Vocabulary:
         """A vocabulary of our own binary form (``.npz``) or of DBoW2's text form (any other name); None: the one
         shipped."""
         path = DEFAULT_PATH if path is None else Path(path)
-        if path.suffix == ".npz":
-            return _load_npz(path)
-        from .dbow2_text import read_text
-
-        return read_text(path)
+        tree = _load_npz(path) if path.suffix == ".npz" else read_text(path)
+        try:
+            return cls(tree.branching, tree.depth, tree.parents, tree.descriptors, tree.weights)
+        except ValueError as error:
+            raise FrontendError(f"{path}: not a vocabulary: {error}") from error
 
     def save(self, path: Path) -> None:
         """Write our own binary form, or with a name that does not end in ``.npz`` DBoW2's text form."""
         if path.suffix != ".npz":
-            from .dbow2_text import write_text
-
-            return write_text(self, path)
+            return write_text(
+                TreeArrays(self.branching, self.depth, self.parents, self.descriptors, self.weights), path
+            )
         arrays = {
             "format": np.array(1),
             "branching": np.array(self.branching),
@@ -128,7 +129,7 @@ class Vocabulary:
         return _descend(rows.view(np.uint64), self._begin, self._children, self._child_bits, levels)
 
 
-def _load_npz(path: Path) -> Vocabulary:
+def _load_npz(path: Path) -> TreeArrays:
     try:
         with np.load(path, allow_pickle=False) as data:
             version = int(data["format"])
@@ -137,7 +138,7 @@ def _load_npz(path: Path) -> Vocabulary:
                     f"{path}: a vocabulary file of format {version}; this version of maslam reads format 1"
                 )
             weights = data["weights"].astype(np.float64)
-            return Vocabulary(int(data["branching"]), int(data["depth"]), data["parents"], data["descriptors"], weights)
+            return TreeArrays(int(data["branching"]), int(data["depth"]), data["parents"], data["descriptors"], weights)
     except OSError as error:
         raise FrontendError(f"{path}: cannot be read as a vocabulary: {error}") from error
     except (KeyError, ValueError) as error:

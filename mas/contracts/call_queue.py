@@ -12,8 +12,9 @@ from collections.abc import Mapping
 
 from ..protocol.ids import OperationKind
 from ..protocol.messages import Call, Refusal
-from .context import AgentContext, Operation
+from .context import AgentContext
 from .contract import Contract, ContractState, LateMessage
+from .operation import Operation
 
 
 class CallQueue:

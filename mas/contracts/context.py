@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..protocol.ids import ContractId, OperationKind
-from ..protocol.messages import Bid, Body, Call, Cancel, ContractBody, Message, Refusal
-from ..protocol.tasks import Outcome, Task
+from ..protocol.messages import Body, Call, Cancel, ContractBody, Message
 from ..state.agent_state import AgentState
 from .contract import Contract
 from .ledger import Ledger
@@ -169,42 +167,3 @@ class AgentContext:
                 end=str(contract.state),
                 reason=contract.reason,
             )
-
-
-class WorkError(Exception):
-    """A contractor cannot do what it was awarded; becomes a Failure with this reason."""
-
-
-class Operation(ABC):
-    """One operation, as manager and as contractor. Every method is called with a contract that the ledger has
-    advanced."""
-
-    def __init__(self, desk: AgentContext) -> None:
-        self.desk = desk
-
-    @property
-    def state(self) -> AgentState:
-        return self.desk.state
-
-    @abstractmethod
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal | None:
-        """Contractor: an offer, or why not; None: not now, ask again when something has ended."""
-
-    @abstractmethod
-    def on_bid(self, contract: Contract, bid: Bid) -> None:
-        """Manager: award or reject now, or wait for the others."""
-
-    @abstractmethod
-    def work(self, contract: Contract, task: Task) -> None:
-        """Contractor: confirm and do the work, now or over several messages; :class:`WorkError` if it cannot be
-        done."""
-
-    @abstractmethod
-    def on_result(self, contract: Contract, outcome: Outcome) -> None:
-        """Manager: take the result."""
-
-    def on_confirmation(self, contract: Contract) -> None:  # noqa: B027 - most operations have nothing to do here
-        """Manager: the contractor is committed."""
-
-    def on_end(self, contract: Contract) -> None:  # noqa: B027
-        """Either side: the contract ended, well or not."""

@@ -62,7 +62,7 @@ class Reputation:
 
     @property
     def value(self) -> float:
-        """ReputationBook, 0 to 1."""
+        """Reputation, 0 to 1."""
         return self.reliability * self.honesty
 
 

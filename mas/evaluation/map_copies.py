@@ -13,17 +13,17 @@ from maslam.backend.trajectory_error import TrajectoryError
 from ..agent import Agent
 from ..map_exchange.map_copy import MapCopy
 from ..state.agent_state import AgentState
-from .summary import MapCopy
+from .summary import MapCopyFigures
 
 # Key-frames of a copy that are looked at, spread evenly.
 _SAMPLE = 8
 
 
-def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, TrajectoryError]]) -> list[MapCopy]:
+def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, TrajectoryError]]) -> list[MapCopyFigures]:
     """Every copy that is held; ``errors``: of each holder's copies by owner, under its alignment."""
     originals = {agent.state.me: Original(agent.state) for agent in agents}
     return [
-        MapCopy(
+        MapCopyFigures(
             holder=agent.state.me,
             owner=owner,
             version=held.version,

@@ -52,7 +52,7 @@ class OptimisationFigures(_Figures):
     cost_after: float
 
 
-class MapCopy(_Figures):
+class MapCopyFigures(_Figures):
     """One map copy: errors under its holder's alignment; ``points_off_m``: median distance of its points from where
     their owner has them at the end (null: in other coordinates)."""
 
@@ -127,7 +127,7 @@ class Summary(_Figures):
     traffic: dict[str, TrafficFigures]
     matches: MatchFigures
     optimisations: OptimisationFigures
-    map_copies: list[MapCopy]
+    map_copies: list[MapCopyFigures]
     refused_messages: int
     standing: list[StandingFigures] = Field([], description="of each agent with the others")
     faults: FaultFigures | None = Field(None, description="None: none were made")

@@ -14,10 +14,10 @@ import numpy as np
 
 from maslam.backend.geometry import Sim3
 
-from ..contracts.context import AgentContext, Operation, WorkError
+from ..contracts.context import AgentContext
 from ..contracts.contract import Contract, ContractState
+from ..contracts.operation import Operation, WorkError
 from ..contracts.retries import RetryBudget
-from ..place_recognition.verification import str_match
 from ..policies.utility import orders
 from ..protocol.ids import ContractId, MatchId, OperationKind
 from ..protocol.map_messages import MapDelivery, MapOrder, Parcel
@@ -294,7 +294,7 @@ def _remarks(verdict: Admission) -> dict[str, Any]:
     """For events: how many place matches, how far off, and what was done."""
     out: dict[str, Any] = {"matches": 0} if verdict.standing is None else dict(verdict.standing.figures())
     if verdict.aligned_by is not None:
-        out["aligned_by"] = str_match(verdict.aligned_by)
+        out["aligned_by"] = str(verdict.aligned_by)
     if verdict.redundant:
         out["redundant"] = True
     return out

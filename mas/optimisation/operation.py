@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 
 from maslam.backend.errors import BackendError
 
-from ..contracts.context import AgentContext, Operation, WorkError
+from ..contracts.context import AgentContext
 from ..contracts.contract import Contract, ContractState, ProtocolError
-from ..honesty import hold_against
+from ..contracts.operation import Operation, WorkError
 from ..policies.utility import ENVELOPE_BYTES
 from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Award, Begin, Bid, Call, Confirmation, Failure, Refusal, Rejection, Result
@@ -18,6 +18,7 @@ from ..protocol.solver_messages import payload_bytes as solver_payload
 from ..protocol.tasks import OptimiseAnswer, OptimiseTask, Outcome, Task
 from ..state.pose_graph import Adoption, adopt, share_of
 from .bidding import BidEstimator
+from .contradictions import hold_against
 from .planning import plan
 from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
 

@@ -28,12 +28,13 @@ from ..errors import MasError
 from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError
 from ..evaluation.summary import Summary, Timing
 from ..map_exchange.full_map import own_map
+from ..protocol.accounting import Traffic
 from ..protocol.ids import MatchId
 from ..sequence import GROUNDTRUTH, MANIFEST, AgentSequence, CameraEntry, Manifest
 from ..state.place_match import Fate
 from ..state.pose_graph import own_graph
 from ..state.trajectories import frame_trajectory, keyframe_trajectory
-from ..transport.transport import Sent, Traffic
+from ..transport.transport import Sent
 from .colmap import write_colmap
 from .fused_map import fused, write_map, write_ply
 

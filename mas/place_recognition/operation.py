@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from maslam.descriptors.errors import DescriptorError
 
-from ..contracts.context import AgentContext, Operation, WorkError
+from ..contracts.context import AgentContext
 from ..contracts.contract import Contract
+from ..contracts.operation import Operation, WorkError
 from ..contracts.retries import RetryBudget
 from ..policies.utility import PLACE_ANSWER_BYTES
 from ..protocol.ids import ContractId, MatchId, OperationKind

@@ -9,10 +9,10 @@ import numpy as np
 from maslam.backend.relpose.point_coding import pack_points, unpack_points, worth_sending
 from maslam.backend.relpose.verification import PlaceView, Verdict, joined, promising, relative_pose
 
-from ..contracts.context import AgentContext, Operation, WorkError
+from ..contracts.context import AgentContext
 from ..contracts.contract import Contract
+from ..contracts.operation import Operation, WorkError
 from ..contracts.retries import RetryBudget
-from ..honesty import judged
 from ..policies.utility import VERIFY_ANSWER_BYTES
 from ..protocol.ids import ContractId, MatchId, OperationKind
 from ..protocol.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
@@ -28,6 +28,7 @@ from ..protocol.tensors import (
 )
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
+from ..state.match_audit import judged
 from ..state.place_match import Match
 from .candidates import Candidate, Candidates
 
@@ -140,7 +141,7 @@ class Verification(Operation):
             self.desk.standing.judged(other, *judged(self.state, other))
         for accepted in accepted_now:
             self.book.matched(accepted)
-            self.desk.note("match", match=str_match(accepted), inliers=self.state.verified[accepted].inliers)
+            self.desk.note("match", match=str(accepted), inliers=self.state.verified[accepted].inliers)
             if self.state.join(accepted.agents):
                 tell_group(self.desk)
 
@@ -191,11 +192,6 @@ def view_of(state: AgentState, keyframe: KeyFrame) -> PlaceView:
 def kind_of(reason: str) -> str:
     """A reason without its figures, to count by."""
     return reason.partition(":")[0]
-
-
-def str_match(match: MatchId) -> str:
-    """``query agent:key-frame - match agent:key-frame`` for people."""
-    return f"{match.query_agent}:{match.query} - {match.match_agent}:{match.match}"
 
 
 def _task(state: AgentState, match: MatchId, rest: bool) -> VerifyTask:

@@ -43,6 +43,10 @@ class MatchId(msgspec.Struct, frozen=True, array_like=True, order=True):
     match_agent: AgentId
     match: Index
 
+    def __str__(self) -> str:
+        """``query agent:key-frame - match agent:key-frame`` for people."""
+        return f"{self.query_agent}:{self.query} - {self.match_agent}:{self.match}"
+
     @property
     def agents(self) -> tuple[int, int]:
         return self.query_agent, self.match_agent

@@ -14,7 +14,8 @@ from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets import ImageSequence, open_dataset
 from maslam.frontend.odometry import Odometry, OdometryResult
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
-from maslam.tools.worlds.dataset import RenderConfig, render_dataset
+from maslam.tools.worlds.config import RenderConfig
+from maslam.tools.worlds.dataset import render_dataset
 
 pytestmark = pytest.mark.slow
 FRAMES, OFFSET_PX, ROW_PX, ROLL_DEG, K1 = 40, -1.6, 1.2, 0.2, 0.02

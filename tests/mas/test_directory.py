@@ -11,8 +11,8 @@ from saboteurs import live
 from maslam.mas.config import FaultsConfig
 from maslam.mas.evaluation.ground_truth import groups_of
 from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.accounting import Traffic
 from maslam.mas.simulation import run
-from maslam.mas.transport.transport import Traffic
 
 
 def test_each_key_frame_is_told_once_and_to_one_agent(tmp_path: Path) -> None:

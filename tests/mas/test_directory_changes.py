@@ -18,12 +18,12 @@ from maslam.mas.output.run_folder import match_errors
 from maslam.mas.place_recognition.candidates import Candidate
 from maslam.mas.policies.directory import Directory
 from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.accounting import Traffic
 from maslam.mas.protocol.ids import ContractId, MatchId, OperationKind
 from maslam.mas.protocol.messages import Award, Message
 from maslam.mas.protocol.tasks import OwnerQuery
 from maslam.mas.simulation import Environment, make_agents
 from maslam.mas.state.keyframe import keyframes_of
-from maslam.mas.transport.transport import Traffic
 
 Told = dict[tuple[int, int, int], set[ContractId]]
 KEYFRAME_S = 0.3

@@ -21,13 +21,13 @@ from maslam.mas.map_exchange.full_map_increments import completed, runs_of, with
 from maslam.mas.map_exchange.map_copy import MapCopy, held_of_submap, submap_of
 from maslam.mas.map_exchange.versions import StaleBase
 from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.accounting import Traffic
 from maslam.mas.protocol.ids import ContractId, FrameId
 from maslam.mas.protocol.map_messages import MapDelivery, Runs, SubMap, indices_of
 from maslam.mas.protocol.messages import Bid, Message, Result, decode, encode
 from maslam.mas.protocol.tensors import pack_sim3s
 from maslam.mas.state.agent_state import AgentState
 from maslam.mas.state.keyframe import KeyFrame, keyframes_of
-from maslam.mas.transport.transport import Traffic
 
 POINTS = 40
 

@@ -15,11 +15,11 @@ from maslam.mas.config import FaultsConfig, StandingConfig
 from maslam.mas.contracts.contract import Contract, ContractState
 from maslam.mas.contracts.reputation import SILENT, ReputationBook, Trust
 from maslam.mas.contracts.retries import RetryBudget
-from maslam.mas.honesty import judged
 from maslam.mas.policies.utility import orders, utility
 from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Award, Bid, Confirmation, Message, Offer, Result
 from maslam.mas.protocol.solver_messages import SolverBody
+from maslam.mas.state.match_audit import judged
 
 CONFIG = StandingConfig()
 SECOND = 1_000_000_000

@@ -14,6 +14,7 @@ from maslam.backend.geometry import Sim3, se3_exp, transform_points
 from maslam.mas.agent import Agent
 from maslam.mas.map_exchange.versions import MapVersion
 from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.accounting import Traffic
 from maslam.mas.protocol.ids import FrameId, MatchId, OperationKind
 from maslam.mas.protocol.map_messages import MapOrder, MapPatch, Parcel
 from maslam.mas.simulation import make_agents
@@ -21,7 +22,7 @@ from maslam.mas.state.agent_state import stretched
 from maslam.mas.state.keyframe import KeyFrame, keyframes_of
 from maslam.mas.state.place_match import Match
 from maslam.mas.state.pose_graph import Adoption
-from maslam.mas.transport.transport import InProcessTransport, Traffic
+from maslam.mas.transport.transport import InProcessTransport
 
 FORMS = pytest.mark.parametrize("form", ["full", "compact"])
 

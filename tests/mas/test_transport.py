@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from sample_messages import examples, submap, verify_task
 
+from maslam.mas.protocol.accounting import Traffic, account
 from maslam.mas.protocol.ids import ContractId
 from maslam.mas.protocol.messages import Award, Bid, Message, Result, encode
 from maslam.mas.protocol.solver_messages import SolverValues
 from maslam.mas.protocol.tasks import EarlierAnswer, MapDelivery, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
 from maslam.mas.protocol.tensors import MessageError, Tensor
-from maslam.mas.transport.transport import InProcessTransport, Sent, Traffic, Transport, account
+from maslam.mas.transport.transport import InProcessTransport, Sent, Transport
 
 
 class TransportContract:

@@ -8,17 +8,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from maslam.tools.common.plane import plane_of
 from maslam.tools.common.svg import Plot, format_tick, nice_ticks
-from maslam.tools.report.charts import (
-    Path2D,
-    bars,
-    bytes_chart,
-    format_bytes,
-    lines_chart,
-    map_chart,
-    plane_of,
-    traffic_matrix,
-)
+from maslam.tools.report.charts import Path2D, bars, bytes_chart, format_bytes, lines_chart, map_chart, traffic_matrix
 from maslam.tools.report.match_images import choose
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from maslam.frontend.cameras.models import PinholeCamera
 from maslam.frontend.files.trajectory import write_kitti_poses
-from maslam.tools.worlds.dataset import RenderConfig
+from maslam.tools.worlds.config import RenderConfig
 from maslam.tools.worlds.rendering.light import Light
 from maslam.tools.worlds.rendering.renderer import Renderer
 from maslam.tools.worlds.scenario import Scenario, plan_scenario

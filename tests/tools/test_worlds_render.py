@@ -12,7 +12,8 @@ import pytest
 from pydantic import ValidationError
 
 from maslam.frontend.files.trajectory import read_kitti_poses
-from maslam.tools.worlds.dataset import RenderConfig, render_dataset
+from maslam.tools.worlds.config import RenderConfig
+from maslam.tools.worlds.dataset import render_dataset
 from maslam.tools.worlds.errors import RenderError
 
 TINY = RenderConfig(world="indoor", rig="stereo", seed=8, agents=2, frames=3, width=96, height=64, cheap=True)

@@ -163,9 +163,8 @@ def _pgo(arguments: argparse.Namespace) -> int:
 def _memory(arguments: argparse.Namespace) -> int:
     from maslam.frontend.config import OdometryConfig
 
-    from ..common.options import build
+    from ..common.options import build, size
     from ..common.progress import progress_on
-    from ..worlds.command import size
     from .memory import MemorySettings, bench_memory
 
     _check_picture(arguments.plot)

@@ -152,7 +152,8 @@ def _rendered(root: Path, settings: MemorySettings, progress: Progress) -> Path:
     from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.files.trajectory import write_kitti_poses
 
-    from ..worlds.dataset import RenderConfig, render_dataset
+    from ..worlds.config import RenderConfig
+    from ..worlds.dataset import render_dataset
     from ..worlds.rendering.sensor import SensorConfig
 
     root.mkdir(parents=True, exist_ok=True)

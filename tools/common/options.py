@@ -100,6 +100,14 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return content
 
 
+def size(text: str) -> tuple[int, int]:
+    """Width and height in pixels of ``640x360``; ``UsageError`` for anything else."""
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise UsageError(f"--size {text}: width and height in pixels are meant, like 640x360")
+    return int(width), int(height)
+
+
 def _overlay(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
     for key, change in changes.items():
         if isinstance(change, Mapping) and isinstance(values.get(key), dict):

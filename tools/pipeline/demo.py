@@ -28,7 +28,8 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.mas.policies.presets import preset
 
     from ..report.summary_table import table_of
-    from ..worlds.dataset import RenderConfig, render_dataset
+    from ..worlds.config import RenderConfig
+    from ..worlds.dataset import render_dataset
     from .preprocess import PreprocessSettings
     from .run import DEFAULT_PRESET
     from .slam import slam

@@ -9,9 +9,9 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.plane import Array
 from ..common.svg import FAINT, INK, Plot, colour_of, dash_of, format_tick
 
-Array = NDArray[np.float64]
 OPERATIONS = {
     "dvpr": "place queries",
     "relpose": "verification",
@@ -33,12 +33,6 @@ class Path2D:
     xy: Array
     index: int
     faint: bool = False
-
-
-def plane_of(positions: Array) -> tuple[int, int]:
-    """The two axes of a top view: the one along which ``positions`` ``(N, 3)`` spread least is looked along."""
-    drop = int(np.argmin(np.ptp(positions, axis=0))) if len(positions) else 1
-    return ((1, 2), (0, 2), (0, 1))[drop]
 
 
 def map_chart(

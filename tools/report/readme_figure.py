@@ -15,8 +15,9 @@ from maslam.frontend.datasets import open_dataset
 
 from ..common.errors import ToolError
 from ..common.figures import dress
+from ..common.plane import plane_of
 from ..common.svg import INK, colour_of
-from .charts import TRUTH, plane_of
+from .charts import TRUTH
 from .run_data import RunData, read_run
 
 SHOWN = 4

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..common.plane import plane_of
 from ..common.svg import INK, colour_of, dash_of, legend
 from .charts import (
     OPERATION_COLOUR,
@@ -18,7 +19,6 @@ from .charts import (
     format_bytes,
     lines_chart,
     map_chart,
-    plane_of,
     traffic_matrix,
 )
 from .html import Section, Tile, table

@@ -157,7 +157,7 @@ def _materials(plan: SweepPlan) -> list[Cell]:
 
 
 def _rendering(plan: SweepPlan, shop: Workshop, cell: Cell) -> Any:
-    from ..worlds.dataset import RenderConfig
+    from ..worlds.config import RenderConfig
 
     size = {"width": plan.width, "height": plan.height, "seed": plan.world_seed}
     if cell.sequence == TOWN:

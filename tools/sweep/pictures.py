@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..common.figures import dress, plain_powers, saved_figure
+from ..common.plane import plane_of
 from ..common.svg import FAINT, INK, colour_of
-from ..report.charts import TRUTH, plane_of
+from ..report.charts import TRUTH
 from ..report.run_data import read_run
 from .rows import Group
 

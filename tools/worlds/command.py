@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..common.errors import UsageError
-from ..common.options import DEST, add_model_options, build
+from ..common.options import DEST, add_model_options, build, size
 from ..common.progress import counter, progress_on
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``OUT`` and everything that can be set."""
-    from .dataset import RenderConfig
+    from .config import RenderConfig
 
     parser.add_argument(
         "out", metavar="OUT", type=Path, help="folder for the images; an interrupted rendering is gone on with"
@@ -28,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    from .dataset import RenderConfig, render_dataset
+    from .config import RenderConfig
+    from .dataset import render_dataset
 
     changes: dict[str, object] = {}
     if arguments.size is not None:
@@ -40,11 +40,3 @@ def main(arguments: argparse.Namespace) -> None:
         render_dataset(config, arguments.out, counter(progress, "images"), arguments.workers)
     pictures = f"{config.rig} {config.width}x{config.height}"
     print(f"{arguments.out}: {config.world}, {config.agents} agents, {pictures}, seed {config.seed}")
-
-
-def size(text: str) -> tuple[int, int]:
-    """Width and height in pixels of ``640x360``; ``UsageError`` for anything else."""
-    width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdigit() and height.isdigit()):
-        raise UsageError(f"--size {text}: width and height in pixels are meant, like 640x360")
-    return int(width), int(height)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .config import RenderConfig
 from .errors import RenderError
 from .motion.paths import WALKING, Gait, drive, way_at
 from .motion.routes import lane_line, plan_routes
@@ -17,9 +17,6 @@ from .scene.mesh import Mesh
 from .scene.props import placed
 from .scene.world import World
 from .town.streets import Network
-
-if TYPE_CHECKING:
-    from .dataset import RenderConfig
 
 Poses = NDArray[np.float64]
 POSES_OVERLAP = 10

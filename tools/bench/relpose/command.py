@@ -64,9 +64,8 @@ def run_relpose(arguments: argparse.Namespace) -> int:
     """Do it."""
     from maslam.backend.config import RelPoseConfig
 
-    from ...common.options import build
+    from ...common.options import build, size
     from ...common.progress import progress_on
-    from ...worlds.command import size
     from .run import RelPoseSettings, bench_relpose, worlds_named
 
     if min(arguments.right, arguments.look_alikes) < 1 or arguments.points < 0:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from ...common.figures import dress, saved_figure
+from ...common.plane import plane_of
 from ...common.svg import FAINT, INK, colour_of, dash_of
-from ...report.charts import TRUTH, plane_of
+from ...report.charts import TRUTH
 from .accuracy import LENGTHS_M, Accuracy
 from .result import OURS, BenchResult
 

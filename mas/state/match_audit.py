@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from .contracts.context import AgentContext
-from .protocol.ids import MatchId
-from .state.agent_state import AgentState
+from .agent_state import AgentState
 
 # So many matches between two tracks, none of which agrees with another: all but one must be wrong.
 _NONE_AGREE = 3
@@ -27,16 +25,3 @@ def judged(state: AgentState, other: int) -> tuple[int, int]:
         elif len(all_of_pair) >= _NONE_AGREE:
             contradicted += max(len(reported) - 1, 0)
     return borne_out, contradicted
-
-
-def hold_against(desk: AgentContext, contradicted: frozenset[MatchId]) -> None:
-    """What a whole group's matches contradict is held against who reported it to me, as long as that is so; where it
-    may be one of several it is left out and held against nobody."""
-    state = desk.state
-    reporters = sorted({m.match_agent for m in contradicted})
-    before = {m.match_agent for m in state.contradicted}
-    state.contradicted = contradicted if len(reporters) == 1 else frozenset()
-    if reporters:
-        desk.note("contradicted", reported_by=reporters, matches=len(contradicted))
-    for reporter in sorted(before | set(reporters)):
-        desk.standing.judged(reporter, *judged(state, reporter))

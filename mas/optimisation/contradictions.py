@@ -1,0 +1,20 @@
+"""Matches that the rest of a group contradicts, held against the agents that reported them."""
+
+from __future__ import annotations
+
+from ..contracts.context import AgentContext
+from ..protocol.ids import MatchId
+from ..state.match_audit import judged
+
+
+def hold_against(desk: AgentContext, contradicted: frozenset[MatchId]) -> None:
+    """What a whole group's matches contradict is held against who reported it to me, as long as that is so; where it
+    may be one of several it is left out and held against nobody."""
+    state = desk.state
+    reporters = sorted({m.match_agent for m in contradicted})
+    before = {m.match_agent for m in state.contradicted}
+    state.contradicted = contradicted if len(reporters) == 1 else frozenset()
+    if reporters:
+        desk.note("contradicted", reported_by=reporters, matches=len(contradicted))
+    for reporter in sorted(before | set(reporters)):
+        desk.standing.judged(reporter, *judged(state, reporter))
