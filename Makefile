@@ -18,6 +18,7 @@ test: lint
 
 lint: $(DEV)
 	$(BIN)/ruff check
+	$(BIN)/lint-imports
 	$(BIN)/mypy
 
 $(CORE): requirements/core.txt pyproject.toml requirements/system-libraries.sh
@@ -37,4 +38,4 @@ lock: $(DEV)
 	$(BIN)/python requirements/lock.py
 
 clean:
-	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

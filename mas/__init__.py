@@ -1,1 +1,1 @@
-"""Agents: contract net, policies, place recognition between agents, transports, metrics, the environment."""
+"""Agents: contract net, policies, place recognition between agents, transports, metrics, the simulation."""

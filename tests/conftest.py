@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,20 @@ if TYPE_CHECKING:
     from maslam.tools.worlds.config import RenderConfig
 
 Rendered = Callable[[str, "RenderConfig"], Path]
+
+
+class NoBareNames(MetaPathFinder):
+    """Refuses the folders' bare names: with the root of the checkout on the path, as ``python -m pytest`` puts it, a
+    module could be loaded a second time under another name."""
+
+    folders = ("backend", "descriptors", "frontend", "mas", "tools")
+
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: object = None) -> None:
+        if fullname in self.folders:
+            raise ImportError(f"import maslam.{fullname}, not {fullname}")
+
+
+sys.meta_path.insert(0, NoBareNames())
 
 
 @pytest.fixture(scope="session")

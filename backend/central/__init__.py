@@ -1,0 +1,1 @@
+"""The certified central solver, the gtsam adapter, costs."""

@@ -1,0 +1,1 @@
+"""Distributed solvers as nodes without I/O: Gauss-Seidel, block descent, elected."""

@@ -1,0 +1,1 @@
+"""The pose graph as values, and g2o files."""

@@ -1,0 +1,1 @@
+"""Verification of place matches."""

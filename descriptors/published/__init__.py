@@ -1,0 +1,1 @@
+"""Weights that other people published, read and exported."""

@@ -1,0 +1,1 @@
+"""Training of the place descriptor and its export to ONNX; needs torch."""

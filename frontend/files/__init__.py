@@ -1,0 +1,1 @@
+"""TUM, KITTI, the five VO files, text tables."""

@@ -1,0 +1,1 @@
+"""Key-points, optical flow, patch alignment, guided matching."""

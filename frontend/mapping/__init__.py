@@ -1,0 +1,1 @@
+"""Key-frame in, better map out."""

@@ -1,0 +1,1 @@
+"""Frame in, pose out: start, loss, relocalisation, export of a track."""

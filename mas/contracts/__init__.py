@@ -1,0 +1,1 @@
+"""The Contract Net Protocol without I/O: state machine, ledger, retransmission, reputation."""

@@ -1,0 +1,1 @@
+"""Agents compared with ground truth, and the figures of ``summary.json``."""

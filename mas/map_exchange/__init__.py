@@ -1,1 +1,1 @@
-"""Maps as goods: what they hold, how they are coded, checked and laid together (thesis sections 3.7, 3.9.3)."""
+"""Operation 3: offer, order, deliver, check and hold copies of maps (thesis sections 3.7, 3.9.3)."""

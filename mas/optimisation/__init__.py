@@ -1,0 +1,1 @@
+"""Operation 2: call for an optimisation, plan it, run the distributed solver."""

@@ -1,0 +1,1 @@
+"""Whom to ask, to optimise with and to trade with; presets."""

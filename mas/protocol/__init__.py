@@ -1,0 +1,1 @@
+"""Every message type, its checks and its accounting."""

@@ -1,0 +1,1 @@
+"""What one agent knows: key-frames, place matches, pose graph."""

@@ -1,0 +1,1 @@
+"""Carries bytes and counts them; makes faults on purpose."""

@@ -1,0 +1,1 @@
+"""Shared by all commands: errors, options, progress, parallel jobs, files, plot style."""

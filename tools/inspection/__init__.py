@@ -1,0 +1,1 @@
+"""``maslam inspect`` and ``maslam doctor``."""

@@ -1,0 +1,1 @@
+"""``maslam netvlad``: train, export, calibrate, evaluate and use the place descriptor."""

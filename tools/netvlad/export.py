@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from maslam.descriptors.card import ModelCard, file_sha256, write_card
 from maslam.descriptors.errors import DescriptorError
-from maslam.descriptors.published.vgg_weights import VggWeights
 
 from ..common.errors import ToolError
 from ..common.progress import Progress
 from .train import MIN_STD
+
+if TYPE_CHECKING:
+    from maslam.descriptors.published.vgg_weights import VggWeights
 
 OUR_PIXELS, VGG_PIXELS = 19_200, 307_200
 """Working sizes: ours 160x120; VGG16-NetVLAD was trained and published on 640x480."""

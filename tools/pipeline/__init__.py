@@ -1,0 +1,1 @@
+"""From images to a run: preprocess, run, slam, demo."""

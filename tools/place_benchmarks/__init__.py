@@ -1,0 +1,1 @@
+"""Test sets of place recognition: public, own and rendered ones."""

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from .config import RenderConfig
 from .errors import RenderError
 from .motion.paths import WALKING, Gait, drive, way_at
-from .motion.routes import lane_line, plan_routes
 from .rendering.light import Light, random_light
 from .scene.mesh import Mesh
 from .scene.props import placed
 from .scene.world import World
+from .town.routes import lane_line, plan_routes
 from .town.streets import Network
 
 Poses = NDArray[np.float64]

@@ -1,0 +1,1 @@
+"""Maps as few bits: quantised, as differences between versions, Rice coded."""

@@ -1,0 +1,1 @@
+"""``maslam bench relpose``: verification of place matches on rendered pairs."""

@@ -1,0 +1,1 @@
+"""``maslam bench vo``: accuracy, time and memory of the odometry."""

@@ -1,0 +1,1 @@
+"""An office floor: rooms, furniture, and the walks through it."""

@@ -1,0 +1,1 @@
+"""Smooth camera poses along a line on the ground."""

@@ -1,0 +1,1 @@
+"""Ray casting, shading, light and sensors."""

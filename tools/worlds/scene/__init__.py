@@ -1,0 +1,1 @@
+"""Meshes, textures and objects: what a world is made of."""

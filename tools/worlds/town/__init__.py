@@ -1,0 +1,1 @@
+"""A town: streets, houses, cars, terrain, and the routes through it."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..town.streets import LANE_OFFSET_M, Network
-from .paths import Line, resample
+from ..motion.paths import Line, resample
+from .streets import LANE_OFFSET_M, Network
 
 BIN_M = 4.0
 CANDIDATES = 400
