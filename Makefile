@@ -18,7 +18,7 @@ test: lint
 
 lint: $(DEV)
 	$(BIN)/ruff check
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 	$(BIN)/mypy
 
 $(CORE): requirements/core.txt pyproject.toml requirements/system-libraries.sh

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,15 @@ class Admission:
     reason: str = ""
     aligned_by: MatchId | None = None
     redundant: bool = False
+
+    def remarks(self) -> dict[str, Any]:
+        """For events: how many place matches, how far off, and what was done."""
+        out: dict[str, Any] = {"matches": 0} if self.standing is None else dict(self.standing.figures())
+        if self.aligned_by is not None:
+            out["aligned_by"] = str(self.aligned_by)
+        if self.redundant:
+            out["redundant"] = True
+        return out
 
 
 def admit(

@@ -8,7 +8,6 @@ what is newer than what it has, each map once, never its own. So every purchase 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from ..protocol.messages import Award, Bid, Call, Confirmation, Offer, Refusal, 
 from ..protocol.tasks import Outcome, Task
 from ..protocol.tensors import unpack_sim3
 from ..state.pose_graph import Adoption
-from .admission import Admission, admit, recheck, seller_frame
+from .admission import admit, recheck, seller_frame
 from .announcements import Announcements
 from .full_map_increments import completed, runs_of
 from .map_copy import MapCopy, held_of_stock, held_of_submap
@@ -221,7 +220,7 @@ class MapExchange(Operation):
         self.desk.note(
             "map_bought", seller=seller, owner=owner, version=version, keyframes=len(new.keyframes),
             new_keyframes=len(new.keyframes) - known, points=len(new.references), route=list(new.route),
-            **_remarks(verdict),
+            **verdict.remarks(),
         )  # fmt: skip
 
     # -- holder -------------------------------------------------------------------------------------------------------
@@ -255,7 +254,7 @@ class MapExchange(Operation):
             return
         self.held[owner] = verdict.held
         if verdict.standing is not None and (verdict.aligned_by is not None or final):
-            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **_remarks(verdict))
+            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **verdict.remarks())
 
     def _refuse(self, held: MapCopy, reason: str) -> None:
         """Not kept, and not bought again from this seller."""
@@ -288,13 +287,3 @@ class MapExchange(Operation):
         delivery = self.shop.delivery(contract.manager, task, self.held, self.desk.closing)
         self.desk.say(contract, Confirmation())
         self.desk.say(contract, Result(delivery))
-
-
-def _remarks(verdict: Admission) -> dict[str, Any]:
-    """For events: how many place matches, how far off, and what was done."""
-    out: dict[str, Any] = {"matches": 0} if verdict.standing is None else dict(verdict.standing.figures())
-    if verdict.aligned_by is not None:
-        out["aligned_by"] = str(verdict.aligned_by)
-    if verdict.redundant:
-        out["redundant"] = True
-    return out

@@ -14,7 +14,8 @@ from maslam.tools.common.errors import ToolError, UsageError
 def test_help_loads_no_library() -> None:
     heavy = {"numpy", "cv2", "rich", "pydantic"}
     code = (
-        f"import sys; from maslam.tools import cli; rc = cli.main(['--help']); print(rc, sorted(set(sys.modules) & {heavy}))"
+        "import sys; from maslam.tools import cli; rc = cli.main(['--help']);"
+        f"print(rc, sorted(set(sys.modules) & {heavy}))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "0 []"

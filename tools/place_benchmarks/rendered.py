@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -194,9 +194,7 @@ def benchmark(name: str, places: list[list[Visit]], config: SamplerConfig, absen
 def save_places(path: Path, places: list[list[Visit]]) -> None:
     """Keep rendered places: a cache of ``visit_places``, written whole or not at all."""
     flat = [visit for visits in places for visit in visits]
-    cameras = np.array(
-        [[v.camera.width, v.camera.height, v.camera.fx, v.camera.fy, v.camera.cx, v.camera.cy] for v in flat]
-    )
+    cameras = np.array([astuple(v.camera) for v in flat])
     partial = path.with_name(path.name + ".part")
     with partial.open("wb") as file:
         np.savez(
