@@ -98,10 +98,14 @@ class PlaceVectors:
             )
         try:
             return cls(
-                str(fields["name"]), str(fields["sha256"]), int(fields["dim"]), fields["stamps_ns"].astype(np.int64),
-                fields["vectors"].astype(np.float32), fields["textured"].astype(bool),
+                str(fields["name"]),
+                str(fields["sha256"]),
+                int(fields["dim"]),
+                fields["stamps_ns"].astype(np.int64),
+                fields["vectors"].astype(np.float32),
+                fields["textured"].astype(bool),
                 tuple(str(image) for image in fields.get("images", ())),
-            )  # fmt: skip
+            )
         except DescriptorError as error:
             raise DescriptorError(f"{path}: {error}") from error
 

@@ -153,9 +153,7 @@ class NetVlad:
         return np.concatenate(rows) if rows else np.zeros((0, self.dim), dtype=np.float32)
 
 
-def to_working_size(
-    image: NDArray[np.uint8], pixels: int, exact: tuple[int, int] | None = None
-) -> NDArray[np.uint8]:
+def to_working_size(image: NDArray[np.uint8], pixels: int, exact: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """A grey or BGR uint8 image as grey ``(h, w)`` of about ``pixels`` pixels, its shape kept: every image costs
     the same. ``exact`` (h, w): of this size instead, its shape as it may be."""
     checked = _checked(image)

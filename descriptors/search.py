@@ -99,9 +99,18 @@ class NearestIndex:
         for number, block in enumerate(self._blocks[:used]):
             out = lowest[number * _BLOCK : (number + 1) * _BLOCK]
             least = _bounds(
-                block.rounded, block.scale, block.error, block.length, block.square,
-                rounded, scale, error, length, least, out,
-            )  # fmt: skip
+                block.rounded,
+                block.scale,
+                block.error,
+                block.length,
+                block.square,
+                rounded,
+                scale,
+                error,
+                length,
+                least,
+                out,
+            )
         found = np.flatnonzero(lowest <= least + _SLACK)
         edges = np.searchsorted(found, np.arange(used + 1) * _BLOCK)
         parts = [(b, found[edges[b] : edges[b + 1]] - b * _BLOCK) for b in range(used)]

@@ -55,9 +55,7 @@ class ModelSession:
         options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
         options.log_severity_level = 4  # what goes wrong is raised, and said once
         try:
-            session = onnxruntime.InferenceSession(
-                str(path), options, providers=[name] if name == CPU else [name, CPU]
-            )
+            session = onnxruntime.InferenceSession(str(path), options, providers=[name] if name == CPU else [name, CPU])
         except Exception as error:
             raise DescriptorError(f"{path}: onnxruntime cannot load it: {_line(error)}") from error
         if session.get_providers()[0] != name:  # onnxruntime falls back on its own where a driver is missing

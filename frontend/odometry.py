@@ -115,7 +115,9 @@ class Odometry:
             segment.insert_keyframe(frame)
         T_W_C = se3_inverse(segment.tracker.T_C_W)
         stays = is_keyframe and segment.latest is not None and segment.latest.stays
-        result = FrameResult(frame.stamp_ns, T_W_C, TrackingState.TRACKING, is_keyframe, problem=frame.problem, stays=stays)
+        result = FrameResult(
+            frame.stamp_ns, T_W_C, TrackingState.TRACKING, is_keyframe, problem=frame.problem, stays=stays
+        )
         return self._note(result)
 
     @property

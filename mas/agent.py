@@ -282,7 +282,11 @@ class Agent:
         """Who is regarded otherwise since the last contract."""
         for other, record in self.desk.standing.changes(self.desk.now_ns):
             self.desk.note(
-                "standing", of=other, regard=str(record.regard), reliability=round(record.reliability, 4),
-                honesty=round(record.honesty, 4), silent=record.unheard,
-            )  # fmt: skip
+                "standing",
+                of=other,
+                regard=str(record.regard),
+                reliability=round(record.reliability, 4),
+                honesty=round(record.honesty, 4),
+                silent=record.unheard,
+            )
             self.state.distrust(other, record.regard is Trust.UNTRUSTED)

@@ -218,7 +218,9 @@ def coder_of(manifest: Manifest, code: str) -> Coder:
         raise MasError(f"{error}, or choose another code (places.code)") from error
 
 
-def _play(environment: Environment, onlooker: GroundTruthEvaluator, recorder: Recorder, progress: RunProgress | None) -> int:
+def _play(
+    environment: Environment, onlooker: GroundTruthEvaluator, recorder: Recorder, progress: RunProgress | None
+) -> int:
     """Step until all agents are done; returns how many steps that took."""
     total = environment.steps
     config = environment.config

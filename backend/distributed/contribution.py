@@ -142,9 +142,7 @@ def decode(data: bytes, robot: int) -> Contribution:
         separators.append(NodeId(robot, source.count()))
         numbers.append(source.rough_pose())
     start = dict(zip(separators, poses_of(np.array(numbers).reshape(-1, 6)), strict=True))
-    graph = Condensed(
-        nodes, np.array(ends, dtype=np.intp).reshape(-1, 2), measured[:edges], *_columns(pairs[:edges])
-    )
+    graph = Condensed(nodes, np.array(ends, dtype=np.intp).reshape(-1, 2), measured[:edges], *_columns(pairs[:edges]))
     return Contribution(robot, graph, tuple(between), start, first_pose, cost, fineness)
 
 

@@ -77,7 +77,9 @@ class DescentNode(StagedNode):
         return self._selection is not None and self._round.step == 0
 
     def _waits_for_lower(self) -> bool:
-        return self._round.stage is SolverStage.SCALE or (self._round.stage is SolverStage.DESCENT and not self._judging)
+        return self._round.stage is SolverStage.SCALE or (
+            self._round.stage is SolverStage.DESCENT and not self._judging
+        )
 
     def _receivers(self) -> list[int]:
         return [] if self._judging else super()._receivers()

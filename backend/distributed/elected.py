@@ -75,8 +75,9 @@ class ElectedNode:
         if not isinstance(message, ElectedMessage):
             raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if message.receiver != self.share.robot or message.sender not in self.share.members:
-            raise BackendError(f"robot {self.share.robot} was handed a message from {message.sender} for "
-                               f"{message.receiver}")  # fmt: skip
+            raise BackendError(
+                f"robot {self.share.robot} was handed a message from {message.sender} for {message.receiver}"
+            )
         if self.outcome is not None:
             return []
         if message.kind is Kind.SIZE:

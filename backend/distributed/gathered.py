@@ -43,9 +43,7 @@ def solve(contributions: Mapping[int, Contribution]) -> Gathered:
     members = sorted(contributions)
     nodes = [n for robot in members for n in contributions[robot].graph.nodes]
     row = {n: k for k, n in enumerate(nodes)}
-    between = tuple(
-        b for robot in members for b in contributions[robot].between if b.i in row and b.j in row
-    )
+    between = tuple(b for robot in members for b in contributions[robot].between if b.i in row and b.j in row)
     graphs = [contributions[robot].graph for robot in members]
     first = np.cumsum([0, *(len(g.nodes) for g in graphs)])
     ends = [g.ends + start for g, start in zip(graphs, first, strict=False)]

@@ -55,8 +55,9 @@ class LocalProblem:
     def cost(self) -> float:
         """F over the edges this robot counts; edges to nodes without a pose are left out."""
         i, j = self.ends[self.counted].T
-        costs = edge_costs(self.poses[i], self.poses[j], self.measured[self.counted],
-                           self.kappa[self.counted], self.tau[self.counted])  # fmt: skip
+        costs = edge_costs(
+            self.poses[i], self.poses[j], self.measured[self.counted], self.kappa[self.counted], self.tau[self.counted]
+        )
         return float(costs[np.isfinite(costs)].sum())
 
     def rotation_stage(self, warm: bool) -> Relaxation:

@@ -63,9 +63,7 @@ class Pieces:
             placed[rows] = True
             found = True
 
-    def _ties(
-        self, poses: Array, placed: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.intp]]:
+    def _ties(self, poses: Array, placed: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.intp]]:
         """Edges from a piece without a place to a placed pose: rows, where the edge puts the own node, where it is."""
         rows, predicted, edges = [], [], []
         for side in range(2):

@@ -151,9 +151,7 @@ def _covariance(points_M: Array, to_ray: Array, along: Array, angle: float, dept
     return np.asarray(angle**2 * (np.eye(2) + carried) + depth**2 * outer)
 
 
-def _noise(
-    residual: Array, cov: Array, along: Array, angle: float, depth: float, unit: float
-) -> tuple[float, float]:
+def _noise(residual: Array, cov: Array, along: Array, angle: float, depth: float, unit: float) -> tuple[float, float]:
     """The noise at which the typical residual is as large as its covariance says: that of directions from what lies
     across the epipolar lines, that of depths from what lies along them where they matter most."""
     size = np.linalg.norm(along, axis=1)

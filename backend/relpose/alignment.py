@@ -56,9 +56,16 @@ def refine(
     points_M, points_Q = np.ascontiguousarray(points_M), np.ascontiguousarray(points_Q)
     unit = 1.0 / float(np.median(np.linalg.norm(points_M, axis=1)))
     rotation, translation, scale, hessian, angle, depth = _gauss_newton(
-        points_M, points_Q, np.ascontiguousarray(start.rotation), start.translation.copy(), start.scale,
-        7 if with_scale else 6, unit, loss_scale, iterations,
-    )  # fmt: skip
+        points_M,
+        points_Q,
+        np.ascontiguousarray(start.rotation),
+        start.translation.copy(),
+        start.scale,
+        7 if with_scale else 6,
+        unit,
+        loss_scale,
+        iterations,
+    )
     if not with_scale:
         hessian[6], hessian[:, 6] = 0.0, 0.0
     return Alignment(Sim3(rotation, translation, float(scale)), 0.5 / CORRELATED * (hessian + hessian.T), angle, depth)

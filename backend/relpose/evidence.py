@@ -112,10 +112,19 @@ def _field(points: Array) -> Array:
 def _side(predicted: Array, own: Array, distances: Distances, radius: float, alike: int, sigma: float) -> Side:
     """What becomes of ``predicted`` ``(n, 3)`` among the ``own`` ``(m, 3)`` points of the camera that they are in."""
     counts = _count(
-        np.ascontiguousarray(predicted), np.ascontiguousarray(own), distances, _field(own),
-        np.cos(radius), np.cos(0.5 * radius), alike,
-        np.cos(np.radians(_SURFACE_DEG)), _SURFACE_POINTS, _SAME_SIGMAS * sigma, _FLOAT_SIGMAS * sigma, _FLOAT_SHARE,
-    )  # fmt: skip
+        np.ascontiguousarray(predicted),
+        np.ascontiguousarray(own),
+        distances,
+        _field(own),
+        np.cos(radius),
+        np.cos(0.5 * radius),
+        alike,
+        np.cos(np.radians(_SURFACE_DEG)),
+        _SURFACE_POINTS,
+        _SAME_SIGMAS * sigma,
+        _FLOAT_SIGMAS * sigma,
+        _FLOAT_SHARE,
+    )
     return Side(len(predicted), *(int(c) for c in counts))
 
 

@@ -60,10 +60,15 @@ def agreeing(
     """
     return np.asarray(
         _agreeing(
-            transforms.rotations, transforms.translations, transforms.scales,
-            np.ascontiguousarray(points_M), np.ascontiguousarray(points_Q), np.cos(np.radians(angle_deg)), depth_ratio,
+            transforms.rotations,
+            transforms.translations,
+            transforms.scales,
+            np.ascontiguousarray(points_M),
+            np.ascontiguousarray(points_Q),
+            np.cos(np.radians(angle_deg)),
+            depth_ratio,
         )
-    )  # fmt: skip
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -87,15 +87,15 @@ def joined(first: PlaceView, rest: PlaceView) -> PlaceView:
     descriptors, words = [v.descriptors for v in both], [v.words for v in both]
     return PlaceView(
         np.concatenate([v.points_C for v in both]),
-        descriptors=np.concatenate([d for d in descriptors if d is not None]) if all(
-            d is not None for d in descriptors
-        ) else None,
+        descriptors=np.concatenate([d for d in descriptors if d is not None])
+        if all(d is not None for d in descriptors)
+        else None,
         words=np.concatenate([w for w in words if w is not None]) if all(w is not None for w in words) else None,
         metric=first.metric,
-        depth_known=None if first.depth_known is None and rest.depth_known is None else np.concatenate(
-            [v.known for v in both]
-        ),
-    )  # fmt: skip
+        depth_known=None
+        if first.depth_known is None and rest.depth_known is None
+        else np.concatenate([v.known for v in both]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +192,17 @@ def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng
     )
     problem, log_odds = problem_of(found, config)
     return Verdict(
-        problem is None, problem or "accepted", T, len(pairs), int(inside.sum()), found.rmse_deg,
-        pose.full_information, len(best.guided), found.evidence, log_odds,
-    )  # fmt: skip
+        problem is None,
+        problem or "accepted",
+        T,
+        len(pairs),
+        int(inside.sum()),
+        found.rmse_deg,
+        pose.full_information,
+        len(best.guided),
+        found.evidence,
+        log_odds,
+    )
 
 
 def promising(verdict: Verdict) -> bool:
@@ -202,9 +210,7 @@ def promising(verdict: Verdict) -> bool:
     return not verdict.accepted and verdict.guided >= _PROMISE
 
 
-def _tentative(
-    query: PlaceView, match: PlaceView, config: RelPoseConfig
-) -> tuple[NDArray[np.intp], Distances, int]:
+def _tentative(query: PlaceView, match: PlaceView, config: RelPoseConfig) -> tuple[NDArray[np.intp], Distances, int]:
     """Pairs ``(k, 2)`` of query and match rows, all distances ``(n_Q, n_M)`` for matching again later, and how many
     bits they count.
 
@@ -223,9 +229,13 @@ def _tentative(
 
 
 def _settle(
-    solver: PoseSolver, points_M: Array, points_Q: Array, start: Sim3, config: RelPoseConfig,
+    solver: PoseSolver,
+    points_M: Array,
+    points_Q: Array,
+    start: Sim3,
+    config: RelPoseConfig,
     iterations: int = ITERATIONS,
-) -> Alignment | None:  # fmt: skip
+) -> Alignment | None:
     """Refine on the inliers of the wide bound, then on those of the narrow one; None with too few to go on."""
     T, result = start, None
     for angle_deg in (config.search_angle_deg, config.inlier_angle_deg):
@@ -238,9 +248,13 @@ def _settle(
 
 
 def _again(
-    solver: PoseSolver, best: _Hypothesis, query: PlaceView, match: PlaceView, candidates: PointCandidates,
+    solver: PoseSolver,
+    best: _Hypothesis,
+    query: PlaceView,
+    match: PlaceView,
+    candidates: PointCandidates,
     config: RelPoseConfig,
-) -> _Hypothesis:  # fmt: skip
+) -> _Hypothesis:
     """Refine on the guided matches, and match again with what that gives."""
     for _ in range(2):
         points_Q, points_M = query.points_C[best.guided[:, 0]], match.points_C[best.guided[:, 1]]
@@ -258,7 +272,12 @@ def _inliers(
 
 
 def _guided(
-    solver: PoseSolver, query: PlaceView, match: PlaceView, candidates: PointCandidates, T_M_Q: Sim3, config: RelPoseConfig
+    solver: PoseSolver,
+    query: PlaceView,
+    match: PlaceView,
+    candidates: PointCandidates,
+    T_M_Q: Sim3,
+    config: RelPoseConfig,
 ) -> NDArray[np.intp]:
     """Match again, everything that the pose allows: no second-best test, and a wider descriptor bound."""
     near = _inliers(solver, T_M_Q, match.points_C[candidates.columns], query.points_C[candidates.rows], config)

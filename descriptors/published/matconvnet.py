@@ -128,10 +128,15 @@ def _weights(variables: dict[str, Any], dim: int | None) -> VggWeights:
         rows_to_keep(dim, None)
     return VggWeights(
         convolutions=tuple(_convolution(layer) for layer in convolutions[: len(NAMES)]),
-        mean=_mean(net), deviation=np.ones(3, dtype=np.float32),
-        assign=assign, assign_bias=assign_bias, centres=centres,
-        whitening=whitening, whitening_bias=whitening_bias, softening=softening.pop(),
-    )  # fmt: skip
+        mean=_mean(net),
+        deviation=np.ones(3, dtype=np.float32),
+        assign=assign,
+        assign_bias=assign_bias,
+        centres=centres,
+        whitening=whitening,
+        whitening_bias=whitening_bias,
+        softening=softening.pop(),
+    )
 
 
 def _layers(cells: Any, workspace: Any) -> list[_NetworkLayer]:

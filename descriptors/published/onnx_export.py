@@ -26,9 +26,13 @@ def export_vgg(weights: VggWeights, path: Path) -> None:
         x = graph.add("Div", x, graph.constant(weights.deviation[None, :, None, None]))
     for name, convolution in zip(NAMES, weights.convolutions, strict=True):
         x = graph.add(
-            "Conv", x, graph.constant(convolution.weight), graph.constant(convolution.bias),
-            kernel_shape=[3, 3], pads=[1] * 4,
-        )  # fmt: skip
+            "Conv",
+            x,
+            graph.constant(convolution.weight),
+            graph.constant(convolution.bias),
+            kernel_shape=[3, 3],
+            pads=[1] * 4,
+        )
         if name != NAMES[-1]:
             x = graph.add("Relu", x)
         if name in POOLED:

@@ -85,9 +85,11 @@ def weights_from_state(state: Mapping[str, torch.Tensor], dim: int | None = None
         deviation=_array(state, "deviation") if "deviation" in state else _pixels(IMAGENET_DEVIATION),
         assign=_one_by_one(state, "pool.conv.weight", None),
         assign_bias=_array(state, "pool.conv.bias") if "pool.conv.bias" in state else no_bias,
-        centres=centres, whitening=whitening, whitening_bias=whitening_bias,
+        centres=centres,
+        whitening=whitening,
+        whitening_bias=whitening_bias,
         softening=float(state["softening"]) if "softening" in state else 0.0,
-    )  # fmt: skip
+    )
 
 
 def state_from_weights(weights: VggWeights) -> dict[str, torch.Tensor]:
@@ -134,5 +136,3 @@ def _harmless() -> list[Any]:
     scalar = np.float64(0).__reduce__()[0]
     scalars = [(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")]
     return [*scalars, np.dtype, *(type(np.dtype(kind)) for kind in ("f8", "f4", "i8", "i4", "?"))]
-
-

@@ -57,9 +57,15 @@ def _learned_features(graph: OnnxGraph, network: NetVladNetwork, x: str) -> str:
         deep = _convolution(graph, _convolutions(graph, x, layers[:-2]), layers[-2], layers[-1])
         none = graph.constant(np.zeros(0, dtype=np.float32))
         grown = graph.add(
-            "Resize", deep, none, none, graph.add("Shape", x),
-            mode="nearest", nearest_mode="floor", coordinate_transformation_mode="asymmetric",
-        )  # fmt: skip
+            "Resize",
+            deep,
+            none,
+            none,
+            graph.add("Shape", x),
+            mode="nearest",
+            nearest_mode="floor",
+            coordinate_transformation_mode="asymmetric",
+        )
         x = graph.add("Relu", graph.add("Add", x, grown))
     x = _convolution(graph, x, network.reduce[0], network.reduce[1])
     return _unit(graph, graph.columns(x), network.config.local_dim)
@@ -108,9 +114,13 @@ def _cells(graph: OnnxGraph, network: NetVladNetwork, x: str, step: int) -> str:
     shared = graph.add("Div", fourth, graph.add("Mul", energy, graph.add("Sqrt", energy)))
     window = _array(network.gradients.window).astype(np.float32)
     pooled = graph.add(
-        "Conv", shared, graph.constant(window), group=len(window), strides=[step] * 2,
+        "Conv",
+        shared,
+        graph.constant(window),
+        group=len(window),
+        strides=[step] * 2,
         kernel_shape=list(window.shape[2:]),
-    )  # fmt: skip
+    )
     apart = CELL_PX // step
     for axis in (3, 2):
         ends = [(k - CELLS + 1) * apart or _TO_END for k in range(CELLS)]
@@ -154,9 +164,14 @@ def _convolution(graph: OnnxGraph, x: str, convolution: Any, norm: Any) -> str:
     bias = (_array(norm.bias) - _array(norm.running_mean) * scale).astype(np.float32)
     side, pad = convolution.kernel_size[0], convolution.padding[0]
     return graph.add(
-        "Conv", x, graph.constant(weight), graph.constant(bias),
-        kernel_shape=[side, side], strides=list(convolution.stride), pads=[pad] * 4,
-    )  # fmt: skip
+        "Conv",
+        x,
+        graph.constant(weight),
+        graph.constant(bias),
+        kernel_shape=[side, side],
+        strides=list(convolution.stride),
+        pads=[pad] * 4,
+    )
 
 
 def _array(parameter: Any) -> NDArray[np.float64]:

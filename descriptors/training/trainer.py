@@ -71,9 +71,7 @@ class PlaceSet:
                     break
         return self.pair_of(np.array(chosen), rng)
 
-    def pair_of(
-        self, index: NDArray[np.int_], rng: np.random.Generator
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def pair_of(self, index: NDArray[np.int_], rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Two images ``(n, h, w)`` of each of these places; the same one twice where a place has but one."""
         seen = self.views.shape[1]
         a = rng.integers(seen, size=len(index))

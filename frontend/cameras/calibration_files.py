@@ -18,11 +18,18 @@ from ..files.text_tables import read_bytes
 from .calibration import Distortion, RawCamera, RawRig
 
 _DISTORTIONS = {
-    "": Distortion.RADIAL_TANGENTIAL, "plumb_bob": Distortion.RADIAL_TANGENTIAL, "radtan": Distortion.RADIAL_TANGENTIAL,
-    "radial-tangential": Distortion.RADIAL_TANGENTIAL, "rational_polynomial": Distortion.RADIAL_TANGENTIAL,
-    "pinhole": Distortion.RADIAL_TANGENTIAL, "equidistant": Distortion.EQUIDISTANT, "fisheye": Distortion.EQUIDISTANT,
-    "kannalabrandt8": Distortion.EQUIDISTANT, "none": Distortion.NONE, "rectified": Distortion.NONE,
-}  # fmt: skip
+    "": Distortion.RADIAL_TANGENTIAL,
+    "plumb_bob": Distortion.RADIAL_TANGENTIAL,
+    "radtan": Distortion.RADIAL_TANGENTIAL,
+    "radial-tangential": Distortion.RADIAL_TANGENTIAL,
+    "rational_polynomial": Distortion.RADIAL_TANGENTIAL,
+    "pinhole": Distortion.RADIAL_TANGENTIAL,
+    "equidistant": Distortion.EQUIDISTANT,
+    "fisheye": Distortion.EQUIDISTANT,
+    "kannalabrandt8": Distortion.EQUIDISTANT,
+    "none": Distortion.NONE,
+    "rectified": Distortion.NONE,
+}
 _COUNTS = {Distortion.NONE: range(99), Distortion.RADIAL_TANGENTIAL: (4, 5, 8, 12, 14), Distortion.EQUIDISTANT: (4,)}
 
 

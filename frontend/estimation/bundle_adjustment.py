@@ -21,9 +21,7 @@ key-frame."""
 
 
 @njit(cache=True, nogil=True)
-def window_residuals(
-    poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array, disparity: Array, cam: Array
-) -> Array:
+def window_residuals(poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array, disparity: Array, cam: Array) -> Array:
     """``(N, 3)`` pixels, predicted minus measured u, v, disparity (0 where unknown); NaN for points behind a camera.
 
     What was measured comes with the residual calibration taken out."""

@@ -111,9 +111,7 @@ def pair_shift(uv: Array, disparity: Array, cam: Array, parameters: Array) -> Ar
     return product(basis(uv, disparity, cam, len(parameters))[:, 2:], parameters)
 
 
-def prior_information(
-    width: int, height: int, cam: Array, shift_px: float, distortion_px: float, count: int
-) -> Array:
+def prior_information(width: int, height: int, cam: Array, shift_px: float, distortion_px: float, count: int) -> Array:
     """``(count, count)``: says that the displacements, root mean square over the image, are about ``shift_px``; and
     about ``distortion_px`` what is left of them without a shift and a roll of the right image."""
     grid = np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))

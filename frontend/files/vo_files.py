@@ -48,9 +48,13 @@ class VoTrack:
     def __post_init__(self) -> None:
         k, p, n = len(self.stamps_s), len(self.points), len(self.observations)
         expected = {
-            "stamps_s": (k,), "poses": (k, 4, 4), "points": (p, 3),
-            "observations": (n, 2), "descriptors": (n, 32), "words": (n, 2),
-        }  # fmt: skip
+            "stamps_s": (k,),
+            "poses": (k, 4, 4),
+            "points": (p, 3),
+            "observations": (n, 2),
+            "descriptors": (n, 32),
+            "words": (n, 2),
+        }
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")

@@ -24,9 +24,7 @@ _TRIANGULATION_SIGMAS = 4.0
 class Mapper:
     """Grows and refines one :class:`Map`."""
 
-    def __init__(
-        self, map_: Map, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None
-    ) -> None:
+    def __init__(self, map_: Map, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
         self.map, self.ranging, self.config = map_, ranging, config
         self._stage = (watch or Stopwatch()).stage
         self._detector = Detector(config.features)

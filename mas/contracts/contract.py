@@ -60,7 +60,16 @@ class ContractState(StrEnum):
     EXPIRED = "expired"
 
 
-ENDED = frozenset({ContractState.DONE, ContractState.REFUSED, ContractState.REJECTED, ContractState.FAILED, ContractState.CANCELLED, ContractState.EXPIRED})
+ENDED = frozenset(
+    {
+        ContractState.DONE,
+        ContractState.REFUSED,
+        ContractState.REJECTED,
+        ContractState.FAILED,
+        ContractState.CANCELLED,
+        ContractState.EXPIRED,
+    }
+)
 
 # Who may say what, in which state, and what follows. A call opens a contract and cannot come twice.
 CONTRACTOR_SAYS: dict[tuple[ContractState, type], ContractState] = {

@@ -24,7 +24,9 @@ class Ledger:
         self._heard: dict[tuple[int, OperationKind], int] = {}
         self._ended: dict[tuple[ContractId, int], Contract | None] = {}
 
-    def call(self, operation: OperationKind, contractors: Iterable[int], deadline_ns: int) -> tuple[ContractId, list[int]]:
+    def call(
+        self, operation: OperationKind, contractors: Iterable[int], deadline_ns: int
+    ) -> tuple[ContractId, list[int]]:
         """Open one contract as manager with each contractor; those that still have one of the kind are left out.
         Returns the id and who is to be called."""
         busy = {c.contractor for c in self._running.values() if c.manager == self.me and c.operation is operation}

@@ -110,7 +110,11 @@ class ReputationBook:
 
     def left_waiting(self, contract: Contract) -> None:
         """An optimisation that I took part in never ended: its manager answers for that."""
-        if contract.operation is OperationKind.DOPT and contract.state is ContractState.EXPIRED and Confirmation in contract.said:
+        if (
+            contract.operation is OperationKind.DOPT
+            and contract.state is ContractState.EXPIRED
+            and Confirmation in contract.said
+        ):
             self._count(self._touch(contract.manager), poor=_STUCK)
 
     def judged(self, other: int, borne_out: int, contradicted: int) -> None:

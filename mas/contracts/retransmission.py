@@ -72,7 +72,11 @@ class Retransmitter:
         last = self._last.get((contract.id, contract.contractor))
         if last is not None:
             before = last.contract.state
-            if contract.manager == self.me and before in (ContractState.CALLED, ContractState.AWARDED) and contract.state is not before:
+            if (
+                contract.manager == self.me
+                and before in (ContractState.CALLED, ContractState.AWARDED)
+                and contract.state is not before
+            ):
                 self.pace.answered(contract.contractor, now_ns - last.first_ns)
             last.contract, last.since_ns, last.tries = contract, now_ns, 0
             self._note_owed((contract.id, contract.contractor), contract)

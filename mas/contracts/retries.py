@@ -18,7 +18,10 @@ class RetryBudget:
     def wanted(self, contract: Contract, subject: Hashable) -> bool:
         """Whether to call again after this end; False once it is done, was not wanted, or was tried often enough."""
         key = (subject, contract.contractor)
-        lost = contract.state in (ContractState.EXPIRED, ContractState.FAILED, ContractState.REFUSED) or contract.reason == SILENT
+        lost = (
+            contract.state in (ContractState.EXPIRED, ContractState.FAILED, ContractState.REFUSED)
+            or contract.reason == SILENT
+        )
         tried = self._tried.pop(key, 0)
         if not lost or tried >= self.limit:
             return False

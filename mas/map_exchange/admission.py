@@ -96,9 +96,7 @@ def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None
     return [w for w in judges if not any(np.array_equal(w.found.translation, p) for p in there)] or judges
 
 
-def aligned(
-    held: MapCopy, found: list[Witness], state: AgentState
-) -> tuple[MapCopy, list[Witness], MatchId | None]:
+def aligned(held: MapCopy, found: list[Witness], state: AgentState) -> tuple[MapCopy, list[Witness], MatchId | None]:
     """The consistency check: the map, laid on a match where its witnesses say that it stands too far off; the witnesses
     then, and that match."""
     limit = tolerance(state.config.merge.consistency_m, state)

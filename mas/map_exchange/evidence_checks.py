@@ -68,9 +68,11 @@ class EvidenceStatistics:
     def figures(self) -> dict[str, float | int]:
         """For events."""
         return {
-            "matches": self.matches, "median_off": round(self.median_m, 4), "worst_off": round(self.worst_m, 4),
+            "matches": self.matches,
+            "median_off": round(self.median_m, 4),
+            "worst_off": round(self.worst_m, 4),
             "worst_off_deg": round(self.worst_deg, 3),
-        }  # fmt: skip
+        }
 
 
 def witnesses(held: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> list[Witness]:

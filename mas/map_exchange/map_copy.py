@@ -87,34 +87,62 @@ def held_of_stock(stock: MapVersion, placement: Sim3, route: tuple[int, ...], no
     """A held map of an edition that was bought."""
     m = stock.map
     return MapCopy(
-        m.owner, m.edition, route[-1] if route else m.owner, now_ns, route, m.frame, placement, m.keyframes,
-        m.stamps_ns, m.poses_F(), m.references, m.points_C(), m.descriptors, tuple(m.match_list()), stock,
-    )  # fmt: skip
+        m.owner,
+        m.edition,
+        route[-1] if route else m.owner,
+        now_ns,
+        route,
+        m.frame,
+        placement,
+        m.keyframes,
+        m.stamps_ns,
+        m.poses_F(),
+        m.references,
+        m.points_C(),
+        m.descriptors,
+        tuple(m.match_list()),
+        stock,
+    )
 
 
 def held_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int, now_ns: int) -> MapCopy:
     """A held map in the thesis's form; ``frame``: the seller's coordinates."""
     placement = T_mine_seller @ Sim3(np.eye(3), np.zeros(3), submap.unit)
     return MapCopy(
-        submap.owner, submap.version, seller, now_ns, (*submap.route, seller), frame, placement,
-        submap.keyframes.array(), submap.stamps_ns.array(),
-        stretched(unpack_poses(submap.poses.array()), 1.0 / submap.unit), submap.references.array(),
-        submap.points.array().astype(np.float64), submap.descriptors.array(),
+        submap.owner,
+        submap.version,
+        seller,
+        now_ns,
+        (*submap.route, seller),
+        frame,
+        placement,
+        submap.keyframes.array(),
+        submap.stamps_ns.array(),
+        stretched(unpack_poses(submap.poses.array()), 1.0 / submap.unit),
+        submap.references.array(),
+        submap.points.array().astype(np.float64),
+        submap.descriptors.array(),
         tuple(zip(submap.matches, unpack_sim3s(submap.transforms), strict=True)),
-    )  # fmt: skip
+    )
 
 
 def submap_of(held: MapCopy) -> SubMap:
     """The copy as it is sold on in the thesis's form, in the holder's coordinates."""
     described = held.descriptors
     return SubMap(
-        owner=held.owner, version=held.version, unit=held.unit, keyframes=Tensor.of(held.keyframes, "<i4"),
-        stamps_ns=Tensor.of(held.stamps_ns, "<i8"), poses=pack_poses(held.poses),
-        references=Tensor.of(held.references, "<i4"), points=Tensor.of(held.points_C, "<f4"),
+        owner=held.owner,
+        version=held.version,
+        unit=held.unit,
+        keyframes=Tensor.of(held.keyframes, "<i4"),
+        stamps_ns=Tensor.of(held.stamps_ns, "<i8"),
+        poses=pack_poses(held.poses),
+        references=Tensor.of(held.references, "<i4"),
+        points=Tensor.of(held.points_C, "<f4"),
         descriptors=Tensor.of(np.zeros((len(held.references), 32)) if described is None else described, "|u1"),
-        matches=tuple(m for m, _ in held.matches), transforms=pack_sim3s([T for _, T in held.matches]),
+        matches=tuple(m for m, _ in held.matches),
+        transforms=pack_sim3s([T for _, T in held.matches]),
         route=held.route,
-    )  # fmt: skip
+    )
 
 
 def with_new_keyframes(old: MapCopy, new: MapCopy) -> MapCopy:

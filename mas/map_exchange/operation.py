@@ -218,10 +218,16 @@ class MapExchange(Operation):
         self.held[owner] = verdict.held
         known = 0 if old is None else len(old.keyframes)
         self.desk.note(
-            "map_bought", seller=seller, owner=owner, version=version, keyframes=len(new.keyframes),
-            new_keyframes=len(new.keyframes) - known, points=len(new.references), route=list(new.route),
+            "map_bought",
+            seller=seller,
+            owner=owner,
+            version=version,
+            keyframes=len(new.keyframes),
+            new_keyframes=len(new.keyframes) - known,
+            points=len(new.references),
+            route=list(new.route),
             **verdict.remarks(),
-        )  # fmt: skip
+        )
 
     # -- holder -------------------------------------------------------------------------------------------------------
 

@@ -45,7 +45,9 @@ class SolverLink:
         self.said_ns, self.tries = now_ns, self.tries + 1
         return list(last.values())
 
-    def again(self, node: SolverNode, member: int, body: SolverBody, now_ns: int, pace: RttEstimator) -> list[SolverMessage]:
+    def again(
+        self, node: SolverNode, member: int, body: SolverBody, now_ns: int, pace: RttEstimator
+    ) -> list[SolverMessage]:
         """The last messages to a member that said ``body`` again: those of its round and later, for it has all before.
         Not twice at once."""
         told = self._told_ns.get(member)

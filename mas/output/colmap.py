@@ -84,9 +84,15 @@ def _points(one: FusedMap, tracks: NDArray[np.int64]) -> bytes:
         chosen = np.flatnonzero(lengths == length)
         table = np.zeros(
             len(chosen),
-            dtype=[("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8"),
-                   ("track", "<u4", (length, 2))],
-        )  # fmt: skip
+            dtype=[
+                ("id", "<u8"),
+                ("xyz", "<f8", 3),
+                ("rgb", "u1", 3),
+                ("error", "<f8"),
+                ("length", "<u8"),
+                ("track", "<u4", (length, 2)),
+            ],
+        )
         table["id"], table["xyz"], table["length"] = chosen + 1, one.points[chosen], length
         table["rgb"] = COLOURS[one.owners[chosen] % len(COLOURS)]
         table["track"] = tracks[starts[chosen][:, None] + np.arange(length), 1:]

@@ -232,17 +232,30 @@ class PlaceRecognition(Operation):
         learned = None
         if good and verdict.T_M_Q is not None and verdict.information is not None:
             learned = Match(
-                candidate.id, query.track, match.track, verdict.T_M_Q, verdict.information, verdict.inliers,
-                query.T_T_C, match.T_T_C, self.state.travelled[query.index], self.state.travelled[match.index],
+                candidate.id,
+                query.track,
+                match.track,
+                verdict.T_M_Q,
+                verdict.information,
+                verdict.inliers,
+                query.T_T_C,
+                match.T_T_C,
+                self.state.travelled[query.index],
+                self.state.travelled[match.index],
                 match.depth,
-            )  # fmt: skip
+            )
             if not self._plausible(learned):
                 learned, reason = None, "beyond odometry's drift"
         self.book.update(
-            candidate.id, verified=learned is not None, reason=kind_of(reason), detail=reason, T_M_Q=verdict.T_M_Q,
-            matches=verdict.matches, inliers=verdict.inliers,
+            candidate.id,
+            verified=learned is not None,
+            reason=kind_of(reason),
+            detail=reason,
+            T_M_Q=verdict.T_M_Q,
+            matches=verdict.matches,
+            inliers=verdict.inliers,
             rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
-        )  # fmt: skip
+        )
         if learned is not None:
             self.verification.learn(learned)
 

@@ -84,10 +84,18 @@ class Verification(Operation):
             assert verdict.T_M_Q is not None and answer.information is not None
             # The information as it travels, so that both owners weigh the match alike.
             match = Match(
-                task.match, task.track, mine.track, verdict.T_M_Q, unpack_information(answer.information),
-                verdict.inliers, unpack_poses(task.T_T_Q.array()), mine.T_T_C, task.way,
-                self.state.travelled[mine.index], mine.depth,
-            )  # fmt: skip
+                task.match,
+                task.track,
+                mine.track,
+                verdict.T_M_Q,
+                unpack_information(answer.information),
+                verdict.inliers,
+                unpack_poses(task.T_T_Q.array()),
+                mine.T_T_C,
+                task.way,
+                self.state.travelled[mine.index],
+                mine.depth,
+            )
             self.learn(match)
 
     def _view_of(self, task: VerifyTask) -> PlaceView:
@@ -111,16 +119,30 @@ class Verification(Operation):
             return
         transform = None if outcome.T_M_Q is None else unpack_sim3(outcome.T_M_Q)
         self.book.update(
-            match_id, verified=outcome.accepted, reason=kind_of(outcome.reason), detail=outcome.reason, T_M_Q=transform,
-            matches=outcome.matches, inliers=outcome.inliers, rmse=outcome.rmse,
-        )  # fmt: skip
+            match_id,
+            verified=outcome.accepted,
+            reason=kind_of(outcome.reason),
+            detail=outcome.reason,
+            T_M_Q=transform,
+            matches=outcome.matches,
+            inliers=outcome.inliers,
+            rmse=outcome.rmse,
+        )
         if outcome.accepted and transform is not None and outcome.information is not None:
             mine = self.state.keyframes[match_id.query]
             match = Match(
-                match_id, mine.track, outcome.track, transform, unpack_information(outcome.information),
-                outcome.inliers, mine.T_T_C, unpack_poses(outcome.T_T_M.array()),
-                self.state.travelled[mine.index], outcome.way, outcome.depth,
-            )  # fmt: skip
+                match_id,
+                mine.track,
+                outcome.track,
+                transform,
+                unpack_information(outcome.information),
+                outcome.inliers,
+                mine.T_T_C,
+                unpack_poses(outcome.T_T_M.array()),
+                self.state.travelled[mine.index],
+                outcome.way,
+                outcome.depth,
+            )
             self.learn(match)
 
     def on_end(self, contract: Contract) -> None:

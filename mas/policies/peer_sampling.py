@@ -42,9 +42,7 @@ def weights(
     return found / found.sum() if len(found) else found
 
 
-def draw(
-    others: Sequence[int], probabilities: NDArray[np.float64], draws: int, rng: np.random.Generator
-) -> list[int]:
+def draw(others: Sequence[int], probabilities: NDArray[np.float64], draws: int, rng: np.random.Generator) -> list[int]:
     """The distinct agents among ``draws`` drawn with replacement, sorted: at most ``draws``, often fewer."""
     if not len(others) or draws <= 0:
         return []

@@ -176,7 +176,9 @@ def from_wire(sender: int, receiver: int, b: SolverBody) -> SolverMessage:
         case SolverParcel():
             return ElectedMessage(Kind(b.kind), b.term, sender, receiver, b.body)
         case SolverState():
-            return SeparatorState(*ends, Round(SolverStage.FREE), b.version, b.used, b.values.array().astype(np.float64))
+            return SeparatorState(
+                *ends, Round(SolverStage.FREE), b.version, b.used, b.values.array().astype(np.float64)
+            )
         case SolverStatus():
             standings = tuple(Standing(s.robot, s.serial, s.version, s.quiet, s.used) for s in b.standings)
             return Status(*ends, Round(SolverStage.FREE), standings)

@@ -59,9 +59,17 @@ class Match:
         back = self.T_M_Q.inverse()
         swapped = MatchId(i.match_agent, i.match, i.query_agent, i.query)
         return replace(
-            self, id=swapped, query_track=self.match_track, match_track=self.query_track, T_M_Q=back,
-            T_T_Q=self.T_T_M, T_T_M=self.T_T_Q, way_Q=self.way_M, way_M=self.way_Q, depth=self.depth * back.scale,
-        )  # fmt: skip
+            self,
+            id=swapped,
+            query_track=self.match_track,
+            match_track=self.query_track,
+            T_M_Q=back,
+            T_T_Q=self.T_T_M,
+            T_T_M=self.T_T_Q,
+            way_Q=self.way_M,
+            way_M=self.way_Q,
+            depth=self.depth * back.scale,
+        )
 
 
 class Agreement:

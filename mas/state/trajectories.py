@@ -33,8 +33,12 @@ def frame_trajectory(state: AgentState, sequence: AgentSequence) -> Trajectory:
         times = np.array([state.keyframes[i].time_ns for i in members], dtype=np.int64)
         rows = np.flatnonzero(tracks == piece.track)
         at_keyframes = raw.nearest(times, STAMP_TOLERANCE_NS)
-        leaders = np.array([raw.poses[at] if at >= 0 else state.keyframes[i].T_T_C
-                            for i, at in zip(members, at_keyframes, strict=True)])  # fmt: skip
+        leaders = np.array(
+            [
+                raw.poses[at] if at >= 0 else state.keyframes[i].T_T_C
+                for i, at in zip(members, at_keyframes, strict=True)
+            ]
+        )
         k = np.maximum(np.searchsorted(times, raw.stamps_ns[rows] + STAMP_TOLERANCE_NS, side="right") - 1, 0)
         steps = stretched(se3_inverse(leaders)[k] @ raw.poses[rows], piece.unit)
         stamps.append(raw.stamps_ns[rows])

@@ -26,17 +26,23 @@ def loops(rng, robots=4, length=100, separators=8, sigma_t=0.02, sigma_deg=0.1, 
             truth[NodeId(r, k)] = se3(so3_exp([0.0, angle + np.pi / 2, 0.0]), position)
     sigma = np.array([sigma_t] * 3 + [np.radians(sigma_deg)] * 3)
     information = np.diag(1.0 / np.maximum(sigma, 1e-3) ** 2)
-    edges = [measured(truth, NodeId(r, k), NodeId(r, k + 1), EdgeKind.ODOMETRY, sigma, information, rng)
-             for r in range(robots) for k in range(length - 1)]  # fmt: skip
+    edges = [
+        measured(truth, NodeId(r, k), NodeId(r, k + 1), EdgeKind.ODOMETRY, sigma, information, rng)
+        for r in range(robots)
+        for k in range(length - 1)
+    ]
     for r in range(robots):
         other = (r + 1) % robots
         if other == r:
             continue
         i, j = sorted([r, other])
         near = sorted(
-            ((np.linalg.norm(truth[NodeId(i, a)][:3, 3] - truth[NodeId(j, b)][:3, 3]), a, b)
-             for a in range(length) for b in range(length)),
-        )[: separators * 3 : 3]  # fmt: skip
+            (
+                (np.linalg.norm(truth[NodeId(i, a)][:3, 3] - truth[NodeId(j, b)][:3, 3]), a, b)
+                for a in range(length)
+                for b in range(length)
+            ),
+        )[: separators * 3 : 3]
         edges += [
             measured(truth, NodeId(i, a), NodeId(j, b), EdgeKind.SEPARATOR, sigma, information, rng) for _, a, b in near
         ]

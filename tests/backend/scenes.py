@@ -26,8 +26,11 @@ def street(rng, count=1500):
     """World points ``(count, 3)``: two facades, the ground, and things between, ahead of the origin."""
     z = rng.uniform(3.0, 60.0, count)
     kind = rng.integers(0, 4, count)
-    x = np.select([kind == 0, kind == 1], [-8.0 + 0.3 * rng.normal(size=count), 9.0 + 0.3 * rng.normal(size=count)],
-                  rng.uniform(-8.0, 9.0, count))  # fmt: skip
+    x = np.select(
+        [kind == 0, kind == 1],
+        [-8.0 + 0.3 * rng.normal(size=count), 9.0 + 0.3 * rng.normal(size=count)],
+        rng.uniform(-8.0, 9.0, count),
+    )
     y = np.select([kind == 2], [np.full(count, 1.6)], rng.uniform(-6.0, 1.6, count))
     return np.stack([x, y, z], axis=1)
 

@@ -110,10 +110,11 @@ def test_a_condensed_stretch_has_the_noise_of_simulated_ones():
         poses[NodeId(0, k + 1)] = poses[NodeId(0, k)] @ T
     # Some edges point backwards; that means the same.
     edges = [
-        Edge(NodeId(0, k), NodeId(0, k + 1), T, information) if k % 3
+        Edge(NodeId(0, k), NodeId(0, k + 1), T, information)
+        if k % 3
         else Edge(NodeId(0, k + 1), NodeId(0, k), se3_inverse(T), information)
         for k, T in enumerate(steps)
-    ]  # fmt: skip
+    ]
     ends = (Edge(NodeId(0, 0), NodeId(1, 0), np.eye(4), information), Edge(NodeId(0, n), NodeId(1, 1), np.eye(4)))
     share = Share(0, (0, 1), poses, (*edges, *ends))
     condensed = OwnGraph(share).condensed(1000)
@@ -187,8 +188,11 @@ def test_silent_robots_are_done_without(silent):
     rest = {r: n for r, n in nodes.items() if r != lost}
     assert all(n.outcome.accepted for n in rest.values())
     assert len({n.leader for n in rest.values()}) == 1
-    without = replace(graph, poses={n: T for n, T in graph.poses.items() if n.robot != lost},
-                      edges=tuple(e for e in graph.edges if lost not in (e.i.robot, e.j.robot)))  # fmt: skip
+    without = replace(
+        graph,
+        poses={n: T for n, T in graph.poses.items() if n.robot != lost},
+        edges=tuple(e for e in graph.edges if lost not in (e.i.robot, e.j.robot)),
+    )
     best = optimise(without, CentralConfig()).cost_after
     found = without.with_poses({k: T for n in rest.values() for k, T in n.outcome.poses.items()})
     assert cost(found, "F") == pytest.approx(best, rel=1e-4)

@@ -111,8 +111,11 @@ def test_the_benchmark_counts_what_grows(capsys):
     assert cli.main(words) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(r["robots"], r["method"], r["poses"]) for r in rows] == [
-        (3, "quick", 180), (3, "rbcd", 180), (6, "quick", 360), (6, "rbcd", 360)
-    ]  # fmt: skip
+        (3, "quick", 180),
+        (3, "rbcd", 180),
+        (6, "quick", 360),
+        (6, "rbcd", 360),
+    ]
     assert all(r["gap"] > -1e-6 and r["wire_bytes"] > r["payload_bytes"] for r in rows)
     assert cli.main(["bench", "pgo", "--methods", "magic"]) == 2
 

@@ -57,8 +57,11 @@ def test_without_wrong_edges_nearly_all_stay():
 
 def test_a_planar_graph_has_three_degrees_of_freedom():
     rng = np.random.default_rng(10)
-    truth = {NodeId(r, k): se3(so3_exp([0, 0, 0.15 * k]), [6 * np.sin(0.15 * k), 6 - 6 * np.cos(0.15 * k), 0])
-             for r in range(2) for k in range(40)}  # fmt: skip
+    truth = {
+        NodeId(r, k): se3(so3_exp([0, 0, 0.15 * k]), [6 * np.sin(0.15 * k), 6 - 6 * np.cos(0.15 * k), 0])
+        for r in range(2)
+        for k in range(40)
+    }
     sigma = np.array([0.02, 0.02, 0, 0, 0, 0.004])
     information = np.diag([0.02**-2.0, 0.02**-2.0, 1, 1, 1, 0.004**-2.0])
     pairs = [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(39)]
@@ -118,8 +121,11 @@ def test_wrong_edges_over_long_odometry_do_not_feed_the_noise():
     rng = np.random.default_rng(12)
     sigma, information = np.array([0.1] * 3 + [0.01] * 3), np.diag([100.0] * 3 + [1e4] * 3)
     n = 600
-    truth = {NodeId(r, k): se3(so3_exp([0, 0, 0.02 * k]), [50 * np.sin(0.02 * k), 50 * np.cos(0.02 * k), r])
-             for r in range(2) for k in range(n)}  # fmt: skip
+    truth = {
+        NodeId(r, k): se3(so3_exp([0, 0, 0.02 * k]), [50 * np.sin(0.02 * k), 50 * np.cos(0.02 * k), r])
+        for r in range(2)
+        for k in range(n)
+    }
     steps = [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(n - 1)]
     edges = [measured(truth, *pair, EdgeKind.ODOMETRY, sigma, information, rng) for pair in steps]
     for k in rng.integers(0, n, 80):

@@ -176,8 +176,9 @@ def test_pcm_finds_right_edges_and_the_noise(noise):
 
 def test_pcm_judges_loops_of_one_robot_whichever_way_they_point():
     rng = np.random.default_rng(6)
-    truth = {NodeId(0, k): se3(so3_exp([0, 0.2 * k, 0]), [5 * np.sin(0.2 * k), 0.0, 5 * np.cos(0.2 * k)])
-             for k in range(70)}  # fmt: skip
+    truth = {
+        NodeId(0, k): se3(so3_exp([0, 0.2 * k, 0]), [5 * np.sin(0.2 * k), 0.0, 5 * np.cos(0.2 * k)]) for k in range(70)
+    }
     sigma, information = np.array([0.01] * 3 + [0.002] * 3), np.diag([0.01**-2.0] * 3 + [0.002**-2.0] * 3)
     nodes = sorted(truth)
     edges = [measured(truth, a, b, EdgeKind.ODOMETRY, sigma, information, rng) for a, b in itertools.pairwise(nodes)]

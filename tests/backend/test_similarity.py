@@ -74,8 +74,10 @@ def test_random_drift_and_noise_are_mostly_undone():
     walk = np.concatenate([[0.0], np.cumsum(0.01 * rng.normal(size=149) - 0.002)])
     unit = dict(zip(nodes, np.exp(walk), strict=True))
     sigma = np.array([0.01] * 3 + [0.001] * 3)
-    edges = [seen(truth, unit, a, b, EdgeKind.ODOMETRY, 1.0, sigma * rng.normal(size=6))
-             for a, b in itertools.pairwise(nodes)]  # fmt: skip
+    edges = [
+        seen(truth, unit, a, b, EdgeKind.ODOMETRY, 1.0, sigma * rng.normal(size=6))
+        for a, b in itertools.pairwise(nodes)
+    ]
     for k in range(0, 30, 3):
         edges.append(seen(truth, unit, nodes[149 - k], nodes[k], EdgeKind.LOOP, None, sigma * rng.normal(size=6)))
     graph = PoseGraph({n: np.eye(4) for n in nodes}, tuple(edges))
@@ -130,8 +132,10 @@ def moved(x, step):
 def test_derivatives_are_those_of_differences():
     rng = np.random.default_rng(3)
     nodes = [NodeId(0, k) for k in range(3)]
-    edges = tuple(Edge(a, b, se3_exp(rng.normal(size=6)), INFORMATION, EdgeKind.LOOP, 1.3)
-                  for a, b in itertools.permutations(nodes, 2))  # fmt: skip
+    edges = tuple(
+        Edge(a, b, se3_exp(rng.normal(size=6)), INFORMATION, EdgeKind.LOOP, 1.3)
+        for a, b in itertools.permutations(nodes, 2)
+    )
     problem = _Problem(PoseGraph({n: np.eye(4) for n in nodes}, edges), SimilarityConfig(), frozenset())
     x = _State(so3_exp(rng.normal(size=(3, 3))), rng.normal(size=(3, 3)), 0.3 * rng.normal(size=3))
     J = problem._jacobian(x)
@@ -152,10 +156,13 @@ def test_gtsam_finds_the_same():
     nodes = sorted(truth)
     unit = dict(zip(nodes, np.exp(np.cumsum(0.01 * rng.normal(size=60))), strict=True))
     sigma = np.array([0.01] * 3 + [0.001] * 3)
-    edges = [seen(truth, unit, a, b, EdgeKind.ODOMETRY, 1.0, sigma * rng.normal(size=6))
-             for a, b in itertools.pairwise(nodes)]  # fmt: skip
-    edges += [seen(truth, unit, nodes[59 - k], nodes[k], EdgeKind.LOOP, None, sigma * rng.normal(size=6))
-              for k in (0, 4, 8)]  # fmt: skip
+    edges = [
+        seen(truth, unit, a, b, EdgeKind.ODOMETRY, 1.0, sigma * rng.normal(size=6))
+        for a, b in itertools.pairwise(nodes)
+    ]
+    edges += [
+        seen(truth, unit, nodes[59 - k], nodes[k], EdgeKind.LOOP, None, sigma * rng.normal(size=6)) for k in (0, 4, 8)
+    ]
     result = optimise_similarity(PoseGraph({n: np.eye(4) for n in nodes}, tuple(edges)), SimilarityConfig())
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     # gtsam's similarity is s (R p + t), its tangent (turn, shift, log scale).

@@ -66,8 +66,14 @@ def tiny_model(
     opset = [helper.make_opsetid("", 17)]
     path.write_bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
     fields = {
-        "name": path.stem, "sha256": file_sha256(path), "dim": channels, "input_pixels": 300, "threshold": 0.5,
-        "candidate_threshold": 0.8, "min_std": 2.5, "colour": channels == 3,
-    }  # fmt: skip
+        "name": path.stem,
+        "sha256": file_sha256(path),
+        "dim": channels,
+        "input_pixels": 300,
+        "threshold": 0.5,
+        "candidate_threshold": 0.8,
+        "min_std": 2.5,
+        "colour": channels == 3,
+    }
     path.with_suffix(".json").write_text(ModelCard.model_validate(fields | (card or {})).model_dump_json())
     return path

@@ -49,9 +49,7 @@ def matrix(value: Any, name: str = "") -> bytes:
     if array.dtype == object:
         return matrix(list(array.ravel()), name)
     class_number, kind = _NUMBERS[array.dtype.str[1:]]
-    head = element(6, struct.pack("<II", class_number, 0)) + element(
-        5, struct.pack(f"<{array.ndim}i", *array.shape)
-    )
+    head = element(6, struct.pack("<II", class_number, 0)) + element(5, struct.pack(f"<{array.ndim}i", *array.shape))
     return element(_MATRIX, head + title + element(kind, array.tobytes(order="F")))
 
 
@@ -70,9 +68,7 @@ def save(path: Path, name: str, value: Any, workspace: bytes | None) -> Path:
     return path
 
 
-def workspace(
-    classes: list[tuple[str, dict[str, Any]]], objects: list[tuple[int, dict[str, Any], bool]]
-) -> bytes:
+def workspace(classes: list[tuple[str, dict[str, Any]]], objects: list[tuple[int, dict[str, Any], bool]]) -> bytes:
     """The properties of all objects. ``classes``: names and default values, numbered from one; ``objects``: class
     number, own values, and whether the class has a saveobj of its own."""
     names: list[str] = []

@@ -47,9 +47,13 @@ def random_network(seed: int) -> Network:
             previous = width
     centres = draw(CENTRES, CHANNELS, scale=0.4)
     return Network(
-        filters, draw(CENTRES, CHANNELS, scale=3), draw(CENTRES), centres,
-        draw(DIM, CENTRES, CHANNELS), draw(DIM, scale=0.1),
-    )  # fmt: skip
+        filters,
+        draw(CENTRES, CHANNELS, scale=3),
+        draw(CENTRES),
+        centres,
+        draw(DIM, CENTRES, CHANNELS),
+        draw(DIM, scale=0.1),
+    )
 
 
 def local_features(network: Network, pixels: Array) -> Array:
@@ -127,9 +131,15 @@ def matconvnet_net(network: Network, version: int = 1) -> dict[str, Any]:
         )
         if k in LAST_OF_BLOCK:
             layers.append(
-                {"type": "pool", "name": f"pool{name[4]}", "method": "max", "pool": np.array([[2.0, 2.0]]),
-                 "stride": np.array([[2.0, 2.0]]), "pad": np.zeros((1, 4))}
-            )  # fmt: skip
+                {
+                    "type": "pool",
+                    "name": f"pool{name[4]}",
+                    "method": "max",
+                    "pool": np.array([[2.0, 2.0]]),
+                    "stride": np.array([[2.0, 2.0]]),
+                    "pad": np.zeros((1, 4)),
+                }
+            )
         if k < len(names) - 1:
             layers.append({"type": "relu", "name": f"relu{name[4:]}", "leak": 0.0})
     norm = {"type": "normalize", "param": np.array([[2.0 * CHANNELS, 1e-12, 1.0, 0.5]]), "precious": False}

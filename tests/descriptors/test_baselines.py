@@ -74,8 +74,12 @@ def test_a_place_is_found_with_every_code(model: SiftVlad) -> None:
     method = sift_method(model)
     sizes = {code.name: code.bytes_each([]) for code in method.codes}
     assert sizes == {
-        "float32": 16384, "pca256-float32": 1024, "pca256-int8": 256, "pca256-int8x128": 128, "pca256-int4": 128,
-    }  # fmt: skip
+        "float32": 16384,
+        "pca256-float32": 1024,
+        "pca256-int8": 256,
+        "pca256-int8x128": 128,
+        "pca256-int4": 128,
+    }
     references = [method.describe(textured_image(seed)) for seed in range(6)]
     dimmed = [method.describe((0.6 * textured_image(seed) + 30).astype(np.uint8)) for seed in range(6)]
     for code in method.codes:

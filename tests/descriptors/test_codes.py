@@ -33,9 +33,14 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "made-up.onnx"
     path.write_bytes(b"weights")
     card = ModelCard(
-        name="made-up", sha256=file_sha256(path), dim=DIM, input_pixels=100, threshold=1.0, candidate_threshold=1.0,
+        name="made-up",
+        sha256=file_sha256(path),
+        dim=DIM,
+        input_pixels=100,
+        threshold=1.0,
+        candidate_threshold=1.0,
         min_std=0.0,
-    )  # fmt: skip
+    )
     write_card(path, card)
     train_codebooks(some(2000, 7), card.sha256, "made up").save(codebooks_path(path))
     return path
@@ -81,9 +86,16 @@ class TestEveryCode:
 def test_bytes_are_what_the_names_say(model: Path) -> None:
     sizes = {code: Coder.of(model, code).bytes for code in (*CODES, "int4x128", "int8x64")}
     assert sizes == {
-        "float32": 1024, "float32x128": 512, "int8": 256, "int8x128": 128, "int4": 128, "pq32": 32, "pq16": 16,
-        "int4x128": 64, "int8x64": 64,
-    }  # fmt: skip
+        "float32": 1024,
+        "float32x128": 512,
+        "int8": 256,
+        "int8x128": 128,
+        "int4": 128,
+        "pq32": 32,
+        "pq16": 16,
+        "int4x128": 64,
+        "int8x64": 64,
+    }
 
 
 def test_float32_changes_nothing(model: Path) -> None:

@@ -183,9 +183,12 @@ def test_the_learned_projection_finds_what_principal_axes_of_noise_hide() -> Non
     found = []
     for train, steps in ((400, 0), (400, 200)):
         weight, bias = learn_projection(
-            first[:train].astype(np.float32), second[:train].astype(np.float32), 32,
-            config.model_copy(update={"steps": steps}), 0,
-        )  # fmt: skip
+            first[:train].astype(np.float32),
+            second[:train].astype(np.float32),
+            32,
+            config.model_copy(update={"steps": steps}),
+            0,
+        )
         a, b = ((side @ weight.T + bias) for side in (first[train:], second[train:]))
         a, b = (side / np.linalg.norm(side, axis=1, keepdims=True) for side in (a, b))
         found.append(float((np.argmax(a @ b.T, axis=1) == np.arange(len(a))).mean()))

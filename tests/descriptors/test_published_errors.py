@@ -66,9 +66,7 @@ def test_what_is_wrong_with_a_matconvnet_file_is_said(tmp_path: Path, change: An
         read_matconvnet(source)
 
 
-def test_damaged_and_foreign_files_are_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_and_foreign_files_are_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     torch = pytest.importorskip("torch")
     good = published.save_matconvnet(tmp_path / "good.mat", published.matconvnet_net(NETWORK)).read_bytes()
     alone = published.save_with_objects(tmp_path / "alone.mat", NETWORK, True, described=False).read_bytes()

@@ -36,13 +36,9 @@ def test_float_graphs_get_the_levels_standardised_as_their_card_says(tmp_path: P
     card = {"mean": [100.0, 50.0, 20.0], "std": [10.0, 5.0, 2.0]}
     net = NetVlad.load(tiny_model(tmp_path / "f.onnx", channels=3, floats=True, card=card))
     wanted = (np.array([130.0, 90.0, 24.0]) - card["mean"]) / card["std"]
-    np.testing.assert_allclose(
-        net.describe([_one_colour(24, 90, 130)])[0], wanted / np.linalg.norm(wanted), rtol=1e-5
-    )
+    np.testing.assert_allclose(net.describe([_one_colour(24, 90, 130)])[0], wanted / np.linalg.norm(wanted), rtol=1e-5)
     bare = NetVlad.load(tiny_model(tmp_path / "bare.onnx", channels=3, floats=True))
-    np.testing.assert_allclose(
-        bare.describe([_one_colour(0, 40, 30)])[0], np.array([0.6, 0.8, 0.0]), atol=1e-6
-    )
+    np.testing.assert_allclose(bare.describe([_one_colour(0, 40, 30)])[0], np.array([0.6, 0.8, 0.0]), atol=1e-6)
 
 
 def test_texture_of_a_colour_image_is_that_of_its_grey_one(tmp_path: Path) -> None:

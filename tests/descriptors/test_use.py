@@ -45,9 +45,12 @@ def model(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("extra", [[], ["--threads", "3"], ["--threads", "1", "--batch", "4"]])
 def test_a_folder_of_images_is_described(
-    pictures: tuple[Path, list[NDArray[np.uint8]]], model: Path, tmp_path: Path, extra: list[str],
+    pictures: tuple[Path, list[NDArray[np.uint8]]],
+    model: Path,
+    tmp_path: Path,
+    extra: list[str],
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     folder, images = pictures
     out = tmp_path / "v.npz"
     assert main(["netvlad", "describe", str(folder), "-o", str(out), "--model", str(model), "--quiet", *extra]) == 0
@@ -61,9 +64,7 @@ def test_a_folder_of_images_is_described(
     assert sorted(p.name for p in tmp_path.glob("v*")) == ["v.npz"]
 
 
-def test_named_images_and_each_nth(
-    pictures: tuple[Path, list[NDArray[np.uint8]]], model: Path, tmp_path: Path
-) -> None:
+def test_named_images_and_each_nth(pictures: tuple[Path, list[NDArray[np.uint8]]], model: Path, tmp_path: Path) -> None:
     folder, images = pictures
     words = ["-o", str(tmp_path / "v"), "--model", str(model), "--quiet"]
     assert main(["netvlad", "describe", str(folder / "view9.png"), str(folder / "view2.png"), *words]) == 0

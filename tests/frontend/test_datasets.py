@@ -134,9 +134,7 @@ class Contract:
             for frame in frames:
                 np.testing.assert_array_equal(frame.image, sequence.read(frame.index).image)
 
-    def test_reads_ahead_in_another_thread_and_no_farther(
-        self, folder: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_reads_ahead_in_another_thread_and_no_farther(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         sequence, read = self.open(folder), self.note_reading(monkeypatch)
         frames = sequence.frames(ahead=2)
         next(frames)

@@ -63,12 +63,21 @@ def test_the_footprint_counts_what_a_map_holds() -> None:
         zeros = np.zeros(n)
         map_.insert(
             MapKeyFrame(
-                number=number, frame_index=number, stamp_ns=number, T_C_W=np.eye(4), uv=np.zeros((n, 2)),
-                disparity=zeros, row=zeros, point=ids, sigma=zeros, level=np.zeros(n, dtype=np.int8),
-                descriptors=np.zeros((n, 32), dtype=np.uint8), described=np.ones(n, dtype=bool),
+                number=number,
+                frame_index=number,
+                stamp_ns=number,
+                T_C_W=np.eye(4),
+                uv=np.zeros((n, 2)),
+                disparity=zeros,
+                row=zeros,
+                point=ids,
+                sigma=zeros,
+                level=np.zeros(n, dtype=np.int8),
+                descriptors=np.zeros((n, 32), dtype=np.uint8),
+                described=np.ones(n, dtype=bool),
                 followed=np.ones(n, dtype=bool),
             )
-        )  # fmt: skip
+        )
     assert map_.latest(2) == [1, 2] and map_.latest(9) == [0, 1, 2]
     full = footprint(map_)
     assert (full.keyframes, full.points, full.observations) == (3, 1500, 1500)

@@ -301,7 +301,11 @@ def test_the_stopwatch_knows_every_stage() -> None:
     _, frames, odometry = track(RigKind.STEREO, count=20)
     times = odometry.stopwatch.times
     made = sum(frame.is_keyframe for frame in frames)
-    assert times[TimedStage.TRACK].count == 19 and times[TimedStage.START].count == 1 and times[TimedStage.EXPORT].count == 1
+    assert (
+        times[TimedStage.TRACK].count == 19
+        and times[TimedStage.START].count == 1
+        and times[TimedStage.EXPORT].count == 1
+    )
     for stage in (TimedStage.DETECT, TimedStage.STEREO, TimedStage.TRIANGULATE, TimedStage.ADJUST, TimedStage.CULL):
         assert times[stage].count == made
     assert all(time.wall_s > 0.0 for time in times.values())

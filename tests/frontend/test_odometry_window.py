@@ -52,10 +52,28 @@ class Problem:
     def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> tuple:
         n, c, none = len(self.kf), 3 if estimate_calib else 0, DepthAlignment.none()
         return adjust_window(
-            self.start_poses, self.slot, self.start_points, self.start, self.kf, self.pt, self.uv, self.disparity,
-            np.full(n, SIGMA), np.full(n, SIGMA_D), CAM, self.basis[:, :, :c], np.zeros(c), np.zeros(c),
-            np.eye(c) * prior_px**-2.0, none.pairs, none.T_A_B, none.information, none.gradient, none.cost, iterations,
-        )  # fmt: skip
+            self.start_poses,
+            self.slot,
+            self.start_points,
+            self.start,
+            self.kf,
+            self.pt,
+            self.uv,
+            self.disparity,
+            np.full(n, SIGMA),
+            np.full(n, SIGMA_D),
+            CAM,
+            self.basis[:, :, :c],
+            np.zeros(c),
+            np.zeros(c),
+            np.eye(c) * prior_px**-2.0,
+            none.pairs,
+            none.T_A_B,
+            none.information,
+            none.gradient,
+            none.cost,
+            iterations,
+        )
 
 
 def test_exact_observations_give_the_truth_and_the_hidden_calibration() -> None:

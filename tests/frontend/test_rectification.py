@@ -95,9 +95,15 @@ def test_a_stereo_pair_is_where_it_says() -> None:
 def test_rotations_are_opencvs() -> None:
     T_right_left = np.linalg.inv(T_LEFT_RIGHT)
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        LEFT.K, np.array(LEFT.coefficients), RIGHT.K, np.array(RIGHT.coefficients), SIZE,
-        T_right_left[:3, :3].copy(), T_right_left[:3, 3:].copy(), alpha=0,
-    )  # fmt: skip
+        LEFT.K,
+        np.array(LEFT.coefficients),
+        RIGHT.K,
+        np.array(RIGHT.coefficients),
+        SIZE,
+        T_right_left[:3, :3].copy(),
+        T_right_left[:3, 3:].copy(),
+        alpha=0,
+    )
     R_left, R_right, baseline = stereo_rotations(T_LEFT_RIGHT)
     np.testing.assert_allclose(R_left, R1, atol=1e-9)
     np.testing.assert_allclose(R_right, R2, atol=1e-9)

@@ -85,9 +85,12 @@ def between(first: int, last: int, spoil: Callable[[np.ndarray], np.ndarray]) ->
 @pytest.mark.parametrize(
     ("kind", "spoil", "count"),
     [
-        (RigKind.STEREO, black, 1), (RigKind.STEREO, black, 15), (RigKind.MONO, black, 5), (RigKind.RGBD, blurred, 15),
+        (RigKind.STEREO, black, 1),
+        (RigKind.STEREO, black, 15),
+        (RigKind.MONO, black, 5),
+        (RigKind.RGBD, blurred, 15),
     ],
-)  # fmt: skip
+)
 def test_a_blinded_camera_is_found_again_in_its_own_track(
     kind: RigKind, spoil: Callable[[np.ndarray], np.ndarray], count: int
 ) -> None:

@@ -59,7 +59,9 @@ def test_runs_add_up_also_those_that_fail(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_other_threads_add_theirs() -> None:
     watch = Stopwatch()
-    threads = [threading.Thread(target=lambda: [watch.add(TimedStage.DECODE, 0.5, 1.0) for _ in range(200)]) for _ in "abcd"]
+    threads = [
+        threading.Thread(target=lambda: [watch.add(TimedStage.DECODE, 0.5, 1.0) for _ in range(200)]) for _ in "abcd"
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:

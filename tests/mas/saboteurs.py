@@ -62,9 +62,15 @@ class Liar(Saboteur):
             return message
         self.lies += 1
         changed = {
-            "accepted": True, "reason": "accepted", "inliers": 300, "matches": 300, "rmse": 0.01, "wants_more": False,
-            "T_M_Q": pack_sim3(self.invented(outcome)), "information": pack_information(1e5 * np.eye(6)),
-        }  # fmt: skip
+            "accepted": True,
+            "reason": "accepted",
+            "inliers": 300,
+            "matches": 300,
+            "rmse": 0.01,
+            "wants_more": False,
+            "T_M_Q": pack_sim3(self.invented(outcome)),
+            "information": pack_information(1e5 * np.eye(6)),
+        }
         return msgspec.structs.replace(message, body=Result(msgspec.structs.replace(outcome, **changed)))
 
     def invented(self, outcome: VerifyAnswer) -> Sim3:

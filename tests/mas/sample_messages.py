@@ -76,8 +76,15 @@ def verify_task(**changes: object) -> VerifyTask:
 
 
 def parcel(**changes: object) -> Parcel:
-    fields: dict[str, object] = {"base": 2, "edition": 3, "frame": FrameId(0, 0), "unit": None, "check": 7,
-                                 "bits": b"123", "descriptors": Tensor.of(np.zeros((2, 32)), "|u1")}  # fmt: skip
+    fields: dict[str, object] = {
+        "base": 2,
+        "edition": 3,
+        "frame": FrameId(0, 0),
+        "unit": None,
+        "check": 7,
+        "bits": b"123",
+        "descriptors": Tensor.of(np.zeros((2, 32)), "|u1"),
+    }
     return Parcel(4, pack_sim3(Sim3.identity()), (4, 2), (MapPatch(**{**fields, **changes}),))  # type: ignore[arg-type]
 
 
@@ -95,8 +102,10 @@ def examples() -> list[Message]:
         Award(verify_task()),
         Award(
             verify_task(
-                points=Tensor.of([1, 2, 3, 4], "<u4"), ranges=Tensor.of([0, 0, 0, 1, 1, 1], "<f4"),
-                descriptors=Tensor.of(np.zeros((4, 16)), "|u1"), more=300,
+                points=Tensor.of([1, 2, 3, 4], "<u4"),
+                ranges=Tensor.of([0, 0, 0, 1, 1, 1], "<f4"),
+                descriptors=Tensor.of(np.zeros((4, 16)), "|u1"),
+                more=300,
             )
         ),
         Confirmation(),

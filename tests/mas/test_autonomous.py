@@ -17,9 +17,15 @@ from maslam.mas.state.agent_state import AgentState
 
 def outlook(**changes: object) -> Outlook:
     fields: dict[str, object] = {
-        "news": 0, "since_optimised": 100, "since_bought": {}, "since_matched": {}, "stale": frozenset(),
-        "distances": {}, "reachable": frozenset(), "closing": False,
-    }  # fmt: skip
+        "news": 0,
+        "since_optimised": 100,
+        "since_bought": {},
+        "since_matched": {},
+        "stale": frozenset(),
+        "distances": {},
+        "reachable": frozenset(),
+        "closing": False,
+    }
     return Outlook(**{**fields, **changes})  # type: ignore[arg-type]
 
 

@@ -176,8 +176,11 @@ def test_an_earlier_key_frame_is_not_verified_again_around_an_accepted_match() -
         agent.book.propose(Candidate(match, 0, 0.1))
         reasons[keyframe, other] = agent.book.candidates[match].reason
     assert reasons == {
-        (10 - gap - 1, 1): "", (10 - gap, 1): "near an accepted match", (10 + gap, 1): "near an accepted match",
-        (17, 1): "", (17, 3): "",
-    }  # fmt: skip
+        (10 - gap - 1, 1): "",
+        (10 - gap, 1): "near an accepted match",
+        (10 + gap, 1): "near an accepted match",
+        (17, 1): "",
+        (17, 3): "",
+    }
     # One that was told in its turn may still support the match before it.
     assert agent.book.propose(Candidate(MatchId(2, 9, 1, 3), 0, 0.1))

@@ -31,9 +31,21 @@ def map_of(
     poses[:, :3, 3] /= unit
     placement = Sim3(np.eye(3), np.zeros(3), unit)
     return MapCopy(
-        owner, 1, owner, 0, (owner,), FrameId(owner, 0), placement, np.arange(3), np.arange(3) * 10**9, poses,
-        references, points_C.reshape(-1, 3) / unit, descriptors, (),
-    )  # fmt: skip
+        owner,
+        1,
+        owner,
+        0,
+        (owner,),
+        FrameId(owner, 0),
+        placement,
+        np.arange(3),
+        np.arange(3) * 10**9,
+        poses,
+        references,
+        points_C.reshape(-1, 3) / unit,
+        descriptors,
+        (),
+    )
 
 
 def test_what_two_maps_share_is_there_once() -> None:

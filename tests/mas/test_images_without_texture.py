@@ -17,8 +17,9 @@ from maslam.mas.simulation import run
 @pytest.mark.parametrize("flat", ["all", "every other"])
 def test_images_without_texture_are_no_candidates(tmp_path: Path, flat: str) -> None:
     manifest, sequences = town(2, 30, spacing_m=10.0)
-    flags = [np.arange(len(s.places)) % 2 == 0 if flat == "every other" else np.zeros(len(s.places), bool)
-             for s in sequences]  # fmt: skip
+    flags = [
+        np.arange(len(s.places)) % 2 == 0 if flat == "every other" else np.zeros(len(s.places), bool) for s in sequences
+    ]
     gated = [replace(s, places=replace(s.places, textured=f)) for s, f in zip(sequences, flags, strict=True)]
     whole = run(manifest, sequences, preset("default"), tmp_path / "whole")
     summary = run(manifest, gated, preset("default"), tmp_path / "gated")

@@ -37,16 +37,31 @@ def holder(scale: float = 1.0, **merge: object) -> AgentState:
 
 
 def held(
-    owner: int, poses: Array, first: int = 0, placement: Sim3 | None = None,
-    matches: tuple[tuple[MatchId, Sim3], ...] = (), version: int = 1,
-) -> MapCopy:  # fmt: skip
+    owner: int,
+    poses: Array,
+    first: int = 0,
+    placement: Sim3 | None = None,
+    matches: tuple[tuple[MatchId, Sim3], ...] = (),
+    version: int = 1,
+) -> MapCopy:
     """A copy with these poses in its own coordinates and no points."""
     count = len(poses)
     return MapCopy(
-        owner, version, owner, 0, (owner,), FrameId(owner, 0), placement or Sim3.identity(),
-        np.arange(first, first + count), np.arange(count), poses, np.zeros(0, dtype=np.int64), np.zeros((0, 3)), None,
+        owner,
+        version,
+        owner,
+        0,
+        (owner,),
+        FrameId(owner, 0),
+        placement or Sim3.identity(),
+        np.arange(first, first + count),
+        np.arange(count),
+        poses,
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 3)),
+        None,
         matches,
-    )  # fmt: skip
+    )
 
 
 def matched(state: AgentState, own: int, other: int, index: int, T_O_other: Array, asked: bool) -> MatchId:

@@ -60,8 +60,9 @@ class Buyer:
 
     def buy(self, whole: SubMap) -> None:
         known = () if self.held is None else runs_of(self.held.keyframes)
-        message = Message(0, 1, ContractId(1, 0), Result(MapDelivery(FrameId(0, 0), (), pack_sim3s([]),
-                                                                     (without(whole, known),))))  # fmt: skip
+        message = Message(
+            0, 1, ContractId(1, 0), Result(MapDelivery(FrameId(0, 0), (), pack_sim3s([]), (without(whole, known),)))
+        )
         heard = decode(encode(message), 2**24)
         assert isinstance(heard.body, Result) and isinstance(heard.body.outcome, MapDelivery)
         (submap,) = heard.body.outcome.maps

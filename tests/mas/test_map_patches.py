@@ -61,8 +61,13 @@ def test_a_correction_takes_fewer_bytes_than_the_poses_anew() -> None:
     second = publisher.edition(closing=True)
     assert first is not None and second is not None
     (patch,) = second.since(first.map.edition)
-    anew = len(encode(None, replace(second.map, counts=0 * second.map.counts, cells=second.map.cells[:0],
-                                    depths=second.map.depths[:0]), Bound())[0])  # fmt: skip
+    anew = len(
+        encode(
+            None,
+            replace(second.map, counts=0 * second.map.counts, cells=second.map.cells[:0], depths=second.map.depths[:0]),
+            Bound(),
+        )[0]
+    )
     assert patch.base == first.map.edition
     assert len(patch.bits) < 0.5 * anew
 

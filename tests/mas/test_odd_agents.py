@@ -149,7 +149,9 @@ def test_one_that_comes_late(name: str, odd: int) -> None:
     environment = play(name, odd, late_s={odd: 6.0})
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
     for agent in honest(odd):
-        assert map_off_m(environment, GroundTruthEvaluator(four()), agent, odd).max() < FALSE_M, "its map is there, and right"
+        assert map_off_m(environment, GroundTruthEvaluator(four()), agent, odd).max() < FALSE_M, (
+            "its map is there, and right"
+        )
 
 
 @pytest.mark.parametrize(("name", "odd"), PLACES)

@@ -113,18 +113,24 @@ def bids_of(
         peer = agent in pairs and agent != manager
         mine = [(m, q) for m, q in held if not peer or set(m.agents) <= {agent, manager}]
         links = Links(
-            tuple(m for m, _ in mine), tuple(0 for _ in mine), tuple(frames[agent] for _ in mine),
-            tuple(q for _, q in mine), pack_sim3s([random_sim3(rng, 1.0) for _ in mine], LINK_DTYPE),
+            tuple(m for m, _ in mine),
+            tuple(0 for _ in mine),
+            tuple(frames[agent] for _ in mine),
+            tuple(q for _, q in mine),
+            pack_sim3s([random_sim3(rng, 1.0) for _ in mine], LINK_DTYPE),
             pack_sim3s([random_sim3(rng, 1.0) for _, q in mine if q], LINK_DTYPE),
-        )  # fmt: skip
+        )
         made[agent] = Bid(0, 0, links, (PieceTerms(0, frames[agent], 1.0),), peer_to_peer=peer)
     return made
 
 
 @given(
-    st.integers(2, 7), st.sets(st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=15),
-    st.sets(st.integers(0, 6)), st.integers(0, 6), st.integers(0, 10**6),
-)  # fmt: skip
+    st.integers(2, 7),
+    st.sets(st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=15),
+    st.sets(st.integers(0, 6)),
+    st.integers(0, 6),
+    st.integers(0, 10**6),
+)
 @settings(max_examples=200, deadline=None)
 def test_no_match_is_used_that_one_of_its_owners_did_not_offer(
     agents: int, edges: set[tuple[int, int]], pairs: set[int], manager: int, seed: int
@@ -159,10 +165,21 @@ def test_who_leaves_others_behind_for_an_optimisation_of_two_keeps_their_coordin
     met = MatchId(2, 4, 1, 6)
     frames = {1: FrameId(1, 0), 2: FrameId(0, 0)}
     bids = {
-        a: Bid(0, 0, Links((met,), (0,), (frames[a],), (a == 2,), pack_sim3s([at[a]], LINK_DTYPE),
-                           pack_sim3s([T_M_Q] if a == 2 else [], LINK_DTYPE)), (PieceTerms(0, frames[a], at[a].scale),))
+        a: Bid(
+            0,
+            0,
+            Links(
+                (met,),
+                (0,),
+                (frames[a],),
+                (a == 2,),
+                pack_sim3s([at[a]], LINK_DTYPE),
+                pack_sim3s([T_M_Q] if a == 2 else [], LINK_DTYPE),
+            ),
+            (PieceTerms(0, frames[a], at[a].scale),),
+        )
         for a in (1, 2)
-    }  # fmt: skip
+    }
     found = plan(2, bids)
     assert found.members == (1, 2)
     assert {t.frame for t in found.tasks.values()} == {FrameId(0, 0)}

@@ -70,8 +70,11 @@ def test_the_owner_names_the_nearest_that_it_was_asked_about_whoever_has_it() ->
     centres = agents[0].state.profile.centres
     vectors = {(a.state.me, k.index): k.vector for a in agents for k in a.state.keyframes}
     order = [(a.state.me, k) for k in range(8) for a in agents]
-    tasks = {m.contract: (m.sender, m.body.task.keyframe) for m in said if isinstance(m.body, Award)
-             and isinstance(m.body.task, OwnerQuery)}  # fmt: skip
+    tasks = {
+        m.contract: (m.sender, m.body.task.keyframe)
+        for m in said
+        if isinstance(m.body, Award) and isinstance(m.body.task, OwnerQuery)
+    }
     redirected = 0
     for message in said:
         if not isinstance(message.body, Result) or not isinstance(message.body.outcome, PlaceRedirect):

@@ -26,7 +26,9 @@ SECOND = 1_000_000_000
 CALL = Contract(ContractId(0, 0), 1, OperationKind.DVPR, 10)
 
 
-def ended(state: ContractState, *said: type, reason: str = "", operation: OperationKind = OperationKind.DVPR) -> Contract:
+def ended(
+    state: ContractState, *said: type, reason: str = "", operation: OperationKind = OperationKind.DVPR
+) -> Contract:
     return replace(CALL, state=state, said=frozenset(said), reason=reason, operation=operation)
 
 

@@ -50,8 +50,9 @@ def agents_in_a_row(count: int = 3, keyframes: int = 6, **merge: object) -> list
 def agents_with_more_to_see(**merge: object) -> tuple[list[Agent], list[list[KeyFrame]]]:
     """As :func:`agents_in_a_row`, and the key-frames of ten for each."""
     paths = [circuit(6.0 * a, 15.0) for a in range(3)]
-    frames = [keyframes_of(make_sequence(make_world(7, points=20_000), p, 7, a, drifting=0.0))
-              for a, p in enumerate(paths)]  # fmt: skip
+    frames = [
+        keyframes_of(make_sequence(make_world(7, points=20_000), p, 7, a, drifting=0.0)) for a, p in enumerate(paths)
+    ]
     return agents_in_a_row(**merge), frames  # type: ignore[arg-type]
 
 
@@ -97,8 +98,9 @@ def test_the_points_are_the_owners(form: str) -> None:
     trade(agents, 0, [1])
     owner, held = agents[1].state, agents[0].maps.held[1]
     T_0_1 = np.linalg.inv(circuit(0.0, 1.0)[0]) @ circuit(6.0, 1.0)[0]
-    theirs = np.concatenate([transform_points(T_0_1 @ T, k.points_C)
-                             for T, k in zip(owner.poses, owner.keyframes, strict=True)])  # fmt: skip
+    theirs = np.concatenate(
+        [transform_points(T_0_1 @ T, k.points_C) for T, k in zip(owner.poses, owner.keyframes, strict=True)]
+    )
     off = cKDTree(theirs).query(held.points())[0]
     assert np.median(off) < (1e-5 if form == "full" else 0.1)
 

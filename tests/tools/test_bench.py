@@ -220,10 +220,16 @@ def test_the_slope_is_that_of_what_grows_with_frames() -> None:
             # 120 bytes a frame, maps that grow by jumps, and a library loaded once, on the way.
             resident_mb=300.0 + 120e-6 * n + 20 * (n // 3000) + 15.0 * (n > 4000),
             map_mb=20.0 * (n // 3000),
-            keyframes=1, culled=0, points=9, numbers=9, observations=9, cpu_ms=5.0 + 1e-4 * n, lost=0,
+            keyframes=1,
+            culled=0,
+            points=9,
+            numbers=9,
+            observations=9,
+            cpu_ms=5.0 + 1e-4 * n,
+            lost=0,
         )
         for n in frames
-    )  # fmt: skip
+    )
     report = MemoryReport(samples, 1)
     assert report.bytes_a_frame == pytest.approx(120.0) and report.resident_bytes_a_frame > 500
     assert report.ms_growth == pytest.approx((5.0 + 0.8875) / (5.0 + 0.3875), rel=0.01)

@@ -72,9 +72,26 @@ def test_the_printed_tables_say_what_the_text_of_the_thesis_says() -> None:
 def test_a_sweep_is_taken_up_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "sweep"
     command = [
-        "sweep", str(out), "--sequences", "town", "--town-agents", "2", "--frames", "20", "--width", "256", "--height",
-        "160", "--presets", "default,maslam", "--seeds", "0,1", "--workers", "1", "--quiet",
-    ]  # fmt: skip
+        "sweep",
+        str(out),
+        "--sequences",
+        "town",
+        "--town-agents",
+        "2",
+        "--frames",
+        "20",
+        "--width",
+        "256",
+        "--height",
+        "160",
+        "--presets",
+        "default,maslam",
+        "--seeds",
+        "0,1",
+        "--workers",
+        "1",
+        "--quiet",
+    ]
     assert cli.main([*command, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(r["preset"], r["seed"]) for r in rows] == [("default", 0), ("default", 1), ("maslam", 0), ("maslam", 1)]

@@ -89,7 +89,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     memory.add_argument("--quiet", action="store_true", help="no progress")
     add_model_options(memory, OdometryConfig(), SECTION)
 
-
     search = actions.add_parser(
         "search",
         help="exact search of place vectors: time of a query and memory, by number of key-frames",

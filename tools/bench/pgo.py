@@ -37,9 +37,12 @@ class PgoMeasurement:
 
 
 def measure(
-    sizes: Sequence[int], poses: int, methods: Sequence[str], seed: int = 0,
+    sizes: Sequence[int],
+    poses: int,
+    methods: Sequence[str],
+    seed: int = 0,
     tick: Callable[[int, int], None] = lambda done, total: None,
-) -> list[PgoMeasurement]:  # fmt: skip
+) -> list[PgoMeasurement]:
     """Every method on a city of each number of robots, ``poses`` each."""
     out: list[PgoMeasurement] = []
     tick(0, len(sizes) * len(methods))
@@ -62,8 +65,17 @@ def measure(
             gap = excess / optimum if optimum > 0 else 0.0  # without a loop every measurement can be met
             out.append(
                 PgoMeasurement(
-                    method, robots, len(graph.poses), len(graph.edges), sum(e.is_separator for e in graph.edges), gap,
-                    found.iterations, found.payload_bytes, found.wire_bytes, cpu_s, central_s,
+                    method,
+                    robots,
+                    len(graph.poses),
+                    len(graph.edges),
+                    sum(e.is_separator for e in graph.edges),
+                    gap,
+                    found.iterations,
+                    found.payload_bytes,
+                    found.wire_bytes,
+                    cpu_s,
+                    central_s,
                 )
             )
             tick(len(out), len(sizes) * len(methods))
@@ -76,12 +88,20 @@ def table(results: Sequence[PgoMeasurement]) -> str:
     heads += ["kB a robot", "wire kB", "CPU s", "central s"]
     rows = [
         [
-            r.method, str(r.robots), str(r.poses), str(r.separators), f"{100 * r.gap:.4f} %", str(r.iterations),
-            f"{r.payload_bytes / 1e3:.0f}", f"{r.wire_bytes / 1e3 / r.robots:.1f}", f"{r.wire_bytes / 1e3:.0f}",
-            f"{r.cpu_s:.1f}", f"{r.central_s:.1f}",
+            r.method,
+            str(r.robots),
+            str(r.poses),
+            str(r.separators),
+            f"{100 * r.gap:.4f} %",
+            str(r.iterations),
+            f"{r.payload_bytes / 1e3:.0f}",
+            f"{r.wire_bytes / 1e3 / r.robots:.1f}",
+            f"{r.wire_bytes / 1e3:.0f}",
+            f"{r.cpu_s:.1f}",
+            f"{r.central_s:.1f}",
         ]
         for r in results
-    ]  # fmt: skip
+    ]
     return "\n".join(aligned([heads, *rows]))
 
 

@@ -53,11 +53,17 @@ def as_text(results: list[SearchResult]) -> str:
     heads = ["vectors", "numbers", "new ms", "seen ms", "fastest ms", "float32 product ms", "add us", "MB"]
     rows = [
         [
-            f"{r.vectors}", f"{r.dim}", f"{r.new_ms:.2f}", f"{r.seen_ms:.2f}", f"{r.fastest_ms:.2f}",
-            f"{r.product_ms:.2f}", f"{r.add_us:.0f}", f"{r.megabytes:.1f}",
+            f"{r.vectors}",
+            f"{r.dim}",
+            f"{r.new_ms:.2f}",
+            f"{r.seen_ms:.2f}",
+            f"{r.fastest_ms:.2f}",
+            f"{r.product_ms:.2f}",
+            f"{r.add_us:.0f}",
+            f"{r.megabytes:.1f}",
         ]
         for r in results
-    ]  # fmt: skip
+    ]
     return "\n".join(aligned([heads, *rows]))
 
 

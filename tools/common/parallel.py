@@ -121,7 +121,9 @@ def _pool(
     pool.shutdown()
 
 
-def _watch(futures: dict[Future[JobOutcome[Result]], str], levels: Any, tasks: dict[str, int], progress: Progress) -> None:
+def _watch(
+    futures: dict[Future[JobOutcome[Result]], str], levels: Any, tasks: dict[str, int], progress: Progress
+) -> None:
     waiting = set(futures)
     while waiting:
         _, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)

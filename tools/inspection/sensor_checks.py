@@ -78,9 +78,14 @@ def check_rows(frame: Frame) -> RowCheck | None:
     if not len(uv):
         return RowCheck(none, none, len(left))
     found, ok, _ = cv2.calcOpticalFlowPyrLK(
-        frame.image, frame.right, uv[:, None], guess[:, None].copy(), winSize=(15, 15), maxLevel=0,
+        frame.image,
+        frame.right,
+        uv[:, None],
+        guess[:, None].copy(),
+        winSize=(15, 15),
+        maxLevel=0,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )  # fmt: skip
+    )
     moved = np.linalg.norm(found[:, 0] - guess, axis=1)
     good = (ok[:, 0] > 0) & (moved < 3.0)
     return RowCheck(uv[good].astype(np.float64), found[good, 0].astype(np.float64), len(left))

@@ -115,9 +115,7 @@ def calibrate_model(
     for number, one in enumerate(benchmarks):
         retrievals[one.name] = retrieval(net, one)
         progress.advance(task, number + 1)
-    result = calibrate(
-        retrievals, data, settings.precision, settings.candidate_share, settings.candidate_precision
-    )
+    result = calibrate(retrievals, data, settings.precision, settings.candidate_share, settings.candidate_precision)
     changed = {
         "calibration": result,
         "threshold": result.strict.distance,

@@ -46,10 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--photos", type=Path, metavar="DIR", help="photographs of any kind to make codebooks from, with pieces of them"
     )
     parser.add_argument(
-        "--cache", type=Path, default=CACHE, metavar="DIR",
+        "--cache",
+        type=Path,
+        default=CACHE,
+        metavar="DIR",
         help="rendered places, as training and calibration leave them (default: %(default)s): those of training "
         "worlds join the photographs, those of held-out worlds measure the codes; nothing is rendered",
-    )  # fmt: skip
+    )
     parser.add_argument("--seed", type=int, default=0, help="of k-means and the pieces (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="the measured records instead of a table")
     parser.add_argument("--quiet", action="store_true", help="no progress")

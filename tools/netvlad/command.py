@@ -62,9 +62,15 @@ def main(arguments: argparse.Namespace) -> None:
     from .use_commands import run_card, run_describe, run_info
 
     run = {
-        "train": _train, "export": _export, "calibrate": _calibrate, "eval": evaluate_command.main, "info": run_info,
-        "card": run_card, "describe": run_describe, "codes": codes_command.main,
-    }  # fmt: skip
+        "train": _train,
+        "export": _export,
+        "calibrate": _calibrate,
+        "eval": evaluate_command.main,
+        "info": run_info,
+        "card": run_card,
+        "describe": run_describe,
+        "codes": codes_command.main,
+    }
     run[arguments.action](arguments)
 
 

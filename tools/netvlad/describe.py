@@ -183,9 +183,13 @@ def _save_part(path: Path, fingerprint: str, done: _Done) -> None:
     try:
         with temporary.open("wb") as file:
             np.savez(
-                file, fingerprint=np.array(fingerprint), count=np.int64(done.count), rows=done.rows,
-                vectors=done.vectors, textured=done.textured,
-            )  # fmt: skip
+                file,
+                fingerprint=np.array(fingerprint),
+                count=np.int64(done.count),
+                rows=done.rows,
+                vectors=done.vectors,
+                textured=done.textured,
+            )
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -39,28 +39,39 @@ METHODS = ("netvlad", "rootsift-vlad", "bag-of-words", "thumbnail", "random-weig
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Models, baselines, sets, and what is made of them."""
     parser.add_argument(
-        "--model", metavar="NAME|FILE", action="append",
+        "--model",
+        metavar="NAME|FILE",
+        action="append",
         help="shipped model by name, or any ONNX place descriptor, with or without a card (default: the shipped one); "
         "may be repeated",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--methods", metavar="LIST", default=",".join(METHODS[:-1]),
+        "--methods",
+        metavar="LIST",
+        default=",".join(METHODS[:-1]),
         help=f"of {', '.join(METHODS)} (default: all but the last)",
-    )  # fmt: skip
+    )
     parser.add_argument("--random", action="store_true", help="random-weights too (needs maslam[train])")
     parser.add_argument("--sets", metavar="LIST", help="real sets and worlds by the table's names (default: all)")
     parser.add_argument(
-        "--sequence", type=Path, metavar="DATASET", action="append", default=[],
+        "--sequence",
+        type=Path,
+        metavar="DATASET",
+        action="append",
+        default=[],
         help="your own images with ground truth, as one more set; may be repeated",
-    )  # fmt: skip
+    )
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the real sets (default: $MASLAM_DATA)")
     parser.add_argument(
         "--photos", type=Path, metavar="DIR", help="what baselines are fitted on (default: `photos` of the data folder)"
     )
     parser.add_argument(
-        "--fit-worlds", type=int, default=1, metavar="N",
+        "--fit-worlds",
+        type=int,
+        default=1,
+        metavar="N",
         help="training worlds of each kind that baselines are fitted on, too (default: %(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument("--vocabulary", type=Path, metavar="FILE", help="of bag-of-words (default: the shipped one)")
     parser.add_argument("--json", action="store_true", help="records instead of a table")
     parser.add_argument("--out", type=Path, metavar="DIR", help="pictures: curves, hits and misses, recall over bytes")

@@ -95,11 +95,18 @@ def _export_vgg(job: ExportJob, weights: VggWeights, maker: str, progress: Progr
     digest = file_sha256(job.checkpoint)
     export_vgg(weights, job.out)
     card = ModelCard(
-        name=job.name or f"vgg16-netvlad-{weights.dim}", sha256=file_sha256(job.out), dim=weights.dim,
-        input_pixels=job.pixels or VGG_PIXELS, colour=True, threshold=2.0, candidate_threshold=2.0, min_std=MIN_STD,
-        licence=_LICENCE, training=job.note,
+        name=job.name or f"vgg16-netvlad-{weights.dim}",
+        sha256=file_sha256(job.out),
+        dim=weights.dim,
+        input_pixels=job.pixels or VGG_PIXELS,
+        colour=True,
+        threshold=2.0,
+        candidate_threshold=2.0,
+        min_std=MIN_STD,
+        licence=_LICENCE,
+        training=job.note,
         source=f"{_PAPER}, {maker} file {job.checkpoint.name}, sha256 {digest}",
-    )  # fmt: skip
+    )
     write_card(job.out, card)
     progress.advance(writing, 1)
     return job.out

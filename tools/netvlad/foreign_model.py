@@ -71,10 +71,18 @@ def card_for(path: Path, form: InputForm) -> ModelCard:
         if values and len(values) != channels:
             raise ToolError(f"{path}: takes {channels} channels, but {len(values)} numbers for their {name} are given")
     return ModelCard(
-        name=path.stem, sha256=file_sha256(path), dim=_dimension(session, path, channels, size or (240, 320)),
-        input_pixels=form.pixels or _PIXELS, input_size=size, colour=channels == 3, mean=form.mean, std=form.std,
-        threshold=2.0, candidate_threshold=2.0, min_std=0.0,
-    )  # fmt: skip
+        name=path.stem,
+        sha256=file_sha256(path),
+        dim=_dimension(session, path, channels, size or (240, 320)),
+        input_pixels=form.pixels or _PIXELS,
+        input_size=size,
+        colour=channels == 3,
+        mean=form.mean,
+        std=form.std,
+        threshold=2.0,
+        candidate_threshold=2.0,
+        min_std=0.0,
+    )
 
 
 def _dimension(session: Any, path: Path, channels: int, size: tuple[int, int]) -> int:

@@ -115,9 +115,7 @@ def _curves(figure: Any, benchmark: PlaceBenchmark, evaluations: Sequence[Evalua
             curve, s = precision_recall(found), one.score
             figures = f"R@1 {s.recall_at_1:.3f}  R@5 {s.recall_at_5:.3f}  AP {s.ap:.3f}"
             label = f"{method}, {s.code}, {s.bytes} bytes:  {figures}"
-            axes.plot(
-                curve.recall, curve.precision, color=colour_of(number), dashes=dashes, linewidth=1.8, label=label
-            )
+            axes.plot(curve.recall, curve.precision, color=colour_of(number), dashes=dashes, linewidth=1.8, label=label)
     queries = evaluations[0].score.queries
     title = f"{benchmark.name}: {queries} queries, {len(benchmark.references)} references"
     dress(axes, title, "recall of the nearest neighbour, if it is near enough", "precision")

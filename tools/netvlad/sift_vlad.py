@@ -130,8 +130,18 @@ def unit_rows(vectors: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def _settings() -> tuple[float, ...]:
-    return (PIXELS, STEP_PX, SIZE_PX, LOCAL_DIM, CENTRES, WHITENED_DIM, WHITENING, _CODEBOOK_IMAGES,
-            _FEATURES_PER_IMAGE, _ROUNDS)  # fmt: skip
+    return (
+        PIXELS,
+        STEP_PX,
+        SIZE_PX,
+        LOCAL_DIM,
+        CENTRES,
+        WHITENED_DIM,
+        WHITENING,
+        _CODEBOOK_IMAGES,
+        _FEATURES_PER_IMAGE,
+        _ROUNDS,
+    )
 
 
 @lru_cache(maxsize=1)

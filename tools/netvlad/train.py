@@ -185,9 +185,15 @@ def export(checkpoint: Path, out: Path, name: str, input_pixels: int, training: 
     out.parent.mkdir(parents=True, exist_ok=True)
     export_onnx(network, out)
     card = ModelCard(
-        name=name, sha256=file_sha256(out), dim=network.config.dim, input_pixels=input_pixels, threshold=2.0,
-        candidate_threshold=2.0, min_std=MIN_STD, training=training,
-    )  # fmt: skip
+        name=name,
+        sha256=file_sha256(out),
+        dim=network.config.dim,
+        input_pixels=input_pixels,
+        threshold=2.0,
+        candidate_threshold=2.0,
+        min_std=MIN_STD,
+        training=training,
+    )
     write_card(out, card)
     return out
 

@@ -76,18 +76,28 @@ def calibration_picture(calibration: Calibration, name: str, out: Path) -> None:
         dress(precision, f"{name}: precision of what is believed", "distance up to which it is believed", "")
         dress(recall, f"recall ({calibration.queries} queries)", "distance up to which it is believed", "")
         figure.legend(
-            *precision.get_legend_handles_labels(), ncols=len(curves), frameon=False, fontsize=8, labelcolor=INK,
+            *precision.get_legend_handles_labels(),
+            ncols=len(curves),
+            frameon=False,
+            fontsize=8,
+            labelcolor=INK,
             loc="outside lower center",
-        )  # fmt: skip
+        )
 
 
 def _say(axes: Any, kind: str, point: OperatingPoint, which: str) -> None:
     """Both figures of a threshold at the top of its line."""
     text = f"{kind} {point.distance:.3f}\n{which} {getattr(point, which):.3f}"
     axes.annotate(
-        text, xy=(point.distance, 1.115), xytext=(-3, 0), textcoords="offset points", ha="right", va="top",
-        fontsize=7.5, color=INK,
-    )  # fmt: skip
+        text,
+        xy=(point.distance, 1.115),
+        xytext=(-3, 0),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        fontsize=7.5,
+        color=INK,
+    )
 
 
 def _columns(curve: tuple[OperatingPoint, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

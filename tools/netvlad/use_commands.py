@@ -20,9 +20,12 @@ def add_use_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]
     card = actions.add_parser("card", help="write or complete the card of an ONNX file, so that it can be used here")
     card.add_argument("model", metavar="FILE.onnx", type=Path)
     for name, said in (
-        ("name", "of the model"), ("licence", "of its weights"), ("training", "the commands that made them"),
-        ("data", "the images they were trained on"), ("source", "where they come from"),
-    ):  # fmt: skip
+        ("name", "of the model"),
+        ("licence", "of its weights"),
+        ("training", "the commands that made them"),
+        ("data", "the images they were trained on"),
+        ("source", "where they come from"),
+    ):
         card.add_argument(f"--{name}", metavar="TEXT", help=said)
     card.add_argument("--figures", metavar="FILE", type=Path, help="what `maslam netvlad eval --json` printed")
     add_input_options(card)
@@ -31,9 +34,13 @@ def add_use_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]
         "source", metavar="SRC", type=Path, nargs="+", help="a data set, a folder of images, or image files"
     )
     describe.add_argument(
-        "-o", "--out", metavar="FILE.npz", type=Path, required=True,
+        "-o",
+        "--out",
+        metavar="FILE.npz",
+        type=Path,
+        required=True,
         help="of several sequences each goes to FILE_<sequence>.npz; unfinished work is taken up again",
-    )  # fmt: skip
+    )
     describe.add_argument("--model", default=SHIPPED, metavar="NAME|FILE", help="default: the shipped one")
     describe.add_argument("--every", type=int, default=1, metavar="N", help="only each N-th image (default: all)")
     describe.add_argument("--quiet", action="store_true", help="no progress")
@@ -44,19 +51,24 @@ def add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
     """What ``calibrate`` takes beside the choice of rendered worlds."""
     parser.add_argument("model", metavar="NAME|MODEL.onnx")
     parser.add_argument(
-        "--sequence", metavar="DATASET", type=Path, action="append", default=[],
+        "--sequence",
+        metavar="DATASET",
+        type=Path,
+        action="append",
+        default=[],
         help="measure on your own images with ground truth instead of rendered worlds; may be repeated",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--out", metavar="FILE.onnx", type=Path, help="put a copy of the model with the new card here, change nothing"
     )
+    parser.add_argument("--precision", type=float, default=0.99, help="of the strict threshold (default: %(default)s)")
     parser.add_argument(
-        "--precision", type=float, default=0.99, help="of the strict threshold (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--keep", type=float, default=0.97, metavar="SHARE",
+        "--keep",
+        type=float,
+        default=0.97,
+        metavar="SHARE",
         help="of the right matches that the candidate threshold keeps (default: %(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument("--json", action="store_true", help="the calibration as one JSON object")
     parser.add_argument("--plot", metavar="FILE", type=Path, help="the curves behind the thresholds: .png, .svg, .pdf")
     add_revisit_options(parser)
@@ -69,9 +81,12 @@ def _running_arguments(parser: argparse.ArgumentParser, threads: int) -> None:
         "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs it, cuda or so (default: CPU)"
     )
     parser.add_argument(
-        "--batch", type=int, default=1, metavar="N",
+        "--batch",
+        type=int,
+        default=1,
+        metavar="N",
         help="images that go through the network together; more than 1 is for graphics cards (default: %(default)s)",
-    )  # fmt: skip
+    )
 
 
 def run_info(arguments: argparse.Namespace) -> None:

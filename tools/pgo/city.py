@@ -70,8 +70,6 @@ def _inside(x: int, y: int, heading: int, side: int) -> bool:
     return 0 <= x + BLOCK * dx <= side * BLOCK and 0 <= y + BLOCK * dy <= side * BLOCK
 
 
-def _measured(
-    truth: dict[NodeId, Array], i: NodeId, j: NodeId, kind: EdgeKind, rng: np.random.Generator
-) -> Edge:
+def _measured(truth: dict[NodeId, Array], i: NodeId, j: NodeId, kind: EdgeKind, rng: np.random.Generator) -> Edge:
     T = se3_inverse(truth[i]) @ truth[j] @ se3_exp(_SIGMA * rng.standard_normal(6))
     return Edge(i, j, T, np.diag(1.0 / _SIGMA**2), kind)

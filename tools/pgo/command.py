@@ -48,9 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--method", choices=METHODS, default="rbcd", help="see below (default: %(default)s)")
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(
-        "--weights", choices=("auto", "information", "unit"), default="auto",
+        "--weights",
+        choices=("auto", "information", "unit"),
+        default="auto",
         help="of edges: the files' information (cost F), 1 (cost U), or auto: 1 where every matrix is the identity",
-    )  # fmt: skip
+    )
     parser.add_argument("--agents", type=int, metavar="N", help="cut a single graph into N robots of consecutive poses")
     parser.add_argument(
         "--skip-broken-lines", action="store_true", help="name broken lines and go on, instead of failing"

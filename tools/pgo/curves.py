@@ -27,9 +27,12 @@ class Curve:
 
 
 def curves(
-    graph: PoseGraph, request: Request, optimum: float, methods: Sequence[str] = METHODS,
+    graph: PoseGraph,
+    request: Request,
+    optimum: float,
+    methods: Sequence[str] = METHODS,
     tick: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Curve]:  # fmt: skip
+) -> list[Curve]:
     """A curve for each distributed method; ``optimum``: the least cost there is, in the convention minimised."""
     chosen, made = [method for method in methods if method != CENTRAL], []
     for done, method in enumerate(chosen):

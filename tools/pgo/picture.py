@@ -24,8 +24,16 @@ def draw_convergence(made: Sequence[Curve], title: str, path: Path) -> None:
                 axes.plot(x, y, "-o", ms=6, markevery=ends, color=colour_of(number), lw=1.6, label=curve.method)
             for gap in (1e-2, 1e-4):
                 axes.axhline(gap, color=FAINT, lw=0.8, ls=":")
-                axes.text(1.0, gap, f"{100 * gap:g} % ", transform=axes.get_yaxis_transform(), ha="right", va="bottom",
-                          fontsize=8, color=FAINT)  # fmt: skip
+                axes.text(
+                    1.0,
+                    gap,
+                    f"{100 * gap:g} % ",
+                    transform=axes.get_yaxis_transform(),
+                    ha="right",
+                    va="bottom",
+                    fontsize=8,
+                    color=FAINT,
+                )
             axes.set_xscale("log")
             axes.set_yscale("log")
             dress(axes, "", label, "cost above the optimum, share")

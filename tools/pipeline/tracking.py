@@ -91,9 +91,7 @@ def track(
     return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
 
 
-def follow(
-    sequence: ImageSequence, odometry: Odometry, unreadable: list[str]
-) -> Iterator[tuple[Frame, FrameResult]]:
+def follow(sequence: ImageSequence, odometry: Odometry, unreadable: list[str]) -> Iterator[tuple[Frame, FrameResult]]:
     """Every readable frame of ``sequence`` with what ``odometry`` makes of it; what is wrong with the others goes to
     ``unreadable``."""
     for frame in _readable(sequence, unreadable, odometry.stopwatch):

@@ -198,9 +198,13 @@ def save_places(path: Path, places: list[list[Visit]]) -> None:
     partial = path.with_name(path.name + ".part")
     with partial.open("wb") as file:
         np.savez(
-            file, views=np.int64(len(places[0])), images=np.stack([v.image for v in flat]), poses=np.stack([v.T_W_C
-            for v in flat]), cameras=cameras, points=np.stack([v.points_W for v in flat]),
-        )  # fmt: skip
+            file,
+            views=np.int64(len(places[0])),
+            images=np.stack([v.image for v in flat]),
+            poses=np.stack([v.T_W_C for v in flat]),
+            cameras=cameras,
+            points=np.stack([v.points_W for v in flat]),
+        )
     partial.replace(path)
 
 

@@ -27,9 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--experiment", metavar="NAME", help="a plan to start from: thesis, scaling or quick")
     parser.add_argument("--plan", type=Path, metavar="FILE", help="YAML with the plan's settings; a sweep's plan.yaml")
     parser.add_argument(
-        "--poses", type=Path, metavar="DIR",
+        "--poses",
+        type=Path,
+        metavar="DIR",
         help="KITTI pose files to render images along (default: $MASLAM_DATA/kitti_poses)",
-    )  # fmt: skip
+    )
     parser.add_argument("--kitti", type=Path, metavar="DIR", help="your own KITTI images instead of rendered ones")
     parser.add_argument("--no-reference", action="store_true", help="without the omniscient reference")
     parser.add_argument("--workers", type=int, default=0, metavar="N", help="processes (default: one a core)")

@@ -84,7 +84,9 @@ def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None
 
     A run that fails does not stop the others; the first failure is raised at the end.
     """
-    jobs = {cell.name: (SweepJob(shop.sequences(cell), shop.run(cell), cell, plan.settings), 100) for cell in plan.cells()}
+    jobs = {
+        cell.name: (SweepJob(shop.sequences(cell), shop.run(cell), cell, plan.settings), 100) for cell in plan.cells()
+    }
     todo = {name: job for name, job in jobs.items() if not job[0].done()}
     if ray is not None:
         errors = _on_ray([job for job, _ in todo.values()], ray, progress)

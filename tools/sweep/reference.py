@@ -157,9 +157,18 @@ def _verify(states: Sequence[AgentState], pair: MatchId) -> None:
     if not verdict.accepted or verdict.T_M_Q is None or verdict.information is None:
         return
     found = Match(
-        pair, query.track, match.track, verdict.T_M_Q, verdict.information, verdict.inliers, query.T_T_C, match.T_T_C,
-        asking.travelled[query.index], asked.travelled[match.index], match.depth,
-    )  # fmt: skip
+        pair,
+        query.track,
+        match.track,
+        verdict.T_M_Q,
+        verdict.information,
+        verdict.inliers,
+        query.T_T_C,
+        match.T_T_C,
+        asking.travelled[query.index],
+        asked.travelled[match.index],
+        match.depth,
+    )
     asked.add_match(found)
     if asking is not asked:
         asking.add_match(found)

@@ -86,9 +86,13 @@ def _directions(groups: Sequence[Group]) -> list[str]:
         if any(ratio is not None for ratio in found):
             lines.append([sequence, str(agents), *("-" if ratio is None else f"{ratio:.2f}" for ratio in found)])
     heads = [
-        "sequence", "agents", "explored: optimised / default", "DVPR bytes: selection / optimised",
-        "accepted matches: selection / optimised", "DVPR bytes: default / predecessor",
-    ]  # fmt: skip
+        "sequence",
+        "agents",
+        "explored: optimised / default",
+        "DVPR bytes: selection / optimised",
+        "accepted matches: selection / optimised",
+        "DVPR bytes: default / predecessor",
+    ]
     return ["## The thesis's systems beside each other", markdown(heads, lines)] if lines else []
 
 

@@ -81,9 +81,7 @@ def _finished(out: Path, settings: dict[str, object]) -> bool:
         found.pop("lights", None)
         if found != settings:
             changed = sorted(k for k in {*found, *settings} if found.get(k) != settings.get(k))
-            raise RenderError(
-                f"{out}: holds other settings ({', '.join(changed)}); delete it or choose another folder"
-            )
+            raise RenderError(f"{out}: holds other settings ({', '.join(changed)}); delete it or choose another folder")
         return True
     if begun.exists():
         if json.loads(begun.read_text(encoding="utf-8")) != settings:

@@ -164,9 +164,7 @@ def _check_path(poses: Poses, config: RenderConfig) -> None:
     step = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     if step.max() > 12.0:
         k = int(np.argmax(step))
-        raise RenderError(
-            f"{name}: poses {k} and {k + 1} are {step.max():.1f} m apart; at most 12 m can be driven"
-        )
+        raise RenderError(f"{name}: poses {k} and {k + 1} are {step.max():.1f} m apart; at most 12 m can be driven")
     span = np.ptp(poses[:, :3, 3], axis=0)
     if max(span[0], span[2]) > 2500.0:
         raise RenderError(f"{name}: the path spans {max(span[0], span[2]):.0f} m; worlds are grown for at most 2500 m")

@@ -140,9 +140,7 @@ def _write_matches(out: BitWriter, base: LatticeMap | None, made: LatticeMap) ->
     out.put_signed(transforms, _TRANSFORM)
 
 
-def decode(
-    owner: int, edition: int, frame: FrameId, unit: float, base: LatticeMap | None, data: bytes
-) -> LatticeMap:
+def decode(owner: int, edition: int, frame: FrameId, unit: float, base: LatticeMap | None, data: bytes) -> LatticeMap:
     """The edition that the bits make of a base; :class:`~maslam.mas.map_exchange.coding.rice.BitsError` (a ValueError)
     where they make none.
 
@@ -166,10 +164,21 @@ def decode(
     matches, transforms = _read_matches(bits, base)
     bits.end()
     made = LatticeMap(
-        owner, edition, frame, unit, base.steps, np.concatenate([base.keyframes, keyframes]),
-        np.concatenate([base.ticks, ticks]), _followed(poses, rest), np.concatenate([base.counts, counts]),
-        np.concatenate([base.cells, cells]), np.concatenate([base.depths, depths]), None, matches, transforms,
-    )  # fmt: skip
+        owner,
+        edition,
+        frame,
+        unit,
+        base.steps,
+        np.concatenate([base.keyframes, keyframes]),
+        np.concatenate([base.ticks, ticks]),
+        _followed(poses, rest),
+        np.concatenate([base.counts, counts]),
+        np.concatenate([base.cells, cells]),
+        np.concatenate([base.depths, depths]),
+        None,
+        matches,
+        transforms,
+    )
     if any(a.size and max(a.max(), -a.min()) > _LARGEST for a in (made.poses, made.cells, made.depths, made.ticks)):
         raise BitsError("numbers that no map holds")
     if len(keyframes) and (keyframes[0] <= before or (np.diff(keyframes) <= 0).any() or keyframes[-1] > _LOW):

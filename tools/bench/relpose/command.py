@@ -30,14 +30,19 @@ def add_relpose(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         usage="maslam bench relpose [options]",
     )
     relpose.add_argument(
-        "--worlds", default="town_51,town_52,indoor_52,indoor_53", metavar="LIST",
+        "--worlds",
+        default="town_51,town_52,indoor_52,indoor_53",
+        metavar="LIST",
         help="town_SEED and indoor_SEED (default: %(default)s)",
-    )  # fmt: skip
+    )
     relpose.add_argument("--right", type=int, default=100, metavar="N", help="places a world (default: %(default)s)")
     relpose.add_argument(
-        "--look-alikes", type=int, default=2400, metavar="N",
+        "--look-alikes",
+        type=int,
+        default=2400,
+        metavar="N",
         help="wrong pairs in all, hardest first (default: %(default)s)",
-    )  # fmt: skip
+    )
     relpose.add_argument(
         "--points", type=int, default=0, metavar="N", help="that the query sends, at most (default: all)"
     )

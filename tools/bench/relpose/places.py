@@ -148,9 +148,13 @@ def _visit(
 
 
 def _revisit(
-    first: StereoVisit, world: World, sampler: SamplerConfig, config: RelPosePlacesConfig, draw: _PairRenderer,
+    first: StereoVisit,
+    world: World,
+    sampler: SamplerConfig,
+    config: RelPosePlacesConfig,
+    draw: _PairRenderer,
     rng: np.random.Generator,
-) -> StereoVisit | None:  # fmt: skip
+) -> StereoVisit | None:
     """Another view that shares enough with the first, under another light; None where some draws found none."""
     from ...worlds.rendering.light import random_light
 
@@ -198,9 +202,7 @@ def _door_frame(door: Door) -> Array:
 
 def _rig(kind: str, config: RelPosePlacesConfig) -> Rig:
     focal = 0.5 * config.width / np.tan(np.radians(config.fov_deg) / 2)
-    camera = PinholeCamera(
-        config.width, config.height, focal, focal, (config.width - 1) / 2, (config.height - 1) / 2
-    )
+    camera = PinholeCamera(config.width, config.height, focal, focal, (config.width - 1) / 2, (config.height - 1) / 2)
     return Rig(RigKind.STEREO, camera, 0.54 if kind == "town" else 0.12)
 
 
@@ -238,10 +240,15 @@ def _save(path: Path, visits: list[StereoVisit]) -> None:
     partial = path.with_name(path.name + ".part")
     with partial.open("wb") as file:
         np.savez(
-            file, left=np.stack([v.left for v in visits]), right=np.stack([v.right for v in visits]),
-            depth=np.stack([v.depth_m for v in visits]), poses=np.stack([v.T_W_C for v in visits]),
-            places=np.array([v.place for v in visits]), focal=np.float64(camera.fx), baseline=np.float64(baseline or 0),
-        )  # fmt: skip
+            file,
+            left=np.stack([v.left for v in visits]),
+            right=np.stack([v.right for v in visits]),
+            depth=np.stack([v.depth_m for v in visits]),
+            poses=np.stack([v.T_W_C for v in visits]),
+            places=np.array([v.place for v in visits]),
+            focal=np.float64(camera.fx),
+            baseline=np.float64(baseline or 0),
+        )
     partial.replace(path)
 
 

@@ -175,20 +175,22 @@ def _judged(world: str, pair: Pair, verdict: Verdict, sent_bytes: int, ms: float
     found = verdict.T_M_Q.se3()
     off: Array = se3_log(se3_inverse(found) @ pair.T_M_Q)
     return Judged(
-        world, pair, verdict,
+        world,
+        pair,
+        verdict,
         error_m=float(np.linalg.norm(found[:3, 3] - pair.T_M_Q[:3, 3])),
         error_deg=float(rotation_angle_deg(found[:3, :3].T @ pair.T_M_Q[:3, :3])),
-        squared=float(off @ verdict.information @ off) / 6.0, sent_bytes=sent_bytes, ms=ms,
-    )  # fmt: skip
+        squared=float(off @ verdict.information @ off) / 6.0,
+        sent_bytes=sent_bytes,
+        ms=ms,
+    )
 
 
 def summarise(judged: list[Judged]) -> RelPoseReport:
     """The report on all pairs of all worlds."""
     worlds = sorted({j.world for j in judged})
     wrong = [j for j in judged if not j.pair.right]
-    expected = [
-        j for j in judged if j.pair.right and j.pair.shared >= MIN_SHARED and j.pair.angle_deg <= MAX_ANGLE_DEG
-    ]
+    expected = [j for j in judged if j.pair.right and j.pair.shared >= MIN_SHARED and j.pair.angle_deg <= MAX_ANGLE_DEG]
     good = [j for j in expected if j.verdict.accepted]
     metres, degrees = (np.array([getattr(j, name) for j in good]) for name in ("error_m", "error_deg"))
     views: dict[str, tuple[int, int]] = {}
@@ -212,13 +214,14 @@ def summarise(judged: list[Judged]) -> RelPoseReport:
         bytes_each=float(np.mean([j.sent_bytes for j in judged])),
         ms=float(np.median([j.ms for j in judged])),
         by_world={
-            w: float(np.mean([j.verdict.accepted for j in expected if j.world == w])) for w in worlds
+            w: float(np.mean([j.verdict.accepted for j in expected if j.world == w]))
+            for w in worlds
             if any(j.world == w for j in expected)
         },
         by_view=views,
         refused_right=_kinds(expected),
         refused_wrong=_kinds(wrong),
-    )  # fmt: skip
+    )
 
 
 def worlds_named(names: str) -> tuple[tuple[Literal["town", "indoor"], int], ...]:

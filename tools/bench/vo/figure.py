@@ -125,9 +125,15 @@ def _costs(axes: Any, results: Sequence[BenchResult]) -> None:
     axes.grid(axis="y", visible=False)
     axes.figure.legend(
         *axes.get_legend_handles_labels(),
-        ncols=len(stages), frameon=False, fontsize=8, labelcolor=INK, loc="outside lower center",
-        handlelength=1.0, columnspacing=1.1, handletextpad=0.4,
-    )  # fmt: skip
+        ncols=len(stages),
+        frameon=False,
+        fontsize=8,
+        labelcolor=INK,
+        loc="outside lower center",
+        handlelength=1.0,
+        columnspacing=1.1,
+        handletextpad=0.4,
+    )
 
 
 def _dashes(index: int) -> tuple[float, ...] | tuple[None, None]:

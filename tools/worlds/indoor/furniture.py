@@ -66,9 +66,7 @@ def paint_office(atlas: AtlasBuilder, rng: np.random.Generator) -> Paint:
         cloth=tuple(tinted(tuple(rng.uniform(50, 150, 3)), coarse) for _ in range(3)),
         posters=tuple(atlas.material(atlas.texture(p, 1.0, 1.0, True)) for p in pictures),
         books=tuple(atlas.material(atlas.texture(office.book_picture(rng), 1.0, 1.0, True)) for _ in range(5)),
-        screens=tuple(
-            atlas.material(atlas.texture(office.screen_picture(rng), 1.0, 1.0, True)) for _ in range(4)
-        ),
+        screens=tuple(atlas.material(atlas.texture(office.screen_picture(rng), 1.0, 1.0, True)) for _ in range(4)),
     )
 
 

@@ -127,8 +127,13 @@ def shade(
     # Fields of a tuple are taken out once: each access inside the loop would count references, and each call copy them.
     row, material, zone, lamps, zone_lamps = s.row, s.material, s.zone, s.lamps, s.zone_lamps
     texels, table, texel_m, clamped, materials, linear = (
-        s.texels, s.table, s.texel_m, s.clamped, s.materials, s.linear,
-    )  # fmt: skip
+        s.texels,
+        s.table,
+        s.texel_m,
+        s.clamped,
+        s.materials,
+        s.linear,
+    )
     sun_xyz, sun_rgb, sky_rgb, ground_rgb = light.sun, light.sun_rgb, light.sky_rgb, light.ground_rgb
     horizon_rgb, lamp_rgb, haze_m, sky_texture = light.horizon_rgb, light.lamp_rgb, light.haze_m, s.sky_texture
     colours = np.zeros((5, 4))
@@ -170,9 +175,7 @@ def shade(
         m = material[t]
         base = materials[m, 0]
         ku, kv = 1.0 / texel_m[base, 0], 1.0 / texel_m[base, 1]
-        r, g, b = rgb_at(
-            texels, table, clamped[base], base, u * ku, v * kv, dux * ku, dvx * kv, duy * ku, dvy * kv
-        )
+        r, g, b = rgb_at(texels, table, clamped[base], base, u * ku, v * kv, dux * ku, dvx * kv, duy * ku, dvy * kv)
         factor = 1.0
         for layer in range(1, 3):
             a = materials[m, layer]
@@ -193,21 +196,9 @@ def shade(
             sun = max(nx * sun_xyz[0] + ny * sun_xyz[1] + nz * sun_xyz[2], 0.0)
         haze = z / haze_m
         clear = 1.0 / (1.0 + haze * (1.0 + 0.5 * haze))  # nearly exp(-haze), at a fraction of its cost
-        er = (
-            sky_rgb[0] * up + ground_rgb[0] * (1.0 - up) + sun_rgb[0] * sun + lamp_rgb[0] * lamp
-        )
-        eg = (
-            sky_rgb[1] * up + ground_rgb[1] * (1.0 - up) + sun_rgb[1] * sun + lamp_rgb[1] * lamp
-        )
-        eb = (
-            sky_rgb[2] * up + ground_rgb[2] * (1.0 - up) + sun_rgb[2] * sun + lamp_rgb[2] * lamp
-        )
-        radiance[i, 0] = (
-            _reflectance(linear, r * factor) * row[t, TINT] * er * clear + (1 - clear) * horizon_rgb[0]
-        )
-        radiance[i, 1] = (
-            _reflectance(linear, g * factor) * row[t, TINT + 1] * eg * clear + (1 - clear) * horizon_rgb[1]
-        )
-        radiance[i, 2] = (
-            _reflectance(linear, b * factor) * row[t, TINT + 2] * eb * clear + (1 - clear) * horizon_rgb[2]
-        )
+        er = sky_rgb[0] * up + ground_rgb[0] * (1.0 - up) + sun_rgb[0] * sun + lamp_rgb[0] * lamp
+        eg = sky_rgb[1] * up + ground_rgb[1] * (1.0 - up) + sun_rgb[1] * sun + lamp_rgb[1] * lamp
+        eb = sky_rgb[2] * up + ground_rgb[2] * (1.0 - up) + sun_rgb[2] * sun + lamp_rgb[2] * lamp
+        radiance[i, 0] = _reflectance(linear, r * factor) * row[t, TINT] * er * clear + (1 - clear) * horizon_rgb[0]
+        radiance[i, 1] = _reflectance(linear, g * factor) * row[t, TINT + 1] * eg * clear + (1 - clear) * horizon_rgb[1]
+        radiance[i, 2] = _reflectance(linear, b * factor) * row[t, TINT + 2] * eb * clear + (1 - clear) * horizon_rgb[2]

@@ -54,7 +54,9 @@ def plots_along(
     return plots
 
 
-def _fit(path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator) -> BuildingPlot | None:
+def _fit(
+    path: Line, k: int, plan: GroundPlan, taken: NDArray[np.uint8], rng: np.random.Generator
+) -> BuildingPlot | None:
     """The widest of three random houses that starts at point ``k`` on the right of ``path`` and stands on free
     ground."""
     import cv2
@@ -132,7 +134,14 @@ def add_house(mesh: MeshBuilder, plot: BuildingPlot, m: Masonry, foot: float, rn
 
 
 def _gable(
-    mesh: MeshBuilder, plot: BuildingPlot, base: float, rise: float, roof: int, wall: int, tint: object, roof_tint: object
+    mesh: MeshBuilder,
+    plot: BuildingPlot,
+    base: float,
+    rise: float,
+    roof: int,
+    wall: int,
+    tint: object,
+    roof_tint: object,
 ) -> None:
     """A ridge along the street with its two slopes and two triangles of wall."""
     c = plot.outline(0.35)
