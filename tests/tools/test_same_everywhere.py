@@ -47,7 +47,7 @@ def slam(images: Path, out: Path, workers: int, environment: dict[str, str]) -> 
     """The whole chain in a process of its own."""
     words = ["slam", str(images), str(out), "--workers", str(workers), "--quiet"]
     variables = {**os.environ, **environment}
-    subprocess.run([sys.executable, "-m", "maslam.tools.cli", *words], env=variables, check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "maslam", *words], env=variables, check=True, capture_output=True)
     return out
 
 
