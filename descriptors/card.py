@@ -7,6 +7,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, model_validator
 
+from maslam._atomic import write_atomically
+
 from .errors import DescriptorError
 
 MODELS = Path(__file__).parent / "models"
@@ -123,7 +125,7 @@ def read_card(model: str | Path) -> tuple[Path, ModelCard]:
 
 def write_card(path: Path, card: ModelCard) -> None:
     """Write ``card`` beside its model; ``path`` is the ``.onnx`` or the ``.json`` file."""
-    path.with_suffix(".json").write_text(card.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    write_atomically(path.with_suffix(".json"), card.model_dump_json(indent=1) + "\n")
 
 
 def file_sha256(path: Path) -> str:

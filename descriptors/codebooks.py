@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +13,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from maslam._atomic import write_npz
 
 from .clusters import k_means
 from .errors import DescriptorError
@@ -70,15 +71,13 @@ class Codebooks:
 
     def save(self, path: Path) -> None:
         """Write as ``.npz`` without pickle, centres as float16, whole or not at all; equal books give equal bytes."""
-        arrays = {"version": np.int64(_VERSION), "sha256": np.array(self.sha256), "dim": np.int64(self.dim)}
+        arrays: dict[str, ArrayLike] = {"data": self.data, "version": np.int64(_VERSION), "sha256": self.sha256}
+        arrays["dim"] = np.int64(self.dim)
         for code, book in sorted(self.books.items()):
             arrays[f"{code}_axes"] = book.axes.astype("<u2")
             arrays[f"{code}_centres"] = book.centres.astype("<f2")
             arrays[f"{code}_fidelity"] = np.float64(book.fidelity)
-        partial = path.with_name(path.name + ".part")
-        with partial.open("wb") as file:
-            np.savez(file, data=np.array(self.data), **arrays)  # type: ignore[arg-type]
-        os.replace(partial, path)
+        write_npz(path, arrays)
 
     @classmethod
     def load(cls, path: Path) -> Codebooks:

@@ -3,7 +3,6 @@ file."""
 
 from __future__ import annotations
 
-import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from maslam._atomic import write_npz
 
 from .errors import DescriptorError
 
@@ -75,10 +76,7 @@ class PlaceVectors:
         }
         if self.images:
             fields["images"] = np.array(self.images)
-        partial = path.with_name(path.name + ".part")
-        with partial.open("wb") as file:
-            np.savez(file, **fields)
-        os.replace(partial, path)
+        write_npz(path, fields)
 
     @classmethod
     def load(cls, path: Path) -> PlaceVectors:

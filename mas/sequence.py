@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from maslam._atomic import write_atomically
 from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
 from maslam.frontend.files.trajectory import Trajectory, read_tum, stamp_ns_from_s
 from maslam.frontend.files.vo_files import VoTrack, read_tracks
@@ -172,9 +172,7 @@ class AgentSequence:
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write ``folder/manifest.json`` in one move, as the last file of a SEQS folder."""
-    temporary = folder / (MANIFEST + ".part")
-    temporary.write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, folder / MANIFEST)
+    write_atomically(folder / MANIFEST, manifest.model_dump_json(indent=1) + "\n")
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -158,3 +158,13 @@ def test_arrays_come_back_and_equal_ones_give_equal_bytes(tmp_path: Path, compre
     with pytest.raises(TypeError, match="no plain numbers or text: b"):
         write_npz(tmp_path / "three.npz", {"a": 1, "b": np.array([object()])})
     assert not (tmp_path / "three.npz").exists()
+
+
+def test_nobody_else_moves_a_finished_file_into_place() -> None:
+    root = Path(__file__).resolve().parent.parent
+    own = {"_atomic.py", "recorder.py"}  # the RUN folder keeps what lies beside it, so it is not replaced as a whole
+    sources = [
+        p for name in ("backend", "descriptors", "frontend", "mas", "tools") for p in (root / name).rglob("*.py")
+    ]
+    assert len(sources) > 100
+    assert [str(p) for p in sources if p.name not in own and "os.replace(" in p.read_text(encoding="utf-8")] == []

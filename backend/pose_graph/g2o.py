@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from maslam._atomic import replacing
+
 from ..errors import BackendError
 from ..geometry import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, se3, so3_exp, so3_log
 from .g2o_ids import Ids, symbol
@@ -136,7 +138,7 @@ def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
     if plain_ids and len(graph.robots) > 1:
         raise BackendError(f"{path}: plain ids cannot tell {len(graph.robots)} robots apart")
     flat = graph.dimension == 2
-    with open(path, "w", encoding="ascii") as out:
+    with replacing(path) as part, open(part, "w", encoding="ascii", newline="\n") as out:
         tag = "VERTEX_SE2" if flat else "VERTEX_SE3:QUAT"
         for node, pose in zip(graph.nodes, _pose_texts([graph.poses[n] for n in graph.nodes], flat), strict=True):
             out.write(f"{tag} {_id(node, plain_ids)} {pose}\n")

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_atomically
+
 Floats = NDArray[np.float32]
 
 OPSET = 17
@@ -91,6 +93,4 @@ class OnnxGraph:
         content = model.SerializeToString(deterministic=True)
         del model
         onnx.checker.check_model(content)
-        partial = path.with_name(path.name + ".part")
-        partial.write_bytes(content)
-        partial.replace(path)
+        write_atomically(path, content)

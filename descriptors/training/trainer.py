@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from torch import Tensor, nn
 
+from maslam._atomic import replacing
+
 from ..config import TrainingConfig
 from ..errors import DescriptorError
 from .augmentation import PHOTOS, Augmentation, augment_pair, share_strips
@@ -182,9 +184,8 @@ class Trainer:
             "log_scale": self.log_scale.detach(),
             "optimiser": self.optimiser.state_dict(),
         }
-        partial = path.with_suffix(path.suffix + ".part")
-        torch.save(state, partial)
-        partial.replace(path)
+        with replacing(path) as part:
+            torch.save(state, part)
 
     def resume(self, path: Path) -> None:
         """Continue from :meth:`save`; a checkpoint of another configuration is an error (a longer training is not)."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,30 +100,6 @@ def format_bytes_and_integers(octets: NDArray[np.uint8], integers: NDArray[np.in
     text = _BYTES.__getitem__
     pairs = zip(octets.tolist(), integers.tolist(), strict=True)
     return "".join(f"{' '.join(map(text, left))} {' '.join(map(str, right))}\n" for left, right in pairs)
-
-
-def write_atomically(files: Iterable[tuple[Path, str | bytes]]) -> None:
-    """Write each file beside its place, then put all in place in the order given: nobody ever reads half a file."""
-    staged: list[tuple[Path, Path]] = []
-    try:
-        for path, content in files:
-            temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-            staged.append((temporary, path))
-            temporary.write_bytes(content.encode("ascii") if isinstance(content, str) else content)
-        for temporary, path in staged:
-            os.replace(temporary, path)
-    except OSError as error:
-        raise FrontendError(f"{error.filename}: cannot be written: {error.strerror}") from error
-    finally:
-        for temporary, _ in staged:
-            temporary.unlink(missing_ok=True)
-
-
-def write_npz(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Compressed arrays, the same bytes for the same arrays, whole or not at all."""
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    write_atomically([(path, buffer.getvalue())])
 
 
 def _tokens_per_line(data: bytes) -> NDArray[np.int64]:

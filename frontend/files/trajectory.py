@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_atomically
 from maslam.backend.geometry import project_to_so3, quat_wxyz_from_rotation, rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
@@ -68,8 +69,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     rows = np.concatenate([trajectory.centres, q[:, 1:], q[:, :1]], axis=1).tolist()
     stamps = map(seconds_text, trajectory.stamps_ns.tolist())
     line = "%s" + " %.9f" * 7 + "\n"
-    text = "".join(line % (stamp, *row) for stamp, row in zip(stamps, rows, strict=True))
-    text_tables.write_atomically([(path, text)])
+    write_atomically(path, "".join(line % (stamp, *row) for stamp, row in zip(stamps, rows, strict=True)))
 
 
 def read_tum(path: Path) -> Trajectory:
@@ -115,4 +115,4 @@ def write_kitti_poses(path: Path, poses: NDArray[np.float64]) -> None:
     """Rows of 12 numbers, 3x4 row-major ``T_W_C``."""
     rows = np.asarray(poses, dtype=np.float64)[:, :3, :].reshape(-1, 12).tolist()
     line = " ".join(["%.12e"] * 12) + "\n"
-    text_tables.write_atomically([(path, "".join(line % tuple(row) for row in rows))])
+    write_atomically(path, "".join(line % tuple(row) for row in rows))

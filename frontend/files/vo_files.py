@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_together
 from maslam.backend.geometry import is_se3
 
 from ..errors import FrontendError
@@ -81,7 +82,7 @@ def write_track(folder: Path, number: int, track: VoTrack) -> None:
         "lm_obs": text_tables.format_integers(track.observations),
         "descs": text_tables.format_bytes_and_integers(track.descriptors, track.words),
     }
-    text_tables.write_atomically((folder / f"{name}_{number}.txt", contents[name]) for name in _NAMES)
+    write_together((folder / f"{name}_{number}.txt", contents[name]) for name in _NAMES)
 
 
 def read_tracks(folder: Path) -> list[VoTrack]:

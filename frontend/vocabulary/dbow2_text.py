@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_atomically
+
 from ..errors import FrontendError
-from ..files.text_tables import read_bytes, write_atomically
+from ..files.text_tables import read_bytes
 
 _TF_IDF, _L1 = 0, 0
 _BLOCK = 50_000
@@ -41,7 +43,7 @@ def write_text(tree: TreeArrays, path: Path) -> None:
     )
     lines = [f"{tree.branching} {tree.depth}  {_L1} {_TF_IDF}"]
     lines += [f"{parent} {leaf:d} {' '.join(map(str, octets))} {weight!r}" for parent, leaf, octets, weight in rows]
-    write_atomically([(path, "\n".join(lines) + "\n")])
+    write_atomically(path, "\n".join(lines) + "\n")
 
 
 def read_text(path: Path) -> TreeArrays:

@@ -13,8 +13,9 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from maslam._atomic import write_npz
+
 from ..errors import FrontendError
-from ..files.text_tables import write_npz
 from .dbow2_text import TreeArrays, read_text, write_text
 
 DEFAULT_PATH = Path(__file__).with_name("vocabulary.npz")
@@ -104,7 +105,7 @@ class Vocabulary:
             "descriptors": self.descriptors,
             "weights": self.weights.astype(np.float32),
         }
-        return write_npz(path, arrays)
+        return write_npz(path, arrays, compressed=True)
 
     def words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int32]:
         """Node ids ``(N, 2)`` at level 3 and level 4 of ORB descriptors ``(N, 32)``; where the tree ends above a

@@ -71,7 +71,6 @@ class VoMeasurement:
 
 def measure_job(job: BenchJob, advance: Callable[[int], None]) -> VoMeasurement:
     """Warm up, run, and run again as often as the job says. The peak is that of the first run."""
-    from maslam.frontend.odometry import Odometry  # noqa: F401 - in memory before the baseline is taken
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
     from ...common.memory import peak_mb, reset_peak, resident_mb
