@@ -115,12 +115,13 @@ def inspect_dataset(
 def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
     import cv2
 
+    from maslam._atomic import write_atomically
     from maslam.frontend.files.text_tables import write_atomically
 
     from .picture import draw_sequences
 
     _, encoded = cv2.imencode(".png", draw_sequences(sequences))
-    write_atomically([(path, encoded.tobytes())])
+    write_atomically(path, encoded.tobytes())
 
 
 def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:

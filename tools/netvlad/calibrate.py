@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from maslam._atomic import replacing
 from maslam.descriptors.calibration import Retrieval, accepted, calibrate, retrieve
 from maslam.descriptors.card import MODELS, Calibration, ModelCard, read_card, write_card
 from maslam.descriptors.codebooks import codebooks_path
@@ -132,9 +133,10 @@ def calibrate_model(
 def _copy(model: Path, out: Path) -> None:
     """A model with its codebooks, which are those of its weights."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(model, out)
-    if codebooks_path(model).is_file():
-        shutil.copyfile(codebooks_path(model), codebooks_path(out))
+    for source, copy in ((model, out), (codebooks_path(model), codebooks_path(out))):
+        if source == model or source.is_file():
+            with replacing(copy) as part:
+                shutil.copyfile(source, part)
 
 
 def retrieval(net: NetVlad, benchmark: PlaceBenchmark) -> Retrieval:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import time
 import zipfile
 from collections.abc import Callable, Sequence
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_npz
 from maslam.descriptors.container import PlaceVectors
 from maslam.descriptors.inference import NetVlad
 from maslam.frontend.datasets import ImageSequence, Severity, open_dataset
@@ -179,20 +179,7 @@ def _fingerprint(images: ImageSet, model: NetVlad) -> str:
 
 
 def _save_part(path: Path, fingerprint: str, done: _Done) -> None:
-    temporary = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            np.savez(
-                file,
-                fingerprint=np.array(fingerprint),
-                count=np.int64(done.count),
-                rows=done.rows,
-                vectors=done.vectors,
-                textured=done.textured,
-            )
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_npz(path, {"fingerprint": fingerprint, **vars(done)})
 
 
 def _load_part(path: Path, fingerprint: str, dim: int) -> _Done:

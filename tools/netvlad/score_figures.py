@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_atomically
 from maslam.descriptors.calibration import judge, precision_recall
 
 from ..common.figures import dress, saved_figure
@@ -37,7 +38,7 @@ def draw_evaluation(
     paths += [out / "bytes.png", out / "scores.json"]
     scores = [[evaluation.score for evaluation in of_set] for of_set in results]
     draw_bytes(results, paths[-2])
-    paths[-1].write_text(json.dumps(as_records([s for of_set in scores for s in of_set]), indent=1) + "\n")
+    write_atomically(paths[-1], json.dumps(as_records([s for of_set in scores for s in of_set]), indent=1) + "\n")
     return paths
 
 

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_npz
 from maslam.descriptors.clusters import k_means, whitening
 from maslam.descriptors.inference import to_working_size
 
@@ -116,10 +117,7 @@ def fitted(
             return SiftVlad(*(file[name] for name in names))
     made = fit_sift_vlad(photos, images, np.random.default_rng(0), advance)
     cache.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    with partial.open("wb") as stream:
-        np.savez(stream, **{name: getattr(made, name) for name in names})
-    partial.replace(path)
+    write_npz(path, {name: getattr(made, name) for name in names})
     return made
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from maslam._atomic import write_atomically
 
 from ..common.errors import ToolError
 from .report import PgoReport
@@ -44,10 +45,6 @@ def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:
         out.mkdir(parents=True, exist_ok=True)
         parts = {out / f"{r}.g2o": graph if alone else graph.of_robot(r) for r in graph.robots}
     for path, part in parts.items():
-        temporary = path.with_name(path.name + ".part")
-        write_g2o(temporary, part, plain_ids=alone)
-        os.replace(temporary, path)
+        write_g2o(path, part, plain_ids=alone)
     if out.suffix != ".g2o":
-        temporary = out / (SUMMARY + ".part")
-        temporary.write_text(json.dumps(asdict(report), indent=2) + "\n", encoding="utf-8")
-        os.replace(temporary, out / SUMMARY)
+        write_atomically(out / SUMMARY, json.dumps(asdict(report), indent=2) + "\n")

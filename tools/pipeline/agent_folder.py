@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import replacing
 from maslam.backend.geometry import product, se3_inverse
 from maslam.backend.pose_graph.g2o import write_g2o
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
@@ -72,7 +73,8 @@ def write_sequences(
     plans = _plans(tracked, split or SplitEntry(agents=1, overlap=0))
     (out / MANIFEST).unlink(missing_ok=True)
     entries = [_write_agent(out, plan, model) for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
-    for stale in sorted(set(out.glob("agent_[0-9]*")) - {out / entry.name for entry in entries}):
+    left = {*out.glob("agent_[0-9]*"), *out.glob(".agent_[0-9]*.part")}  # of another split, of a run that was killed
+    for stale in sorted(left - {out / entry.name for entry in entries}):
         shutil.rmtree(stale)
     manifest = Manifest(
         source=str(dataset.root.resolve()),
@@ -105,22 +107,18 @@ def _plans(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry) 
 
 def _write_agent(out: Path, plan: _AgentPlan, model: NetVlad) -> AgentEntry:
     """The agent's folder, put in place whole; times become relative to its first frame."""
-    folder = out / f"{plan.name}.part"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
     used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
-    paths = [_write_track(folder, number, plan, k) for number, k in enumerate(used)]
-    trajectory = Trajectory(
-        np.concatenate([path.stamps_ns for path in paths]), np.concatenate([path.poses for path in paths])
-    )
-    write_tum(folder / TRAJECTORY, trajectory)
     places = _places(plan, used, model)
-    places.save(folder / PLACES)
-    if plan.sequence.groundtruth is not None:
-        write_tum(folder / GROUNDTRUTH, _during(plan, plan.sequence.groundtruth))
-    final = out / plan.name
-    shutil.rmtree(final, ignore_errors=True)
-    folder.rename(final)
+    with replacing(out / plan.name) as folder:
+        folder.mkdir()
+        paths = [_write_track(folder, number, plan, k) for number, k in enumerate(used)]
+        trajectory = Trajectory(
+            np.concatenate([path.stamps_ns for path in paths]), np.concatenate([path.poses for path in paths])
+        )
+        write_tum(folder / TRAJECTORY, trajectory)
+        places.save(folder / PLACES)
+        if plan.sequence.groundtruth is not None:
+            write_tum(folder / GROUNDTRUTH, _during(plan, plan.sequence.groundtruth))
     return AgentEntry(
         name=plan.name,
         sequence=plan.sequence.name,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from maslam._atomic import write_npz
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
 
@@ -117,10 +117,7 @@ def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:
         arrays[f"frame_poses_{k}"] = tracked.trajectories[k].poses
         arrays |= {f"{name}_{k}": getattr(one, name) for name in TRACK_FIELDS}
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}.part")
-    with open(temporary, "wb") as out:
-        np.savez(out, allow_pickle=False, **arrays)
-    os.replace(temporary, path)
+    write_npz(path, arrays)
 
 
 def load_tracked(path: Path, fingerprint: str) -> Tracked | None:

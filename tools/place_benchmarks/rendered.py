@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from maslam._atomic import write_npz
 from maslam.backend.geometry import se3, so3_exp
 from maslam.frontend.cameras.models import PinholeCamera
 
@@ -195,17 +196,9 @@ def save_places(path: Path, places: list[list[Visit]]) -> None:
     """Keep rendered places: a cache of ``visit_places``, written whole or not at all."""
     flat = [visit for visits in places for visit in visits]
     cameras = np.array([astuple(v.camera) for v in flat])
-    partial = path.with_name(path.name + ".part")
-    with partial.open("wb") as file:
-        np.savez(
-            file,
-            views=np.int64(len(places[0])),
-            images=np.stack([v.image for v in flat]),
-            poses=np.stack([v.T_W_C for v in flat]),
-            cameras=cameras,
-            points=np.stack([v.points_W for v in flat]),
-        )
-    partial.replace(path)
+    stacks = {"images": "image", "poses": "T_W_C", "points": "points_W"}
+    arrays = {name: np.stack([getattr(v, field) for v in flat]) for name, field in stacks.items()}
+    write_npz(path, {**arrays, "views": len(places[0]), "cameras": cameras})
 
 
 def load_places(path: Path) -> list[list[Visit]]:

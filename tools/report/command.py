@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
+
+from maslam._atomic import write_atomically
 
 PAGE = Path("report", "index.html")
 RECORDING = "recording.rrd"
@@ -34,7 +35,5 @@ def write_report(run: Path) -> Path:
     data = read_run(run)
     path = run / PAGE
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".part")
-    temporary.write_text(page(*headline(data), tiles(data), sections(data)), encoding="utf-8")
-    os.replace(temporary, path)
+    write_atomically(path, page(*headline(data), tiles(data), sections(data)))
     return path

@@ -4,12 +4,13 @@ clock.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from maslam._atomic import replacing
 
 from ..common.errors import ToolError
 from ..common.svg import colour_of
@@ -25,15 +26,14 @@ def write_recording(run: Path, path: Path) -> Path:
     except ModuleNotFoundError as error:
         raise ToolError("a recording needs the rerun SDK: pip install 'maslam[rerun]'") from error
     data = read_run(run)
-    temporary = path.with_suffix(".part")
     recording = rr.RecordingStream("maslam", recording_id=f"maslam-{data.summary['seed']}", send_properties=False)
-    recording.save(temporary)
-    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_DOWN, static=True)
-    for agent in data.agents:
-        _log_agent(rr, recording, data, agent.index)
-    recording.flush()
-    recording.disconnect()
-    os.replace(temporary, path)
+    with replacing(path) as part:
+        recording.save(part)
+        recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_DOWN, static=True)
+        for agent in data.agents:
+            _log_agent(rr, recording, data, agent.index)
+        recording.flush()
+        recording.disconnect()
     return path
 
 

@@ -9,6 +9,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from maslam._atomic import replacing, write_atomically
+
 from ..common.errors import ToolError
 from ..common.options import add_model_options, build, read_yaml
 from ..common.progress import Progress, progress_on
@@ -80,7 +82,7 @@ def sweep(
     groups = grouped(rows)
     _write_rows(shop.out, rows)
     page = shop.out / "tables.md"
-    _write(page, report(groups))
+    write_atomically(page, report(groups))
     first = min(plan.seeds)
     runs = {(c.sequence, c.agents, c.preset): shop.run(c) for c in figures if c.seed == first}
     for path in draw_all(groups, runs, shop.out / "figures"):
@@ -96,22 +98,14 @@ def _claim(out: Path, plan: SweepPlan) -> None:
     if out.exists() and not path.is_file() and (not out.is_dir() or any(out.iterdir())):
         raise ToolError(f"{out}: exists and is no sweep; choose an empty or new folder")
     out.mkdir(parents=True, exist_ok=True)
-    _write(path, yaml.safe_dump(plan.model_dump(mode="json"), sort_keys=False))
+    write_atomically(path, yaml.safe_dump(plan.model_dump(mode="json"), sort_keys=False))
 
 
 def _write_rows(out: Path, rows: list[Row]) -> None:
     from .rows import as_record, columns
 
-    _write(out / "results.json", json.dumps([as_record(row) for row in rows], indent=1) + "\n")
-    partial = out / "results.csv.part"
-    with open(partial, "w", newline="", encoding="utf-8") as file:
+    write_atomically(out / "results.json", json.dumps([as_record(row) for row in rows], indent=1) + "\n")
+    with replacing(out / "results.csv") as part, open(part, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns())
         writer.writeheader()
         writer.writerows(as_record(row) for row in rows)
-    os.replace(partial, out / "results.csv")
-
-
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)

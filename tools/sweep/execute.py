@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from maslam._atomic import write_atomically
+
 from ..common.digests import code_digest, sequences_digest
 from ..common.errors import ToolError
 from ..common.progress import Progress, counter
@@ -142,7 +144,7 @@ def run_cell(job: SweepJob, advance: Callable[[int], None]) -> None:
     (job.out / STAMP).unlink(missing_ok=True)
     run(manifest, sequences, config, job.out, lambda done, total: advance(100 * done // max(total, 1)))
     _without_maps(job.out)
-    (job.out / STAMP).write_text(json.dumps(job.stamp()) + "\n", encoding="utf-8")
+    write_atomically(job.out / STAMP, json.dumps(job.stamp()) + "\n")
 
 
 def _without_maps(run: Path) -> None:

@@ -9,7 +9,6 @@ not the truth; only its errors are measured against that.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_atomically
 from maslam.backend.central.optimise import optimise
 from maslam.backend.config import CentralConfig
 from maslam.backend.geometry import Array
@@ -71,9 +71,7 @@ def reference_of(folder: Path, progress: Callable[[int, int], None] = lambda don
         if stored.get("made_from") == made_from:
             return Reference(**stored)
     made = replace(make_reference(*load_sequences(folder), preset("maslam"), progress), made_from=made_from)
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(json.dumps(asdict(made), indent=1) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    write_atomically(path, json.dumps(asdict(made), indent=1) + "\n")
     return made
 
 

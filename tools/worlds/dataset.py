@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._atomic import write_atomically
 from maslam.frontend.cameras.models import PinholeCamera, RigKind
 from maslam.frontend.files.trajectory import write_kitti_poses
 
@@ -55,7 +55,7 @@ def render_dataset(
     ]
     _render_all(jobs, scenario, config, camera, progress, workers)
     described = {**settings, "lights": [plan.light.to_dict() for plan in scenario.agents]}
-    _write_text(out / "world.json", json.dumps(described, indent=2) + "\n")
+    write_atomically(out / "world.json", json.dumps(described, indent=2) + "\n")
     (out / "unfinished.json").unlink()
 
 
@@ -92,7 +92,7 @@ def _finished(out: Path, settings: dict[str, object]) -> bool:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RenderError(f"{out}: exists and is not a rendering; choose an empty or new folder")
     out.mkdir(parents=True, exist_ok=True)
-    _write_text(begun, json.dumps(settings, indent=2) + "\n")
+    write_atomically(begun, json.dumps(settings, indent=2) + "\n")
     return False
 
 
@@ -109,15 +109,9 @@ def _write_agent(folder: Path, plan: AgentPlan, config: RenderConfig, camera: Pi
         lines.append(f"baseline_m: {config.baseline()!r}")
     if config.rig is RigKind.RGBD:
         lines.append(f"depth_unit_m: {DEPTH_UNIT_M!r}")
-    _write_text(folder / "camera.yaml", "\n".join([*lines, f"rate_hz: {config.rate_hz!r}"]) + "\n")
-    _write_text(folder / "times.txt", "".join(f"{k / config.rate_hz:.6f}\n" for k in range(len(plan.poses))))
+    write_atomically(folder / "camera.yaml", "\n".join([*lines, f"rate_hz: {config.rate_hz!r}"]) + "\n")
+    write_atomically(folder / "times.txt", "".join(f"{k / config.rate_hz:.6f}\n" for k in range(len(plan.poses))))
     write_kitti_poses(folder / "poses.txt", plan.poses)
-
-
-def _write_text(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
 
 
 def _render_all(
@@ -182,7 +176,5 @@ def _write_png(path: Path, image: NDArray) -> None:
     # Noise repeats nothing: entropy coding of differences along the row is as small as a search, at half its cost.
     how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
     how += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
-    part = path.with_name(path.stem + ".part.png")
-    if not cv2.imwrite(str(part), image, how):
-        raise RenderError(f"{path}: cannot be written")
-    os.replace(part, path)
+    _, encoded = cv2.imencode(".png", image, how)
+    write_atomically(path, encoded.tobytes())

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from maslam._atomic import write_npz
 from maslam.backend.geometry import Array, se3, se3_inverse, so3_exp
 from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
 
@@ -237,19 +238,9 @@ def _dull(visit: StereoVisit, sampler: SamplerConfig) -> bool:
 def _save(path: Path, visits: list[StereoVisit]) -> None:
     """Written whole or not at all."""
     camera, baseline = visits[0].rig.camera, visits[0].rig.baseline_m
-    partial = path.with_name(path.name + ".part")
-    with partial.open("wb") as file:
-        np.savez(
-            file,
-            left=np.stack([v.left for v in visits]),
-            right=np.stack([v.right for v in visits]),
-            depth=np.stack([v.depth_m for v in visits]),
-            poses=np.stack([v.T_W_C for v in visits]),
-            places=np.array([v.place for v in visits]),
-            focal=np.float64(camera.fx),
-            baseline=np.float64(baseline or 0),
-        )
-    partial.replace(path)
+    stacks = {"left": "left", "right": "right", "depth": "depth_m", "poses": "T_W_C", "places": "place"}
+    arrays = {name: np.stack([getattr(v, field) for v in visits]) for name, field in stacks.items()}
+    write_npz(path, {**arrays, "focal": camera.fx, "baseline": float(baseline or 0)})
 
 
 def _load(path: Path) -> list[StereoVisit]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from maslam.frontend.files.text_tables import write_atomically
+from maslam._atomic import write_atomically
 from maslam.frontend.files.trajectory import Trajectory
 
 from ...common.errors import ToolError, describe
@@ -156,4 +156,4 @@ def _keep(report: VoReport, settings: VoSettings) -> None:
             for number, trajectory in enumerate(result.measured.trajectories):
                 write_tum(folder / f"trajectory_{number}.tum", trajectory)
         draw_bench(report.results, settings.out / "bench.png")
-        write_atomically([(settings.out / "bench.json", report.json() + "\n")])
+        write_atomically(settings.out / "bench.json", report.json() + "\n")
