@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from .errors import BackendError
-from .geometry import Array, Sim3
+from .geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,25 +34,21 @@ class PointMap:
         if self.descriptors is not None and self.descriptors.shape != (n, 32):
             raise BackendError(f"{n} points need ({n}, 32) descriptors, got {self.descriptors.shape}")
 
-    def moved(self, T_A_B: Sim3) -> PointMap:
-        """The map in frame A, of a map in frame B."""
-        return PointMap(T_A_B @ self.points, self.owners, self.descriptors)
 
-
-def fuse(maps: Sequence[PointMap], radius: float, max_hamming: int = 50) -> PointMap:
+def fuse(maps: Sequence[PointMap], radius: float, max_hamming: int = 50) -> tuple[PointMap, NDArray[np.intp]]:
     """One map of several that stand in one frame: points of different maps that are the same are merged into their
-    mean.
+    mean. With it the label ``(n,)`` of each point of all maps in their order: which merged point it became.
 
     Same: within ``radius`` (in the frame's unit) and, where both maps have descriptors, at most ``max_hamming`` bits
     apart. The first point's owner and descriptor stay; there are descriptors if all maps have them. Order of input
     decides order of output, nothing else.
     """
-    return merged(maps, associate(maps, radius, max_hamming))
+    labels = _associate(maps, radius, max_hamming)
+    return _merged(maps, labels), labels
 
 
-def associate(maps: Sequence[PointMap], radius: float, max_hamming: int = 50) -> NDArray[np.intp]:
-    """``(n,)``: for each point of all maps in their order the number of the merged point it becomes, from 0 in order
-    of first appearance."""
+def _associate(maps: Sequence[PointMap], radius: float, max_hamming: int) -> NDArray[np.intp]:
+    """Labels count from 0 in order of first appearance."""
     sizes = [len(m.points) for m in maps]
     if not sum(sizes):
         return np.zeros(0, dtype=np.intp)
@@ -77,8 +73,8 @@ def associate(maps: Sequence[PointMap], radius: float, max_hamming: int = 50) ->
     return rank[inverse]
 
 
-def merged(maps: Sequence[PointMap], labels: NDArray[np.intp]) -> PointMap:
-    """The points that :func:`associate` numbered, each the mean of its members."""
+def _merged(maps: Sequence[PointMap], labels: NDArray[np.intp]) -> PointMap:
+    """Each point the mean of those with its label."""
     maps = [m for m in maps if len(m.points)]
     if not maps:
         return PointMap(np.zeros((0, 3)), np.zeros(0, dtype=np.int32))

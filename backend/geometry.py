@@ -193,13 +193,6 @@ class Sim3:
         t = np.asarray(transform, dtype=np.float64)
         return cls(t[:3, :3].copy(), t[:3, 3].copy())
 
-    @classmethod
-    def from_matrix(cls, matrix: ArrayLike) -> Sim3:
-        """From a 4x4 matrix whose upper left block is ``scale * rotation``."""
-        m = np.asarray(matrix, dtype=np.float64)
-        scale = float(np.cbrt(np.linalg.det(m[:3, :3])))
-        return cls(m[:3, :3] / scale, m[:3, 3].copy(), scale)
-
     def matrix(self) -> Array:
         """The 4x4 matrix that acts on homogeneous points."""
         return se3(self.scale * self.rotation, self.translation)

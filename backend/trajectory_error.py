@@ -7,7 +7,7 @@ monocular ones. The thesis calls it "average trajectory error" and the field "ab
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,11 +125,6 @@ def _step_errors(estimate: Array, truth: Array, starts: NDArray[np.int64], ends:
 def path_length(positions: Array) -> float:
     """Length of the polyline through ``(N, 3)`` positions."""
     return float(np.linalg.norm(np.diff(np.asarray(positions, dtype=np.float64), axis=0), axis=1).sum())
-
-
-def relative_errors(estimate: Array, truth: Array, lengths_m: Sequence[float]) -> list[RelativeError]:
-    """:func:`relative_error` for several lengths."""
-    return [relative_error(estimate, truth, length) for length in lengths_m]
 
 
 def _checked(estimate: Array, truth: Array) -> tuple[Array, Array]:

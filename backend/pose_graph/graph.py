@@ -6,7 +6,6 @@ frame O, ``T_O_i``; information matrices are ``(6, 6)``, translation first, of `
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -221,37 +220,6 @@ class PoseGraph:
             stretched, information = _stretched(p.T_O_i, s_p), _of_longer_unit(p.information, s_p)
             priors.append(replace(p, T_O_i=stretched, information=information))
         return replace(self, poses=poses, edges=tuple(edges), priors=tuple(priors))
-
-
-def relative_edges(poses: Mapping[NodeId, Array], information: Array) -> list[Edge]:
-    """Odometry edges between nodes of one robot that follow each other, as measured by ``poses`` themselves."""
-    nodes = sorted(poses)
-    return [
-        Edge(a, b, se3_inverse(poses[a]) @ poses[b], information)
-        for a, b in itertools.pairwise(nodes)
-        if a.robot == b.robot
-    ]
-
-
-def carry_along(
-    before: Mapping[NodeId, Array], after: Mapping[NodeId, Array], later: Mapping[NodeId, Array]
-) -> dict[NodeId, Array]:
-    """Move poses that were not optimised rigidly with the nearest earlier optimised pose of their robot.
-
-    ``before`` and ``after`` ``T_O_i``: the optimised nodes' poses then and now; ``later``: further nodes in the old
-    frame (key-frames that arrived while the optimiser ran). A node with no earlier optimised pose follows the robot's
-    first optimised one; robots without any are returned unchanged.
-    """
-    moved = {}
-    optimised = sorted(after)
-    for node in sorted(later):
-        same = [n for n in optimised if n.robot == node.robot]
-        if not same:
-            moved[node] = later[node]
-            continue
-        leader = max((n for n in same if n <= node), default=same[0])
-        moved[node] = after[leader] @ se3_inverse(before[leader]) @ later[node]
-    return moved
 
 
 def _of_longer_unit(information: Array, scale: float) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maslam.backend.fusion import PointMap, associate, merged
+from maslam.backend.fusion import PointMap, fuse
 from maslam.backend.geometry import Array
 
 from ..map_exchange.map_copy import MapCopy
@@ -42,8 +42,7 @@ def fused(maps: Sequence[MapCopy]) -> FusedMap:
     parts = [PointMap(m.points(), np.full(len(m.references), m.owner, dtype=np.int32), m.descriptors) for m in maps]
     depths = np.concatenate([np.zeros(0), *(m.points_C[:, 2] * m.unit for m in maps)])
     radius = _SAME_POINT * float(np.median(depths)) if len(depths) else 1.0
-    labels = associate(parts, radius)
-    one = merged(parts, labels)
+    one, labels = fuse(parts, radius)
     return FusedMap(tuple(maps), one.points, one.owners, labels)
 
 

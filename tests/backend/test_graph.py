@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from graphs import grid, loops, measured
+from graphs import grid, loops
 
 from maslam.backend.central.costs import cost
 from maslam.backend.errors import BackendError
-from maslam.backend.geometry import se3_exp, se3_inverse
-from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, carry_along, relative_edges, spread_poses
+from maslam.backend.geometry import se3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
 
 
 def test_broken_edges_are_refused_with_their_nodes():
@@ -38,20 +38,6 @@ def test_poses_spread_along_edges_and_back():
     lonely = Edge(NodeId(7, 0), NodeId(7, 1), np.eye(4))
     assert np.array_equal(spread_poses(poses, [*graph.edges, lonely])[NodeId(7, 0)], np.eye(4))
     assert spread_poses({}, []) == {}
-
-
-def test_later_poses_are_carried_along_rigidly():
-    rng = np.random.default_rng(1)
-    before = {NodeId(0, k): se3_exp(rng.normal(size=6)) for k in (2, 5)}
-    after = {n: se3_exp(rng.normal(size=6)) for n in before}
-    later = {NodeId(0, k): se3_exp(rng.normal(size=6)) for k in (0, 3, 7)} | {NodeId(1, 0): np.eye(4)}
-    moved = carry_along(before, after, later)
-    for index, leader in ((0, 2), (3, 2), (7, 5)):
-        n, m = NodeId(0, index), NodeId(0, leader)
-        np.testing.assert_allclose(
-            se3_inverse(after[m]) @ moved[n], se3_inverse(before[m]) @ later[n], atol=1e-12
-        )  # its place relative to its leader stays
-    assert np.array_equal(moved[NodeId(1, 0)], np.eye(4))
 
 
 def test_rescaling_takes_units_out():
@@ -95,13 +81,3 @@ def test_a_graph_is_cut_into_consecutive_parts():
     assert {n.robot for n in own.poses} == {0, 1, 2} and len(own.edges) == 5
     with pytest.raises(BackendError, match="cannot cut"):
         graph.partitioned(12)
-
-
-def test_odometry_edges_hold_between_neighbours_of_one_robot():
-    truth = {NodeId(r, k): se3_exp(np.full(6, 0.1 * (k + r))) for r in range(2) for k in range(3)}
-    edges = relative_edges(truth, np.eye(6))
-    assert [(e.i, e.j) for e in edges] == [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(2)]
-    exact = measured(
-        truth, NodeId(0, 0), NodeId(0, 1), EdgeKind.ODOMETRY, np.zeros(6), np.eye(6), np.random.default_rng(0)
-    )
-    np.testing.assert_allclose(edges[0].T_i_j, exact.T_i_j, atol=1e-12)

@@ -17,7 +17,7 @@ from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.share import shares
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3_exp, se3_inverse
-from maslam.backend.pose_graph.graph import EdgeKind, NodeId, PoseGraph, carry_along
+from maslam.backend.pose_graph.graph import EdgeKind, NodeId, PoseGraph
 
 
 class SolverContract:
@@ -138,18 +138,6 @@ class SolverContract:
         result = optimise_distributed(own, self.config, arbitrary_scale=frozenset({0, 1, 2}))
         for robot, outcome in result.outcomes.items():
             assert outcome.scales[robot] == pytest.approx(units[robot], rel=1e-3)
-
-    def test_poses_that_arrived_meanwhile_are_carried_along(self):
-        graph, truth = loops(np.random.default_rng(14), robots=3, length=24, sigma_t=0.0, sigma_deg=0.0)
-        late = {n: T for n, T in graph.poses.items() if n.robot == 2 and n.index >= 20}
-        kept = tuple(e for e in graph.edges if e.i not in late and e.j not in late)
-        early = PoseGraph({n: T for n, T in graph.poses.items() if n not in late}, kept)
-        outcome = optimise_distributed(early, self.exact).outcomes[2]
-        moved = carry_along(early.poses, outcome.poses, late)
-        anchor = NodeId(0, 0)
-        for node in late:
-            expected = graph.poses[anchor] @ se3_inverse(truth[anchor]) @ truth[node]
-            np.testing.assert_allclose(moved[node], expected, atol=self.nearness * 10)
 
     def test_the_same_graph_gives_the_same_bytes(self):
         graph, _ = loops(np.random.default_rng(12), robots=4, length=16)

@@ -116,7 +116,6 @@ def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
     import cv2
 
     from maslam._atomic import write_atomically
-    from maslam.frontend.files.text_tables import write_atomically
 
     from .picture import draw_sequences
 
