@@ -55,14 +55,6 @@ class PlaceVectors:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def require_same_model(self, other: PlaceVectors) -> None:
-        """Raise unless both were made by one model: distances between two models' vectors mean nothing."""
-        if (self.sha256, self.dim) != (other.sha256, other.dim):
-            raise DescriptorError(
-                f"place vectors of two models do not compare: {self.name} ({self.sha256[:12]}, {self.dim}) "
-                f"and {other.name} ({other.sha256[:12]}, {other.dim})"
-            )
-
     def save(self, path: Path) -> None:
         """Write as ``.npz`` without pickle, whole or not at all; equal vectors give equal bytes."""
         fields: dict[str, Any] = {

@@ -22,18 +22,6 @@ def has_texture(grey: NDArray[np.uint8], min_contrast: float) -> bool:
     return float(energy.mean()) >= min_contrast**2 and _share(grey, energy, min_contrast) >= MIN_SHARE
 
 
-def local_contrast(grey: NDArray[np.uint8]) -> float:
-    """Standard deviation, grey levels, of an image minus its own local mean: shading does not count as texture,
-    edges do."""
-    return float(np.sqrt(_energy(grey).mean()))
-
-
-def texture_share(grey: NDArray[np.uint8], min_contrast: float) -> float:
-    """Share, 0 to 1, of the image's 12x9 parts whose local contrast is more than ``min_contrast`` grey levels with
-    the noise taken off."""
-    return _share(grey, _energy(grey), min_contrast)
-
-
 def noise_level(grey: NDArray[np.uint8]) -> float:
     """Standard deviation of white noise, grey levels: the median response to a mask that cancels planes and edges
     (Immerkaer, CVIU 1996)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -41,9 +41,6 @@ class RawCamera:
     def pinhole(self, size: tuple[int, int]) -> PinholeCamera:
         """The same camera, distortion left out, for images of ``size`` ``(width, height)``."""
         return PinholeCamera(*size, self.fx, self.fy, self.cx, self.cy)
-
-    def with_size(self, size: tuple[int, int]) -> RawCamera:
-        return replace(self, size=size)
 
 
 @dataclass(frozen=True)

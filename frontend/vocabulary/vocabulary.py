@@ -30,12 +30,6 @@ class BagOfWords:
     words: NDArray[np.int32]
     values: NDArray[np.float64]
 
-    def similarity(self, other: BagOfWords) -> float:
-        """DBoW2's L1 score, 0 (nothing in common) to 1 (equal)."""
-        _, mine, theirs = np.intersect1d(self.words, other.words, assume_unique=True, return_indices=True)
-        a, b = self.values[mine], other.values[theirs]
-        return float(0.5 * (a + b - np.abs(a - b)).sum())
-
 
 class Vocabulary:
     """Nodes numbered as DBoW2 numbers them: 0 is the root, children of one node follow each other, depth first.

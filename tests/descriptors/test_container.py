@@ -34,12 +34,6 @@ def test_equal_vectors_make_equal_files(tmp_path: Path) -> None:
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_two_models_do_not_mix() -> None:
-    _vectors().require_same_model(_vectors(3))
-    with pytest.raises(DescriptorError, match="two models do not compare"):
-        _vectors().require_same_model(_vectors(sha="b" * 64))
-
-
 def test_wrong_shapes_and_values_are_errors() -> None:
     good = _vectors()
     with pytest.raises(DescriptorError, match="dimension 16"):

@@ -171,16 +171,3 @@ def said(path: Path, calibration: Calibration, precision: float) -> list[str]:
             "to tell: use more or longer sequences"
         )
     return lines
-
-
-def random_pairs_distance(model: str | Path, benchmarks: list[PlaceBenchmark], seed: int = 0) -> tuple[float, float]:
-    """Mean and standard deviation of the distance between images of different places: where chance matches lie."""
-    net, rng = NetVlad.load(model), np.random.default_rng(seed)
-    samples: list[float] = []
-    for one in benchmarks:
-        queries, references = net.describe(one.queries), net.describe(one.references)
-        wrong = ~one.truth if one.ignore is None else ~one.truth & ~one.ignore
-        rows, cols = np.nonzero(wrong)
-        chosen = rng.choice(len(rows), min(2000, len(rows)), replace=False)
-        samples += np.linalg.norm(queries[rows[chosen]] - references[cols[chosen]], axis=1).tolist()
-    return float(np.mean(samples)), float(np.std(samples))
