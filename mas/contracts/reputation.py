@@ -136,10 +136,6 @@ class ReputationBook:
         if self.regard(other) is not Trust.GOOD and now_ns >= record.probe_ns:
             record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
 
-    def trusts(self, other: int) -> bool:
-        """Whether its word is taken for what only it has computed."""
-        return self.regard(other) is not Trust.UNTRUSTED
-
     def regard(self, other: int) -> Trust:
         """How to deal with the other now."""
         record = self.of(other)

@@ -13,9 +13,6 @@ from maslam.backend.geometry import Sim3, is_se3, quat_wxyz_from_rotation, rotat
 
 from ..errors import MasError
 
-# Little-endian dtypes that may travel.
-DTYPES = ("<f4", "<f8", "|u1", "<u2", "<u4", "<i4", "<i8")
-
 Shape = tuple[int | None, ...]
 
 
@@ -24,7 +21,7 @@ class MessageError(MasError):
 
 
 class Tensor(msgspec.Struct, frozen=True, array_like=True):
-    """A numpy array as ``dtype`` (one of :data:`DTYPES`), ``shape`` and little-endian, C-ordered ``data``."""
+    """A numpy array as ``dtype``, ``shape`` and little-endian, C-ordered ``data``."""
 
     dtype: str
     shape: tuple[int, ...]

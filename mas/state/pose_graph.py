@@ -11,7 +11,7 @@ from maslam.backend.geometry import Array, Sim3, se3_inverse
 from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
 
 from ..config import OptimisationConfig
-from ..protocol.ids import FrameId, MatchId
+from ..protocol.ids import MatchId
 from ..protocol.messages import LINK_DTYPE, Bid, Links, PieceTerms
 from ..protocol.tasks import OptimiseTask
 from ..protocol.tensors import pack_sim3s, unpack_sim3s
@@ -191,8 +191,3 @@ def _definite(information: Array) -> Array:
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     values = np.maximum(values, 1e-9 * max(float(values[-1]), 1e-12))
     return (vectors * values) @ vectors.T
-
-
-def frame_name(frame: FrameId) -> str:
-    """For people and files: ``agent_03`` or ``agent_03 track 1``."""
-    return f"agent_{frame.agent:02d}" + (f" track {frame.track}" if frame.track else "")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
+import numpy as np
 from factory import circuit, make_sequence, make_world, manifest_of
 
+from maslam.mas.map_exchange.coding.quantised_map import LatticeMap
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import make_agents
@@ -33,3 +35,9 @@ def _drive(keyframes: int) -> tuple[AgentSequence, list[KeyFrame]]:
 def see(state: AgentState, keyframes: list[KeyFrame], count: int) -> None:
     for keyframe in keyframes[len(state.keyframes) : len(state.keyframes) + count]:
         state.observe(keyframe)
+
+
+def same_map(a: LatticeMap, b: LatticeMap) -> bool:
+    """Whether two copies hold the same numbers."""
+    pairs = zip(vars(a).values(), vars(b).values(), strict=True)
+    return all(np.array_equal(x, y) if isinstance(x, np.ndarray) else x == y for x, y in pairs)

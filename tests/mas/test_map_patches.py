@@ -10,7 +10,7 @@ import pytest
 from factory import circuit, make_sequence
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from map_driver import WORLD, driver, see
+from map_driver import WORLD, driver, same_map, see
 
 from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.map_exchange.coding.map_delta import encode
@@ -113,7 +113,7 @@ def test_any_sequence_of_purchases_ends_with_what_a_whole_purchase_gives(story: 
     assert newest is not None and buyer is not None and second is not None
     whole = stock_of(0, None, (newest.whole,))
     for copy in (buyer, second, whole):
-        assert copy.map.same_as(newest.map)
+        assert same_map(copy.map, newest.map)
     assert newest.map.keyframes.tolist() == state.placed()
     moved = on_lattice(np.array(state.poses), newest.map.steps) - newest.map.poses
     assert np.abs(moved).max() <= 4
@@ -162,7 +162,7 @@ def test_when_another_track_becomes_the_main_one_the_map_comes_whole() -> None:
     see(state, frames, 22)
     buyer = _bought(publisher.edition(closing=False), buyer)
     assert buyer.map.keyframes.tolist() == list(range(8, 30)) == state.placed()
-    assert publisher.stock is not None and buyer.map.same_as(publisher.stock.map)
+    assert publisher.stock is not None and same_map(buyer.map, publisher.stock.map)
 
 
 def test_only_what_is_new_comes() -> None:

@@ -96,7 +96,7 @@ def test_who_is_contradicted_more_than_borne_out_is_not_trusted_until_that_chang
     standing = ReputationBook(CONFIG)
     for borne_out, contradicted, trusted in ((0, 3, True), (0, 4, False), (10, 4, True), (2, 6, False)):
         standing.judged(1, borne_out, contradicted)
-        assert standing.trusts(1) is trusted
+        assert (standing.regard(1) is not Trust.UNTRUSTED) is trusted
 
 
 @given(st.lists(st.sampled_from([DONE, NOT_DELIVERED, UNHEARD, ended(ContractState.FAILED, Bid, Award)]), max_size=60))

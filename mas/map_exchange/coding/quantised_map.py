@@ -115,13 +115,6 @@ class LatticeMap:
             for ids, turn, move, scale in zip(self.matches.tolist(), turns, moves, scales, strict=True)
         ]
 
-    def same_as(self, other: LatticeMap) -> bool:
-        """Whether two copies hold the same numbers."""
-        return all(
-            np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
-            for a, b in zip(vars(self).values(), vars(other).values(), strict=True)
-        )
-
 
 def empty_map(owner: int, frame: FrameId, steps: Steps) -> LatticeMap:
     """Edition 0: nothing."""
