@@ -18,7 +18,7 @@ from maslam.tools.worlds.scene import textures
 from maslam.tools.worlds.scene.mesh import MeshBuilder
 from maslam.tools.worlds.scene.texture_atlas import AtlasBuilder
 from maslam.tools.worlds.scene.world import FreeSpace, World
-from maslam.tools.worlds.view_sampler import view_sampler
+from maslam.tools.worlds.town.town import build_town
 
 CAMERA = PinholeCamera(160, 120, 100.0, 104.0, 77.3, 61.9)
 POSE = se3(so3_exp(np.array([0.1, -0.2, 0.05])), np.array([0.3, -0.4, -0.2]))
@@ -62,12 +62,13 @@ def test_depth_of_a_wall_and_a_cube_in_closed_form() -> None:
 def test_stereo_disparity_is_that_of_the_depth() -> None:
     """OpenCV's optical flow from the left to the right picture finds the disparity that follows from depth and
     baseline, unbiased."""
-    _, sample = _town()
     pose, baseline = _street_pose(), 0.54
     right = pose.copy()
     right[:3, 3] += baseline * pose[:3, 0]
-    views = [sample(p, Light(), np.random.default_rng(k)) for k, p in enumerate((pose, right))]
-    grey = [cv2.cvtColor(v.image, cv2.COLOR_RGB2GRAY) for v in views]
+    camera, exposure = PinholeCamera(320, 240, 177.7, 177.7, 159.5, 119.5), Light().metered() * Light().exposure
+    views = [Renderer(_town()).render(p, camera, Light()) for p in (pose, right)]
+    images = [develop(v.radiance, SensorConfig(), exposure, np.random.default_rng(k)) for k, v in enumerate(views)]
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in images]
     corners = cv2.goodFeaturesToTrack(grey[0], 500, 0.01, 5).reshape(-1, 2)
     flow, status, _ = cv2.calcOpticalFlowPyrLK(*grey, corners, None, winSize=(13, 13), maxLevel=4)
     depth = views[0].depth_m[np.rint(corners[:, 1]).astype(int), np.rint(corners[:, 0]).astype(int)]
@@ -106,8 +107,8 @@ def _warp_residual(first: View, second: View, T_2_1: NDArray[np.float64], camera
 
 
 @cache
-def _town() -> tuple[World, object]:
-    return view_sampler("town", 3)
+def _town() -> World:
+    return build_town(3, facade_count=24, ground_texel_m=0.1)[0]
 
 
 def _street_pose() -> NDArray[np.float64]:
@@ -126,7 +127,7 @@ def _street_pose() -> NDArray[np.float64]:
 def test_views_agree_through_depth() -> None:
     """One metre on and a little turned, the town looks the same to a few grey levels at 30 times that contrast:
     textures do not swim."""
-    world, _ = _town()
+    world = _town()
     renderer, camera = Renderer(world), PinholeCamera(480, 270, 262.0, 262.0, 239.5, 134.5)
     pose = _street_pose()
     moved = pose @ se3(so3_exp(np.array([0.004, 0.02, -0.006])), np.array([0.15, -0.02, 0.9]))
@@ -141,7 +142,7 @@ def test_views_agree_through_depth() -> None:
 
 def test_tracking_is_accurate_to_a_fraction_of_a_pixel() -> None:
     """OpenCV's optical flow follows corners to where exact depth and pose say they are."""
-    world, _ = _town()
+    world = _town()
     renderer, camera = Renderer(world), PinholeCamera(480, 270, 262.0, 262.0, 239.5, 134.5)
     pose = _street_pose()
     moved = pose @ se3(so3_exp(np.array([0.002, 0.01, 0.003])), np.array([0.02, 0.0, 0.5]))

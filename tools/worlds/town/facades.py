@@ -12,7 +12,6 @@ BAY_M = FLOOR_M = 3.2
 BAYS = FLOORS = 4
 SIZE = 512
 CELL = SIZE // BAYS
-PX_PER_M = CELL / BAY_M
 
 WALLS: tuple[Colour, ...] = (
     (196, 178, 146),
