@@ -1,42 +1,36 @@
-"""The report's drawing: ticks, number formats, breaks in lines and equal axes, against values worked out by hand."""
+"""Charts, as a page and as files have them: breaks in lines, equal axes, number formats, bands, styles."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+from maslam.tools.common.figures import DASHES, PALETTE, dress, house_figure, inline_svg, saved_figure, style_of, tip
 from maslam.tools.common.plane import plane_of
-from maslam.tools.common.svg import Plot, format_tick, nice_ticks
-from maslam.tools.report.charts import Path2D, bars, bytes_chart, format_bytes, lines_chart, map_chart, traffic_matrix
+from maslam.tools.report.charts import (
+    Path2D,
+    TopView,
+    bars,
+    bytes_chart,
+    copy_chart,
+    draw_bytes,
+    draw_map,
+    format_bytes,
+    lines_chart,
+    map_chart,
+    traffic_matrix,
+)
+from maslam.tools.report.html import legend
 from maslam.tools.report.match_images import choose
 
-
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (0, 10, [0, 2, 4, 6, 8, 10]),
-        (-0.13, 0.42, [-0.1, 0.0, 0.1, 0.2, 0.3, 0.4]),
-        (3, 3, [3]),
-        (0, 1e6, [0, 2e5, 4e5, 6e5, 8e5, 1e6]),
-    ],
-)
-def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
-    np.testing.assert_allclose(nice_ticks(low, high, 6), expected, atol=1e-12)
+NOTHING = np.zeros((0, 2))
 
 
 def test_numbers_are_short() -> None:
-    assert [format_tick(v) for v in (0.0, -1e-15, 0.25, 9000, 15000, 2.5e6, 3e9)] == [
-        "0",
-        "0",
-        "0.25",
-        "9000",
-        "15k",
-        "2.5M",
-        "3G",
-    ]
     assert [format_bytes(v) for v in (0, 999, 1234, 71_617_181, 2.5e9)] == [
         "0 B",
         "999 B",
@@ -46,15 +40,78 @@ def test_numbers_are_short() -> None:
     ]
 
 
+def paths_of(svg: str, title: str) -> list[str]:
+    """Path data of what is called ``title``."""
+    groups = ElementTree.fromstring(svg).iter("g")
+    return [path.attrib["d"] for g in groups if g.findtext("title") == title for path in g.iter("path")]
+
+
 def test_a_line_breaks_where_nothing_is_known() -> None:
-    plot = Plot(100, 100, (0, 3), (0, 1), frame=False, margins=(0, 0, 0, 0))
-    plot.line([0, 1, 2, 3], [0.0, np.nan, 1.0, 1.0], "#000")
-    assert re.search(r' d="([^"]+)"', plot.svg("x")).group(1) == "M0.0 100.0M66.7 0.0L100.0 0.0"  # type: ignore[union-attr]
+    with house_figure((2.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        axes.plot([0, 1, 2, 3, 4], [0.0, 1.0, np.nan, 1.0, 1.0], gid=tip("known"))
+        (path,) = paths_of(inline_svg(figure, "x"), "known")
+    pieces = [[float(point.split()[0]) for point in piece.split("L")] for piece in path.split("M")[1:]]
+    assert len(pieces) == 2 and pieces[1][0] - pieces[0][-1] == pytest.approx(2 * np.ptp(pieces[0]), abs=0.4)
 
 
 def test_equal_axes_make_a_metre_a_metre_both_ways() -> None:
-    plot = Plot(300, 100, (0, 10), (0, 10), equal=True, margins=(0, 0, 0, 0))
-    assert plot.x == (-10, 20) and plot.y == (0, 10)
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    for shape in (NOTHING, np.array([[0.0, 0.0], [100.0, 0.0]])):
+        view = TopView([Path2D("square", square, 0), Path2D("other", shape, 1)], [])
+        numbers = np.array(re.findall(r"-?[\d.]+", paths_of(map_chart(view), "square")[0]), dtype=float).reshape(-1, 2)
+        width, height = np.ptp(numbers, axis=0)
+        assert width > 10 and width == pytest.approx(height, abs=0.21)
+
+
+def test_a_page_gets_a_chart_that_needs_nothing_but_the_page() -> None:
+    xy = np.cumsum(np.random.default_rng(0).normal(size=(400, 2)), axis=0)
+    view = TopView([Path2D("agent_00", xy, 0), Path2D("a<b", xy[:3], 9)], [xy], np.array([[[0.0, 0.0], [1.0, 1.0]]]))
+    chart = map_chart(view)
+    assert not re.search(r"https?:|url\(|href|font-family|<style|<script|<use| id=", chart)
+    assert chart == map_chart(view) and len(chart) < 16_000
+    assert len(paths_of(chart, "ground truth")) == len(paths_of(chart, "agent_00")) == len(paths_of(chart, "a<b")) == 1
+    assert len(paths_of(chart, "agent_00 starts here")) == 1 and "C" in paths_of(chart, "agent_00 starts here")[0]
+
+
+def test_more_series_than_colours_differ_by_their_dashes() -> None:
+    styles = [tuple(style_of(k).items()) for k in range(len(PALETTE) * len(DASHES))]
+    assert len(set(styles)) == len(styles)
+    key = legend([("one", PALETTE[0], ()), ("two", PALETTE[0], (6, 3))])
+    assert 'stroke-dasharray="none"' in key and 'stroke-dasharray="6 3"' in key
+
+
+def test_bands_of_bytes_stand_on_each_other() -> None:
+    with house_figure((3.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        draw_bytes(axes, np.arange(3.0), {"dvpr": np.array([0.0, 1.0, 2.0]), "dopt": np.array([0.0, 0.0, 5.0])})
+        extents = [band.get_paths()[0].get_extents() for band in axes.collections]
+    assert [(box.ymin, box.ymax) for box in extents] == [(0.0, 2.0), (0.0, 7.0)]
+
+
+def test_a_copy_of_anothers_map_is_drawn_thinner() -> None:
+    with house_figure((3.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        line = np.array([[0.0, 0.0], [1.0, 2.0]])
+        draw_map(axes, TopView([Path2D("own", line, 0), Path2D("copy", line, 1, faint=True)], []))
+        own, copy = (line.get_linewidth() for line in axes.lines)
+    assert copy < own
+
+
+@pytest.mark.parametrize("ending", [".png", ".svg", ".pdf"])
+def test_the_same_drawing_gives_the_same_file_and_a_broken_one_none(tmp_path: Path, ending: str) -> None:
+    def draw(path: Path, broken: bool = False) -> None:
+        with saved_figure(path, (2.0, 2.0)) as figure:
+            dress(figure.add_subplot(), "title", "x", "y")
+            if broken:
+                raise KeyboardInterrupt
+
+    for name in ("a", "b"):
+        draw(tmp_path / (name + ending))
+    assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
+    with pytest.raises(KeyboardInterrupt):
+        draw(tmp_path / f"c{ending}", broken=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"a{ending}", f"b{ending}"]
 
 
 def test_the_top_view_looks_along_the_flattest_axis() -> None:
@@ -65,15 +122,13 @@ def test_the_top_view_looks_along_the_flattest_axis() -> None:
 
 
 def test_every_chart_is_well_formed_also_without_data() -> None:
-    nothing = np.zeros((0, 2))
-    paths = [Path2D("a<b", np.array([[0.0, 0.0], [1.0, 2.0]]), 0), Path2D("b&c", nothing, 1)]
+    paths = [Path2D("a<b", np.array([[0.0, 0.0], [1.0, 2.0]]), 0), Path2D("b&c", NOTHING, 1)]
     charts = [
-        map_chart(paths, [nothing], np.zeros((0, 2, 2)), (300, 200)),
-        map_chart([], [], np.zeros((0, 2, 2)), (300, 200)),
-        lines_chart(np.zeros(0), {}, "m"),
-        lines_chart(
-            np.arange(3.0), {"a": np.full(3, np.nan), "b": np.array([1.0, np.nan, 2.0])}, "m", [1.0], mean=True
-        ),
+        map_chart(TopView(paths, [NOTHING])),
+        map_chart(TopView([], [])),
+        copy_chart("a<b", TopView(paths, [NOTHING])),
+        lines_chart(np.zeros(0), {}, "m", []),
+        lines_chart(np.arange(3.0), {"a": np.full(3, np.nan), "b": np.array([1.0, np.nan, 2.0])}, "m", [1.0]),
         bytes_chart(np.arange(2.0), {"dvpr": np.zeros(2)}),
         f"<div>{bars([('a<b', 0.0, '0', '#000')], 0.0)}</div>",
         traffic_matrix(["a<b", "c"], np.array([[0, 5], [0, 0]])),

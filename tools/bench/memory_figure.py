@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..common.figures import dress, saved_figure
-from ..common.svg import colour_of
+from ..common.figures import colour_of, dress, saved_figure
 from .memory import MemoryReport
 
 
@@ -19,12 +18,12 @@ def draw_memory(report: MemoryReport, path: Path) -> None:
         memory.plot(frames, [s.resident_mb - s.map_mb for s in samples], color=colour_of(4), label="without the maps")
         memory.plot(frames, [s.map_mb for s in samples], color=colour_of(2), label="maps")
         memory.set_ylim(bottom=0)
-        memory.legend(frameon=False, fontsize=8)
+        memory.legend()
         dress(memory, f"memory: {report.bytes_a_frame:.0f} bytes a frame without the maps", "frames", "MB")
         for k, name in enumerate(("points", "keyframes", "culled")):
             held.plot(frames, [max(1, getattr(s, name)) for s in samples], color=colour_of(k), label=name)
         held.set_yscale("log")
-        held.legend(frameon=False, fontsize=8)
+        held.legend()
         dress(held, "what the maps hold", "frames", "")
         spent.plot(frames, [s.cpu_ms for s in samples], color=colour_of(0))
         spent.set_ylim(bottom=0)

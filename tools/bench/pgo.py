@@ -112,8 +112,7 @@ def as_json(results: Sequence[PgoMeasurement]) -> str:
 
 def draw(results: Sequence[PgoMeasurement], path: Path) -> None:
     """Bytes a robot, processor time a robot, and the gap, against the number of robots."""
-    from ..common.figures import dress, saved_figure
-    from ..common.svg import colour_of
+    from ..common.figures import colour_of, dress, saved_figure
 
     panels: list[tuple[str, Callable[[PgoMeasurement], float]]] = [
         ("kB on the wire a robot", lambda r: r.wire_bytes / 1e3 / r.robots),
@@ -133,4 +132,4 @@ def draw(results: Sequence[PgoMeasurement], path: Path) -> None:
             axes.set_xticks(sizes, labels=[str(size) for size in sizes])
             axes.set_xticks([], minor=True)
             dress(axes, "", "robots", label)
-        figure.axes[0].legend(frameon=False)
+        figure.axes[0].legend()

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from maslam._atomic import write_atomically
 from maslam.descriptors.calibration import judge, precision_recall
 
-from ..common.figures import dress, saved_figure
-from ..common.svg import FAINT, INK, colour_of
+from ..common.figures import FAINT, INK, colour_of, dress, saved_figure
 from ..place_benchmarks.public_sets import PlaceBenchmark
 from .scores import Evaluation, as_records
 
@@ -81,9 +80,7 @@ def draw_bytes(results: Sequence[Sequence[Evaluation]], path: Path) -> None:
             dress(axes, evaluations[0].score.dataset, "bytes of a description", "recall@1")
         for axes in list(grid.flat)[len(results) :]:
             axes.set_visible(False)
-        figure.legend(
-            *grid[0, 0].get_legend_handles_labels(), ncols=6, frameon=False, labelcolor=INK, loc="outside lower center"
-        )
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), ncols=6, loc="outside lower center")
 
 
 def examples(benchmark: PlaceBenchmark, evaluation: Evaluation) -> tuple[list[int], list[int]]:
@@ -122,7 +119,7 @@ def _curves(figure: Any, benchmark: PlaceBenchmark, evaluations: Sequence[Evalua
     dress(axes, title, "recall of the nearest neighbour, if it is near enough", "precision")
     axes.set_xlim(-0.01, 1.01)
     axes.set_ylim(0.0, 1.03)
-    right.legend(*axes.get_legend_handles_labels(), frameon=False, fontsize=8.5, labelcolor=INK, loc="center left")
+    right.legend(*axes.get_legend_handles_labels(), fontsize=8.5, loc="center left")
 
 
 def _tiles(grid: Any, benchmark: PlaceBenchmark, distances: NDArray[np.float32], queries: Sequence[int]) -> None:

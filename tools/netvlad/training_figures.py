@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from maslam.descriptors.card import Calibration, ModelCard, OperatingPoint
 
 from ..common.errors import ToolError
-from ..common.figures import dress, saved_figure
-from ..common.svg import FAINT, INK, colour_of
+from ..common.figures import FAINT, INK, colour_of, dress, saved_figure
 
 _NOT_VALIDATION = ("step", "loss", "right", "scale")
 _MARKS = {"strict": "--", "candidate": ":"}
@@ -42,7 +41,7 @@ def training_picture(log: Path, out: Path) -> None:
             right.plot(steps, values, "o-", color=colour_of(number), linewidth=1.8, markersize=4, label=label)
         dress(right, "recall@1 on held-out worlds", "step", "")
         right.set_ylim(top=1.005)
-        right.legend(frameon=False, fontsize=8, labelcolor=INK, loc="lower right")
+        right.legend(loc="lower right")
 
 
 def draw_calibrations(cards: Sequence[ModelCard], out: Path) -> list[Path]:
@@ -78,9 +77,6 @@ def calibration_picture(calibration: Calibration, name: str, out: Path) -> None:
         figure.legend(
             *precision.get_legend_handles_labels(),
             ncols=len(curves),
-            frameon=False,
-            fontsize=8,
-            labelcolor=INK,
             loc="outside lower center",
         )
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..common.figures import dress, saved_figure
-from ..common.svg import FAINT, INK, colour_of
+from ..common.figures import FAINT, colour_of, dress, saved_figure
 from .curves import Curve
 
 _FLOOR = 1e-7
@@ -37,5 +36,5 @@ def draw_convergence(made: Sequence[Curve], title: str, path: Path) -> None:
             axes.set_xscale("log")
             axes.set_yscale("log")
             dress(axes, "", label, "cost above the optimum, share")
-        figure.axes[0].legend(frameon=False, fontsize=8)
-        figure.suptitle(title, x=0.01, ha="left", color=INK)
+        figure.axes[0].legend()
+        figure.suptitle(title, x=0.01, ha="left")

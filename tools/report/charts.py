@@ -1,16 +1,18 @@
-"""The charts of a report, each from plain arrays to SVG text."""
+"""The charts of a run: maps, errors and bytes, drawn on axes for every picture that has them and as a report's SVG."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.plane import Array
-from ..common.svg import FAINT, INK, Plot, colour_of, dash_of, format_tick
+from ..common.figures import FAINT, INK, TRUTH, colour_of, dress, house_figure, inline_svg, style_of, tip
+from ..common.plane import Array, plane_of
+from .run_data import RunData
 
 OPERATIONS = {
     "dvpr": "place queries",
@@ -20,7 +22,8 @@ OPERATIONS = {
     "negotiation": "negotiation",
 }
 OPERATION_COLOUR = dict(zip(OPERATIONS, ("#56B4E9", "#0072B2", "#D55E00", "#009E73", "#8d99a6"), strict=True))
-TRUTH = "#b8c2cc"
+_WIDE, _HALF, _SMALL = 7.2, (4.8, 2.8), (2.7, 2.1)  # inches, which a page stretches to the space there is
+_TALLEST, _FLATTEST = 0.62, 0.3  # height of a map over its width
 
 
 @dataclass(frozen=True)
@@ -35,81 +38,134 @@ class Path2D:
     faint: bool = False
 
 
-def map_chart(
-    paths: Sequence[Path2D], truths: Sequence[Array], links: Array, size: tuple[int, int], names: bool = True
-) -> str:
-    """Top view in metres, equal axes: truth as broad grey lines, estimates over it, ``links`` ``(M, 2, 2)`` between
-    matched places.
+@dataclass(frozen=True)
+class TopView:
+    """What a map shows: ``paths``, the true ones ``truths`` ``(N, 2)`` and ``links`` ``(M, 2, 2)`` between matched
+    places.
     """
-    shown = [xy for xy in (*truths, *(p.xy for p in paths)) if len(xy)]
-    everything = np.concatenate(shown) if shown else np.zeros((1, 2))
-    everything = everything[np.isfinite(everything).all(axis=1)]
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    pad = 0.05 * float((high - low).max() or 1.0)
-    plot = Plot(
-        *size,
-        (low[0] - pad, high[0] + pad),
-        (low[1] - pad, high[1] + pad),
-        "metres",
-        "metres" if names else "",
-        equal=True,
+
+    paths: Sequence[Path2D]
+    truths: Sequence[Array]
+    links: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+
+
+def axes_of(run: RunData) -> list[int]:
+    """The plane of a run's maps: that of the truth where there is one."""
+    truths = [agent.truth.centres for agent in run.agents if agent.truth is not None]
+    return list(plane_of(np.concatenate([np.zeros((0, 3)), *(truths or run.in_world)])))
+
+
+def top_view(run: RunData, members: Sequence[int]) -> TopView:
+    """The agents ``members`` in the world, with the matches that they have asked for."""
+    axes, agents = axes_of(run), [run.agents[i] for i in members]
+    ends = []
+    for row in run.accepted:
+        pair = [run.position_at(int(row[f"{end}_agent"]), int(row[f"{end}_stamp_ns"])) for end in ("query", "match")]
+        if int(row["query_agent"]) in members and pair[0] is not None and pair[1] is not None:
+            ends.append([pair[0][axes], pair[1][axes]])
+    return TopView(
+        [Path2D(agent.name, run.in_world[agent.index][:, axes], agent.index) for agent in agents],
+        [agent.truth.centres[:, axes] for agent in agents if agent.truth is not None],
+        np.array(ends).reshape(-1, 2, 2),
     )
-    for xy in truths:
-        plot.line(xy[:, 0], xy[:, 1], TRUTH, "ground truth", width=6 if names else 4)
-    for path in paths:
-        width = 1.2 if path.faint else 2.2
-        plot.line(path.xy[:, 0], path.xy[:, 1], colour_of(path.index), path.name, width, dash_of(path.index))
-    if len(links):
-        plot.segments(links[:, 0], links[:, 1], INK, width=1.1, opacity=0.45)
-    for path in paths:
+
+
+def draw_map(axes: Any, view: TopView, width: float = 1.8, names: bool = False) -> None:
+    """Top view in metres, equal axes: truth as broad grey lines, estimates over it, links; a disc, with a name, where
+    an agent starts. ``width``: of a line, points.
+    """
+    from matplotlib.collections import LineCollection
+
+    for xy in view.truths:
+        grey = {"color": TRUTH, "linewidth": 2.8 * width, "solid_capstyle": "round", "gid": tip("ground truth")}
+        axes.plot(xy[:, 0], xy[:, 1], **grey)
+    for path in view.paths:
+        thick = 0.55 * width if path.faint else width
+        axes.plot(path.xy[:, 0], path.xy[:, 1], linewidth=thick, gid=tip(path.name), **style_of(path.index))
+    links: dict[str, Any] = {"colors": INK, "linewidths": 0.5 * width, "alpha": 0.45, "gid": tip("accepted match")}
+    axes.add_collection(LineCollection(list(view.links), **links))
+    for path in view.paths:
         if names and len(path.xy):
-            plot.mark(
-                path.xy[0, 0], path.xy[0, 1], colour_of(path.index), title=f"{path.name} starts here", text=path.name
-            )
-    return plot.svg("top view of all trajectories")
+            colour = colour_of(path.index)
+            axes.plot(*path.xy[0], "o", color=colour, markeredgecolor="white", gid=tip(f"{path.name} starts here"))
+            box = {"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 1}
+            place = {"xytext": (6, 4), "textcoords": "offset points", "bbox": box}
+            axes.annotate(path.name, path.xy[0], color=colour, weight="bold", **place)
+    axes.set_aspect("equal", adjustable="datalim")
+    dress(axes)
 
 
-def lines_chart(
-    times_s: Array,
-    series: Mapping[str, Array],
-    y_label: str,
-    moments_s: Sequence[float] = (),
-    mean: bool = False,
-    top: float | None = None,
-) -> str:
-    """One line a name over time; thin vertical lines at ``moments_s``; the mean of all in black where asked for."""
-    values = np.concatenate([np.asarray(v, float) for v in series.values()]) if series else np.zeros(1)
-    finite = values[np.isfinite(values)]
-    high = top if top is not None else float(finite.max()) * 1.08 if len(finite) else 1.0
-    plot = Plot(
-        540, 290, (0.0, float(times_s[-1]) if len(times_s) else 1.0), (0.0, max(high, 1e-9)), "time, s", y_label
-    )
-    plot.vertical(moments_s, FAINT, "an optimisation ended")
+def draw_lines(axes: Any, times_s: Array, series: Mapping[str, Array], moments_s: Sequence[float] = ()) -> None:
+    """One line a name over time, from zero; thin vertical lines at ``moments_s``."""
+    for moment in moments_s:
+        axes.axvline(moment, color=FAINT, linewidth=0.8, linestyle=(0, (2, 3)), gid=tip("an optimisation ended"))
     for index, (name, line) in enumerate(series.items()):
-        plot.line(times_s, line, colour_of(index), name, dash=dash_of(index), opacity=0.9)
-    if mean and len(series) > 1:
-        stacked = np.array(list(series.values()), dtype=float)
-        known = np.isfinite(stacked).any(axis=0)
-        plot.line(times_s[known], np.nanmean(stacked[:, known], axis=0), INK, "mean", width=2.6)
-    return plot.svg(y_label)
+        axes.plot(times_s, line, linewidth=1.4, gid=tip(name), **style_of(index))
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+
+
+def draw_bytes(axes: Any, times_s: Array, cumulative: Mapping[str, Array]) -> None:
+    """Bytes since the start, one band an operation, stacked."""
+    from matplotlib.ticker import EngFormatter
+
+    below = np.zeros(len(times_s))
+    for name, values in cumulative.items():
+        band = {"color": OPERATION_COLOUR[name], "linewidth": 0, "label": OPERATIONS[name]}
+        axes.fill_between(times_s, below, below + values, gid=tip(OPERATIONS[name]), **band)
+        below = below + values
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.yaxis.set_major_formatter(EngFormatter("B"))
+
+
+def map_chart(view: TopView) -> str:
+    """SVG of a large map, as tall as what it shows."""
+    with house_figure((_WIDE, _WIDE * _shape([*view.truths, *(path.xy for path in view.paths)]))) as figure:
+        axes = figure.add_subplot()
+        draw_map(axes, view, names=True)
+        dress(axes, "", "metres", "metres")
+        return inline_svg(figure, "top view of all trajectories")
+
+
+def copy_chart(name: str, view: TopView) -> str:
+    """SVG of a small map: what agent ``name`` holds."""
+    with house_figure(_SMALL) as figure:
+        axes = figure.add_subplot()
+        draw_map(axes, view)
+        axes.tick_params(labelbottom=False, labelleft=False)
+        return inline_svg(figure, f"top view of the maps that {name} holds")
+
+
+def lines_chart(times_s: Array, series: Mapping[str, Array], y_label: str, moments_s: Sequence[float]) -> str:
+    """SVG of :func:`draw_lines`, with the mean of all in black where there are several."""
+    with house_figure(_HALF) as figure:
+        axes = figure.add_subplot()
+        draw_lines(axes, times_s, series, moments_s)
+        if len(series) > 1:
+            stacked = np.array(list(series.values()), dtype=float)
+            known = np.isfinite(stacked).any(axis=0)
+            axes.plot(times_s[known], np.nanmean(stacked[:, known], axis=0), color=INK, linewidth=2.4, gid=tip("mean"))
+            axes.set_ylim(bottom=0.0)
+        dress(axes, "", "time, s", y_label)
+        return inline_svg(figure, f"{y_label} over time")
 
 
 def bytes_chart(times_s: Array, cumulative: Mapping[str, Array]) -> str:
-    """Bytes since the start, one band an operation, stacked."""
-    total = np.sum(list(cumulative.values()), axis=0) if cumulative else np.zeros(1)
-    plot = Plot(
-        540,
-        290,
-        (0.0, float(times_s[-1]) if len(times_s) else 1.0),
-        (0.0, float(total.max()) * 1.05 or 1.0),
-        "time, s",
-        "wire bytes",
-    )
-    below = np.zeros(len(times_s))
-    for name, values in cumulative.items():
-        plot.area(times_s, below, below + values, OPERATION_COLOUR[name], OPERATIONS[name])
-        below = below + values
-    return plot.svg("bytes by operation over time")
+    """SVG of :func:`draw_bytes`."""
+    with house_figure(_HALF) as figure:
+        axes = figure.add_subplot()
+        draw_bytes(axes, times_s, cumulative)
+        dress(axes, "", "time, s", "on the wire")
+        return inline_svg(figure, "bytes by operation over time")
+
+
+def _shape(lines: Sequence[Array]) -> float:
+    """Height of a map over its width, for what is drawn on it."""
+    known = np.concatenate([np.zeros((0, 2)), *lines])
+    known = known[np.isfinite(known).all(axis=1)]
+    width, height = np.ptp(known, axis=0) if len(known) else (1.0, 1.0)
+    return float(np.clip(height / max(width, 1e-9), _FLATTEST, _TALLEST))
 
 
 def bars(entries: Sequence[tuple[str, float, str, str]], highest: float) -> str:
@@ -147,4 +203,4 @@ def format_bytes(count: float) -> str:
     for limit, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if abs(count) >= limit:
             return f"{count / limit:.3g} {unit}" if count / limit < 1000 else f"{count / limit:.0f} {unit}"
-    return f"{format_tick(count)} B"
+    return f"{count:g} B"

@@ -57,6 +57,15 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int 
     return f"<table><tr>{cells('th', head)}</tr>{body}</table>"
 
 
+def legend(entries: Sequence[tuple[str, str, Sequence[int]]]) -> str:
+    """HTML of a legend that charts share: name, colour and line pattern (empty: solid) each."""
+    items = []
+    for name, colour, dash in entries:
+        stroke = f'stroke="{colour}" stroke-width="3" stroke-dasharray="{" ".join(map(str, dash)) or "none"}"'
+        items.append(f'<span><svg width="26" height="10"><path d="M1 5H25" {stroke}/></svg>{escape(name)}</span>')
+    return f'<div class="legend">{"".join(items)}</div>'
+
+
 def _tile(tile: Tile) -> str:
     detail = f"<em>{escape(tile.detail)}</em>" if tile.detail else ""
     mood = f" {tile.mood}" if tile.mood else ""

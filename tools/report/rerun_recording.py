@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from maslam._atomic import replacing
 
 from ..common.errors import ToolError
-from ..common.svg import colour_of
+from ..common.figures import colour_of
 from .run_data import RunData, read_run
 
 CLOCK = "agents' time"

@@ -7,23 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
-from ..common.plane import plane_of
-from ..common.svg import INK, colour_of, dash_of, legend
+from ..common.figures import INK, TRUTH, colour_of, dash_of
 from .charts import (
     OPERATION_COLOUR,
     OPERATIONS,
-    TRUTH,
     Path2D,
+    TopView,
+    axes_of,
     bars,
     bytes_chart,
+    copy_chart,
     format_bytes,
     lines_chart,
     map_chart,
+    top_view,
     traffic_matrix,
 )
-from .html import Section, Tile, table
+from .html import Section, Tile, legend, table
 from .match_images import sample_images
-from .run_data import AgentData, Array, RunData
+from .run_data import AgentData, RunData
 
 MAX_MATCH_ROWS = 400
 
@@ -82,26 +84,20 @@ def sections(run: RunData) -> list[Section]:
     ]
 
 
-def _axes(run: RunData) -> list[int]:
-    truths = [agent.truth.centres for agent in run.agents if agent.truth is not None]
-    return list(plane_of(np.concatenate([np.zeros((0, 3)), *(truths or run.in_world)])))
-
-
 def _agent_legend(run: RunData) -> str:
     names = [(agent.name, colour_of(agent.index), dash_of(agent.index)) for agent in run.agents]
-    return legend([("ground truth", TRUTH, ""), *names] if run.has_truth else names)
+    return legend([("ground truth", TRUTH, ()), *names] if run.has_truth else names)
 
 
 def _map(run: RunData) -> list[Section]:
     """One chart with truth; without it, one for each frame, since nothing relates two frames."""
-    axes = _axes(run)
     note = "Top view. Dark links join the two places of each accepted match."
     if run.has_truth:
         note += " One transform lays each group of agents that shares a frame on the ground truth."
-        charts = [_map_of(run, [agent.index for agent in run.agents], axes)]
+        charts = [_map_of(run, [agent.index for agent in run.agents])]
     else:
         note += " There is no ground truth: each group of agents is drawn in its own frame."
-        charts = [_map_of(run, group, axes) for group in sorted(run.groups, key=lambda group: (-len(group), group))]
+        charts = [_map_of(run, group) for group in sorted(run.groups, key=lambda group: (-len(group), group))]
     shared = len(run.groups) == 1
     title = (
         "Trajectory"
@@ -113,40 +109,29 @@ def _map(run: RunData) -> list[Section]:
     return [Section(title, note, _agent_legend(run) + "".join(charts))]
 
 
-def _map_of(run: RunData, members: list[int], axes: list[int]) -> str:
-    agents = [run.agents[i] for i in members]
-    paths = [Path2D(agent.name, run.in_world[agent.index][:, axes], agent.index) for agent in agents]
-    truths = [agent.truth.centres[:, axes] for agent in agents if agent.truth is not None]
-    ends = []
-    for row in run.accepted:
-        pair = [run.position_at(int(row[f"{end}_agent"]), int(row[f"{end}_stamp_ns"])) for end in ("query", "match")]
-        if int(row["query_agent"]) in members and pair[0] is not None and pair[1] is not None:
-            ends.append([pair[0][axes], pair[1][axes]])
-    return map_chart(paths, truths, np.array(ends).reshape(-1, 2, 2), (1060, 560))
+def _map_of(run: RunData, members: list[int]) -> str:
+    return f'<div class="wide">{map_chart(top_view(run, members))}</div>'
 
 
 def _copies(run: RunData) -> Section:
     """A small map for each holder: its own trajectory and the copies it bought."""
-    axes = _axes(run)
     figures = []
     for agent in run.agents:
-        paths, truths = _held(run, agent, axes)
         error = run.summary["ate_rmse_m"]["maps"][agent.index]
         measured = "" if error is None else f", ATE of all {error:.3f} m"
         said = f"holds {len(agent.copies)} of {len(run.agents) - 1}{measured}"
-        chart = map_chart(paths, truths, np.zeros((0, 2, 2)), (300, 230), names=False)
+        chart = copy_chart(agent.name, _held(run, agent))
         head = f'<h3 style="color:{colour_of(agent.index)}">{escape(agent.name)}</h3>'
         figures.append(f"<figure>{head}{chart}<figcaption>{escape(said)}</figcaption></figure>")
     note = "What each agent knows in the end: its own key-frames and the maps it bought from others, in its own frame."
     return Section("Map copies", note, f'<div class="copies">{"".join(figures)}</div>')
 
 
-def _held(run: RunData, agent: AgentData, axes: list[int]) -> tuple[list[Path2D], list[Array]]:
-    pieces = [(agent.index, agent.estimate), *sorted(agent.copies.items())]
+def _held(run: RunData, agent: AgentData) -> TopView:
+    axes, pieces = axes_of(run), [(agent.index, agent.estimate), *sorted(agent.copies.items())]
     T = run.alignment(pieces)
     paths = [Path2D(run.agents[i].name, (T @ t.centres)[:, axes], i, faint=i != agent.index) for i, t in pieces]
-    truths = [t.centres[:, axes] for i, _ in pieces if (t := run.agents[i].truth) is not None]
-    return paths, truths
+    return TopView(paths, [t.centres[:, axes] for i, _ in pieces if (t := run.agents[i].truth) is not None])
 
 
 def _errors(run: RunData) -> Section:
@@ -156,14 +141,14 @@ def _errors(run: RunData) -> Section:
     if not run.has_truth or not len(times):
         return Section("Error over time", "There is no ground truth to measure against.", "")
     charts = [
-        f"<div><h3>{title}</h3>{lines_chart(times, series, label, run.optimised_s, mean=True)}</div>"
+        f"<div><h3>{title}</h3>{lines_chart(times, series, label, run.optimised_s)}</div>"
         for title, series, label in (
             ("Own trajectory so far", own, "ATE RMSE, m"),
             ("Own map and all copies held", maps, "ATE RMSE, m"),
         )
     ]
     note = "Position error after alignment, of what each agent had at that moment. Dotted lines: an optimisation ended."
-    mean = [("mean", INK, "")] if len(run.agents) > 1 else []
+    mean: list[tuple[str, str, tuple[int, ...]]] = [("mean", INK, ())] if len(run.agents) > 1 else []
     key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
     return Section("Error over time", note, f'{key}<div class="columns">{"".join(charts)}</div>{_error_table(run)}')
 
@@ -193,7 +178,7 @@ def _bytes(run: RunData) -> Section:
         one = run.summary["traffic"][name]
         title = escape(OPERATIONS.get(name, name))
         rows.append([title, f"{one['messages']:,}", f"{one['payload_bytes']:,}", f"{one['wire_bytes']:,}"])
-    key = legend([(title, OPERATION_COLOUR[name], "") for name, title in OPERATIONS.items()])
+    key = legend([(title, OPERATION_COLOUR[name], ()) for name, title in OPERATIONS.items()])
     chart = bytes_chart(times, bands) if len(times) else ""
     note = "Payload counts as published tables do; wire is the exact length of every encoded message."
     parts = table(["operation", "messages", "payload bytes", "wire bytes"], rows, total=True)

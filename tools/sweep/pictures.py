@@ -3,22 +3,17 @@ time), 3.2, 3.3, 4.3 to 4.6, 4.10 and 4.11 (all trajectories, and each agent's m
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..common.figures import dress, plain_powers, saved_figure
-from ..common.plane import plane_of
-from ..common.svg import FAINT, INK, colour_of
-from ..report.charts import TRUTH
-from ..report.run_data import read_run
+from ..common.figures import FAINT, colour_of, dress, plain_powers, saved_figure
+from ..report.charts import OPERATIONS, draw_bytes, draw_lines, draw_map, top_view
+from ..report.run_data import RunData, read_run
 from .rows import Group
 
-_OPERATIONS = ("dvpr", "relpose", "dopt", "mapmerge", "negotiation")
-_COLOURS = {"dvpr": "#0072B2", "relpose": "#E69F00", "dopt": "#009E73", "mapmerge": "#CC79A7", "negotiation": "#8d99a6"}
 _SHOWN_AGENTS = 10
 
 
@@ -31,9 +26,9 @@ def draw_all(groups: Sequence[Group], runs: dict[tuple[str, int, str], Path], ou
     if any(group["regret_ate"] is not None for group in groups):
         made.append(_regret(groups, out / "regret.png"))
     for (sequence, agents, preset), run in runs.items():
-        stem = f"{sequence}_{agents:03d}_{preset}"
-        made.append(_trajectories(run, f"{sequence}, {agents} agents, {preset}", out / f"map_{stem}.png"))
-        made.append(_over_time(run, f"{sequence}, {agents} agents, {preset}", out / f"time_{stem}.png"))
+        data, stem = read_run(run), f"{sequence}_{agents:03d}_{preset}"
+        made.append(_trajectories(data, f"{sequence}, {agents} agents, {preset}", out / f"map_{stem}.png"))
+        made.append(_over_time(data, f"{sequence}, {agents} agents, {preset}", out / f"time_{stem}.png"))
     return made
 
 
@@ -67,8 +62,8 @@ def _against_agents(groups: Sequence[Group], sequence: str, path: Path) -> Path:
             else:
                 axes.set_ylim(bottom=0)
             dress(axes, "", "agents", label)
-        figure.axes[0].legend(frameon=False, fontsize=8)
-        figure.suptitle(f"KITTI {sequence}" if sequence.isdigit() else sequence, x=0.01, ha="left", color=INK)
+        figure.axes[0].legend()
+        figure.suptitle(f"KITTI {sequence}" if sequence.isdigit() else sequence, x=0.01, ha="left")
     return path
 
 
@@ -85,72 +80,46 @@ def _regret(groups: Sequence[Group], path: Path) -> Path:
         axes.set_xscale("log")
         plain_powers(axes.xaxis)
         axes.set_ylim(0.0, 1.05 * axes.get_ylim()[1])
-        axes.legend(frameon=False)
+        axes.legend()
         dress(axes, "", "bytes over the reference's", "mean ATE over the reference's")
     return path
 
 
-def _trajectories(run: Path, title: str, path: Path) -> Path:
+def _trajectories(data: RunData, title: str, path: Path) -> Path:
     """All trajectories over the truth, then each agent's own map with the copies it holds."""
-    data = read_run(run)
-    truths = [agent.truth.centres for agent in data.agents if agent.truth is not None]
-    a, b = plane_of(np.concatenate(truths or list(data.in_world)))
+    view = replace(top_view(data, range(len(data.agents))), links=np.zeros((0, 2, 2)))
     shown = data.agents[:_SHOWN_AGENTS]
     columns = 2 + -(-len(shown) // 2)
     with saved_figure(path, (2.2 * columns, 4.6)) as figure:
         grid = figure.add_gridspec(2, columns)
         whole = figure.add_subplot(grid[:, :2])
-        _paths(whole, data, range(len(data.agents)), (a, b))
-        whole.set_title(title, loc="left", fontsize=10, color=INK)
+        draw_map(whole, view, width=1.4)
+        whole.set(title=title, adjustable="box")
         copies = {(c["holder"], c["owner"]) for c in data.summary["map_copies"]}
         for agent in shown:
             axes = figure.add_subplot(grid[agent.index % 2, 2 + agent.index // 2])
-            held = [k for k in range(len(data.agents)) if k == agent.index or (agent.index, k) in copies]
-            _paths(axes, data, held, (a, b))
+            held = [one for one in view.paths if one.index == agent.index or (agent.index, one.index) in copies]
+            draw_map(axes, replace(view, paths=held), width=1.4)
+            axes.set(adjustable="box", xlim=whole.get_xlim(), ylim=whole.get_ylim())
             percent = data.summary["exploration_percent"][agent.index]
-            colour = colour_of(agent.index)
-            axes.set_title(f"agent {agent.index}: {percent:.0f} %", loc="left", fontsize=8, color=colour)
-            axes.set_xlim(whole.get_xlim())
-            axes.set_ylim(whole.get_ylim())
-            axes.set_xticks([])
-            axes.set_yticks([])
+            axes.set_title(f"agent {agent.index}: {percent:.0f} %", fontsize=8, color=colour_of(agent.index))
+            axes.tick_params(labelbottom=False, labelleft=False)
     return path
 
 
-def _paths(axes: Any, data: Any, chosen: Any, plane: tuple[int, int]) -> None:
-    a, b = plane
-    for agent in data.agents:
-        if agent.truth is not None:
-            axes.plot(agent.truth.centres[:, a], agent.truth.centres[:, b], color=TRUTH, lw=4, solid_capstyle="round")
-    for k in chosen:
-        xyz = data.in_world[k]
-        axes.plot(xyz[:, a], xyz[:, b], color=colour_of(k), lw=1.4)
-    axes.set_aspect("equal")
-    dress(axes, "", "", "")
-
-
-def _over_time(run: Path, title: str, path: Path) -> Path:
+def _over_time(data: RunData, title: str, path: Path) -> Path:
     """The error of each agent and of its maps, and bytes by operation, over logical time."""
-    with open(run / "timeline.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    names = list(rows[0])
-    time = np.array([float(row["time_s"]) for row in rows])
-    panels = [
-        ("ATE of each agent, m", [n for n in names if n.startswith("ate_rmse_m_")]),
-        ("ATE of each agent's maps, m", [n for n in names if n.startswith("map_rmse_m_")]),
-    ]
+    time = data.timeline["time_s"]
     with saved_figure(path, (12.0, 3.4)) as figure:
-        for k, (label, chosen) in enumerate(panels):
-            axes = figure.add_subplot(1, 3, k + 1)
-            for number, name in enumerate(chosen):
-                values = np.array([float(row[name]) if row[name] else np.nan for row in rows])
-                axes.plot(time, values, color=colour_of(number), lw=1.1)
-            axes.set_ylim(bottom=0)
+        agents, maps, on_wire = figure.subplots(1, 3)
+        for axes, label, prefix in (
+            (agents, "ATE of each agent, m", "ate_rmse_m"),
+            (maps, "ATE of each agent's maps, m", "map_rmse_m"),
+        ):
+            draw_lines(axes, time, {agent.name: data.timeline[f"{prefix}_{agent.name}"] for agent in data.agents})
             dress(axes, "", "s", label)
-        axes = figure.add_subplot(1, 3, 3)
-        stack = [np.array([float(row[f"{name}_wire_bytes"]) for row in rows]) / 1e6 for name in _OPERATIONS]
-        axes.stackplot(time, stack, labels=_OPERATIONS, colors=[_COLOURS[n] for n in _OPERATIONS])
-        axes.legend(frameon=False, fontsize=8, loc="upper left")
-        dress(axes, "", "s", "MB on the wire")
-        figure.suptitle(title, x=0.01, ha="left", color=INK)
+        draw_bytes(on_wire, time, {name: data.timeline[f"{name}_wire_bytes"] for name in OPERATIONS})
+        on_wire.legend(loc="upper left")
+        dress(on_wire, "", "s", "on the wire")
+        figure.suptitle(title, x=0.01, ha="left")
     return path

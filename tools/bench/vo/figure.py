@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...common.figures import dress, saved_figure
+from ...common.figures import FAINT, INK, TRUTH, colour_of, dress, saved_figure, style_of
 from ...common.plane import plane_of
-from ...common.svg import FAINT, INK, colour_of, dash_of
-from ...report.charts import TRUTH
 from .accuracy import LENGTHS_M, Accuracy
 from .result import OURS, BenchResult
 
@@ -65,7 +63,7 @@ def _paths(axes: Any, result: BenchResult) -> None:
     for k, (name, errors) in enumerate(_systems(result)):
         for number, track in enumerate(errors.tracks if errors is not None else ()):
             label = name if number == 0 else None
-            style = {"color": colour_of(k), "dashes": _dashes(k), "linewidth": 1.8 if k == 0 else 1.3}
+            style = {**style_of(k), "linewidth": 1.8 if k == 0 else 1.3}
             axes.plot(track.positions[:, a], track.positions[:, b], label=label, **style)
             axes.plot(*track.positions[0, [a, b]], "o", color=colour_of(k), markeredgecolor="white", markersize=6)
     axes.set_aspect("equal", adjustable="datalim")
@@ -73,7 +71,7 @@ def _paths(axes: Any, result: BenchResult) -> None:
     title = f"{result.name}: {result.tracked} of {result.frames} frames"
     dress(axes, title, f"{_AXES[a]}, {unit}", f"{_AXES[b]}, {unit}")
     if axes.has_data():
-        axes.legend(frameon=False, fontsize=8, labelcolor=INK)
+        axes.legend()
 
 
 def _errors(axes: Any, result: BenchResult) -> None:
@@ -83,7 +81,7 @@ def _errors(axes: Any, result: BenchResult) -> None:
         if errors is None:
             continue
         for track in errors.tracks:
-            style = {"color": colour_of(k), "dashes": _dashes(k), "linewidth": 1.8 if k == 0 else 1.3}
+            style = {**style_of(k), "linewidth": 1.8 if k == 0 else 1.3}
             axes.plot(track.along_m, track.errors_m, **style)
         known = zip(errors.rpe_percent, LENGTHS_M, strict=True)
         drift = [f"{value:.2f} % / {length:.0f} m" for value, length in known if np.isfinite(value)]
@@ -126,16 +124,8 @@ def _costs(axes: Any, results: Sequence[BenchResult]) -> None:
     axes.figure.legend(
         *axes.get_legend_handles_labels(),
         ncols=len(stages),
-        frameon=False,
-        fontsize=8,
-        labelcolor=INK,
         loc="outside lower center",
         handlelength=1.0,
         columnspacing=1.1,
         handletextpad=0.4,
     )
-
-
-def _dashes(index: int) -> tuple[float, ...] | tuple[None, None]:
-    pattern = dash_of(index)
-    return tuple(float(word) for word in pattern.split()) if pattern else (None, None)
