@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from .components import parts
 from .errors import BackendError
 from .geometry import Array
 
@@ -64,10 +63,7 @@ def _associate(maps: Sequence[PointMap], radius: float, max_hamming: int) -> NDA
         apart = np.bitwise_count(bits[pairs[:, 0]] ^ bits[pairs[:, 1]]).sum(axis=1, dtype=np.int64)
         pairs = pairs[(apart <= max_hamming) | ~described[pairs].all(axis=1)]
     pairs = _mutual(pairs, points)
-    n = len(points)
-    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    label = connected_components(joined, directed=False)[1]
-    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(parts(pairs, len(points)), return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.intp)
     rank[np.argsort(first, kind="stable")] = np.arange(len(first))
     return rank[inverse]

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from ..components import first_of_parts
 from ..geometry import Array, project_to_so3, se3, so3_exp
 from .linear import pose_blocks, rotation_blocks
 from .relaxation import Relaxation
@@ -42,18 +41,6 @@ def two_stage_poses(
     for _ in range(newton_steps):
         poses[free] = _newton_step(ends, measured, weights, poses, held)[free]
     return poses
-
-
-def first_of_parts(ends: NDArray[np.intp], count: int) -> list[int]:
-    """The first node of each connected part of a graph of ``count`` nodes."""
-    first: NDArray[np.intp] = np.unique(parts(ends, count), return_index=True)[1]
-    return sorted(first.tolist())
-
-
-def parts(ends: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """Label ``(count,)`` of the connected part that each node belongs to."""
-    joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(joined, directed=False)[1])
 
 
 def _newton_step(

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from ..components import parts
 from ..geometry import Array
 from .linear import BlockSystem
 
@@ -54,11 +53,7 @@ class Relaxation:
 
     def _islands(self) -> NDArray[np.intp]:
         """Label ``(n,)`` of the connected set of free nodes that each free node belongs to; meaningless elsewhere."""
-        n = len(self.values)
-        inside = self._is_free[self._ends].all(axis=1)
-        i, j = self._ends[inside].T
-        graph = coo_array((np.ones(len(i)), (i, j)), shape=(n, n))
-        return connected_components(graph, directed=False)[1]
+        return parts(self._ends[self._is_free[self._ends].all(axis=1)], len(self.values))
 
     def _current_system(self) -> BlockSystem:
         """The equations of all free nodes that edges tie to something known; rebuilt only when more becomes known."""

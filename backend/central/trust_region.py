@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..components import parts
 from ..errors import BackendError
 from ..geometry import Array, project_to_so3, se3, skew, so3_exp
 from ..pose_graph.graph import EdgeArrays
-from .chordal import parts
 from .laplacian import by_node, connection_laplacian, multipliers, stacked
 from .linear import BlockSystem, edge_costs, pose_blocks
 

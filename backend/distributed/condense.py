@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..central.chordal import first_of_parts, parts, two_stage_poses
+from ..central.chordal import two_stage_poses
 from ..central.linear import edge_costs, isotropic_weights
 from ..central.trust_region import newton
+from ..components import first_of_parts, parts
 from ..geometry import Array, se3_inverse
 from ..pose_graph.graph import Edge, NodeId
 from .share import Share

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..central.chordal import parts, two_stage_poses
+from ..central.chordal import two_stage_poses
 from ..central.linear import edge_costs
 from ..central.trust_region import newton
+from ..components import parts
 from ..geometry import Array
 from ..pose_graph.graph import NodeId
 from .condense import noise_of

@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..central.chordal import parts, two_stage_poses
+from ..central.chordal import two_stage_poses
 from ..central.linear import edge_costs
+from ..components import parts
 from ..geometry import Array, project_to_so3, se3, se3_inverse
 
 # Gauss-Newton steps of the local start.

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from maslam._atomic import write_atomically
 from maslam.backend.central.optimise import optimise
+from maslam.backend.components import parts
 from maslam.backend.config import CentralConfig
 from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_poses
@@ -195,12 +196,8 @@ def _trajectory(state: AgentState, poses: dict[NodeId, Array], sequence: AgentSe
 
 
 def _groups(count: int, matches: Sequence[MatchId]) -> list[list[int]]:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     ends = np.array([m.agents for m in matches], dtype=int).reshape(-1, 2)
-    joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    label = connected_components(joined, directed=False)[1]
+    label = parts(ends, count)
     return sorted([np.flatnonzero(label == k).tolist() for k in np.unique(label)])
 
 
