@@ -41,25 +41,13 @@ class ModelSession:
     def __init__(self, session: Any, path: Path, card: ModelCard) -> None:
         self._session, self.path, self._card = session, path, card
         (given,) = session.get_inputs()
-        self._input, self._type = given.name, _TYPES[given.type]
-        self._output = session.get_outputs()[0].name
+        self._type = _TYPES[given.type]
 
     @classmethod
     def open(cls, path: Path, card: ModelCard, threads: int, provider: str) -> ModelSession:
         """``threads``: that share one image's work on a CPU. ``DescriptorError`` where the graph cannot be loaded, or
         is not what ``card`` says."""
-        import onnxruntime
-
-        name = find_provider(provider)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-        options.log_severity_level = 4  # what goes wrong is raised, and said once
-        try:
-            session = onnxruntime.InferenceSession(str(path), options, providers=[name] if name == CPU else [name, CPU])
-        except Exception as error:
-            raise DescriptorError(f"{path}: onnxruntime cannot load it: {_line(error)}") from error
-        if session.get_providers()[0] != name:  # onnxruntime falls back on its own where a driver is missing
-            raise DescriptorError(f"{path}: {name} does not start on this machine (driver or libraries missing?)")
+        session = open_graph(path, threads, provider)
         _check(session, path, card)
         return cls(session, path, card)
 
@@ -72,10 +60,7 @@ class ModelSession:
                 values -= np.array(self._card.mean, dtype=np.float32)[:, None, None]
             if self._card.std:
                 values /= np.array(self._card.std, dtype=np.float32)[:, None, None]
-        try:
-            vectors = self._session.run([self._output], {self._input: values})[0]
-        except Exception as error:
-            raise DescriptorError(f"{self.path}: onnxruntime cannot run it: {_line(error)}") from error
+        vectors = run_graph(self._session, self.path, values)
         if vectors.shape != (len(images), self._card.dim):
             raise DescriptorError(
                 f"{self.path}: makes {vectors.shape} of {len(images)} images, "
@@ -87,6 +72,33 @@ class ModelSession:
         if np.abs(norms - 1.0).max(initial=0.0) > _UNIT:
             vectors = vectors / np.maximum(norms, 1e-12)
         return np.asarray(vectors, dtype=np.float32)
+
+
+def open_graph(path: Path, threads: int = 1, provider: str = CPU) -> Any:
+    """An onnxruntime session of any graph; ``DescriptorError`` where it cannot be loaded, or ``provider`` not start."""
+    import onnxruntime
+
+    name = find_provider(provider)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    options.log_severity_level = 4  # what goes wrong is raised, and said once
+    try:
+        session = onnxruntime.InferenceSession(str(path), options, providers=[name] if name == CPU else [name, CPU])
+    except Exception as error:
+        raise DescriptorError(f"{path}: onnxruntime cannot load it: {_line(error)}") from error
+    if session.get_providers()[0] != name:  # onnxruntime falls back on its own where a driver is missing
+        raise DescriptorError(f"{path}: {name} does not start on this machine (driver or libraries missing?)")
+    return session
+
+
+def run_graph(session: Any, path: Path, values: NDArray[Any]) -> NDArray[Any]:
+    """The first output for the first input; ``path``: of the graph, for the ``DescriptorError`` that says why not."""
+    try:
+        made = session.run([session.get_outputs()[0].name], {session.get_inputs()[0].name: values})[0]
+    except Exception as error:
+        size = "x".join(map(str, values.shape[:1:-1]))
+        raise DescriptorError(f"{path}: onnxruntime cannot run it on images of {size}: {_line(error)}") from error
+    return np.asarray(made)
 
 
 def _check(session: Any, path: Path, card: ModelCard) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from maslam.descriptors.card import Calibration, OperatingPoint, SetCurve
 from maslam.descriptors.codes import Coder
+from maslam.descriptors.errors import DescriptorError
 from maslam.tools.cli import main
 from maslam.tools.common.errors import ToolError
 from maslam.tools.netvlad.foreign_model import InputForm, load_model
@@ -76,7 +77,7 @@ def test_a_network_that_is_no_descriptor_is_said(tmp_path: Path) -> None:
         with pytest.raises(ToolError, match=message):
             load_model(str(path), form)
     (tmp_path / "bad.onnx").write_bytes(b"no network")
-    with pytest.raises(ToolError, match="onnxruntime cannot load it"):
+    with pytest.raises(DescriptorError, match="onnxruntime cannot load it"):
         load_model(str(tmp_path / "bad.onnx"))
     with pytest.raises(ToolError, match="has a card that says what it takes"):
         load_model("default", InputForm(pixels=100))

@@ -10,7 +10,7 @@ import numpy as np
 
 from maslam.descriptors.card import ModelCard, file_sha256
 from maslam.descriptors.inference import NetVlad
-from maslam.descriptors.session import CPU, ModelSession
+from maslam.descriptors.session import CPU, ModelSession, open_graph, run_graph
 
 from ..common.errors import ToolError
 
@@ -48,14 +48,7 @@ def load_model(model: str, form: InputForm | None = None) -> NetVlad:
 
 def card_for(path: Path, form: InputForm) -> ModelCard:
     """A card for a bare file, from its input's shape and one blank image sent through it."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4
-    try:
-        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise ToolError(f"{path}: onnxruntime cannot load it: {error}") from error
+    session = open_graph(path)
     given = session.get_inputs()[0]
     if len(given.shape) != 4:
         raise ToolError(f"{path}: takes an input of shape {given.shape}, images are (N, channels, H, W)")
@@ -86,13 +79,8 @@ def card_for(path: Path, form: InputForm) -> ModelCard:
 
 
 def _dimension(session: Any, path: Path, channels: int, size: tuple[int, int]) -> int:
-    given = session.get_inputs()[0]
-    kind = np.uint8 if given.type == "tensor(uint8)" else np.float32
-    blank = np.full((1, channels, *size), 128, dtype=kind)
-    try:
-        made = session.run([session.get_outputs()[0].name], {given.name: blank})[0]
-    except Exception as error:
-        raise ToolError(f"{path}: onnxruntime cannot run it on a {size[1]}x{size[0]} image: {error}") from error
+    kind = np.uint8 if session.get_inputs()[0].type == "tensor(uint8)" else np.float32
+    made = run_graph(session, path, np.full((1, channels, *size), 128, dtype=kind))
     if made.ndim != 2:
         raise ToolError(f"{path}: makes {made.shape} of one image, a place descriptor makes (1, numbers)")
     return int(made.shape[1])
