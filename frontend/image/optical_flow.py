@@ -51,10 +51,9 @@ def follow_both_ways(
     uv: NDArray[np.float64],
     guess: NDArray[np.float64],
     config: FlowConfig,
-    levels: int | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """As :func:`follow`, and the way back must end within ``round_trip_px`` of the start."""
-    xy, ok = follow(source, target, uv, guess, config, levels)
+    xy, ok = follow(source, target, uv, guess, config)
     index = np.flatnonzero(ok)
     back, returned = follow(target, source, xy[index], uv[index], config, min(1, config.levels))
     ok[index] = returned & (np.linalg.norm(back - uv[index], axis=1) < config.round_trip_px)
