@@ -28,13 +28,10 @@ _ROUNDS = 50
 
 @dataclass(frozen=True, eq=False)
 class Graduated:
-    """``graph``: the solution, its edges with their weights. ``squared_residuals`` ``(m,)`` of the edges, in stated
-    standard deviations; ``noise``: the law of right ones.
-    """
+    """``graph``: the solution, its edges with their ``weights`` ``(m,)``; ``noise``: the law of right ones."""
 
     graph: PoseGraph
     weights: Array
-    squared_residuals: Array
     noise: Noise
     iterations: int
 
@@ -70,7 +67,7 @@ def graduate(
             break
         seen.add(weights.tobytes())
         search.solve(weights)
-    return Graduated(search.graph, search.weights, search.squared, search.noise, search.iterations)
+    return Graduated(search.graph, search.weights, search.noise, search.iterations)
 
 
 def _judged(weights: Array, rows: NDArray[np.intp], distances: Array, back: float, away: float) -> Array:

@@ -24,11 +24,10 @@ SAMPLES = ((0.0, -0.36), (0.312, 0.18), (-0.312, 0.18))
 @dataclass(frozen=True)
 class View:
     """``radiance`` ``(H, W, 3)`` float32, linear RGB, before the sensor; ``depth_m`` ``(H, W)`` float64 metres along
-    +Z at the pixel centres, exact, 0 = sky; ``triangle`` ``(H, W)`` int32 of the mesh, -1 = sky."""
+    +Z at the pixel centres, exact, 0 = sky."""
 
     radiance: NDArray[np.float32]
     depth_m: NDArray[np.float64]
-    triangle: NDArray[np.int32]
 
 
 class Renderer:
@@ -72,7 +71,7 @@ class Renderer:
             fine = (pixels[edges][:, None] + np.array(SAMPLES)).reshape(-1, 2)
             around = cast.samples(fine, view, lights).reshape(len(edges), len(SAMPLES), 3).sum(axis=1)
             radiance[edges] = (radiance[edges] + around) / np.float32(len(SAMPLES) + 1)
-        return View(radiance.reshape(h, w, 3), depth.reshape(h, w), triangle.reshape(h, w))
+        return View(radiance.reshape(h, w, 3), depth.reshape(h, w))
 
     def _layer(self, mesh: Mesh) -> _Layer:
         scene = self._o3d.t.geometry.RaycastingScene(1)
