@@ -101,10 +101,6 @@ class Coder(ABC):
             raise DescriptorError(f"place code {self.code} has {self.bytes} bytes, got {rows.shape} {rows.dtype}")
         return self._decode(np.ascontiguousarray(rows))
 
-    def distances(self, query: Vectors, codes: Codes) -> Vectors:
-        """Euclidean distances ``(N,)`` of an exact vector ``(dim,)`` to coded ones ``(N, bytes)``, as decoded."""
-        return np.asarray(np.linalg.norm(self.decode(codes) - self.cut(query[None]), axis=1), dtype=np.float32)
-
     def restored(self, distance: float) -> float:
         """The distance between two exact vectors that a distance to a decoded one stands for.
 
@@ -190,16 +186,6 @@ class ProductCoder(Coder):
     def restored(self, distance: float) -> float:
         cosine = (1.0 - 0.5 * distance**2) / self._book.fidelity
         return float(np.sqrt(max(2.0 - 2.0 * cosine, 0.0)))
-
-    def distances(self, query: Vectors, codes: Codes) -> Vectors:
-        # Tables of each group's products with the query: no vector is put together again.
-        self._check(codes)
-        groups = self.cut(query[None])[0][self._place].reshape(self.bytes, 1, -1)
-        products = np.asarray((groups * self._book.centres).sum(axis=2))
-        squares = np.asarray((self._book.centres**2).sum(axis=2))
-        rows = np.arange(self.bytes)
-        cosine = products[rows, codes].sum(axis=1) / np.sqrt(squares[rows, codes].sum(axis=1))
-        return np.sqrt(np.maximum(2.0 - 2.0 * cosine, 0.0)).astype(np.float32)
 
     def _encode(self, vectors: Vectors) -> Codes:
         groups = vectors[:, self._place].reshape(len(vectors), self.bytes, 1, -1)

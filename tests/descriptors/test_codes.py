@@ -62,12 +62,6 @@ class TestEveryCode:
         for row in range(9):
             np.testing.assert_array_equal(coder.encode(vectors[row : row + 1])[0], together[row])
 
-    def test_distances_are_those_to_the_decoded_vectors(self, model: Path, code: str) -> None:
-        coder, vectors, query = Coder.of(model, code), some(30, 2), some(1, 3)
-        codes = coder.encode(vectors)
-        expected = np.linalg.norm(coder.decode(codes).astype(np.float64) - coder.cut(query), axis=1)
-        np.testing.assert_allclose(coder.distances(query[0], codes), expected, atol=2e-6)
-
     def test_decoding_points_the_same_way(self, model: Path, code: str) -> None:
         coder, vectors = Coder.of(model, code), some(200, 4)
         cosine = (coder.decode(coder.encode(vectors)) * coder.cut(vectors)).sum(axis=1)
