@@ -52,10 +52,6 @@ class Patches:
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Patches:
         return Patches(self.uv[rows], self.pixels[rows])
 
-    @staticmethod
-    def join(parts: list[Patches]) -> Patches:
-        return Patches(np.concatenate([p.uv for p in parts]), np.concatenate([p.pixels for p in parts]))
-
 
 def half_sized(image: NDArray[np.uint8], levels: int) -> list[NDArray[np.uint8]]:
     """The image and its halvings; pixel ``x`` of level k lies at ``2^k x`` of level 0."""

@@ -150,10 +150,6 @@ def clouds(rng: np.random.Generator, size: int = 512) -> Image:
     return _rgb(to_image(order * (255.0 / order.size)))
 
 
-def plain(value: float) -> Image:
-    return np.full((1, 1, 3), np.uint8(value), np.uint8)
-
-
 def _rgb(grey: Image) -> Image:
     return np.repeat(grey[:, :, None], 3, axis=2)
 
