@@ -124,7 +124,7 @@ def test_wishes_that_cannot_be_met_are_usage_errors(cache: Path, capsys: pytest.
     for wish, message in (
         (["--methods", "magic"], "--methods magic: not one of netvlad"),
         (["--sets", "moon_1"], "--sets moon_1: not one of"),
-        (["--input-size", "320"], "--input-size 320: expected WIDTHxHEIGHT"),
+        (["--input-size", "320"], "--input-size 320: width and height in pixels"),
         (["--input-mean", "a,b"], "--input-mean a,b: expected numbers"),
     ):
         few = ["--worlds", "1", "--places", "12", "--kinds", "town"]

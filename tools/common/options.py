@@ -100,12 +100,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return content
 
 
-def size(text: str) -> tuple[int, int]:
-    """Width and height in pixels of ``640x360``; ``UsageError`` for anything else."""
-    width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdigit() and height.isdigit()):
-        raise UsageError(f"--size {text}: width and height in pixels are meant, like 640x360")
-    return int(width), int(height)
+def size(text: str, option: str = "--size") -> tuple[int, int]:
+    """Width and height in pixels of ``640x360``; ``UsageError``, which names the ``option``, for anything else."""
+    sides = text.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and int(side) > 0 for side in sides):
+        raise UsageError(f"{option} {text}: width and height in pixels are meant, like 640x360")
+    return int(sides[0]), int(sides[1])
 
 
 def _overlay(values: dict[str, Any], changes: Mapping[str, Any]) -> None:

@@ -72,14 +72,10 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
 
 def input_form_of(arguments: argparse.Namespace) -> InputForm:
     """What :func:`add_input_options` was given."""
+    from ..worlds.command import size as parse_size
     from .foreign_model import InputForm
 
-    size = None
-    if arguments.input_size is not None:
-        words = arguments.input_size.lower().split("x")
-        if len(words) != 2 or not all(word.isdigit() and int(word) > 0 for word in words):
-            raise UsageError(f"--input-size {arguments.input_size}: expected WIDTHxHEIGHT in pixels, such as 320x240")
-        size = (int(words[1]), int(words[0]))
+    size = None if arguments.input_size is None else parse_size(arguments.input_size, "--input-size")[::-1]
     mean, std = (_numbers(f"--input-{name}", getattr(arguments, f"input_{name}")) for name in ("mean", "std"))
     return InputForm(arguments.input_pixels, size, mean, std)
 
