@@ -20,7 +20,6 @@ class FeatureConfig(_Frozen):
     )
     levels: int = Field(4, ge=1, le=8, description="levels of the scale pyramid")
     scale_factor: float = Field(1.4, gt=1.0, le=2.0, description="ratio of two levels")
-    min_distance_px: float = Field(8.0, gt=0.0, description="between two followed points")
 
 
 class FlowConfig(_Frozen):
@@ -179,4 +178,3 @@ class OdometryConfig(_Frozen):
     mono: MonoConfig = MonoConfig()
     lost: LostConfig = LostConfig()
     min_track_keyframes: int = Field(2, ge=1, description="shorter tracks are not written")
-    seed: int = Field(0, ge=0, description="of every random draw")

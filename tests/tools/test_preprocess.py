@@ -149,10 +149,10 @@ def test_results_are_taken_up_again_and_made_anew_when_something_changed(tmp_pat
     assert len(calls) == FRAMES, "another split needs no new tracking"
     assert preprocess(source, out) == 0
     assert {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()} == before
-    assert preprocess(source, out, "--odometry.seed", 1) == 0
+    assert preprocess(source, out, "--odometry.mapping.window", 11) == 0
     assert len(calls) == 2 * FRAMES, "other settings do"
     cv2.imwrite(str(source / "image_0" / "000003.png"), np.full((24, 32), 200, dtype=np.uint8))
-    assert preprocess(source, out, "--odometry.seed", 1) == 0
+    assert preprocess(source, out, "--odometry.mapping.window", 11) == 0
     assert len(calls) == 3 * FRAMES, "another image does"
 
 
@@ -286,7 +286,7 @@ def square_or_fail(number: int, advance: Any) -> int:
     ("text", "said"),
     [
         ("relpose: {min_inliers: 3}", "unknown setting 'relpose'"),
-        ("odometry: {sead: 3}", "unknown setting 'sead'; did you mean 'seed'?"),
+        ("odometry: {features: {track: 3}}", "unknown setting 'features.track'; did you mean 'features.tracks'?"),
         ("odometry: 3", "odometry: expected keys and values, found 3"),
     ],
 )
