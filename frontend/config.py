@@ -3,6 +3,8 @@ alike."""
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
 
 
@@ -86,9 +88,8 @@ class PoseConfig(_Frozen):
 class KeyframeConfig(_Frozen):
     """When a frame becomes a key-frame, and which key-frames stay."""
 
-    policy: str = Field(
+    policy: Literal["motion", "thesis"] = Field(
         "motion",
-        pattern="^(motion|thesis)$",
         description="motion: ours; thesis: section 2.1.3 (20 frames, 50 points, 90 %)",
     )
     min_frames: int = Field(20, ge=1, description="thesis: frames since the last key-frame")

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
-from .common.errors import UsageError, describe
+from .common.errors import UnknownName, UsageError, describe
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (".pipeline.demo", "render a small town, run four agents in it, write the report"),
@@ -57,6 +57,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with one_blas_thread():
             return arguments.command_main(arguments) or SUCCESS
+    except UnknownName as error:
+        print(f"maslam: {error}", file=sys.stderr)
+        return USAGE
     except UsageError as error:
         print(f"usage: maslam {arguments.command} --help\nmaslam: {error}", file=sys.stderr)
         return USAGE

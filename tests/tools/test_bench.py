@@ -203,8 +203,8 @@ def test_wrong_use_is_said(town: Path, tmp_path: Path, capsys: pytest.CaptureFix
         (2, "of which sequence", [str(town), "--compare", "x.tum"]),
         (2, "--runs 0", [str(town), "--runs", "0"]),
         (2, "must end in .png", [str(town), "--plot", "picture.doc"]),
-        (1, "unknown setting 'features.track'", [str(town), "--config", str(tmp_path / "wrong.yaml")]),
-        (1, "unknown setting 'nothing'", [str(town), "--config", str(tmp_path / "other.yaml")]),
+        (2, "unknown setting 'odometry.features.track'", [str(town), "--config", str(tmp_path / "wrong.yaml")]),
+        (2, "unknown setting 'nothing'", [str(town), "--config", str(tmp_path / "other.yaml")]),
         (2, "FOLDER", []),
     ):
         assert main(["bench", "vo", "--quiet", *words]) == code

@@ -10,8 +10,8 @@ from typing import Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from maslam.tools.common.errors import ToolError, UsageError
-from maslam.tools.common.options import add_model_options, build, leaves, read_yaml
+from maslam.tools.common.errors import ToolError, UnknownName, UsageError
+from maslam.tools.common.options import add_model_options, build, leaves, read_settings, read_yaml
 
 
 class Colour(StrEnum):
@@ -102,6 +102,46 @@ def test_a_wrong_option_is_a_usage_error() -> None:
         build(Outer(), parse("--relpose.min-inliers", "many"))
     with pytest.raises(SystemExit):
         parse("--relpose.min-inlierz", "3")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("on: true\nrelpose:\n  min_inlier: 3\n", "c.yaml:3: unknown setting 'relpose.min_inlier'; did you mean"),
+        ("relpos: {ratio: 0.5}\n", "c.yaml:1: unknown setting 'relpos'; did you mean"),
+        (
+            "on: true\nmode: fats\n",
+            "c.yaml:2: mode: input should be 'fast' or 'slow', not 'fats'; did you mean 'fast'?",
+        ),
+        ("colour: rde\n", "c.yaml:1: colour: input should be 'red' or 'blue', not 'rde'; did you mean 'red'?"),
+    ],
+)
+def test_unknown_names_in_a_file_are_usage_errors_with_their_line(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(UnknownName) as error:
+        build(Outer(), parse(), read_settings(path), path)
+    assert str(error.value).startswith(f"{tmp_path}/{said}")
+
+
+def test_a_value_out_of_range_is_told_with_its_line_and_section(tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text("other: 1\npart:\n  relpose:\n    sizes: [1, two]\n")
+    with pytest.raises(ToolError, match=r"c\.yaml:4: part\.relpose\.sizes\.1: .*'two'"):
+        build(Outer(), parse(), read_settings(path)["part"], path, "part")
+
+
+def test_the_sections_of_a_file_may_be_limited(tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text("odometry: {}\nodometri: {}\n")
+    with pytest.raises(UnknownName, match=r"c\.yaml:2: unknown setting 'odometri'; did you mean 'odometry'\?"):
+        read_settings(path, ["odometry"])
+    assert read_settings(None, ["odometry"]) == {}
+
+
+def test_a_wrong_choice_names_the_nearest() -> None:
+    with pytest.raises(UnknownName, match=r"--mode slwo: mode: .*; did you mean 'slow'\?"):
+        build(Outer(), parse("--mode", "slwo"))
 
 
 def test_broken_yaml_is_an_error_that_names_the_file(tmp_path: Path) -> None:

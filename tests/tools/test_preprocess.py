@@ -283,17 +283,21 @@ def square_or_fail(number: int, advance: Any) -> int:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "code", "said"),
     [
-        ("relpose: {min_inliers: 3}", "unknown setting 'relpose'"),
-        ("odometry: {features: {track: 3}}", "unknown setting 'features.track'; did you mean 'features.tracks'?"),
-        ("odometry: 3", "odometry: expected keys and values, found 3"),
+        ("relpose: {min_inliers: 3}", 2, ":1: unknown setting 'relpose'; there are odometry"),
+        (
+            "odometry: {features: {track: 3}}",
+            2,
+            ":1: unknown setting 'odometry.features.track'; did you mean 'odometry.features.tracks'?",
+        ),
+        ("odometry: 3", 1, ": odometry: expected keys and values, found 3"),
     ],
 )
 def test_a_file_of_settings_is_checked(
-    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "c.yaml").write_text(text)
-    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs", "--config", tmp_path / "c.yaml") == 1
+    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs", "--config", tmp_path / "c.yaml") == code
     line = capsys.readouterr().err.strip()
-    assert line.startswith(f"maslam: {tmp_path / 'c.yaml'}: ") and said in line
+    assert line == f"maslam: {tmp_path / 'c.yaml'}{said}"

@@ -7,7 +7,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..common.errors import ToolError, UsageError
+from ..common.errors import UnknownName, UsageError
+from ..common.suggestions import did_you_mean
 from .relpose.command import add_relpose, run_relpose
 
 SECTION = "odometry"
@@ -149,7 +150,8 @@ def _pgo(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--robots {arguments.robots} --poses {arguments.poses}: numbers of at least 2 are meant")
     for method in methods:
         if method not in METHODS or method == CENTRAL:
-            raise UsageError(f"--methods {method}: there are {', '.join(m for m in METHODS if m != CENTRAL)}")
+            known = [one for one in METHODS if one != CENTRAL]
+            raise UnknownName(f"--methods {method}: there is no such method{did_you_mean(method, known)}")
     _check_picture(arguments.plot)
     with progress_on(quiet=arguments.quiet) as progress:
         results = measure(sizes, arguments.poses, methods, arguments.seed, counter(progress, "solving"))
@@ -198,16 +200,14 @@ def _check_picture(path: Path | None) -> None:
 def _vo(arguments: argparse.Namespace) -> int:
     from maslam.frontend.config import OdometryConfig
 
-    from ..common.options import build, read_yaml
+    from ..common.options import build, read_settings
     from ..common.progress import progress_on
     from .vo.run import VoSettings, bench_vo
 
     if arguments.runs is not None and arguments.runs < 1:
         raise UsageError(f"--runs {arguments.runs}: at least 1")
     _check_picture(arguments.plot)
-    content = read_yaml(arguments.config) if arguments.config else {}
-    for name in sorted(set(content) - {SECTION})[:1]:
-        raise ToolError(f"{arguments.config}: unknown setting '{name}'; this benchmark knows '{SECTION}'")
+    content = read_settings(arguments.config, [SECTION])
     settings = VoSettings(
         odometry=build(OdometryConfig(), arguments, content.get(SECTION), arguments.config, SECTION),
         rig=arguments.rig,

@@ -16,6 +16,10 @@ class UsageError(ToolError):
     """Options that do not fit together: exit code 2 instead of 1."""
 
 
+class UnknownName(UsageError):
+    """An option, a command, a setting or a choice that there is not; the message says what was probably meant."""
+
+
 SAY_IT_THEMSELVES = (FrontendError, DescriptorError, BackendError, MasError, ToolError)
 
 

@@ -7,20 +7,26 @@ A field ``inliers`` of a nested model ``relpose`` is the option ``--relpose.inli
 from __future__ import annotations
 
 import argparse
-import difflib
 import enum
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
-from .errors import ToolError, UsageError
+from .earlier_settings import modernised
+from .errors import ToolError, UnknownName, UsageError
+from .suggestions import did_you_mean
+from .yaml_lines import place_of
 
 Model = TypeVar("Model", bound=BaseModel)
+UNKNOWN_NAME = "unknown_name"
+"""Type of the ``PydanticCustomError`` by which a model's own check says that there is no such name."""
 DEST = "set:"  # marks the attributes of the parsed arguments that belong to a model
 
 
@@ -75,14 +81,29 @@ def build(
         raise ToolError(f"{origin}: {prefix or 'settings'}: expected keys and values, found {file!r}")
     if file:
         _overlay(values, file)
-        _validate(model, values, str(origin) if origin else "the configuration")
+        _validate(model, values, _File(origin, prefix))
     for path, field in leaves(model, prefix):
         text = getattr(arguments, DEST + path, None)
         if text is not None:
             inner = path[len(prefix) + 1 :] if prefix else path
             _put(values, inner.split("."), _value(text, field.annotation))
-            _validate(model, values, f"{option_name(path)} {text}", UsageError)
-    return _validate(model, values, "the settings")
+            _validate(model, values, _Option(f"{option_name(path)} {text}"))
+    return _validate(model, values, _File(None, prefix))
+
+
+def read_settings(path: Path | None, sections: Iterable[str] = ()) -> dict[str, Any]:
+    """The settings in a YAML file, those of version 0.1 under today's names; none without a file.
+
+    ``sections``: the keys that the file may have; any, where none is named.
+    """
+    if path is None:
+        return {}
+    content, known = modernised(read_yaml(path), path), list(sections)
+    for name in content:
+        if known and name not in known:
+            where = place_of(path, [str(name)])
+            raise UnknownName(f"{where}: unknown setting '{name}'{did_you_mean(str(name), known)}")
+    return content
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -108,6 +129,37 @@ def size(text: str, option: str = "--size") -> tuple[int, int]:
     return int(sides[0]), int(sides[1])
 
 
+@dataclass(frozen=True)
+class _Option:
+    """``given``: an option and its value, as they were written."""
+
+    given: str
+
+    def place(self, name: str) -> str:
+        return self.given
+
+    def whole(self, name: str) -> str:
+        return name
+
+    error: ClassVar[type[ToolError]] = UsageError
+
+
+@dataclass(frozen=True)
+class _File:
+    """A settings file; ``prefix``: the section of it that is meant."""
+
+    path: Path | None
+    prefix: str
+
+    def place(self, name: str) -> str:
+        return place_of(self.path, self.whole(name).split(".")) if self.path else "the settings"
+
+    def whole(self, name: str) -> str:
+        return ".".join(part for part in (self.prefix, name) if part)
+
+    error: ClassVar[type[ToolError]] = ToolError
+
+
 def _overlay(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
     for key, change in changes.items():
         if isinstance(change, Mapping) and isinstance(values.get(key), dict):
@@ -122,21 +174,45 @@ def _put(values: dict[str, Any], path: list[str], value: object) -> None:
     values[path[-1]] = value
 
 
-def _validate(
-    model: type[Model], values: dict[str, Any], origin: str, error_type: type[ToolError] = ToolError
-) -> Model:
+def _validate(model: type[Model], values: dict[str, Any], source: _File | _Option) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            near = difflib.get_close_matches(name, [path for path, _ in leaves(model)], n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
-            raise error_type(f"{origin}: unknown setting '{name}'{hint}") from None
-        given = f", not {first['input']!r}" if first["loc"] and not isinstance(first["input"], dict) else ""
-        message = first["msg"][0].lower() + first["msg"][1:] + given
-        raise error_type(f"{origin}: {name}: {message}" if name else f"{origin}: {message}") from None
+        raise _said(model, error.errors()[0], source) from None
+
+
+def _said(model: type[BaseModel], first: ErrorDetails, source: _File | _Option) -> ToolError:
+    """The first thing that a model found wrong, in one line for people."""
+    name = ".".join(str(part) for part in first["loc"])
+    fields = dict(leaves(model))
+    setting = next((path for path in fields if name == path or name.startswith(f"{path}.")), name)
+    place, whole = source.place(setting), source.whole(name)
+    if first["type"] == "extra_forbidden":
+        known = [source.whole(path) for path in (*fields, *_sections(fields))]
+        return UnknownName(f"{place}: unknown setting '{whole}'{did_you_mean(whole, known)}")
+    if first["type"] == UNKNOWN_NAME:
+        return UnknownName(f"{place}: {whole}: {first['msg']}")
+    given = f", not {first['input']!r}" if first["loc"] and not isinstance(first["input"], dict) else ""
+    message = first["msg"][0].lower() + first["msg"][1:] + given
+    if first["type"] in {"literal_error", "enum"}:
+        near = did_you_mean(str(first["input"]), choices(fields[setting].annotation)) if setting in fields else ""
+        return UnknownName(f"{place}: {whole}: {message}{near if 'mean' in near else ''}")
+    return source.error(f"{place}: {whole}: {message}" if name else f"{place}: {message}")
+
+
+def _sections(paths: Iterable[str]) -> set[str]:
+    return {path[:k] for path in paths for k, letter in enumerate(path) if letter == "."}
+
+
+def choices(annotation: Any) -> list[str]:
+    """The words that a setting of this type takes; empty where it is no choice."""
+    words: list[str] = []
+    for kind in _kinds(annotation):
+        if typing.get_origin(kind) is typing.Literal:
+            words += [str(value) for value in typing.get_args(kind)]
+        elif isinstance(kind, type) and issubclass(kind, enum.Enum):
+            words += [str(member.value) for member in kind]
+    return words
 
 
 def _value(text: str, annotation: Any) -> object:
@@ -164,10 +240,8 @@ def _kinds(annotation: Any) -> tuple[Any, ...]:
 def _metavar(annotation: Any) -> str:
     words: list[str] = []
     for kind in _kinds(annotation):
-        if typing.get_origin(kind) is typing.Literal:
-            words += [str(value) for value in typing.get_args(kind)]
-        elif isinstance(kind, type) and issubclass(kind, enum.Enum):
-            words += [str(member.value) for member in kind]
+        if choices(kind):
+            words += choices(kind)
         elif kind is bool:
             words += ["true", "false"]
         elif kind is type(None):

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
+from difflib import SequenceMatcher
 
 MOST = 3  # names proposed
+_ALIKE = 0.6  # of the last parts of two names: share of letters in common, in order
+_AS_GOOD = 0.15  # names that are alike by so much less than the best one are proposed beside it
 _ALL_SHOWN = 12  # known names that are listed where none is near
 
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:
     """At most ``MOST`` of the ``known`` names, the likeliest first; empty where none is like ``name``.
 
-    Names with dots are compared as a whole and by their ends: ``min-flow`` is near ``keyframes.min-flow``.
+    The last parts of names with dots must be alike; the sections before them say which is likelier: ``min-flow`` is
+    near ``keyframes.min-flow``.
     """
-    names = sorted(set(known))
-    last = name.rpartition(".")[2].lstrip("-")
-    same_end = [one for one in names if one.endswith(f".{name.lstrip('-')}")]
-    alike = difflib.get_close_matches(name, names, MOST, cutoff=0.7)
-    ends: dict[str, list[str]] = {}
-    for one in names:
-        ends.setdefault(one.rpartition(".")[2].lstrip("-"), []).append(one)
-    by_end = [one for end in difflib.get_close_matches(last, ends, MOST, cutoff=0.8) for one in ends[end]]
-    return list(dict.fromkeys([*same_end, *alike, *by_end]))[:MOST]
+    scores: dict[str, float] = {}
+    for one in sorted(set(known)):
+        last = _alike(_last(name), _last(one))
+        if last >= _ALIKE:
+            scores[one] = last + 0.5 * _alike(name, one)
+    least = max(scores.values(), default=0.0) - _AS_GOOD
+    return sorted((one for one in scores if scores[one] >= least), key=lambda one: -scores[one])[:MOST]
 
 
 def did_you_mean(name: str, known: Iterable[str], what: str = "") -> str:
@@ -34,3 +35,11 @@ def did_you_mean(name: str, known: Iterable[str], what: str = "") -> str:
     if near:
         return f"; did you mean {' or '.join(repr(one) for one in near)}?"
     return f"; there are {', '.join(names)}" if 0 < len(names) <= _ALL_SHOWN else what
+
+
+def _last(name: str) -> str:
+    return name.rpartition(".")[2].lstrip("-")
+
+
+def _alike(a: str, b: str) -> float:
+    return SequenceMatcher(None, a, b, autojunk=False).ratio()

@@ -77,11 +77,11 @@ def main(arguments: argparse.Namespace) -> None:
 def _train(arguments: argparse.Namespace) -> None:
     from maslam.descriptors.config import TrainingConfig
 
-    from ..common.options import build, read_yaml
+    from ..common.options import build, read_settings
     from ..common.progress import progress_on
     from .train import MaterialConfig, TrainJob, train
 
-    content = read_yaml(arguments.config) if arguments.config else {}
+    content = read_settings(arguments.config, ("training", "material"))
     config = build(TrainingConfig(), arguments, content.get("training"), arguments.config, "training")
     material = build(MaterialConfig(), arguments, content.get("material"), arguments.config, "material")
     job = TrainJob(arguments.out, arguments.photos, arguments.cache, arguments.start, arguments.workers)

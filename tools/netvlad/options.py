@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..common.errors import ToolError, UsageError
+from ..common.errors import ToolError, UnknownName, UsageError
+from ..common.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from ..place_benchmarks.revisits import RevisitSettings
@@ -92,8 +93,9 @@ def kinds_of(arguments: argparse.Namespace) -> tuple[str, ...]:
     from .train import KINDS
 
     kinds = tuple(sorted(set(arguments.kinds.split(","))))
-    if not set(kinds) <= set(KINDS):
-        raise UsageError(f"--kinds {arguments.kinds}: {', '.join(KINDS)} are known")
+    for kind in kinds:
+        if kind not in KINDS:
+            raise UnknownName(f"--kinds {kind}: there is no such kind{did_you_mean(kind, KINDS)}")
     return kinds
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import ToolError, UsageError, describe
-from ..common.options import add_model_options, build, read_yaml
+from ..common.options import add_model_options, build, read_settings
 from ..common.progress import Progress, progress_on
 
 if TYPE_CHECKING:
@@ -114,11 +114,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    content = read_yaml(arguments.config) if arguments.config else {}
-    unknown = sorted(set(content) - {SECTION})
-    if unknown:
-        raise ToolError(f"{arguments.config}: unknown setting '{unknown[0]}'; preprocessing knows '{SECTION}'")
-    settings = settings_from(arguments, content)
+    settings = settings_from(arguments, read_settings(arguments.config, [SECTION]))
     with progress_on(quiet=arguments.quiet) as progress:
         manifest = preprocess(arguments.source, arguments.out, settings, progress)
     print(summary_line(manifest, arguments.out))

@@ -7,8 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..common.options import DEST, add_model_options, build, read_yaml
+from ..common.errors import UnknownName
+from ..common.options import DEST, add_model_options, build, read_settings
 from ..common.progress import counter, progress_on
+from ..common.suggestions import did_you_mean
+from ..common.yaml_lines import place_of
 
 if TYPE_CHECKING:
     from maslam.mas.config import MasConfig
@@ -36,10 +39,14 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 
 def config_from(arguments: argparse.Namespace, file: Mapping[str, Any]) -> MasConfig:
     """A preset, changed by the file's keys and then by the options given; the preset itself may stand in either."""
-    from maslam.mas.policies.presets import preset
+    from maslam.mas.policies.presets import PRESETS, preset
 
-    name = getattr(arguments, f"{DEST}preset", None) or file.get("preset") or DEFAULT_PRESET
-    return build(preset(str(name)), arguments, file, arguments.config)
+    given = getattr(arguments, f"{DEST}preset", None)
+    name = str(given or file.get("preset") or DEFAULT_PRESET)
+    if name not in PRESETS:
+        place = f"--preset {name}" if given else f"{place_of(arguments.config, ['preset'])}: preset"
+        raise UnknownName(f"{place}: there is no preset '{name}'{did_you_mean(name, PRESETS)}")
+    return build(preset(name), arguments, file, arguments.config)
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -49,7 +56,7 @@ def main(arguments: argparse.Namespace) -> None:
 
     from ..report.summary_table import table_of
 
-    config = config_from(arguments, read_yaml(arguments.config) if arguments.config else {})
+    config = config_from(arguments, read_settings(arguments.config))
     manifest, sequences = load_sequences(arguments.sequences)
     with progress_on(quiet=arguments.quiet) as progress:
         run(manifest, sequences, config, arguments.out, counter(progress, "agents"))

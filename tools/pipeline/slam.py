@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..common.options import read_yaml
+from ..common.options import read_settings
 from ..common.progress import Progress, counter, progress_on
 from .preprocess import (
     SECTION,
@@ -42,9 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
+    from maslam.mas.config import MasConfig
+
     from ..report.summary_table import table_of
 
-    content = read_yaml(arguments.config) if arguments.config else {}
+    content = read_settings(arguments.config, (SECTION, *MasConfig.model_fields))
     settings = settings_from(arguments, content)
     config = config_from(arguments, {key: value for key, value in content.items() if key != SECTION})
     with progress_on(quiet=arguments.quiet) as progress:

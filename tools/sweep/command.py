@@ -11,14 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 from maslam._atomic import replacing, write_atomically
 
+from ..common.earlier_settings import modernised
 from ..common.errors import ToolError
-from ..common.options import add_model_options, build, read_yaml
+from ..common.options import add_model_options, build, read_settings
 from ..common.progress import Progress, progress_on
 
 if TYPE_CHECKING:
     from .execute import Workshop
     from .plan import SweepPlan
     from .rows import Row
+
+SETTINGS = "settings"  # in a plan: those of its runs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,11 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
+    from maslam.mas.policies.presets import preset
+
     from .execute import Workshop
     from .plan import SweepPlan, experiment
 
     base = experiment(arguments.experiment) if arguments.experiment else SweepPlan()
-    plan = build(base, arguments, read_yaml(arguments.plan) if arguments.plan else None, arguments.plan)
+    plan = build(base, arguments, read_plan(arguments.plan), arguments.plan)
+    for name in plan.presets:  # a wrong setting is said now, not after the images are rendered
+        build(preset(name), argparse.Namespace(), plan.settings, arguments.plan, SETTINGS)
     poses = arguments.poses or Path(os.environ.get("MASLAM_DATA", "../shared/data")) / "kitti_poses"
     shop = Workshop(arguments.out, poses, arguments.kitti, arguments.workers)
     with progress_on(quiet=arguments.quiet) as progress:
@@ -63,6 +70,15 @@ def main(arguments: argparse.Namespace) -> None:
     else:
         print(page.read_text(encoding="utf-8"))
         print(page)
+
+
+def read_plan(path: Path | None) -> dict[str, Any]:
+    """The plan in a YAML file; none without a file."""
+    content = read_settings(path)
+    settings = content.get(SETTINGS)
+    if path is not None and isinstance(settings, dict):
+        content[SETTINGS] = modernised(settings, path)
+    return content
 
 
 def sweep(

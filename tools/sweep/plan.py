@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
 from maslam.mas.policies.presets import PRESETS
 
-from ..common.errors import UsageError
+from ..common.errors import UnknownName
+from ..common.options import UNKNOWN_NAME
+from ..common.suggestions import did_you_mean
 
 THESIS_PRESETS = ("predecessor", "default", "optimised", "selection", "maslam")
 """The thesis's four systems, and ours."""
@@ -41,7 +44,8 @@ class SweepPlan(BaseModel):
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:
             if name not in PRESETS:
-                raise ValueError(f"there is no preset {name!r}; there are {', '.join(sorted(PRESETS))}")
+                words = {"name": name, "hint": did_you_mean(name, PRESETS)}
+                raise PydanticCustomError(UNKNOWN_NAME, "there is no preset '{name}'{hint}", words)
         return names
 
     def cells(self) -> Iterator[Cell]:
@@ -88,5 +92,5 @@ def experiment(name: str) -> SweepPlan:
         "quick": SweepPlan(sequences=("07",), agents=(2, 4), presets=presets, seeds=(0, 1), frames=400, step=2),
     }
     if name not in plans:
-        raise UsageError(f"--experiment {name}: there are {', '.join(plans)}")
+        raise UnknownName(f"--experiment {name}: there is no such plan{did_you_mean(name, plans)}")
     return plans[name]
