@@ -211,7 +211,11 @@ class FaultsConfig(_Section):
 class MasConfig(_Section):
     """Everything that can be set; the resolved values stand in RUN/config.yaml."""
 
-    preset: str = Field("default", description="the preset these values started from")
+    preset: str = Field(
+        "default",
+        description="what the settings start from: maslam (ours), or the thesis's predecessor, default, optimised, "
+        "selection",
+    )
     policy: Literal["query_all", "clustered", "logic", "selection", "directory"] = Field(
         "query_all",
         description="who decides: no logic, the predecessor, Algorithms 2 and 3, those with Algorithm 4, ours",

@@ -16,6 +16,7 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
 from .common.errors import UnknownName, UsageError, describe
+from .common.parser import CommandParser
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (".pipeline.demo", "render a small town, run four agents in it, write the report"),
@@ -47,6 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parser.parse_args(words)
     except SystemExit as stop:  # argparse ends by itself on --help and on a usage error
         return int(stop.code or 0)
+    except UnknownName as error:
+        print(f"maslam: {error}", file=sys.stderr)
+        return USAGE
     except Exception as error:  # noqa: BLE001 - a command's module that cannot be imported is said like any failure
         return _fail(error, debug="--debug" in words)
     if arguments.command is None:
@@ -70,39 +74,37 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return SUCCESS
     except Exception as error:  # noqa: BLE001 - the one place where any failure becomes a line for people
-        return _fail(error, arguments.debug)
+        return _fail(error, "debug" in arguments)
 
 
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
     """The whole command line; only the ``chosen`` command's module is imported and fills in its arguments."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="maslam",
         description="Multi-agent visual SLAM without a server: from folders of images to one shared map.",
         formatter_class=partial(argparse.HelpFormatter, max_help_position=16),
     )
-    parser.add_argument("--version", action="version", version=f"maslam {_version()}")
+    parser.everywhere.title = "options"
+    parser.everywhere.add_argument(
+        "--version", action="version", version=f"maslam {_version()}", help="show the version"
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for name, (module_name, summary) in COMMANDS.items():
         command = commands.add_parser(
             name,
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
-            allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if name == chosen:
             module = importlib.import_module(module_name, __package__)
             module.add_arguments(command)
-            command.usage = _usage(command)
             command.set_defaults(command_main=module.main)
-        command.add_argument("--debug", action="store_true", help="show the traceback of a failure")
+        for one in command.with_actions():
+            one.everywhere.add_argument(
+                "--debug", action="store_true", default=argparse.SUPPRESS, help="show the traceback of a failure"
+            )
     return parser
-
-
-def _usage(command: argparse.ArgumentParser) -> str:
-    """Short: the options follow below, and some commands have dozens."""
-    words = [str(action.metavar or action.dest) for action in command._get_positional_actions()]
-    return " ".join([command.prog, "[options]", *words])
 
 
 def _with_dashes(word: str) -> str:

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "beside ours; SEQUENCE where there are several",
     )
     vo.add_argument("--files", action="store_true", help="also write the five files of each track, and count that")
-    vo.add_argument("--runs", type=int, metavar="N", help="of each sequence (default: to 300 frames, at most 5)")
+    vo.add_argument("--runs", type=int, metavar="N", help="runs of each sequence (default: to 300 frames, at most 5)")
     vo.add_argument("--json", action="store_true", help="one JSON list instead of tables")
     vo.add_argument("--plot", type=Path, metavar="FILE", help="draw paths, errors and cost (.png, .svg or .pdf)")
     vo.add_argument(
@@ -79,11 +79,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         allow_abbrev=False,
         usage="maslam bench memory [options]",
     )
-    memory.add_argument("--frames", type=int, default=10_000, metavar="N", help="to drive (default: %(default)s)")
+    memory.add_argument(
+        "--frames", type=int, default=10_000, metavar="N", help="frames to drive (default: %(default)s)"
+    )
     memory.add_argument("--lap", type=int, default=500, metavar="N", help="frames of a lap (default: %(default)s)")
-    memory.add_argument("--size", default="160x120", metavar="WxH", help="pixels (default: %(default)s)")
-    memory.add_argument("--rig", choices=["mono", "stereo", "rgbd"], default="stereo", help="(default: %(default)s)")
-    memory.add_argument("--seed", type=int, default=0, help="of the town (default: %(default)s)")
+    memory.add_argument("--size", default="160x120", metavar="WxH", help="of the images, pixels (default: %(default)s)")
+    memory.add_argument(
+        "--rig", choices=["mono", "stereo", "rgbd"], default="stereo", help="cameras (default: %(default)s)"
+    )
+    memory.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the town (default: %(default)s)")
     memory.add_argument("--images", type=Path, metavar="DIR", help="keep the rendered lap here, or take it from here")
     memory.add_argument("--json", action="store_true", help="one JSON object instead of a table")
     memory.add_argument("--plot", type=Path, metavar="FILE", help="draw memory and time over frames")

@@ -258,5 +258,15 @@ def _get(model: BaseModel, path: str) -> Any:
 
 
 def _help(field: FieldInfo, default: Any) -> str:
-    default = default.value if isinstance(default, enum.Enum) else default
-    return f"{field.description + ' ' if field.description else ''}(default: {default})".replace("%", "%%")
+    return f"{field.description + ' ' if field.description else ''}(default: {_shown(default)})".replace("%", "%%")
+
+
+def _shown(value: Any) -> str:
+    """A value as it may be given on the command line."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple):
+        return ",".join(_shown(one) for one in value) or "[]"
+    return str(value.value if isinstance(value, enum.Enum) else value)

@@ -61,7 +61,9 @@ def add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="FILE.onnx", type=Path, help="put a copy of the model with the new card here, change nothing"
     )
-    parser.add_argument("--precision", type=float, default=0.99, help="of the strict threshold (default: %(default)s)")
+    parser.add_argument(
+        "--precision", type=float, default=0.99, metavar="SHARE", help="of the strict threshold (default: %(default)s)"
+    )
     parser.add_argument(
         "--keep",
         type=float,

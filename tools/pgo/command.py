@@ -51,9 +51,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--weights",
         choices=("auto", "information", "unit"),
         default="auto",
-        help="of edges: the files' information (cost F), 1 (cost U), or auto: 1 where every matrix is the identity",
+        help="of edges: the files' information (cost F), 1 (cost U), or auto: 1 where every matrix is the identity "
+        "(default: %(default)s)",
     )
-    parser.add_argument("--agents", type=int, metavar="N", help="cut a single graph into N robots of consecutive poses")
+    parser.add_argument(
+        "--agents",
+        type=int,
+        metavar="N",
+        help="cut a single graph into N robots of consecutive poses (default: the robots of the files)",
+    )
     parser.add_argument(
         "--skip-broken-lines", action="store_true", help="name broken lines and go on, instead of failing"
     )

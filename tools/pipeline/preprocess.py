@@ -78,7 +78,10 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", choices=["mono", "stereo", "rgbd"], help="use only this much of the sensors (default: all there is)"
     )
     parser.add_argument(
-        "--model", default="default", metavar="NAME|FILE", help="place descriptor: a shipped one or an ONNX file"
+        "--model",
+        default="default",
+        metavar="NAME|FILE",
+        help="place descriptor: a shipped one or an ONNX file (default: default)",
     )
     parser.add_argument(
         "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs the place descriptor (default: CPU)"

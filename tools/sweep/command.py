@@ -29,7 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from .plan import SweepPlan
 
     parser.add_argument("out", metavar="OUT", type=Path, help="folder for images, sequences, runs, tables and figures")
-    parser.add_argument("--experiment", metavar="NAME", help="a plan to start from: thesis, scaling or quick")
+    parser.add_argument(
+        "--experiment",
+        metavar="NAME",
+        help="a plan to start from: thesis, scaling or quick (default: one run of KITTI 00's way)",
+    )
     parser.add_argument("--plan", type=Path, metavar="FILE", help="YAML with the plan's settings; a sweep's plan.yaml")
     parser.add_argument(
         "--poses",

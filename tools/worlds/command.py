@@ -16,9 +16,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "out", metavar="OUT", type=Path, help="folder for the images; an interrupted rendering is gone on with"
     )
-    parser.add_argument("--size", metavar="WxH", help="pixels, for --width and --height together")
+    parser.add_argument("--size", metavar="WxH", help="pixels, for --width and --height together (default: 640x360)")
     parser.add_argument(
-        "--poses", type=Path, metavar="FILE", help="a KITTI pose file to drive; the same as --poses-file"
+        "--poses",
+        type=Path,
+        metavar="FILE",
+        help="a KITTI pose file to drive, as --poses-file (default: a way through the world)",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="threads (default: one a core)")
     parser.add_argument("--quiet", action="store_true", help="no progress")

@@ -18,22 +18,22 @@ class RenderConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    world: Literal["town", "indoor"] = "town"
-    seed: int = Field(0, ge=0, description="of the world, the ways, the lights and the noise")
-    agents: int = Field(4, ge=1, le=100)
-    frames: int = Field(120, ge=1, description="of each agent; of all agents together with a pose file")
+    world: Literal["town", "indoor"] = Field("town", description="streets of a town, or an office floor")
+    seed: int = Field(0, ge=0, description="seed of the world, the ways, the lights and the noise")
+    agents: int = Field(4, ge=1, le=100, description="agents, each with its own way and light")
+    frames: int = Field(120, ge=1, description="frames of each agent; of all together with a pose file")
     width: int = Field(640, ge=32, le=4096, description="pixels")
     height: int = Field(360, ge=32, le=4096, description="pixels")
-    fov_deg: float = Field(84.0, gt=20, lt=140, description="horizontal field of view")
-    rig: RigKind = RigKind.STEREO
+    fov_deg: float = Field(84.0, gt=20, lt=140, description="horizontal field of view, degrees")
+    rig: RigKind = Field(RigKind.STEREO, description="cameras of each agent")
     baseline_m: float | None = Field(None, gt=0, description="stereo; default 0.54 m in town, 0.12 m indoors")
-    rate_hz: float = Field(10.0, gt=0)
+    rate_hz: float = Field(10.0, gt=0, description="frames a second")
     poses_file: Path | None = Field(
         None, description="KITTI poses to drive instead of ways of our own; the world grows around them"
     )
     poses_step: int = Field(1, ge=1, description="take every so many poses of the file")
     moving_cars: int = Field(0, ge=0, le=200, description="cars that drive through the town")
-    light_change: float = Field(1.0, ge=0, le=1, description="how far the light differs between the agents")
+    light_change: float = Field(1.0, ge=0, le=1, description="difference of light between the agents, 0 to 1")
     sensor: SensorConfig = SensorConfig()
     cheap: bool = Field(False, description="fewer facades and a coarser ground: for tests")
 

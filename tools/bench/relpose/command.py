@@ -35,7 +35,9 @@ def add_relpose(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="LIST",
         help="town_SEED and indoor_SEED (default: %(default)s)",
     )
-    relpose.add_argument("--right", type=int, default=100, metavar="N", help="places a world (default: %(default)s)")
+    relpose.add_argument(
+        "--right", type=int, default=100, metavar="N", help="right pairs of each world (default: %(default)s)"
+    )
     relpose.add_argument(
         "--look-alikes",
         type=int,
@@ -44,22 +46,24 @@ def add_relpose(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="wrong pairs in all, hardest first (default: %(default)s)",
     )
     relpose.add_argument(
-        "--points", type=int, default=0, metavar="N", help="that the query sends, at most (default: all)"
+        "--points", type=int, default=0, metavar="N", help="points that the query sends, at most (default: all)"
     )
     relpose.add_argument(
-        "--code", choices=["float", "grid"], default="float", help="12 or 4 bytes a point (default: %(default)s)"
+        "--code", choices=["float", "grid"], default="float", help="bytes a point, 12 or 4 (default: %(default)s)"
     )
     relpose.add_argument(
-        "--features", choices=["descriptors", "words"], default="descriptors", help="compared (default: %(default)s)"
+        "--features", choices=["descriptors", "words"], default="descriptors", help="compared by (default: %(default)s)"
     )
     relpose.add_argument(
         "--descriptor-bytes", type=int, choices=[8, 16, 32], default=32, help="of each point (default: %(default)s)"
     )
-    relpose.add_argument("--size", default="480x360", metavar="WxH", help="pixels (default: %(default)s)")
+    relpose.add_argument(
+        "--size", default="480x360", metavar="WxH", help="of the images, pixels (default: %(default)s)"
+    )
     relpose.add_argument(
         "--cache", type=Path, metavar="DIR", help="keep the rendered views here, or take them from here"
     )
-    relpose.add_argument("--seed", type=int, default=0, help="of the searches (default: %(default)s)")
+    relpose.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the searches (default: %(default)s)")
     relpose.add_argument("--json", action="store_true", help="one JSON object instead of tables")
     relpose.add_argument("--quiet", action="store_true", help="no progress")
     add_model_options(relpose, RelPoseConfig(), "relpose")
