@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from .texture import has_texture
 if TYPE_CHECKING:
     from .container import PlaceVectors
 
+log = logging.getLogger(__name__)
 Images = Sequence[NDArray[np.uint8]] | NDArray[np.uint8]
 
 MIN_SIDE_PX = 16
@@ -44,6 +46,7 @@ class NetVlad:
             if count < 1:
                 raise DescriptorError(f"a descriptor needs at least 1 {name}, got {count}")
         path, card = read_card(model)
+        log.info("place descriptor %s (%s), %d numbers, on %s", card.name, card.sha256[:12], card.dim, provider)
         return cls(ModelSession.open(path, card, threads, provider), card, batch)
 
     @property

@@ -4,6 +4,7 @@ it takes no decision for an agent and shows none of them the truth.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -35,6 +36,7 @@ _CLOSING_STEPS = 20
 # Where optimisations take time: as many of their deadlines more.
 _CLOSING_OPTIMISATIONS = 6
 
+log = logging.getLogger(__name__)
 RunProgress = Callable[[int, int], None]
 
 
@@ -149,6 +151,7 @@ def run(
     keyframes = [keyframes_of(sequence) for sequence in sequences]
     agents = make_agents(manifest, sequences, config)
     onlooker = GroundTruthEvaluator(sequences)
+    log.info("%d agents, preset %s, policy %s, seed %d", len(agents), config.preset, config.policy, config.seed)
     with Recorder(out) as recorder:
         transport = make_transport(config, recorder.sent)
         environment = Environment(agents, keyframes, transport, config)
@@ -166,6 +169,7 @@ def run(
         recorder.summary(summary)
         wall = time.perf_counter() - started
         recorder.timing(Timing(wall_s=wall, realtime_factor=duration / wall))
+    log.info("done in %d steps, %.1f s", steps, wall)
     return summary
 
 
@@ -234,6 +238,7 @@ def _play(
             progress(min(number + 1, total), total)
         if number + 1 >= total and environment.over:
             return number + 1
+    log.info("ended after %d steps with work left", limit)
     return limit
 
 

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import logging
 import os
 import sys
 import traceback
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 from .common.errors import UnknownName, UsageError, describe
+from .common.logs import LEVELS, ON_CONSOLE, logs_to
 from .common.parser import CommandParser
 
+log = logging.getLogger(__name__)
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (".pipeline.demo", "render a small town, run four agents in it, write the report"),
     "render": (".worlds.command", "synthetic images, depth and ground truth of several agents"),
@@ -56,24 +60,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.command is None:
         parser.print_help()
         return USAGE
+    try:
+        with logs_to(getattr(arguments, "log_level", None), getattr(arguments, "log_file", None)):
+            log.info("maslam %s: %s", _version(), " ".join(words))
+            code = _run(arguments)
+            log.info("exit code %d", code)
+            return code
+    except OSError as error:  # the log file
+        return _fail(error, "debug" in arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    """Call the command; every failure becomes a line and an exit code."""
     from .common.parallel import one_blas_thread  # what follows loads libraries; --help does not
 
     try:
         with one_blas_thread():
             return arguments.command_main(arguments) or SUCCESS
-    except UnknownName as error:
-        print(f"maslam: {error}", file=sys.stderr)
-        return USAGE
     except UsageError as error:
-        print(f"usage: maslam {arguments.command} --help\nmaslam: {error}", file=sys.stderr)
+        usage = "" if isinstance(error, UnknownName) else f"usage: maslam {arguments.command} --help\n"
+        _say(str(error), usage)
         return USAGE
     except KeyboardInterrupt:
-        print("\nmaslam: interrupted; nothing half-written; the same command again goes on from here", file=sys.stderr)
+        _say("interrupted; nothing half-written; the same command again goes on from here", "\n")
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output has enough: `maslam eval RUN | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return SUCCESS
-    except Exception as error:  # noqa: BLE001 - the one place where any failure becomes a line for people
+    except Exception as error:
+        log.error("%s", describe(error), exc_info=error, extra=ON_CONSOLE)
         return _fail(error, "debug" in arguments)
 
 
@@ -101,10 +116,29 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
             module.add_arguments(command)
             command.set_defaults(command_main=module.main)
         for one in command.with_actions():
-            one.everywhere.add_argument(
-                "--debug", action="store_true", default=argparse.SUPPRESS, help="show the traceback of a failure"
-            )
+            _add_everywhere(one.everywhere)
     return parser
+
+
+def _add_everywhere(group: argparse._ArgumentGroup) -> None:
+    """The options of every command; what is not given leaves no trace, so that a command and its action can have
+    both."""
+    group.add_argument(
+        "--debug", action="store_true", default=argparse.SUPPRESS, help="show the traceback of a failure"
+    )
+    group.add_argument(
+        "--log-level",
+        choices=list(LEVELS),
+        default=argparse.SUPPRESS,
+        help="log lines that are shown, and written to the log file (default: warning; in the file info)",
+    )
+    group.add_argument(
+        "--log-file",
+        type=Path,
+        metavar="FILE",
+        default=argparse.SUPPRESS,
+        help="append log lines, and the traceback of a failure, to this file",
+    )
 
 
 def _with_dashes(word: str) -> str:
@@ -118,6 +152,11 @@ def _fail(error: Exception, debug: bool) -> int:
         traceback.print_exception(error)
     print(f"maslam: {describe(error)}", file=sys.stderr)
     return FAILURE
+
+
+def _say(line: str, before: str = "") -> None:
+    print(f"{before}maslam: {line}", file=sys.stderr)
+    log.error("%s", line, extra=ON_CONSOLE)
 
 
 def _version() -> str:

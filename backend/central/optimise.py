@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from .chordal import two_stage_poses
 from .costs import cost, frobenius_weights
 from .gtsam_adapter import levenberg_marquardt
 from .trust_region import anchors, named_parts, newton
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +45,7 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
     if config.start == "chordal" and cost(solved, config.cost) > before:
         solved, iterations = _descend(graph, config)
     after = cost(solved, config.cost)
+    log.debug("cost %s %.9g to %.9g in %d iterations", config.cost, before, after, iterations)
     if after > before:
         return OptimisationResult(graph, before, before, iterations, False)
     return OptimisationResult(solved, before, after, iterations, True)

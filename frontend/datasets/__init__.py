@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from .tum import TumReader
 
 __all__ = ["READERS", "Dataset", "ImageSequence", "Problem", "Severity", "open_dataset"]
 
+log = logging.getLogger(__name__)
 READERS: tuple[type[Reader], ...] = (KittiReader, EurocReader, TumReader, SevenScenesReader, FolderReader)
 """Tried in this order; the last takes any folder of images."""
 _UNFINISHED = "unfinished.json"
@@ -50,6 +52,8 @@ def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) ->
         for problem in sequence.problems:
             if problem.severity is Severity.ERROR:
                 raise FrontendError(problem.message)
+    frames = sum(len(sequence) for sequence in dataset.sequences)
+    log.info("%s: %s, %d sequences, %d frames", path, dataset.kind, len(dataset.sequences), frames)
     return dataset
 
 

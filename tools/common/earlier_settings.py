@@ -14,7 +14,7 @@ from typing import Any
 
 from .errors import ToolError
 
-_log = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 _NAMED = 3  # settings that the line names; the rest is counted
 
 
@@ -74,7 +74,7 @@ def modernised(content: dict[str, Any], origin: Path, table: Mapping[str, Fate] 
                 _put(today, to, values.get(value, value) if isinstance(value, str) else value, origin)
             case None:
                 _put(today, name, value, origin)
-    _log.warning("%s: settings of version 0.1: %s", origin, "; ".join(_told(fates)))
+    log.warning("%s: settings of version 0.1: %s", origin, "; ".join(_told(fates)))
     return today
 
 

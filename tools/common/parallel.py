@@ -15,6 +15,7 @@ from itertools import islice
 from queue import Empty
 from typing import Any, Generic, TypeVar
 
+from .logs import Relay, collected_logs, working_on
 from .progress import Progress
 
 Job = TypeVar("Job")
@@ -73,10 +74,12 @@ def run_jobs(
     """
     tasks = {name: progress.start(name, steps) for name, (_, steps) in jobs.items()}
     if min(workers, len(jobs)) <= 1 and not fresh:
-        return {name: _guarded(work, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()}
+        return {
+            name: _guarded(work, name, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()
+        }
     context = multiprocessing.get_context("spawn")
     levels = context.Queue()
-    with _pool(min(workers, len(jobs)), context, _prepare_worker, levels, 1 if fresh else None) as pool:
+    with _pool(min(workers, len(jobs)), context, partial(_prepare_worker, levels), 1 if fresh else None) as pool:
         futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
         _watch(futures, levels, tasks, progress)
         done = {name: future.result() for future, name in futures.items()}
@@ -96,7 +99,7 @@ def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int
             yield
         return
     queue = iter(jobs)
-    with _pool(workers, multiprocessing.get_context("spawn"), _keep, work) as pool:
+    with _pool(workers, multiprocessing.get_context("spawn"), partial(_keep, work)) as pool:
         pending = {pool.submit(_kept, job) for job in islice(queue, 4 * workers)}
         while pending:
             finished, pending = wait(pending, return_when=FIRST_COMPLETED)
@@ -107,18 +110,19 @@ def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int
 
 @contextmanager
 def _pool(
-    workers: int, context: Any, prepare: Callable[[Any], None], argument: Any, jobs_each: int | None = None
+    workers: int, context: Any, prepare: Callable[[], None], jobs_each: int | None = None
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that is gone at the end, at once where the end is an error."""
-    pool = ProcessPoolExecutor(workers, context, prepare, (argument,), max_tasks_per_child=jobs_each)
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            child.terminate()
-        raise
-    pool.shutdown()
+    with collected_logs(context) as relay:
+        pool = ProcessPoolExecutor(workers, context, _settle_in, (relay, prepare), max_tasks_per_child=jobs_each)
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.terminate()
+            raise
+        pool.shutdown()
 
 
 def _watch(
@@ -141,37 +145,42 @@ def _watch(
 def _prepare_worker(levels: Any) -> None:
     global _levels
     _levels = levels
-    _settle_in()
 
 
 def _keep(work: Any) -> None:
     global _work
     _work = work
-    _settle_in()
 
 
 def _kept(job: Any) -> None:
     _work(job)
 
 
-def _settle_in() -> None:
+def _settle_in(relay: Relay, prepare: Callable[[], None]) -> None:
     signal.signal(
         signal.SIGINT, signal.SIG_DFL
     )  # an interrupted worker ends without a traceback; its parent says what happened
+    relay.attach()
+    prepare()
     import cv2
+    from threadpoolctl import threadpool_limits
+
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    threadpool_limits(1)
 
     cv2.setNumThreads(1)
 
 
 def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> JobOutcome[Result]:
-    return _guarded(work, job, lambda level: _levels.put((name, level)))
+    return _guarded(work, name, job, lambda level: _levels.put((name, level)))
 
 
 def _guarded(
-    work: Callable[[Job, Callable[[int], None]], Result], job: Job, advance: Callable[[int], None]
+    work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job, advance: Callable[[int], None]
 ) -> JobOutcome[Result]:
     try:
-        return JobOutcome(work(job, advance), None)
+        with working_on(name):
+            return JobOutcome(work(job, advance), None)
     except Exception as error:  # noqa: BLE001 - whatever ended this job, the others go on; the caller decides
         error.add_note(traceback.format_exc())  # a process of its own takes the traceback with it; --debug shows this
         return JobOutcome(None, error)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol, TextIO
 
+from .logs import ON_CONSOLE
+
 LOG_EVERY_S = 15.0
+log = logging.getLogger(__name__)
 
 
 class Progress(Protocol):
@@ -23,6 +27,13 @@ class Progress(Protocol):
         """One line that stays, above the bars."""
 
 
+def _record(line: str) -> None:
+    """Into the log file, if there is one."""
+    level = logging.WARNING if line.startswith("warning: ") else logging.INFO
+    if log.hasHandlers():  # without any, Python itself would print warnings, a second time
+        log.log(level, "%s", line.removeprefix("warning: "), extra=ON_CONSOLE)
+
+
 class Silent:
     """No progress; what must be said is said on standard error."""
 
@@ -34,6 +45,7 @@ class Silent:
 
     def say(self, line: str) -> None:
         print(line, file=sys.stderr)
+        _record(line)
 
 
 class LogProgress:
@@ -58,9 +70,13 @@ class LogProgress:
         elif time.monotonic() - self._shown_s[task] < LOG_EVERY_S or task in self._ended:
             return
         self._shown_s[task] = time.monotonic()
-        self.say(f"{title}: {done} of {total}")
+        self._print(f"{title}: {done} of {total}")
 
     def say(self, line: str) -> None:
+        self._print(line)
+        _record(line)
+
+    def _print(self, line: str) -> None:
         print(line, file=self._stream, flush=True)
 
 
@@ -92,6 +108,7 @@ class BarProgress:
 
     def say(self, line: str) -> None:
         self._bars.console.print(line, markup=False, highlight=False)
+        _record(line)
 
     def stop(self) -> None:
         self._bars.stop()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import ImageSequence
 
+log = logging.getLogger(__name__)
 TRACK_FIELDS = ("stamps_s", "poses", "points", "observations", "descriptors", "words")
 # What decides a tracking result.
 CODE_PARTS = ("frontend", "descriptors", "backend/geometry.py", "tools/pipeline/tracking.py")
@@ -80,7 +82,9 @@ def _decoding(sequence: ImageSequence) -> bytes:
 
 def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
     """Track the job's sequence into its store, unless the store has it."""
-    if load_tracked(job.store, job.fingerprint) is None:
+    if load_tracked(job.store, job.fingerprint) is not None:
+        log.info("taken from %s: images, settings and code are the same", job.store)
+    else:
         from maslam.descriptors.inference import NetVlad
         from maslam.frontend.vocabulary.vocabulary import Vocabulary
 

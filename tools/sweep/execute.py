@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 from argparse import Namespace
 from collections.abc import Callable, Sequence
@@ -19,6 +20,7 @@ from ..report.summary_table import SUMMARY, read_summary, read_timing
 from .plan import TOWN, Cell, SweepPlan
 from .rows import Figures
 
+log = logging.getLogger(__name__)
 STAMP = "cell.json"
 """In the folder of a run: what it was made from and how."""
 
@@ -90,6 +92,7 @@ def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None
         cell.name: (SweepJob(shop.sequences(cell), shop.run(cell), cell, plan.settings), 100) for cell in plan.cells()
     }
     todo = {name: job for name, job in jobs.items() if not job[0].done()}
+    log.info("%d of %d runs to do", len(todo), len(jobs))
     if ray is not None:
         errors = _on_ray([job for job, _ in todo.values()], ray, progress)
     else:

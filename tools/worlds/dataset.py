@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from .rendering.renderer import Renderer, View
 from .rendering.sensor import DEPTH_UNIT_M, depth_map, develop
 from .scenario import AgentPlan, Scenario, plan_scenario
 
+log = logging.getLogger(__name__)
 VERSION = 2
 """Of the layout and the pictures: another version's pictures are not mixed with these."""
 RenderProgress = Callable[[int, int], None]
@@ -42,6 +44,7 @@ def render_dataset(
     if config.poses_file is not None:
         settings["poses_file"] = config.poses_file.name
     if _finished(out, settings):
+        log.info("%s: rendered already with these settings", out)
         return
     scenario = plan_scenario(config)
     camera = config.camera()
