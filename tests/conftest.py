@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -11,6 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
+try:
+    import fcntl
+except ImportError:  # Windows: run the tests in one process there
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from maslam.tools.worlds.config import RenderConfig
@@ -43,7 +47,8 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Rendered:
         from maslam.tools.worlds.dataset import render_dataset
 
         with open(shared / f"{name}.lock", "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            if fcntl is not None:
+                fcntl.flock(lock, fcntl.LOCK_EX)
             render_dataset(config, shared / name)
         return shared / name
 

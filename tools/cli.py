@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import logging
 import os
 import sys
@@ -45,6 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit code: 0 success, 1 a failure said in one line, 2 a usage error, 130
     interrupted.
     """
+    _print_whatever_it_is()
     words = [_with_dashes(word) for word in (sys.argv[1:] if argv is None else argv)]
     chosen = next((word for word in words if not word.startswith("-")), None)
     try:
@@ -145,6 +147,12 @@ def _with_dashes(word: str) -> str:
     """``--relpose.min_inliers=20``, spelled like the setting in a file, is the option ``--relpose.min-inliers=20``."""
     name, equals, value = word.partition("=")
     return name.replace("_", "-") + equals + value if name.startswith("--") else word
+
+
+def _print_whatever_it_is() -> None:
+    """A letter that the terminal's code page lacks becomes a question mark, not a failure (Windows)."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _fail(error: Exception, debug: bool) -> int:

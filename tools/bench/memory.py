@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import se3, so3_exp
 
 from ..common.errors import ToolError, UsageError
+from ..common.memory import resident_mb
 from ..common.parallel import run_jobs
 from ..common.progress import Progress, counter
 from ..common.text_table import aligned
@@ -120,6 +122,8 @@ def bench_memory(settings: MemorySettings, progress: Progress) -> MemoryReport:
     """Render the circuit, unless it is there, and drive it in a process of its own."""
     from maslam.frontend.datasets import open_dataset
 
+    if math.isnan(resident_mb()):
+        raise ToolError("this system does not tell how much memory a process holds: run it on Linux")
     if settings.frames < SAMPLES:
         raise ToolError(f"{settings.frames} frames: at least {SAMPLES} are needed")
     if settings.lap < _SHORTEST_LAP:
@@ -206,8 +210,6 @@ def _drive(job: _Drive, advance: Callable[[int], None]) -> MemoryReport:
 
 def _sample(odometry: Any, frame: int, cpu_ms: float, lost: int) -> Sample:
     from maslam.frontend.mapping.memory_footprint import EMPTY, footprint
-
-    from ..common.memory import resident_mb
 
     held = sum((footprint(map_) for map_ in odometry.maps), EMPTY)
     return Sample(

@@ -5,9 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +17,7 @@ from itertools import islice
 from queue import Empty
 from typing import Any, Generic, TypeVar
 
+from .errors import ToolError
 from .logs import Relay, collected_logs, working_on
 from .progress import Progress
 
@@ -22,6 +25,11 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 POLL_S = 0.2
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_MOST_WORKERS_ON_WINDOWS = 61  # what one call can wait for there
+_WORKER_ENDED = (
+    "a worker process ended: killed, or out of memory (fewer --workers need less); a script of your own must start "
+    'its work under `if __name__ == "__main__":`'
+)
 _levels: Any = None  # in a worker: the queue on which it tells how far it is
 _work: Any = None  # in a worker: what it does with each small job
 
@@ -113,14 +121,19 @@ def _pool(
     workers: int, context: Any, prepare: Callable[[], None], jobs_each: int | None = None
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that is gone at the end, at once where the end is an error."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(1)  # a worker imports its parent's script, which starts workers again: the parent says what is wrong
+    workers = min(workers, _MOST_WORKERS_ON_WINDOWS) if sys.platform == "win32" else workers
     with collected_logs(context) as relay:
         pool = ProcessPoolExecutor(workers, context, _settle_in, (relay, prepare), max_tasks_per_child=jobs_each)
         try:
             yield pool
-        except BaseException:
+        except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
+            if isinstance(error, BrokenProcessPool):
+                raise ToolError(_WORKER_ENDED) from error
             raise
         pool.shutdown()
 

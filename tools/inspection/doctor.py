@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
 import platform
 import re
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 
 from ..common.errors import describe
+from ..common.memory import resident_mb
 
 IMPORT_NAMES = {
     "opencv-contrib-python-headless": "cv2",
@@ -51,7 +53,7 @@ def main(_: argparse.Namespace) -> int:
     print(
         f"maslam {version('maslam')}, Python {platform.python_version()}, {platform.platform()}, {core_count()} cores\n"
     )
-    checks = [*library_checks(), *model_checks(), *extra_checks()]
+    checks = [*system_checks(), *library_checks(), *model_checks(), *extra_checks()]
     width = max(len(check.name) for check in checks)
     for check in checks:
         mark = "ok     " if check.works else "MISSING" if check.needed else "absent "
@@ -59,6 +61,17 @@ def main(_: argparse.Namespace) -> int:
     broken = [check for check in checks if check.needed and not check.works]
     print("\n" + (f"{len(broken)} needed parts do not work" if broken else "everything needed works"))
     return 1 if broken else 0
+
+
+def system_checks() -> list[Check]:
+    """What the operating system gives, beside libraries."""
+    name = platform.system()
+    tested = "tested" if name == "Linux" else "not tested there; what cannot work says so in a line"
+    measured = not math.isnan(resident_mb())
+    return [
+        Check("system", name == "Linux", f"{name or 'unknown'}: {tested}", needed=False),
+        Check("memory figures", measured, "`maslam bench` measures memory", needed=False),
+    ]
 
 
 def library_checks() -> list[Check]:
