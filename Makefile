@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 CORE := $(VENV)/.core-installed
 DEV := $(VENV)/.dev-installed
 
-.PHONY: demo test lint lock clean
+.PHONY: demo test lint coverage lock resolve clean
 demo: $(CORE)
 	$(BIN)/maslam demo --out $(OUT)
 
@@ -38,5 +38,13 @@ $(DEV): $(CORE) requirements/dev.txt
 lock: $(DEV)
 	$(BIN)/python requirements/lock.py
 
+# Which lines the tests run, worker processes included; compiled kernels are left out.
+coverage: $(DEV)
+	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered
+
+# Whether the dependencies can be installed for each Python that is supported, without having it.
+resolve: $(CORE)
+	$(BIN)/python requirements/resolve.py
+
 clean:
-	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage
