@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..config import CentralConfig
+from ..errors import BackendError
 from ..geometry import Array, se3_inverse
 from ..pose_graph.graph import EdgeArrays, EdgeKind, PoseGraph
 from .costs import frobenius_weights
@@ -20,10 +21,21 @@ _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 _ROTATION_ENTRIES, _TRANSLATION_ENTRIES = [0, 1, 2, 4, 5, 6, 8, 9, 10], [12, 13, 14]
 
 
+def _gtsam() -> Any:
+    """The library, or ``BackendError`` where there is none for this system."""
+    try:
+        import gtsam
+    except ModuleNotFoundError as error:
+        raise BackendError(
+            "Levenberg-Marquardt needs gtsam, which is not installed (there is none for Windows): take cost F or U, "
+            "without a robust loss"
+        ) from error
+    return gtsam
+
+
 def levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
     """The graph at the local optimum of ``config.cost`` it lies near, and the iterations that took."""
-    import gtsam
-
+    gtsam = _gtsam()
     a = graph.arrays()
     values = gtsam.Values()
     for k, T in enumerate(a.poses):
@@ -43,8 +55,7 @@ def levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGr
 
 
 def _factors(graph: PoseGraph, a: EdgeArrays, config: CentralConfig) -> Any:
-    import gtsam
-
+    gtsam = _gtsam()
     factors = gtsam.NonlinearFactorGraph()
     tight = gtsam.noiseModel.Isotropic.Sigma(6, _PRIOR_SIGMA)
     for k in anchors(a):
@@ -73,16 +84,14 @@ def _definite(information: Array) -> Array:
 
 def _frobenius_model(kappa: float, tau: float) -> Any:
     """Noise of the 16 entries of a pose matrix such that half the squared norm is F's share."""
-    import gtsam
-
+    gtsam = _gtsam()
     precisions = np.ones(16)
     precisions[_ROTATION_ENTRIES], precisions[_TRANSLATION_ENTRIES] = 2.0 * kappa, 2.0 * tau
     return gtsam.noiseModel.Diagonal.Precisions(np.maximum(precisions, 1e-12))
 
 
 def _with_loss(model: Any, config: CentralConfig) -> Any:
-    import gtsam
-
+    gtsam = _gtsam()
     if config.loss == "none":
         return model
     estimators = gtsam.noiseModel.mEstimator

@@ -117,6 +117,34 @@ assert memory.resource is None
     assert done.returncode == 0, done.stderr
 
 
+def test_doctor_does_not_ask_for_what_is_not_made_for_a_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    from maslam.tools.inspection.doctor import library_checks
+
+    wanted = [
+        "numpy>=2",
+        f"no-such-thing>=1; sys_platform != '{sys.platform}'",
+        "neither>=1",
+        "torch; extra == 'train'",
+    ]
+    monkeypatch.setattr("maslam.tools.inspection.doctor.requires", lambda _: wanted)
+    found = {check.name: (check.works, check.needed) for check in library_checks()}
+    assert found == {"numpy": (True, True), "no-such-thing": (False, False), "neither": (False, True)}
+
+
+def test_without_gtsam_central_optimisation_works_and_what_needs_it_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    graph, solved = tmp_path / "graph.g2o", tmp_path / "solved.g2o"
+    edge = " ".join(["1 0 0 0 0 0 1", *("1" if i == j else "0" for i in range(6) for j in range(i, 6))])
+    graph.write_text(f"EDGE_SE3:QUAT 0 1 {edge}\nEDGE_SE3:QUAT 1 2 {edge}\n")
+    assert cli.main(["pgo", str(graph), str(solved), "--method", "central", "--quiet"]) == 0
+    capsys.readouterr()
+    assert cli.main(["pgo", str(graph), str(solved), "--method", "central", "--central.cost", "E"]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and said.startswith("maslam: Levenberg-Marquardt needs gtsam")
+
+
 @pytest.mark.usefixtures("bare_system")
 def test_doctor_tells_what_this_system_lacks(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -196,6 +224,13 @@ def test_letters_that_the_terminal_lacks_are_no_failure(monkeypatch: pytest.Monk
     assert cli.main(["eval", "RUN"]) == 0
     sys.stdout.flush()
     assert written.getvalue().decode("cp1252").strip() == "Übung ? ?"
+
+
+def test_a_sequences_name_is_one_folder_on_every_system() -> None:
+    from maslam.tools.bench.vo.run import _as_folder
+
+    assert _as_folder("town/agent_00") == "town_agent_00"
+    assert _as_folder(r"C:\data\town/agent_00") == "C__data_town_agent_00"
 
 
 def test_paths_in_fingerprints_do_not_depend_on_the_separator(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from multiprocessing.context import SpawnContext
 from queue import Empty
 from typing import Any, Generic, TypeVar
 
@@ -85,7 +86,7 @@ def run_jobs(
         return {
             name: _guarded(work, name, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()
         }
-    context = multiprocessing.get_context("spawn")
+    context = _context()
     levels = context.Queue()
     with _pool(min(workers, len(jobs)), context, partial(_prepare_worker, levels), 1 if fresh else None) as pool:
         futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
@@ -107,7 +108,7 @@ def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int
             yield
         return
     queue = iter(jobs)
-    with _pool(workers, multiprocessing.get_context("spawn"), partial(_keep, work)) as pool:
+    with _pool(workers, _context(), partial(_keep, work)) as pool:
         pending = {pool.submit(_kept, job) for job in islice(queue, 4 * workers)}
         while pending:
             finished, pending = wait(pending, return_when=FIRST_COMPLETED)
@@ -116,13 +117,20 @@ def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int
                 yield future.result()
 
 
+def _context() -> SpawnContext:
+    """How processes are started. A worker that imports its parent's script, which starts workers again, ends here: its
+    parent says what is wrong.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(1)
+    return multiprocessing.get_context("spawn")
+
+
 @contextmanager
 def _pool(
     workers: int, context: Any, prepare: Callable[[], None], jobs_each: int | None = None
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that is gone at the end, at once where the end is an error."""
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
-        sys.exit(1)  # a worker imports its parent's script, which starts workers again: the parent says what is wrong
     workers = min(workers, _MOST_WORKERS_ON_WINDOWS) if sys.platform == "win32" else workers
     with collected_logs(context) as relay:
         pool = ProcessPoolExecutor(workers, context, _settle_in, (relay, prepare), max_tasks_per_child=jobs_each)

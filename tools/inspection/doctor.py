@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 
+from packaging.requirements import Requirement
+
 from ..common.errors import describe
 from ..common.memory import resident_mb
 
@@ -75,9 +77,10 @@ def system_checks() -> list[Check]:
 
 
 def library_checks() -> list[Check]:
-    """Every dependency imported for real: a wheel that is installed may still miss a library of the system."""
-    names = [_name(text) for text in requires("maslam") or [] if "extra ==" not in text]
-    return [_import_check(name, needed=True) for name in names]
+    """Every dependency imported for real: a wheel that is installed may still miss a library of the system. What is
+    not made for this system is not needed on it."""
+    wanted = [Requirement(text) for text in requires("maslam") or [] if "extra ==" not in text]
+    return [_import_check(one.name.lower(), one.marker is None or one.marker.evaluate()) for one in wanted]
 
 
 def extra_checks() -> list[Check]:

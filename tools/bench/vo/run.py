@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -111,8 +112,13 @@ def _open(folders: Sequence[Path], settings: VoSettings, progress: Progress) -> 
 
 def _job(name: str, sequence: ImageSequence, settings: VoSettings, keep: Path | None) -> BenchJob:
     runs = settings.runs or min(_MOST_RUNS, -(-_ENOUGH_FRAMES // len(sequence)))
-    files = keep / name.replace("/", "_") if settings.files and keep is not None else None
+    files = keep / _as_folder(name) if settings.files and keep is not None else None
     return BenchJob(sequence, settings.odometry, settings.vocabulary, files, runs)
+
+
+def _as_folder(name: str) -> str:
+    """A sequence's name as that of one folder, on every system."""
+    return re.sub(r"[/\\:]", "_", name)
 
 
 def _result(
@@ -151,7 +157,7 @@ def _keep(report: VoReport, settings: VoSettings) -> None:
         draw_bench(report.results, settings.plot)
     if settings.out is not None:
         for result in report.results:
-            folder = settings.out / result.name.replace("/", "_")
+            folder = settings.out / _as_folder(result.name)
             folder.mkdir(parents=True, exist_ok=True)
             for number, trajectory in enumerate(result.measured.trajectories):
                 write_tum(folder / f"trajectory_{number}.tum", trajectory)
