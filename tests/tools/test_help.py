@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -105,6 +106,49 @@ def test_help_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_wrong_name_is_a_usage_error_in_one_line(words: str, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(words.split()) == 2
     assert capsys.readouterr().err == f"{line}\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "text", "line"),
+    [
+        (
+            "run a b --config",
+            "seed: 3\npreset: mslam\n",
+            ":2: preset: there is no preset 'mslam'; did you mean 'maslam'?",
+        ),
+        (
+            "slam a b --config",
+            "policy: diretory\n",
+            ":1: policy: input should be 'query_all', 'clustered', 'logic', 'selection' or 'directory', not "
+            "'diretory'; did you mean 'directory'?",
+        ),
+        ("slam a b --config", "odometri: {}\n", ":1: unknown setting 'odometri'; did you mean 'odometry'?"),
+        (
+            "slam a b --config",
+            "odometry:\n  mapping:\n    windw: 3\n",
+            ":3: unknown setting 'odometry.mapping.windw'; did you mean 'odometry.mapping.window'?",
+        ),
+        ("sweep o --plan", "presets: [mslam]\n", ":1: presets: there is no preset 'mslam'; did you mean 'maslam'?"),
+        (
+            "sweep o --plan",
+            "agents: [2]\nsettings:\n  relpose:\n    min_inlier: 3\n",
+            ":4: unknown setting 'settings.relpose.min_inlier'; did you mean 'settings.relpose.min_inliers'?",
+        ),
+    ],
+)
+def test_a_wrong_name_in_a_settings_file_is_a_usage_error_with_its_line(
+    command: str,
+    text: str,
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "c.yaml").write_text(text)
+    assert cli.main([*command.split(), "c.yaml"]) == 2
+    assert capsys.readouterr().err == f"maslam: c.yaml{line}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["c.yaml"], "nothing was begun"
 
 
 def test_an_option_of_0_1_is_refused_with_todays_name(
