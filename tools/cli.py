@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             log.info("exit code %d", code)
             return code
     except OSError as error:  # the log file
-        return _fail(error, "debug" in arguments)
+        return _fail(error, getattr(arguments, "debug", False))
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -91,7 +91,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return SUCCESS
     except Exception as error:
         log.error("%s", describe(error), exc_info=error, extra=ON_CONSOLE)
-        return _fail(error, "debug" in arguments)
+        return _fail(error, getattr(arguments, "debug", False))
 
 
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:

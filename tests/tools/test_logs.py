@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -153,6 +154,34 @@ def test_no_line_of_many_small_jobs_is_lost(tmp_path: Path) -> None:
     text = (tmp_path / "log").read_text()
     assert sorted(int(n) for n in re.findall(r"part (\d+)", text)) == list(range(200))
     assert all(LINE.fullmatch(line) for line in text.splitlines()), "no line runs into another"
+
+
+def burst(number: int) -> None:
+    for k in range(100):
+        log.info("line %d", k)
+
+
+class SlowHandler(logging.Handler):
+    """A log that takes longer to write than the workers take to end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        time.sleep(0.02)
+        self.lines.append(record.getMessage())
+
+
+def test_the_last_lines_are_waited_for() -> None:
+    slow = SlowHandler()
+    with logs_to("info"):
+        logging.getLogger().addHandler(slow)
+        try:
+            list(each_finished(burst, range(2), 2))
+            assert len([line for line in slow.lines if line.startswith("line ")]) == 200
+        finally:
+            logging.getLogger().removeHandler(slow)
 
 
 def test_workers_are_quiet_where_nobody_listens(capfd: pytest.CaptureFixture[str]) -> None:

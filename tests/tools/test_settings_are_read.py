@@ -149,9 +149,13 @@ def read_words() -> set[str]:
                 found.add(node.attr)
             elif isinstance(node, ast.Call) and ast.unparse(node.func) == "getattr":
                 found |= {pattern(name) for name in node.args[1:2] if "arguments" in ast.unparse(node.args[0])}
+            elif isinstance(node, ast.DictComp | ast.GeneratorExp) and "getattr(arguments, " in ast.unparse(node):
+                found |= {str(one.value) for one in ast.walk(node) if isinstance(one, ast.Constant)}  # names in turn
     return found
 
 
 def pattern(name: ast.expr) -> str:
+    """``input_*`` of ``f"input_{name}"``; of an expression without any text nothing, which no option is called."""
     parts = name.values if isinstance(name, ast.JoinedStr) else [name]
-    return "".join(str(part.value) if isinstance(part, ast.Constant) else "*" for part in parts)
+    text = "".join(str(part.value) if isinstance(part, ast.Constant) else "*" for part in parts)
+    return "" if text == "*" else text

@@ -133,11 +133,13 @@ def collected_logs(context: BaseContext) -> Iterator[Relay]:
     queue, ended = context.Queue(), threading.Event()
     reader = threading.Thread(target=_handle_all, args=(queue, ended), name="worker logs", daemon=True)
     reader.start()
+    limit: float | None = _LAST_LINES_S  # a worker that was stopped may have left half a line
     try:
         yield Relay(queue, {name: logging.getLogger(name).getEffectiveLevel() for name in OURS})
+        limit = None
     finally:
         ended.set()
-        reader.join(_LAST_LINES_S)  # not for ever: a worker that was stopped may have left half a line
+        reader.join(limit)
         queue.close()
 
 
