@@ -1,4 +1,5 @@
-"""What a release promises in its files: one version, one list of Pythons, hooks and a workflow that run what make does."""
+"""What a release promises in its files: one version, one list of Pythons, hooks and a workflow that run what make
+does."""
 
 from __future__ import annotations
 
