@@ -1,5 +1,9 @@
-"""The one exception root of the place descriptors."""
+"""The one error of the place descriptors."""
+
+from __future__ import annotations
+
+from maslam.errors import MaslamError
 
 
-class DescriptorError(RuntimeError):
+class DescriptorError(MaslamError):
     """A model, image or vector file that cannot be used; the message says which and why in one line."""

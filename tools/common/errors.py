@@ -1,14 +1,11 @@
-"""The one exception root of the commands, and how any failure is put into one line."""
+"""The one error of the commands, and how any failure is put into one line."""
 
 from __future__ import annotations
 
-from maslam.backend.errors import BackendError
-from maslam.descriptors.errors import DescriptorError
-from maslam.frontend.errors import FrontendError
-from maslam.mas.errors import MasError
+from maslam.errors import MaslamError
 
 
-class ToolError(RuntimeError):
+class ToolError(MaslamError):
     """A folder, file or option that a command cannot use; the message says which and why in one line."""
 
 
@@ -20,15 +17,12 @@ class UnknownName(UsageError):
     """An option, a command, a setting or a choice that there is not; the message says what was probably meant."""
 
 
-SAY_IT_THEMSELVES = (FrontendError, DescriptorError, BackendError, MasError, ToolError)
-
-
 def describe(error: Exception) -> str:
     """One line for people: our own errors say everything themselves; an unexpected one is named, with the way to
     learn more.
     """
     text = " ".join(str(error).split())
-    if isinstance(error, SAY_IT_THEMSELVES):
+    if isinstance(error, MaslamError):
         return text
     if isinstance(error, OSError):
         reason = error.strerror or text
