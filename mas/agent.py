@@ -64,7 +64,7 @@ class Agent:
         verification = Verification(self.desk, self.book)
         self.places = PlaceRecognition(self.desk, self.book, verification)
         self.optimisation = Optimisation(self.desk, lambda: policy.peer_to_peer(self.state, self.outlook()))
-        self.maps = MapExchange(self.desk)
+        self.maps = MapExchange(self.desk, policy.worth)
         self.refused: list[Refused] = []
         self._trades: dict[OperationKind, Operation] = {
             OperationKind.DVPR: self.places,

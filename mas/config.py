@@ -216,9 +216,13 @@ class MasConfig(_Section):
         description="what the settings start from: maslam (ours), or the thesis's predecessor, default, optimised, "
         "selection",
     )
-    policy: Literal["query_all", "clustered", "logic", "selection", "directory"] = Field(
+    policy: str = Field(
         "query_all",
-        description="who decides: no logic, the predecessor, Algorithms 2 and 3, those with Algorithm 4, ours",
+        description="who decides: query_all (no logic), clustered (the predecessor), logic (Algorithms 2 and 3), "
+        "selection (those with Algorithm 4), directory (ours), or an entry point of maslam.policies",
+    )
+    transport: str = Field(
+        "in_process", description="what carries messages: in_process, or an entry point of maslam.transports"
     )
     seed: int = Field(0, ge=0, description="seed of every random choice")
     step_s: float = Field(0.5, gt=0, description="logical time between two steps of the environment, seconds")

@@ -12,6 +12,7 @@ from pathlib import Path
 from maslam.descriptors.card import model_path
 from maslam.descriptors.codes import PRODUCT_CODES, Coder
 from maslam.descriptors.errors import DescriptorError
+from maslam.extensions import name_of
 
 from .agent import Agent
 from .config import AUTO_CODE, MasConfig
@@ -20,15 +21,17 @@ from .evaluation.ground_truth import GroundTruthEvaluator, groups_of
 from .evaluation.summarise import summarise
 from .evaluation.summary import Summary, Timing
 from .output.run_folder import Recorder, match_errors
-from .policies.cluster_owners import centres_before, ownership_of
+from .policies.cluster_owners import centres_before
+from .policies.foreign import PolicyLike
 from .policies.presets import policy_of
 from .protocol.accounting import Traffic
 from .protocol.messages import Message
 from .sequence import AgentSequence, Manifest
 from .state.agent_state import Ownership, Profile
 from .state.keyframe import KeyFrame, keyframes_of
+from .transport.choice import TransportLike, transport_of
 from .transport.faults import FaultyTransport, gone, present
-from .transport.transport import InProcessTransport, Sent, Transport
+from .transport.transport import Sent, Transport
 
 # Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
 # expire.
@@ -138,23 +141,27 @@ def run(
     config: MasConfig,
     out: Path,
     progress: RunProgress | None = None,
+    policy: PolicyLike | None = None,
+    transport: TransportLike | None = None,
 ) -> Summary:
     """Run the multi-agent system on agent sequences and write the RUN folder ``out``, whole or not at all.
 
-    ``progress(done, total)`` counts steps. Same sequences, config and seed: same bytes in every file but
-    ``timing.json``.
+    ``progress(done, total)`` counts steps. ``policy``, ``transport``: a user's own instead of those that ``config``
+    names. Same sequences, config and seed: same bytes in every file but ``timing.json``.
     """
+    given = {"policy": policy, "transport": transport}
+    config = config.model_copy(update={key: name_of(own) for key, own in given.items() if own is not None})
     strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
     if strangers:
         raise MasError(f"faults: there is no agent {strangers[0]}, only 0 to {len(sequences) - 1}")
     started = time.perf_counter()
     keyframes = [keyframes_of(sequence) for sequence in sequences]
-    agents = make_agents(manifest, sequences, config)
+    agents = make_agents(manifest, sequences, config, policy)
     onlooker = GroundTruthEvaluator(sequences)
     log.info("%d agents, preset %s, policy %s, seed %d", len(agents), config.preset, config.policy, config.seed)
     with Recorder(out) as recorder:
-        transport = make_transport(config, recorder.sent)
-        environment = Environment(agents, keyframes, transport, config)
+        carrier = make_transport(config, recorder.sent, transport)
+        environment = Environment(agents, keyframes, carrier, config)
         recorder.begin_timeline(len(agents))
         steps = _play(environment, onlooker, recorder, progress)
         errors = match_errors(agents, onlooker)
@@ -163,7 +170,7 @@ def run(
         recorder.matches(agents, errors)
         for agent, sequence in zip(agents, sequences, strict=True):
             recorder.agent(agent, sequence)
-        summary = summarise(agents, sequences, config, onlooker, transport, errors, steps)
+        summary = summarise(agents, sequences, config, onlooker, carrier, errors, steps)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
         summary = summary.model_copy(update={"duration_s": duration})
         recorder.summary(summary)
@@ -173,21 +180,24 @@ def run(
     return summary
 
 
-def make_transport(config: MasConfig, record: Callable[[Sent], None]) -> Transport:
-    """All agents in one process, with the faults that are set."""
-    limit = round(config.max_message_mb * 2**20)
-    if not config.faults.any:
-        return InProcessTransport(limit, record)
-    return FaultyTransport(InProcessTransport(limit), config.faults, config.seed, record)
+def make_transport(config: MasConfig, record: Callable[[Sent], None], given: TransportLike | None = None) -> Transport:
+    """The transport that is given or set, with the faults that are set."""
+    transport = transport_of(config.transport if given is None else given)
+    faulty = config.faults.any
+    transport.begin(round(config.max_message_mb * 2**20), None if faulty else record)
+    return FaultyTransport(transport, config.faults, config.seed, record) if faulty else transport
 
 
-def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig) -> list[Agent]:
+def make_agents(
+    manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, policy: PolicyLike | None = None
+) -> list[Agent]:
     """One agent a sequence; sequences of different descriptor models or scales do not go together."""
     if not sequences:
         raise MasError("no agents to run")
     wanted = manifest.descriptor
     coder = coder_of(manifest, config.places.code)
-    ownership = ownership_of(config)
+    policies = [policy_of(config, me, policy) for me in range(len(sequences))]
+    ownership = policies[0].ownership
     clustered = ownership is Ownership.CLUSTERS
     centres = centres_before(manifest, sequences, config, coder) if clustered else None
     agents = []
@@ -202,7 +212,7 @@ def make_agents(manifest: Manifest, sequences: Sequence[AgentSequence], config: 
         others = tuple(a for a in range(len(sequences)) if a != me)
         limits = (wanted.threshold, coder, ownership, centres, wanted.strict_threshold)
         profile = Profile(me, others, sequence.metric, wanted.sha256, *limits)
-        agents.append(Agent(profile, config, policy_of(config, me)))
+        agents.append(Agent(profile, config, policies[me]))
     return agents
 
 

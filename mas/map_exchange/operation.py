@@ -17,7 +17,7 @@ from ..contracts.context import AgentContext
 from ..contracts.contract import Contract, ContractState
 from ..contracts.operation import Operation, WorkError
 from ..contracts.retries import RetryBudget
-from ..policies.utility import orders
+from ..policies.utility import Worth, orders, utility
 from ..protocol.ids import ContractId, MatchId, OperationKind
 from ..protocol.map_messages import MapDelivery, MapOrder, Parcel
 from ..protocol.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
@@ -44,8 +44,9 @@ class MapTender:
 class MapExchange(Operation):
     """Manager: the buyer; contractor: the seller."""
 
-    def __init__(self, desk: AgentContext) -> None:
+    def __init__(self, desk: AgentContext, worth: Worth = utility) -> None:
         super().__init__(desk)
+        self._worth = worth
         self.held: dict[int, MapCopy] = {}
         self.last_bought: dict[int, int] = {}
         self.stale: set[int] = set()
@@ -124,7 +125,7 @@ class MapExchange(Operation):
         contracts = self.desk.ledger.managed(identity)
         standing = {seller: self.desk.standing.of(seller).value for seller in tender.bids}
         deadline_ns = max((c.deadline_ns for c in contracts), default=0)
-        wanted = orders(tender.bids, standing, self._wants, deadline_ns)
+        wanted = orders(tender.bids, standing, self._wants, deadline_ns, self._worth)
         for one in contracts:
             if one.state is ContractState.BID:
                 self._order(one, wanted.get(one.contractor, ()))

@@ -2,14 +2,18 @@
 
 A policy sees its own agent's state and nothing else, and changes nothing: its answers are wishes that the agent turns
 into calls for proposals. The thesis's agent logic and selection (sections 3.9.1 and 3.9.2) are policies of this kind.
+A user's own derives from :class:`Policy` and is given as ``maslam.run(..., policy=...)`` or by an entry point of the
+group ``maslam.policies``.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Protocol
 
-from ..state.agent_state import AgentState
+from ..protocol.messages import Bid
+from ..state.agent_state import AgentState, Ownership
+from .utility import utility
 
 
 @dataclass(frozen=True)
@@ -35,9 +39,17 @@ class Outlook:
     delivered: dict[int, int] = field(default_factory=dict)
 
 
-class Policy(Protocol):
-    """Decisions of one agent; deterministic, or by the generator it was given."""
+class Policy(ABC):
+    """Decisions of one agent; each agent has a policy of its own. Deterministic: what is drawn comes from a generator
+    seeded with ``[state.config.seed, state.me]``.
 
+    ``ownership``: who keeps the place vectors of others. Agents are numbered from 0; ``state.me`` is this one,
+    ``state.profile.others`` are the others, ``state.group`` those that share its frame, itself included.
+    """
+
+    ownership: Ownership = Ownership.NONE
+
+    @abstractmethod
     def ask(self, state: AgentState, outlook: Outlook, keyframe: int) -> list[int]:
         """Agents to ask whether they know the place of this key-frame."""
 
@@ -46,6 +58,7 @@ class Policy(Protocol):
         policy of the thesis does."""
         return {}
 
+    @abstractmethod
     def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to optimise with, itself included; empty: not now."""
 
@@ -54,8 +67,14 @@ class Policy(Protocol):
         3.9.1); without agent logic never."""
         return False
 
+    @abstractmethod
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to buy maps from; empty: not now."""
+
+    def worth(self, standing: float, benefit: float, bid: Bid, deadline_ns: int) -> float:
+        """Worth of a bid for a map: of several sellers the one whose bid is worth most is awarded, and none whose bid
+        is worth nothing. ``standing``: of the bidder with this agent, 0 to 1; ``benefit``: key-frames that are new."""
+        return utility(standing, benefit, bid, deadline_ns)
 
 
 def optimisation_due(state: AgentState, outlook: Outlook) -> bool:

@@ -17,7 +17,6 @@ from maslam.descriptors.errors import DescriptorError
 from ..config import MasConfig
 from ..errors import MasError
 from ..sequence import AgentSequence, Manifest
-from ..state.agent_state import Ownership
 
 _ITERATIONS = 30
 
@@ -32,11 +31,6 @@ def centres_of(vectors: NDArray[np.float32], agents: int, rng: np.random.Generat
 def owner_of(vector: NDArray[np.float32], centres: NDArray[np.float32]) -> int:
     """The agent that owns the cluster of a vector ``(d,)``; the lower number of equals."""
     return int(np.linalg.norm(centres - vector, axis=1).argmin())
-
-
-def ownership_of(config: MasConfig) -> Ownership:
-    """Who keeps place vectors under the policy that is set."""
-    return {"clustered": Ownership.CLUSTERS, "directory": Ownership.DIRECTORY}.get(config.policy, Ownership.NONE)
 
 
 def centres_before(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..state.agent_state import AgentState
+from ..state.agent_state import AgentState, Ownership
 from .base import Outlook, Policy, default_sellers, optimisation_due
 
 # Key-frames that a new directory must have taken in before it is told of earlier ones.
@@ -18,6 +18,8 @@ class Directory(Policy):
     earlier key-frames, too: one for each new one, so that a silence that soon ends at most doubles what is told in the
     meantime, and the rest when there are no new ones any more.
     """
+
+    ownership = Ownership.DIRECTORY
 
     def ask(self, state: AgentState, outlook: Outlook, keyframe: int) -> list[int]:
         return [_directory(state, outlook)]

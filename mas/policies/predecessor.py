@@ -4,7 +4,7 @@ the cluster, optimise as soon as there is something new."""
 from __future__ import annotations
 
 from ..errors import MasError
-from ..state.agent_state import AgentState
+from ..state.agent_state import AgentState, Ownership
 from .base import Outlook, Policy
 from .cluster_owners import owner_of
 
@@ -12,6 +12,8 @@ from .cluster_owners import owner_of
 class Predecessor(Policy):
     """No decisions: one agent is asked, whoever owns the vector's cluster, perhaps itself; the whole group optimises
     automatically whenever the last optimisation has ended and a match is new; no map is bought."""
+
+    ownership = Ownership.CLUSTERS
 
     def ask(self, state: AgentState, outlook: Outlook, keyframe: int) -> list[int]:
         profile = state.profile

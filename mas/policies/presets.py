@@ -1,16 +1,20 @@
-"""Presets by name: complete settings to start from."""
+"""Presets by name: complete settings to start from; policies by name."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from maslam.backend.config import RelPoseConfig, SolverConfig
+from maslam.extensions import ExtensionGroup, installed, unknown
 
 from ..config import ConsistencyConfig, MasConfig, MergeConfig, OptimisationConfig, PlacesConfig
 from ..errors import MasError
 from .autonomous import Autonomous
 from .base import Policy
 from .directory import Directory
+from .foreign import PolicyLike, foreign_policy
 from .predecessor import Predecessor
 from .query_all import QueryAll
 
@@ -93,14 +97,34 @@ def preset(name: str) -> MasConfig:
     return PRESETS[name]
 
 
-def policy_of(config: MasConfig, me: int) -> Policy:
-    """A new policy for agent ``me``, with a generator of its own where it draws."""
+POLICIES: dict[str, Callable[[MasConfig, int], Policy]] = {
+    "query_all": lambda config, me: QueryAll(),
+    "clustered": lambda config, me: Predecessor(),
+    "logic": lambda config, me: Autonomous(),
+    "selection": lambda config, me: Autonomous(np.random.default_rng([config.seed, me])),
+    "directory": lambda config, me: Directory(),
+}
+
+
+def check_policy(name: str) -> None:
+    """Refuse a name that is none of ours and no entry point's."""
+    known = (*POLICIES, *installed(ExtensionGroup.POLICIES))
+    if name not in known and ":" in name:
+        raise MasError(
+            f"policy '{name}' was given as an object in Python: give it again, or make it an entry point of "
+            f"{ExtensionGroup.POLICIES}"
+        )
+    if name not in known:
+        raise MasError(unknown("policy", name, known))
+
+
+def policy_of(config: MasConfig, me: int, given: PolicyLike | None = None) -> Policy:
+    """A new policy for agent ``me``, with a generator of its own where it draws: ``given``, or by the name set."""
     if config.preset not in PRESETS:
         raise MasError(f"there is no preset {config.preset!r}; there are {', '.join(sorted(PRESETS))}")
-    if config.policy == "clustered":
-        return Predecessor()
-    if config.policy == "directory":
-        return Directory()
-    if config.policy == "query_all":
-        return QueryAll()
-    return Autonomous(np.random.default_rng([config.seed, me]) if config.policy == "selection" else None)
+    if given is not None:
+        return foreign_policy(given)
+    if config.policy in POLICIES:
+        return POLICIES[config.policy](config, me)
+    check_policy(config.policy)
+    return foreign_policy(config.policy)

@@ -28,8 +28,16 @@ def utility(standing: float, benefit: float, bid: Bid, deadline_ns: int) -> floa
     return standing * benefit / max(bid.cost_bytes, 1)
 
 
+Worth = Callable[[float, float, Bid, int], float]
+"""Of a bid, from standing, benefit, the bid and the deadline, as :func:`utility`."""
+
+
 def orders(
-    bids: Mapping[int, Bid], standing: Mapping[int, float], wants: Callable[[int, Offer], bool], deadline_ns: int
+    bids: Mapping[int, Bid],
+    standing: Mapping[int, float],
+    wants: Callable[[int, Offer], bool],
+    deadline_ns: int,
+    worth_of: Worth = utility,
 ) -> dict[int, tuple[int, ...]]:
     """Which owners' maps to order from which seller; ``wants(seller, offer)``: whether an offer is of use at all.
 
@@ -40,7 +48,7 @@ def orders(
     best: dict[int, tuple[bool, int, float, int]] = {}
     for seller, bid in sorted(bids.items()):
         wanted = [offer for offer in bid.offers if wants(seller, offer)]
-        worth = utility(standing[seller], sum(o.keyframes for o in wanted), bid, deadline_ns)
+        worth = worth_of(standing[seller], sum(o.keyframes for o in wanted), bid, deadline_ns)
         for offer in wanted if worth > 0 else []:
             key = (offer.owner == seller, offer.version, worth, -seller)
             if offer.owner not in best or key > best[offer.owner]:

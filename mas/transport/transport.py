@@ -11,6 +11,8 @@ from ..protocol.accounting import Traffic, account
 from ..protocol.messages import Message, decode, encode
 from ..protocol.tensors import MessageError
 
+MAX_MESSAGE_BYTES = 64 * 2**20
+
 
 @dataclass(frozen=True)
 class Sent:
@@ -41,9 +43,20 @@ class TrafficCount:
 
 class Transport(ABC):
     """Takes typed messages, carries bytes, delivers typed messages; each message is encoded, counted and checked
-    once."""
+    once.
 
-    def __init__(self, max_message_bytes: int, record: Callable[[Sent], None] | None = None) -> None:
+    A user's own derives from this class, says how bytes travel (:meth:`carry`, :meth:`arrive`), and is given as
+    ``maslam.run(..., transport=...)`` or by an entry point of the group ``maslam.transports``.
+    """
+
+    def __init__(
+        self, max_message_bytes: int = MAX_MESSAGE_BYTES, record: Callable[[Sent], None] | None = None
+    ) -> None:
+        self.begin(max_message_bytes, record)
+
+    def begin(self, max_message_bytes: int, record: Callable[[Sent], None] | None = None) -> None:
+        """A run begins: longer messages are neither sent nor taken, ``record`` is told of each one sent, and all counts
+        are 0."""
         self.max_message_bytes = max_message_bytes
         self.by_operation: dict[Traffic, TrafficCount] = {t: TrafficCount() for t in Traffic}
         self.by_pair: dict[tuple[int, int], TrafficCount] = {}
@@ -91,17 +104,19 @@ class Transport(ABC):
 
     @abstractmethod
     def carry(self, recipient: int, data: bytes) -> None:
-        """Put bytes on the way."""
+        """Put bytes on the way to the agent ``recipient``; they may not change on it."""
 
     @abstractmethod
     def arrive(self) -> tuple[int, bytes] | None:
-        """The next bytes that have arrived, with whom they are for."""
+        """Recipient and bytes of the next message that has arrived, None when none is due by now."""
 
 
 class InProcessTransport(Transport):
     """All agents in one process: bytes arrive in the order in which they were sent, at once and whole."""
 
-    def __init__(self, max_message_bytes: int, record: Callable[[Sent], None] | None = None) -> None:
+    def __init__(
+        self, max_message_bytes: int = MAX_MESSAGE_BYTES, record: Callable[[Sent], None] | None = None
+    ) -> None:
         super().__init__(max_message_bytes, record)
         self._queue: deque[tuple[int, bytes]] = deque()
 
