@@ -4,38 +4,41 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from ..cameras.models import RigKind
 from ..errors import FrontendError
 from .base import Dataset, ImageSequence, Problem, Reader, Severity
-from .euroc import EurocReader
-from .folder import FolderReader
 from .images import natural_key
-from .kitti import KittiReader
-from .seven_scenes import SevenScenesReader
-from .tum import TumReader
+from .readers import ReaderLike, choose_readers
 
-__all__ = ["READERS", "Dataset", "ImageSequence", "Problem", "Severity", "open_dataset"]
+__all__ = ["Dataset", "ImageSequence", "Problem", "Reader", "Severity", "open_dataset"]
 
 log = logging.getLogger(__name__)
-READERS: tuple[type[Reader], ...] = (KittiReader, EurocReader, TumReader, SevenScenesReader, FolderReader)
-"""Tried in this order; the last takes any folder of images."""
 _UNFINISHED = "unfinished.json"
 """What ``maslam render`` leaves in a folder until it is complete."""
 _AGENT = re.compile(r"agent_\d+")
 
 
-def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) -> Dataset:
+def open_dataset(
+    path: Path,
+    rig: RigKind | None = None,
+    strict: bool = True,
+    readers: Sequence[ReaderLike] = (),
+    kind: str | None = None,
+) -> Dataset:
     """The data set in folder ``path``: one sequence, or one for each sub-folder ``agent_<n>``, each of which may be of
     any kind.
 
     ``rig``: read it as this, for example stereo images as mono; None takes the most that the files allow. With
     ``strict``, the first problem that would spoil a run is raised as :class:`FrontendError`; without, problems stay
-    listed in each sequence.
+    listed in each sequence. ``readers``: a user's own, tried before ours; ``kind``: the one to read with, instead of
+    the first that recognises the folder.
     """
     path = Path(path)
+    tried = choose_readers(readers, kind)
     if not path.is_dir():
         raise FrontendError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
     if (path / _UNFINISHED).is_file():
@@ -44,9 +47,9 @@ def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) ->
         (p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name)
     )
     if agents:
-        dataset = _open_agents(path, agents, rig, strict)
+        dataset = _open_agents(path, agents, rig, strict, tried)
     else:
-        reader = _reader(path)
+        reader = _reader(path, tried)
         dataset = Dataset(reader.kind, path, [reader.open(path, rig)])
     for sequence in dataset.sequences if strict else []:
         for problem in sequence.problems:
@@ -57,12 +60,14 @@ def open_dataset(path: Path, rig: RigKind | None = None, strict: bool = True) ->
     return dataset
 
 
-def _open_agents(path: Path, folders: list[Path], rig: RigKind | None, strict: bool) -> Dataset:
+def _open_agents(
+    path: Path, folders: list[Path], rig: RigKind | None, strict: bool, readers: Sequence[Reader]
+) -> Dataset:
     """All agents that can be opened; an error where none can, and with ``strict`` for the first that cannot."""
     sequences, problems = [], []
     for folder in folders:
         try:
-            sequences.append(replace(_reader(folder).open(folder, rig), name=folder.name))
+            sequences.append(replace(_reader(folder, readers).open(folder, rig), name=folder.name))
         except FrontendError as error:
             if strict or (folder is folders[-1] and not sequences):
                 raise
@@ -71,16 +76,16 @@ def _open_agents(path: Path, folders: list[Path], rig: RigKind | None, strict: b
     return Dataset(f"agents ({kinds})", path, sequences, tuple(problems))
 
 
-def _reader(folder: Path) -> type[Reader]:
-    for reader in READERS:
+def _reader(folder: Path, readers: Sequence[Reader]) -> Reader:
+    for reader in readers:
         if reader.recognises(folder):
             return reader
-    raise FrontendError(f"{folder}: {_why_unknown(folder)}")
+    raise FrontendError(f"{folder}: {_why_unknown(folder, readers)}")
 
 
-def _why_unknown(folder: Path) -> str:
+def _why_unknown(folder: Path, readers: Sequence[Reader]) -> str:
     inside = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_key(p.name))
-    usable = [p.name for p in inside if any(reader.recognises(p) for reader in READERS)]
+    usable = [p.name for p in inside if any(reader.recognises(p) for reader in readers)]
     if usable:
         return f"holds several sequences ({', '.join(usable[:5])}{', …' if len(usable) > 5 else ''}); name one of them"
-    return f"no images of a known layout here ({', '.join(reader.kind for reader in READERS)})"
+    return f"no images of a known layout here ({', '.join(reader.kind for reader in readers)})"

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,19 +190,21 @@ class Dataset:
 
 
 class Reader(ABC):
-    """One kind of data set: knows it by its folder and opens it as one sequence. Stateless."""
+    """One kind of data set: knows it by its folder and opens it as one sequence.
 
-    kind: ClassVar[str]
+    A user's own derives from this class and is given as ``maslam.open_dataset(..., readers=[...])`` or by an entry
+    point of the group ``maslam.datasets``. ``kind`` names it: in messages, in ``manifest.json``, and for ``--dataset``.
+    """
 
-    @classmethod
+    kind: str
+
     @abstractmethod
-    def recognises(cls, folder: Path) -> bool:
-        """Whether ``folder`` looks like this kind."""
+    def recognises(self, folder: Path) -> bool:
+        """Whether ``folder`` looks like this kind; quick, and no error whatever is in it."""
 
-    @classmethod
     @abstractmethod
-    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
-        """The sequence in ``folder``, as ``rig`` or as the most that its files allow.
+    def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
+        """The sequence in ``folder``, as ``rig`` or, for None, as the most that its files allow.
 
         Problems that leave a sequence to speak of are listed in it; others are raised as :class:`FrontendError`.
         """

@@ -32,12 +32,10 @@ class EurocReader(Reader):
 
     kind = "euroc"
 
-    @classmethod
-    def recognises(cls, folder: Path) -> bool:
+    def recognises(self, folder: Path) -> bool:
         return (_mav(folder) / "cam0" / "sensor.yaml").is_file()
 
-    @classmethod
-    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+    def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         problems = Problems()
         mav = _mav(folder)
         left_stamps, left_images = _images(mav / "cam0")
@@ -55,7 +53,7 @@ class EurocReader(Reader):
                 left_stamps, left_images, right_stamps, right_images, mav, problems
             )
         found = FoundSequence(
-            kind=cls.kind,
+            kind=self.kind,
             folder=mav.resolve().parent,
             raw=raw,
             calibration=mav / "cam0" / "sensor.yaml",

@@ -37,12 +37,10 @@ class FolderReader(Reader):
 
     kind = "images"
 
-    @classmethod
-    def recognises(cls, folder: Path) -> bool:
+    def recognises(self, folder: Path) -> bool:
         return _image_folder(folder) is not None
 
-    @classmethod
-    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+    def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         problems = Problems()
         inside = _image_folder(folder)
         images = tuple(list_images(folder / inside)) if inside else ()
@@ -61,7 +59,7 @@ class FolderReader(Reader):
             problems.warning(f"{source}: no depth unit (depth_unit_m, DepthMapFactor): millimetres taken")
         times, times_source = _times(folder, images, raw, problems)
         found = FoundSequence(
-            kind=cls.kind,
+            kind=self.kind,
             folder=folder,
             raw=raw,
             calibration=source,

@@ -29,12 +29,10 @@ class KittiReader(Reader):
 
     kind = "kitti"
 
-    @classmethod
-    def recognises(cls, folder: Path) -> bool:
+    def recognises(self, folder: Path) -> bool:
         return (folder / "calib.txt").is_file() and any((folder / f"image_{left}").is_dir() for left, _ in _PAIRS)
 
-    @classmethod
-    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+    def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         problems = Problems()
         left, right = next((pair for pair in _PAIRS if list_images(folder / f"image_{pair[0]}")), (-1, -1))
         if left < 0:
@@ -46,7 +44,7 @@ class KittiReader(Reader):
         P_right = _projection(projections, right, folder) if has_right else None
         times = _times(folder, images, problems)
         found = FoundSequence(
-            kind=cls.kind,
+            kind=self.kind,
             folder=folder,
             raw=_rig(P_left, P_right),
             calibration=folder / "calib.txt",

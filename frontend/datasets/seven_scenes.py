@@ -42,12 +42,10 @@ class SevenScenesReader(Reader):
 
     kind = "7scenes"
 
-    @classmethod
-    def recognises(cls, folder: Path) -> bool:
+    def recognises(self, folder: Path) -> bool:
         return any(_COLOUR.fullmatch(path.name) for path in folder.iterdir())
 
-    @classmethod
-    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+    def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         problems = Problems()
         images = tuple(path for path in list_images(folder) if _COLOUR.fullmatch(path.name))
         depth = tuple(path.with_name(f"{_stem(path)}.depth.png") for path in images)
@@ -56,7 +54,7 @@ class SevenScenesReader(Reader):
         )
         size = first_size(images)
         found = FoundSequence(
-            kind=cls.kind,
+            kind=self.kind,
             folder=folder,
             raw=RawRig(_camera(folder, size, problems)),
             calibration=folder / "camera.txt",

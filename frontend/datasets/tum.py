@@ -40,12 +40,10 @@ class TumReader(Reader):
 
     kind = "tum"
 
-    @classmethod
-    def recognises(cls, folder: Path) -> bool:
+    def recognises(self, folder: Path) -> bool:
         return (folder / "rgb.txt").is_file()
 
-    @classmethod
-    def open(cls, folder: Path, rig: RigKind | None) -> ImageSequence:
+    def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         problems = Problems()
         stamps, images = _listed(folder / "rgb.txt")
         has_depth = (folder / "depth.txt").is_file()
@@ -56,7 +54,7 @@ class TumReader(Reader):
         raw, source = _camera(folder, problems)
         truth = folder / "groundtruth.txt"
         found = FoundSequence(
-            kind=cls.kind,
+            kind=self.kind,
             folder=folder,
             raw=raw,
             calibration=source,

@@ -1,0 +1,52 @@
+"""Which readers are tried for a folder, and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from maslam.extensions import ExtensionGroup, installed, load_extension, made, name_of, unknown
+
+from ..errors import FrontendError
+from .base import Reader
+from .euroc import EurocReader
+from .folder import FolderReader
+from .kitti import KittiReader
+from .seven_scenes import SevenScenesReader
+from .tum import TumReader
+
+ReaderLike = Reader | type[Reader] | Callable[[], Reader]
+"""A reader, or what makes one."""
+OURS: tuple[Reader, ...] = (KittiReader(), EurocReader(), TumReader(), SevenScenesReader())
+"""Tried in this order."""
+ANY_IMAGES = FolderReader()
+"""Takes any folder of images, so it comes last."""
+
+
+def choose_readers(given: Iterable[ReaderLike], kind: str | None) -> tuple[Reader, ...]:
+    """The readers to try: ``given``, ours, those of entry points (by name), the one for any folder of images; with
+    ``kind`` only the one of that name."""
+    own = [_checked(name_of(one), made(one)) for one in given]
+    if kind is None:
+        return (*own, *OURS, *(_installed(name) for name in installed(ExtensionGroup.DATASETS)), ANY_IMAGES)
+    for reader in (*own, *OURS, ANY_IMAGES):
+        if reader.kind == kind:
+            return (reader,)
+    check_kind(kind)
+    return (_installed(kind),)
+
+
+def check_kind(kind: str) -> None:
+    """Refuse a kind that is none of ours and no entry point's."""
+    known = (*(reader.kind for reader in (*OURS, ANY_IMAGES)), *installed(ExtensionGroup.DATASETS))
+    if kind not in known:
+        raise FrontendError(unknown("dataset reader", kind, known))
+
+
+def _installed(name: str) -> Reader:
+    return _checked(name, made(load_extension(ExtensionGroup.DATASETS, name)))
+
+
+def _checked(name: str, reader: object) -> Reader:
+    if not isinstance(reader, Reader):
+        raise FrontendError(f"dataset reader {name}: a {type(reader).__name__}, not derived from maslam.Reader")
+    return reader
