@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .base import Images, PlaceDescriptor
 from .card import Calibration, ModelCard, read_card
 from .errors import DescriptorError
 from .session import CPU, ModelSession
@@ -20,14 +21,12 @@ if TYPE_CHECKING:
     from .container import PlaceVectors
 
 log = logging.getLogger(__name__)
-Images = Sequence[NDArray[np.uint8]] | NDArray[np.uint8]
-
 MIN_SIDE_PX = 16
 """An image is never resized below this: the network halves its input three times."""
 MAX_SIDE_RATIO = 8.0
 
 
-class NetVlad:
+class NetVlad(PlaceDescriptor):
     """A loaded model. ``describe`` gives the same bytes for the same image, alone or among others, on every call."""
 
     def __init__(self, session: ModelSession, card: ModelCard, batch: int = 1) -> None:

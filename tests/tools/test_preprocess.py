@@ -91,7 +91,7 @@ class KnownModel:
 def known_front_end(monkeypatch: pytest.MonkeyPatch) -> None:
     calls.clear()
     monkeypatch.setitem(sys.modules, "maslam.frontend.odometry", SimpleNamespace(Odometry=KnownOdometry))
-    monkeypatch.setattr("maslam.descriptors.inference.NetVlad", KnownModel)
+    monkeypatch.setattr("maslam.descriptors.choice.NetVlad", KnownModel)
     monkeypatch.setattr("maslam.tools.pipeline.tracking_cache.code_digest", lambda *parts: "one version of the code")
 
 
@@ -164,7 +164,7 @@ def test_vectors_of_two_models_do_not_run_together(
     assert preprocess(tmp_path / "town", tmp_path / "one") == 0
     monkeypatch.setattr(KnownModel, "sha256", "1" * 64)
     monkeypatch.setattr(KnownModel, "name", "another")
-    assert preprocess(tmp_path / "town", tmp_path / "two", "--model", "another") == 0
+    assert preprocess(tmp_path / "town", tmp_path / "two", "--model", "another.onnx") == 0
     assert cli.main(["run", str(tmp_path / "two"), str(tmp_path / "run"), "--quiet"]) == 0
     shutil.copytree(tmp_path / "two" / "agent_01", tmp_path / "one" / "agent_01", dirs_exist_ok=True)
     capsys.readouterr()

@@ -17,8 +17,8 @@ from maslam._atomic import replacing
 from maslam.backend.geometry import product, se3_inverse
 from maslam.backend.pose_graph.g2o import write_g2o
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
+from maslam.descriptors.base import PlaceDescriptor
 from maslam.descriptors.container import PlaceVectors
-from maslam.descriptors.inference import NetVlad
 from maslam.frontend.datasets.base import Dataset, ImageSequence
 from maslam.frontend.files.essential_graph import essential_graph
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory, write_tum
@@ -58,7 +58,7 @@ def write_sequences(
     out: Path,
     dataset: Dataset,
     tracked: Sequence[tuple[ImageSequence, Tracked]],
-    model: NetVlad,
+    model: PlaceDescriptor,
     split: SplitEntry | None,
     settings: dict[str, Any],
 ) -> Manifest:
@@ -105,7 +105,7 @@ def _plans(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry) 
     return [_AgentPlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
 
 
-def _write_agent(out: Path, plan: _AgentPlan, model: NetVlad) -> AgentEntry:
+def _write_agent(out: Path, plan: _AgentPlan, model: PlaceDescriptor) -> AgentEntry:
     """The agent's folder, put in place whole; times become relative to its first frame."""
     used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
     places = _places(plan, used, model)
@@ -159,7 +159,7 @@ def _keyframe_stamps_ns(plan: _AgentPlan, k: int) -> NDArray[np.int64]:
     return plan.sequence.stamps_ns[plan.tracked.keyframes[k][plan.share.keyframes[k]]] - plan.start_ns
 
 
-def _places(plan: _AgentPlan, used: list[int], model: NetVlad) -> PlaceVectors:
+def _places(plan: _AgentPlan, used: list[int], model: PlaceDescriptor) -> PlaceVectors:
     begins = np.cumsum([0, *(len(keyframes) for keyframes in plan.tracked.keyframes)])
     kept = [plan.share.keyframes[k] for k in used]
     rows = np.concatenate([np.arange(begins[k] + s.start, begins[k] + s.stop) for k, s in zip(used, kept, strict=True)])

@@ -13,13 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from maslam.extensions import name_of
+
 from ..common.errors import ToolError, UsageError, describe
 from ..common.options import add_model_options, build, read_settings
 from ..common.progress import Progress, progress_on
 
 if TYPE_CHECKING:
+    from maslam.descriptors.choice import DescriptorLike
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import Dataset
+    from maslam.frontend.datasets.readers import ReaderLike
     from maslam.mas.sequence import Manifest, SplitEntry
 
     from .tracking_cache import TrackingJob
@@ -32,14 +36,17 @@ DEFAULT_OVERLAP = 3  # key-frames; the predecessor's on KITTI
 @dataclass(frozen=True)
 class PreprocessSettings:
     """What ``maslam preprocess`` is told. ``agents`` None: one agent a sequence; ``overlap`` key-frames of a split
-    sequence's neighbours; ``store``: where the front end's results are kept, OUT/frontend if not told.
+    sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: where the
+    front end's results are kept, OUT/frontend if not told.
     """
 
     odometry: OdometryConfig
     agents: int | None = None
     overlap: int = DEFAULT_OVERLAP
     rig: str | None = None
-    model: str = "default"
+    dataset: str | None = None
+    readers: tuple[ReaderLike, ...] = ()
+    model: DescriptorLike | str | Path = "default"
     provider: str = "CPU"
     vocabulary: Path | None = None
     workers: int = 0
@@ -78,10 +85,16 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", choices=["mono", "stereo", "rgbd"], help="use only this much of the sensors (default: all there is)"
     )
     parser.add_argument(
+        "--dataset",
+        metavar="KIND",
+        help="read SRC as this kind: kitti, euroc, tum, 7scenes, images, or an entry point of maslam.datasets "
+        "(default: the first that recognises it)",
+    )
+    parser.add_argument(
         "--model",
         default="default",
         metavar="NAME|FILE",
-        help="place descriptor: a shipped one or an ONNX file (default: default)",
+        help="place descriptor: a shipped one, an ONNX file, or an entry point of maslam.descriptors",
     )
     parser.add_argument(
         "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs the place descriptor (default: CPU)"
@@ -103,16 +116,29 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
 
     if arguments.overlap < 0:
         raise UsageError(f"--overlap {arguments.overlap}: a number of key-frames is meant")
+    _check_kind(arguments.dataset)
     return PreprocessSettings(
         odometry=build(OdometryConfig(), arguments, content.get(SECTION), arguments.config, SECTION),
         agents=arguments.agents,
         overlap=arguments.overlap,
         rig=arguments.rig,
+        dataset=arguments.dataset,
         model=arguments.model,
         provider=arguments.provider,
         vocabulary=arguments.vocabulary,
         workers=arguments.workers,
     )
+
+
+def _check_kind(kind: str | None) -> None:
+    from maslam.frontend.datasets.readers import check_kind
+    from maslam.frontend.errors import FrontendError
+
+    try:
+        if kind is not None:
+            check_kind(kind)
+    except FrontendError as error:
+        raise UsageError(f"--dataset: {error}") from None
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -135,7 +161,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
 
     Sequences that cannot be used are said, noted in the manifest and left out; ``ToolError`` where none is left.
     """
-    from maslam.descriptors.inference import NetVlad
+    from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.datasets import open_dataset
 
@@ -144,8 +170,9 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     from .split import check_shares
     from .tracking_cache import take_tracked, track_job
 
-    model = NetVlad.load(settings.model, provider=settings.provider)  # before the work that would be in vain
-    dataset = open_dataset(source, RigKind(settings.rig) if settings.rig else None, strict=False)
+    model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
+    rig = RigKind(settings.rig) if settings.rig else None
+    dataset = open_dataset(source, rig, strict=False, readers=settings.readers, kind=settings.dataset)
     if settings.agents is not None and len(dataset.sequences) > 1:
         count = len(dataset.sequences)
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
@@ -198,12 +225,18 @@ def _split(settings: PreprocessSettings) -> SplitEntry | None:
     return SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents is not None else None
 
 
+def _named(model: DescriptorLike | str | Path) -> str:
+    """The descriptor as it is noted: an object by its class."""
+    return str(model) if isinstance(model, str | Path) else name_of(model)
+
+
 def _as_set(settings: PreprocessSettings) -> dict[str, Any]:
     """For the manifest."""
     return {
         SECTION: settings.odometry.model_dump(mode="json"),
         "rig": settings.rig,
-        "model": settings.model,
+        "dataset": settings.dataset,
+        "model": _named(settings.model),
         "provider": settings.provider,
         "vocabulary": str(settings.vocabulary) if settings.vocabulary else None,
     }

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..common.errors import UnknownName
-from ..common.options import DEST, add_model_options, build, read_settings
+from ..common.errors import ToolError, UnknownName, UsageError
+from ..common.options import DEST, add_model_options, build, option_name, read_settings
 from ..common.progress import counter, progress_on
 from ..common.suggestions import did_you_mean
 from ..common.yaml_lines import place_of
@@ -46,7 +46,24 @@ def config_from(arguments: argparse.Namespace, file: Mapping[str, Any]) -> MasCo
     if name not in PRESETS:
         place = f"--preset {name}" if given else f"{place_of(arguments.config, ['preset'])}: preset"
         raise UnknownName(f"{place}: there is no preset '{name}'{did_you_mean(name, PRESETS)}")
-    return build(preset(name), arguments, file, arguments.config)
+    config = build(preset(name), arguments, file, arguments.config)
+    _check_extensions(config, arguments)
+    return config
+
+
+def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
+    """Refuse unknown names before the images are tracked."""
+    from maslam.mas.errors import MasError
+    from maslam.mas.policies.presets import check_policy
+    from maslam.mas.transport.choice import check_transport
+
+    for name, check in (("policy", check_policy), ("transport", check_transport)):
+        try:
+            check(getattr(config, name))
+        except MasError as error:
+            if hasattr(arguments, DEST + name):
+                raise UsageError(f"{option_name(name)}: {error}") from None
+            raise ToolError(f"{arguments.config}: {error}") from None
 
 
 def main(arguments: argparse.Namespace) -> None:

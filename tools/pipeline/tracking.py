@@ -15,7 +15,7 @@ from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
 
 if TYPE_CHECKING:
-    from maslam.descriptors.inference import NetVlad
+    from maslam.descriptors.base import PlaceDescriptor
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets import ImageSequence
     from maslam.frontend.frames import Frame
@@ -61,7 +61,7 @@ def track(
     sequence: ImageSequence,
     config: OdometryConfig,
     vocabulary: Vocabulary,
-    model: NetVlad,
+    model: PlaceDescriptor,
     advance: Callable[[int], None],
 ) -> Tracked:
     """Run every frame through odometry, and each key-frame's image through the place descriptor.
@@ -124,7 +124,7 @@ def _report(problem: str, unreadable: list[str], frames: int, all_frames: int) -
 class _Places:
     """Place vectors by frame number, made while the image is at hand; others are read again when they are asked for."""
 
-    def __init__(self, sequence: ImageSequence, model: NetVlad) -> None:
+    def __init__(self, sequence: ImageSequence, model: PlaceDescriptor) -> None:
         self._sequence = sequence
         self._model = model
         self._made: dict[int, tuple[NDArray[np.float32], bool]] = {}

@@ -22,6 +22,7 @@ from ..common.errors import ToolError
 from .tracking import Gap, Tracked, track
 
 if TYPE_CHECKING:
+    from maslam.descriptors.choice import DescriptorLike
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import ImageSequence
 
@@ -37,7 +38,7 @@ class TrackingJob:
 
     sequence: ImageSequence
     odometry: OdometryConfig
-    model: str
+    descriptor: DescriptorLike | str | Path
     vocabulary: Path | None
     store: Path
     fingerprint: str
@@ -47,7 +48,7 @@ class TrackingJob:
 def make_job(
     sequence: ImageSequence,
     odometry: OdometryConfig,
-    model: str,
+    descriptor: DescriptorLike | str | Path,
     vocabulary: Path | None,
     folder: Path,
     provider: str = "CPU",
@@ -57,7 +58,7 @@ def make_job(
     The fingerprint covers the images (names, sizes, times of change), the calibration, the settings, the models and the
     code.
     """
-    code = code_digest(*CODE_PARTS)
+    code, model = code_digest(*CODE_PARTS), _identity(descriptor)
     digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {provider} {code}".encode())
     digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
     models = [path for path in (vocabulary, Path(model), Path(model).with_suffix(".json")) if path and path.is_file()]
@@ -65,7 +66,17 @@ def make_job(
         status = path.stat() if path.exists() else None
         digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
     store = folder / f"{sequence.name}.npz"
-    return TrackingJob(sequence, odometry, model, vocabulary, store, digest.hexdigest(), provider)
+    return TrackingJob(sequence, odometry, descriptor, vocabulary, store, digest.hexdigest(), provider)
+
+
+def _identity(descriptor: DescriptorLike | str | Path) -> str:
+    """What makes the place vectors: name or file of a model; of any other descriptor its name and hash."""
+    from maslam.descriptors.choice import is_model, load_descriptor
+
+    if is_model(descriptor):
+        return str(descriptor)
+    other = load_descriptor(descriptor)
+    return f"{other.name} {other.sha256}"
 
 
 def _decoding(sequence: ImageSequence) -> bytes:
@@ -85,10 +96,10 @@ def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
     if load_tracked(job.store, job.fingerprint) is not None:
         log.info("taken from %s: images, settings and code are the same", job.store)
     else:
-        from maslam.descriptors.inference import NetVlad
+        from maslam.descriptors.choice import load_descriptor
         from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
-        vocabulary, model = Vocabulary.load(job.vocabulary), NetVlad.load(job.model, provider=job.provider)
+        vocabulary, model = Vocabulary.load(job.vocabulary), load_descriptor(job.descriptor, job.provider)
         save_tracked(job.store, track(job.sequence, job.odometry, vocabulary, model, advance), job.fingerprint)
     advance(len(job.sequence))
 
