@@ -1,23 +1,146 @@
-"""Multi-agent visual SLAM without a server.
+"""Multi-agent visual SLAM without a server: from folders of images to one shared map, on a CPU.
 
-The code stands in five folders beside this one: ``frontend``, ``descriptors``, ``backend``, ``mas`` and ``tools``. They
-are reached through the links in this folder and under no other name: ``from maslam.backend.geometry import Sim3``.
+    import maslam
+
+    run = maslam.slam("images", "out", agents=4)
+    print(run.summary.ate_rmse_m.mean_agents, run.summary.matches.accepted, run.report)
+
+Everything in ``__all__`` is loaded when it is first asked for; ``import maslam`` costs no library. Functions take plain
+paths and keywords, print nothing, and raise :class:`MaslamError` with one line for people. A call gives the same files
+as the command of the same name, on any number of cores; inside a call BLAS runs on one thread.
+
+Below this face the code stands in five folders: ``maslam.frontend``, ``maslam.descriptors``, ``maslam.backend``,
+``maslam.mas``, ``maslam.tools``.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .api.datasets import open_dataset
+    from .api.evaluation import evaluate
+    from .api.graphs import optimise, optimise_distributed, read_g2o, write_g2o
+    from .api.odometry import Odometry
+    from .api.pipeline import preprocess, run, slam
+    from .api.results import AgentResult, MatchResult, Run, Sequences
+    from .backend.central.optimise import OptimisationResult
+    from .backend.distributed.exchange import GroupResult
+    from .backend.geometry import Sim3
+    from .backend.pose_graph.graph import Edge, NodeId, PoseGraph
+    from .backend.trajectory_error import TrajectoryError
+    from .descriptors.base import PlaceDescriptor as Descriptor
+    from .descriptors.inference import NetVlad
+    from .errors import MaslamError
+    from .frontend.cameras.models import PinholeCamera, Rig, RigKind
+    from .frontend.config import OdometryConfig
+    from .frontend.datasets.base import Dataset, ImageSequence, Reader
+    from .frontend.files.trajectory import Trajectory
+    from .frontend.frames import Frame
+    from .frontend.odometry import FrameResult, OdometryResult
+    from .mas.config import MasConfig
+    from .mas.evaluation.summary import Summary
+    from .mas.policies.base import Outlook, Policy
+    from .mas.policies.presets import preset
+    from .mas.protocol.messages import Bid
+    from .mas.state.agent_state import AgentState
+    from .mas.transport.transport import Transport
+
     __version__: str
 
-__all__ = ["__version__"]
+__all__ = [
+    "AgentResult",
+    "AgentState",
+    "Bid",
+    "Dataset",
+    "Descriptor",
+    "Edge",
+    "Frame",
+    "FrameResult",
+    "GroupResult",
+    "ImageSequence",
+    "MasConfig",
+    "MaslamError",
+    "MatchResult",
+    "NetVlad",
+    "NodeId",
+    "Odometry",
+    "OdometryConfig",
+    "OdometryResult",
+    "OptimisationResult",
+    "Outlook",
+    "PinholeCamera",
+    "Policy",
+    "PoseGraph",
+    "Reader",
+    "Rig",
+    "RigKind",
+    "Run",
+    "Sequences",
+    "Sim3",
+    "Summary",
+    "Trajectory",
+    "TrajectoryError",
+    "Transport",
+    "__version__",
+    "evaluate",
+    "open_dataset",
+    "optimise",
+    "optimise_distributed",
+    "preprocess",
+    "preset",
+    "read_g2o",
+    "run",
+    "slam",
+    "write_g2o",
+]
+
+_PLACES = {
+    "api.datasets": ("open_dataset",),
+    "api.evaluation": ("evaluate",),
+    "api.graphs": ("optimise", "optimise_distributed", "read_g2o", "write_g2o"),
+    "api.odometry": ("Odometry",),
+    "api.pipeline": ("preprocess", "run", "slam"),
+    "api.results": ("AgentResult", "MatchResult", "Run", "Sequences"),
+    "backend.central.optimise": ("OptimisationResult",),
+    "backend.distributed.exchange": ("GroupResult",),
+    "backend.geometry": ("Sim3",),
+    "backend.pose_graph.graph": ("Edge", "NodeId", "PoseGraph"),
+    "backend.trajectory_error": ("TrajectoryError",),
+    "descriptors.base": ("Descriptor=PlaceDescriptor",),
+    "descriptors.inference": ("NetVlad",),
+    "errors": ("MaslamError",),
+    "frontend.cameras.models": ("PinholeCamera", "Rig", "RigKind"),
+    "frontend.config": ("OdometryConfig",),
+    "frontend.datasets.base": ("Dataset", "ImageSequence", "Reader"),
+    "frontend.files.trajectory": ("Trajectory",),
+    "frontend.frames": ("Frame",),
+    "frontend.odometry": ("FrameResult", "OdometryResult"),
+    "mas.config": ("MasConfig",),
+    "mas.evaluation.summary": ("Summary",),
+    "mas.policies.base": ("Outlook", "Policy"),
+    "mas.policies.presets": ("preset",),
+    "mas.protocol.messages": ("Bid",),
+    "mas.state.agent_state": ("AgentState",),
+    "mas.transport.transport": ("Transport",),
+}
+_PLACE_OF = {name.partition("=")[0]: (place, name.partition("=")[2]) for place, ns in _PLACES.items() for name in ns}
 
 
-def __getattr__(name: str) -> str:
-    """Look ``__version__`` up when first asked for: reading the installed metadata takes longer than the import."""
-    if name != "__version__":
+def __getattr__(name: str) -> object:
+    """Load what is asked for (PEP 562)."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("maslam")
+    if name not in _PLACE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import version
+    place, inside = _PLACE_OF[name]
+    value = getattr(import_module(f".{place}", __name__), inside or name)
+    globals()[name] = value
+    return value
 
-    return version("maslam")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

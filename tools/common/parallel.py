@@ -16,11 +16,14 @@ from functools import partial
 from itertools import islice
 from multiprocessing.context import SpawnContext
 from queue import Empty
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from .errors import ToolError
 from .logs import Relay, collected_logs, working_on
 from .progress import Progress
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -44,16 +47,18 @@ class JobOutcome(Generic[Result]):
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
+def one_blas_thread(libraries: ThreadpoolController | None = None) -> Iterator[None]:
     """BLAS and OpenMP on one thread inside the block: with more, sums are taken in another order, and results depend
     on the machine and its load. Cores are used by processes instead (:func:`run_jobs`).
+
+    ``libraries``: those loaded before, for a block that is short and entered often: looking for them takes 10 ms.
     """
     from threadpoolctl import threadpool_limits
 
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # libraries loaded from here on, and child processes
     try:
-        with threadpool_limits(1):  # libraries that are loaded
+        with threadpool_limits(1) if libraries is None else libraries.limit(limits=1):  # libraries that are loaded
             yield
     finally:
         for name, value in before.items():

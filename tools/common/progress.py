@@ -48,6 +48,26 @@ class Silent:
         _record(line)
 
 
+class CallbackProgress:
+    """For Python: ``callback(title, done, total)`` is told of each step; lines that stay go to the log."""
+
+    def __init__(self, callback: Callable[[str, int, int], None] | None = None) -> None:
+        self._callback = callback
+        self._tasks: list[tuple[str, int]] = []
+
+    def start(self, title: str, total: int) -> int:
+        self._tasks.append((title, total))
+        return len(self._tasks) - 1
+
+    def advance(self, task: int, done: int) -> None:
+        if self._callback is not None:
+            title, total = self._tasks[task]
+            self._callback(title, done, total)
+
+    def say(self, line: str) -> None:
+        log.info("%s", line)
+
+
 class LogProgress:
     """For a stream that is no terminal: one line when a task ends, and one each ``LOG_EVERY_S`` while it lasts."""
 

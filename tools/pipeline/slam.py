@@ -20,6 +20,8 @@ from .run import add_run_arguments, config_from
 
 if TYPE_CHECKING:
     from maslam.mas.config import MasConfig
+    from maslam.mas.policies.foreign import PolicyLike
+    from maslam.mas.transport.choice import TransportLike
 
 SEQUENCES = "sequences"  # in OUT: what preprocessing made
 
@@ -54,8 +56,19 @@ def main(arguments: argparse.Namespace) -> None:
     print(f"{table_of(arguments.out)}\n\nreport: {page}")
 
 
-def slam(source: Path, out: Path, settings: PreprocessSettings, config: MasConfig, progress: Progress) -> Path:
-    """Preprocess ``source``, run the agents, write ``out`` and its report; returns the report's page."""
+def slam(
+    source: Path,
+    out: Path,
+    settings: PreprocessSettings,
+    config: MasConfig,
+    progress: Progress,
+    policy: PolicyLike | None = None,
+    transport: TransportLike | None = None,
+) -> Path:
+    """Preprocess ``source``, run the agents, write ``out`` and its report; returns the report's page.
+
+    ``policy``, ``transport``: a user's own instead of those that ``config`` names.
+    """
     from maslam.mas.sequence import load_sequences
     from maslam.mas.simulation import run
 
@@ -63,5 +76,5 @@ def slam(source: Path, out: Path, settings: PreprocessSettings, config: MasConfi
 
     manifest = preprocess(source, out / SEQUENCES, settings, progress)
     progress.say(summary_line(manifest, out / SEQUENCES))
-    run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"))
+    run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"), policy, transport)
     return write_report(out)

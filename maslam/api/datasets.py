@@ -1,0 +1,40 @@
+"""Images in, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from maslam.frontend import datasets
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.datasets import Dataset
+from maslam.frontend.datasets.readers import ReaderLike
+
+from .common import PathLike, rig_kind
+
+
+def open_dataset(
+    path: PathLike,
+    *,
+    rig: RigKind | str | None = None,
+    dataset: str | None = None,
+    readers: Sequence[ReaderLike] = (),
+    strict: bool = True,
+) -> Dataset:
+    """Open a folder of images: KITTI odometry, EuRoC, TUM RGB-D, 7-Scenes, any folder of images with a camera file, or
+    a folder of several agents ``agent_00``, ``agent_01``, …
+
+    Nothing is decoded yet: ``for frame in dataset.sequences[0].frames()`` decodes and rectifies.
+
+    Args:
+        path: the folder.
+        rig: ``"mono"``, ``"stereo"`` or ``"rgbd"``: use only this much of the sensors; None takes all there is.
+        dataset: the kind to read it as, ours or an entry point of ``maslam.datasets``; None takes the first that
+            recognises it.
+        readers: readers of your own (:class:`maslam.Reader`), tried before all others.
+        strict: raise the first problem that would spoil a run; otherwise problems are listed in each sequence.
+
+    Raises:
+        MaslamError: no such folder, nothing that is known in it, or (``strict``) data that cannot be used.
+    """
+    return datasets.open_dataset(Path(path), rig_kind(rig), strict, readers, dataset)

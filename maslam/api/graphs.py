@@ -1,0 +1,103 @@
+"""Pose graphs: read, optimise in one place or between robots, write."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from maslam.backend.central import optimise as central
+from maslam.backend.central.optimise import OptimisationResult
+from maslam.backend.config import CentralConfig
+from maslam.backend.distributed import exchange
+from maslam.backend.distributed.exchange import GroupResult
+from maslam.backend.pose_graph import g2o
+from maslam.backend.pose_graph.graph import PoseGraph
+from maslam.tools.pgo.files import expand
+from maslam.tools.pgo.methods import solver_of
+
+from .common import PathLike, Settings, changed, nested, on_one_thread
+
+Method = Literal["dgs", "jor", "sor", "quick", "rbcd", "rbcd-async", "elected"]
+
+
+def read_g2o(paths: PathLike | Sequence[PathLike]) -> PoseGraph:
+    """Read one graph from a g2o file, or from a set with one file a robot.
+
+    Args:
+        paths: a file, a folder of ``.g2o`` files, or several of both. Two- and three-dimensional graphs are read; ids
+            may be plain numbers or gtsam symbols.
+
+    Returns:
+        Poses ``T_O_i`` ``(4, 4)`` by ``NodeId(robot, index)``, metres, and edges ``T_i_j`` with their information
+        ``(6, 6)``, translation first.
+
+    Raises:
+        MaslamError: a file that is missing, or a line that makes no sense, by its number.
+    """
+    several = [paths] if isinstance(paths, str | Path) else list(paths)
+    return g2o.read_g2o(expand([Path(path) for path in several]))
+
+
+def write_g2o(path: PathLike, graph: PoseGraph, *, plain_ids: bool = False) -> None:
+    """Write a graph as one g2o file, whole or not at all.
+
+    Args:
+        path: the file.
+        graph: the graph.
+        plain_ids: number nodes 0, 1, … instead of by gtsam symbols, which say the robot.
+
+    Raises:
+        MaslamError: plain ids for several robots.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".part")
+    g2o.write_g2o(partial, graph, plain_ids)
+    os.replace(partial, path)
+
+
+@on_one_thread
+def optimise(
+    graph: PoseGraph,
+    *,
+    cost: Literal["F", "U", "E"] = "F",
+    loss: Literal["none", "huber", "cauchy"] = "none",
+    settings: Settings | None = None,
+) -> OptimisationResult:
+    """Optimise all poses in one place; never ends with a higher cost than it began with.
+
+    Args:
+        graph: the graph; in each connected part the first node stays where it is, unless priors say where it lies.
+        cost: F: chordal, by the edges' information (SE-Sync's); U: the same with unit weights; E: geodesic (gtsam's).
+        loss: robust loss on loops and on edges between robots.
+        settings: of ``maslam.backend.config.CentralConfig``, ``{"iterations": 50}``.
+
+    Returns:
+        ``graph``, ``cost_before``, ``cost_after``, ``iterations``, ``improved``.
+
+    Raises:
+        MaslamError: an unknown setting.
+    """
+    return central.optimise(graph, changed(CentralConfig(cost=cost, loss=loss), nested(settings)))
+
+
+@on_one_thread
+def optimise_distributed(graph: PoseGraph, *, method: Method = "rbcd", settings: Settings | None = None) -> GroupResult:
+    """Optimise the graph of several robots, each of which knows only its own poses and edges, by message alone.
+
+    Args:
+        graph: nodes named by robot; ``graph.partitioned(n)`` cuts one robot's graph into ``n``.
+        method: ``dgs``, ``jor``, ``sor``: two-stage sweeps; ``quick``: fewest bytes within 1 %; ``rbcd``:
+            block-coordinate descent to the optimum; ``rbcd-async``: the same without rounds; ``elected``: one robot
+            solves for all.
+        settings: of ``maslam.backend.config.SolverConfig``, ``{"descent_sweeps": 100}``.
+
+    Returns:
+        ``graph``; ``outcomes`` by robot; ``traffic``: messages, payload and wire bytes.
+
+    Raises:
+        MaslamError: an unknown method or setting, a graph that has no odometry.
+    """
+    return exchange.optimise_distributed(graph, changed(solver_of(method), nested(settings)))

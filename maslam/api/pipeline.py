@@ -1,0 +1,228 @@
+"""From images to maps: preprocess, run, and both in one."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from maslam.descriptors.choice import DescriptorLike
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.config import OdometryConfig
+from maslam.frontend.datasets.readers import ReaderLike
+from maslam.mas import simulation
+from maslam.mas.config import MasConfig
+from maslam.mas.policies.foreign import PolicyLike
+from maslam.mas.policies.presets import check_policy
+from maslam.mas.policies.presets import preset as preset_named
+from maslam.mas.sequence import load_sequences
+from maslam.mas.transport.choice import TransportLike, check_transport
+from maslam.tools.common.errors import ToolError
+from maslam.tools.common.progress import CallbackProgress, counter
+from maslam.tools.pipeline import preprocess as images
+from maslam.tools.pipeline import slam as chain
+from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, SECTION, PreprocessSettings
+from maslam.tools.pipeline.run import DEFAULT_PRESET
+
+from .common import PathLike, ProgressCallback, Settings, changed, nested, on_one_thread, rig_kind
+from .results import Run, Sequences
+
+log = logging.getLogger(__name__)
+
+
+@on_one_thread
+def preprocess(
+    source: PathLike,
+    out: PathLike,
+    *,
+    agents: int | None = None,
+    overlap: int = DEFAULT_OVERLAP,
+    rig: RigKind | str | None = None,
+    dataset: str | None = None,
+    readers: Sequence[ReaderLike] = (),
+    descriptor: DescriptorLike | str | Path = "default",
+    provider: str = "CPU",
+    vocabulary: PathLike | None = None,
+    settings: Settings | None = None,
+    workers: int = 1,
+    progress: ProgressCallback | None = None,
+) -> Sequences:
+    """Turn images into agent sequences: odometry, map points and place vectors of each agent, in a folder.
+
+    What is made of a sequence is kept in the folder and used again while images, settings and code are the same.
+
+    Args:
+        source: a folder of images, as :func:`maslam.open_dataset` reads it.
+        out: folder for the agent sequences.
+        agents: cut one sequence into blocks for so many agents; None makes one agent of each sequence.
+        overlap: key-frames that a block takes from its neighbours.
+        rig: ``"mono"``, ``"stereo"`` or ``"rgbd"``: use only this much of the sensors.
+        dataset, readers: how ``source`` is read, as in :func:`maslam.open_dataset`.
+        descriptor: a shipped place descriptor by name, an ONNX file with its card beside it, an entry point of
+            ``maslam.descriptors``, or your own (:class:`maslam.Descriptor`).
+        provider: where onnxruntime runs it.
+        vocabulary: file of ORB words; None takes the one shipped.
+        settings: of the odometry, ``{"odometry.features.tracks": 500}``.
+        workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.
+        progress: called with title, steps done and all steps, now and then.
+
+    Raises:
+        MaslamError: nothing that can be used, an unknown setting, a folder with other files in it.
+    """
+    content = nested(settings)
+    told = _preprocess_settings(
+        content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers
+    )
+    images.preprocess(Path(source), Path(out), told, CallbackProgress(progress))
+    return _warned(Sequences.load(out))
+
+
+@on_one_thread
+def run(
+    sequences: Sequences | PathLike,
+    out: PathLike,
+    *,
+    preset: str | MasConfig = DEFAULT_PRESET,
+    seed: int | None = None,
+    settings: Settings | None = None,
+    policy: PolicyLike | str | None = None,
+    transport: TransportLike | str | None = None,
+    progress: ProgressCallback | None = None,
+) -> Run:
+    """Run the multi-agent system on agent sequences and write the RUN folder, whole or not at all.
+
+    The same sequences, settings and seed give the same bytes in every file but ``timing.json``.
+
+    Args:
+        sequences: what :func:`maslam.preprocess` gave, or its folder.
+        out: folder for the results; an earlier run in it is replaced.
+        preset: ``"predecessor"``, ``"default"``, ``"optimised"``, ``"selection"``, ``"maslam"``, or all settings as one
+            value: of :func:`maslam.preset`, or an earlier ``run.config``.
+        seed: of every random choice; None leaves the preset's, 0.
+        settings: some settings by name, ``{"places.threshold": 0.8}``; ``maslam run --help`` lists them.
+        policy: your own (:class:`maslam.Policy`; each agent gets a copy), or one by name.
+        transport: your own (:class:`maslam.Transport`), or one by name.
+        progress: called with title, steps done and all steps.
+
+    Raises:
+        MaslamError: a folder that is not of agent sequences, an unknown setting, somebody else's files in ``out``.
+    """
+    config = _config(preset, seed, nested(settings), policy, transport)
+    manifest, loaded = load_sequences(sequences.folder if isinstance(sequences, Sequences) else Path(sequences))
+    told = counter(CallbackProgress(progress), "agents")
+    simulation.run(manifest, loaded, config, Path(out), told, _object(policy), _object(transport))
+    return Run.load(out)
+
+
+@on_one_thread
+def slam(
+    source: PathLike,
+    out: PathLike,
+    *,
+    agents: int | None = None,
+    overlap: int = DEFAULT_OVERLAP,
+    rig: RigKind | str | None = None,
+    dataset: str | None = None,
+    readers: Sequence[ReaderLike] = (),
+    descriptor: DescriptorLike | str | Path = "default",
+    provider: str = "CPU",
+    vocabulary: PathLike | None = None,
+    preset: str | MasConfig = DEFAULT_PRESET,
+    seed: int | None = None,
+    settings: Settings | None = None,
+    policy: PolicyLike | str | None = None,
+    transport: TransportLike | str | None = None,
+    workers: int = 1,
+    progress: ProgressCallback | None = None,
+) -> Run:
+    """From a folder of images to one map and a report: :func:`maslam.preprocess`, :func:`maslam.run`, and the page
+    ``out/report/index.html``. The same files as of the command ``maslam slam``.
+
+    Args:
+        source: a folder of images, as :func:`maslam.open_dataset` reads it.
+        out: folder for the results; ``out/sequences`` holds the agent sequences.
+        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers: as in
+            :func:`maslam.preprocess`.
+        preset, seed, policy, transport: as in :func:`maslam.run`.
+        settings: of the agents, ``{"places.threshold": 0.8}``, and of the odometry,
+            ``{"odometry.features.tracks": 500}``.
+        progress: called with title, steps done and all steps, now and then.
+
+    Raises:
+        MaslamError: as of :func:`maslam.preprocess` and :func:`maslam.run`.
+    """
+    content = nested(settings)
+    config = _config(preset, seed, {k: v for k, v in content.items() if k != SECTION}, policy, transport)
+    own = {SECTION: content[SECTION]} if SECTION in content else {}
+    told = _preprocess_settings(own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers)
+    shown = CallbackProgress(progress)
+    chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
+    _warned(Sequences.load(Path(out) / chain.SEQUENCES))
+    return Run.load(out)
+
+
+def _preprocess_settings(
+    content: dict[str, Any],
+    agents: int | None,
+    overlap: int,
+    rig: RigKind | str | None,
+    dataset: str | None,
+    readers: Sequence[ReaderLike],
+    descriptor: DescriptorLike | str | Path,
+    provider: str,
+    vocabulary: PathLike | None,
+    workers: int,
+) -> PreprocessSettings:
+    strange = sorted(set(content) - {SECTION})
+    if strange:
+        raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows '{SECTION}.…'")
+    for name, value, least in (("overlap", overlap, 0), ("workers", workers, 1)):
+        if value < least:
+            raise ToolError(f"{name}: at least {least}, not {value}")
+    kind = rig_kind(rig)
+    return PreprocessSettings(
+        odometry=changed(OdometryConfig(), content.get(SECTION, {})),
+        agents=agents,
+        overlap=overlap,
+        rig=None if kind is None else kind.value,
+        dataset=dataset,
+        readers=tuple(readers),
+        model=descriptor,
+        provider=provider,
+        vocabulary=None if vocabulary is None else Path(vocabulary),
+        workers=workers,
+    )
+
+
+def _config(
+    preset: str | MasConfig,
+    seed: int | None,
+    settings: dict[str, Any],
+    policy: PolicyLike | str | None,
+    transport: TransportLike | str | None,
+) -> MasConfig:
+    """Everything that is set; names that are not known are refused before any work."""
+    base = preset if isinstance(preset, MasConfig) else preset_named(preset)
+    named = {"seed": seed, "policy": _name(policy), "transport": _name(transport)}
+    config = changed(base, {**settings, **{key: value for key, value in named.items() if value is not None}})
+    if _object(policy) is None:
+        check_policy(config.policy)
+    if _object(transport) is None:
+        check_transport(config.transport)
+    return config
+
+
+def _name(given: object) -> str | None:
+    return given if isinstance(given, str) else None
+
+
+def _object(given: Any) -> Any:
+    """A user's own; None where it is given by name or not at all."""
+    return None if isinstance(given, str) else given
+
+
+def _warned(sequences: Sequences) -> Sequences:
+    for problem in sequences.problems:
+        log.warning("%s", problem)
+    return sequences
