@@ -9,7 +9,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.extensions import ExtensionGroup, installed, load_extension, made, name_of, unknown
+from maslam.extensions import ExtensionGroup, check_name, load_extension, made, name_of
 
 from .base import Images, PlaceDescriptor
 from .card import MODELS
@@ -30,11 +30,12 @@ def load_descriptor(given: DescriptorLike | str | Path, provider: str = CPU) -> 
     if is_model(given):
         return NetVlad.load(given, provider=provider)
     if isinstance(given, str):
-        if given not in installed(ExtensionGroup.DESCRIPTORS):
-            known = (*_shipped(), *installed(ExtensionGroup.DESCRIPTORS))
-            raise DescriptorError(f"{unknown('descriptor', given, known)} (an ONNX file ends in .onnx)")
-        return _checked(given, made(load_extension(ExtensionGroup.DESCRIPTORS, given)))
-    return _checked(name_of(given), made(given))
+        check_name(ExtensionGroup.DESCRIPTORS, "descriptor", given, _shipped())
+        name, extension = given, load_extension(ExtensionGroup.DESCRIPTORS, given)
+    else:
+        name, extension = name_of(given), given
+    descriptor = made(extension, PlaceDescriptor, f"descriptor {name}")  # type: ignore[type-abstract]
+    return descriptor if isinstance(descriptor, NetVlad | CheckedDescriptor) else CheckedDescriptor(descriptor)
 
 
 def is_model(given: object) -> TypeGuard[str | Path]:
@@ -44,12 +45,6 @@ def is_model(given: object) -> TypeGuard[str | Path]:
 
 def _shipped() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in MODELS.glob("*.onnx")))
-
-
-def _checked(name: str, descriptor: object) -> PlaceDescriptor:
-    if not isinstance(descriptor, PlaceDescriptor):
-        raise DescriptorError(f"descriptor {name}: a {type(descriptor).__name__}, not derived from maslam.Descriptor")
-    return descriptor if isinstance(descriptor, NetVlad | CheckedDescriptor) else CheckedDescriptor(descriptor)
 
 
 class CheckedDescriptor(PlaceDescriptor):

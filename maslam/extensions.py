@@ -11,11 +11,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from enum import StrEnum
-from functools import partial
 from importlib.metadata import EntryPoint, entry_points
-from types import FunctionType
+from types import FunctionType, MethodType
+from typing import TypeVar
 
 from .errors import MaslamError
+
+Kind = TypeVar("Kind")
 
 
 class ExtensionGroup(StrEnum):
@@ -48,22 +50,32 @@ def load_extension(group: ExtensionGroup, name: str) -> object:
         raise MaslamError(f"{group}: '{name}' of {_package(found[0])} cannot be imported: {why}") from error
 
 
-def made(extension: object) -> object:
-    """The object itself, or what a class or function without arguments makes."""
-    return extension() if isinstance(extension, type | FunctionType | partial) else extension
+def made(extension: object, base: type[Kind], name: str) -> Kind:
+    """The object itself, or what a class or function without arguments makes; :class:`MaslamError` where that is not
+    derived from ``base``."""
+    made_one = extension if isinstance(extension, base) or not callable(extension) else extension()
+    if not isinstance(made_one, base):
+        raise MaslamError(f"{name}: a {type(made_one).__name__}, not derived from {base.__module__}.{base.__name__}")
+    return made_one
 
 
-def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """One line for a name that is not ``known``: the nearest, or all there are."""
-    names = sorted(set(known))
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(names) or 'none'}"
-    return f"there is no {what} '{name}'; {hint}"
+def check_name(group: ExtensionGroup, what: str, name: str, ours: Iterable[str]) -> None:
+    """Refuse a name that is none of ``ours`` and no entry point's: the nearest is named, or all there are."""
+    known = sorted({*ours, *installed(group)})
+    if name in known:
+        return
+    if ":" in name:  # as name_of has it
+        raise MaslamError(
+            f"{what} '{name}' was an object in Python: give it again, or make it an entry point of {group}"
+        )
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
+    raise MaslamError(f"there is no {what} '{name}'; {hint}")
 
 
 def name_of(extension: object) -> str:
     """The name under which an object given in Python is noted: ``module:Class``, of a function ``module:function``."""
-    named = extension if isinstance(extension, type | FunctionType) else type(extension)
+    named = extension if isinstance(extension, type | FunctionType | MethodType) else type(extension)
     return f"{named.__module__}:{named.__qualname__}"
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from maslam.extensions import ExtensionGroup, installed, load_extension, made, name_of, unknown
+from maslam.extensions import ExtensionGroup, check_name, installed, load_extension, made, name_of
 
-from ..errors import FrontendError
 from .base import Reader
 from .euroc import EurocReader
 from .folder import FolderReader
@@ -25,7 +24,7 @@ ANY_IMAGES = FolderReader()
 def choose_readers(given: Iterable[ReaderLike], kind: str | None) -> tuple[Reader, ...]:
     """The readers to try: ``given``, ours, those of entry points (by name), the one for any folder of images; with
     ``kind`` only the one of that name."""
-    own = [_checked(name_of(one), made(one)) for one in given]
+    own = [_made(name_of(one), one) for one in given]
     if kind is None:
         return (*own, *OURS, *(_installed(name) for name in installed(ExtensionGroup.DATASETS)), ANY_IMAGES)
     for reader in (*own, *OURS, ANY_IMAGES):
@@ -37,16 +36,12 @@ def choose_readers(given: Iterable[ReaderLike], kind: str | None) -> tuple[Reade
 
 def check_kind(kind: str) -> None:
     """Refuse a kind that is none of ours and no entry point's."""
-    known = (*(reader.kind for reader in (*OURS, ANY_IMAGES)), *installed(ExtensionGroup.DATASETS))
-    if kind not in known:
-        raise FrontendError(unknown("dataset reader", kind, known))
+    check_name(ExtensionGroup.DATASETS, "dataset reader", kind, [reader.kind for reader in (*OURS, ANY_IMAGES)])
 
 
 def _installed(name: str) -> Reader:
-    return _checked(name, made(load_extension(ExtensionGroup.DATASETS, name)))
+    return _made(name, load_extension(ExtensionGroup.DATASETS, name))
 
 
-def _checked(name: str, reader: object) -> Reader:
-    if not isinstance(reader, Reader):
-        raise FrontendError(f"dataset reader {name}: a {type(reader).__name__}, not derived from maslam.Reader")
-    return reader
+def _made(name: str, reader: object) -> Reader:
+    return made(reader, Reader, f"dataset reader {name}")  # type: ignore[type-abstract]

@@ -27,9 +27,7 @@ def foreign_policy(given: PolicyLike | str) -> Policy:
         name, extension = given, load_extension(ExtensionGroup.POLICIES, given)
     else:
         name, extension = name_of(given), given
-    policy = made(extension)
-    if not isinstance(policy, Policy):
-        raise MasError(f"policy {name}: a {type(policy).__name__}, not derived from maslam.Policy")
+    policy = made(extension, Policy, f"policy {name}")  # type: ignore[type-abstract]
     return CheckedPolicy(name, deepcopy(policy) if policy is extension else policy)
 
 

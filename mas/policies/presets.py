@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from maslam.backend.config import RelPoseConfig, SolverConfig
-from maslam.extensions import ExtensionGroup, installed, unknown
+from maslam.extensions import ExtensionGroup, check_name
 
 from ..config import ConsistencyConfig, MasConfig, MergeConfig, OptimisationConfig, PlacesConfig
 from ..errors import MasError
@@ -108,14 +108,7 @@ POLICIES: dict[str, Callable[[MasConfig, int], Policy]] = {
 
 def check_policy(name: str) -> None:
     """Refuse a name that is none of ours and no entry point's."""
-    known = (*POLICIES, *installed(ExtensionGroup.POLICIES))
-    if name not in known and ":" in name:
-        raise MasError(
-            f"policy '{name}' was given as an object in Python: give it again, or make it an entry point of "
-            f"{ExtensionGroup.POLICIES}"
-        )
-    if name not in known:
-        raise MasError(unknown("policy", name, known))
+    check_name(ExtensionGroup.POLICIES, "policy", name, POLICIES)
 
 
 def policy_of(config: MasConfig, me: int, given: PolicyLike | None = None) -> Policy:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from maslam.extensions import ExtensionGroup, installed, load_extension, made, name_of, unknown
+from maslam.extensions import ExtensionGroup, check_name, load_extension, made, name_of
 
-from ..errors import MasError
 from .transport import InProcessTransport, Transport
 
 TransportLike = Transport | type[Transport] | Callable[[], Transport]
@@ -16,14 +15,7 @@ IN_PROCESS = "in_process"
 
 def check_transport(name: str) -> None:
     """Refuse a name that is not ours and no entry point's."""
-    known = (IN_PROCESS, *installed(ExtensionGroup.TRANSPORTS))
-    if name not in known and ":" in name:
-        raise MasError(
-            f"transport '{name}' was given as an object in Python: give it again, or make it an entry point of "
-            f"{ExtensionGroup.TRANSPORTS}"
-        )
-    if name not in known:
-        raise MasError(unknown("transport", name, known))
+    check_name(ExtensionGroup.TRANSPORTS, "transport", name, [IN_PROCESS])
 
 
 def transport_of(given: TransportLike | str) -> Transport:
@@ -35,7 +27,4 @@ def transport_of(given: TransportLike | str) -> Transport:
         name, extension = given, load_extension(ExtensionGroup.TRANSPORTS, given)
     else:
         name, extension = name_of(given), given
-    transport = made(extension)
-    if not isinstance(transport, Transport):
-        raise MasError(f"transport {name}: a {type(transport).__name__}, not derived from maslam.Transport")
-    return transport
+    return made(extension, Transport, f"transport {name}")  # type: ignore[type-abstract]

@@ -131,13 +131,13 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
 
 
 def _check_kind(kind: str | None) -> None:
+    from maslam.errors import MaslamError
     from maslam.frontend.datasets.readers import check_kind
-    from maslam.frontend.errors import FrontendError
 
     try:
         if kind is not None:
             check_kind(kind)
-    except FrontendError as error:
+    except MaslamError as error:
         raise UsageError(f"--dataset: {error}") from None
 
 

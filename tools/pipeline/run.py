@@ -53,14 +53,14 @@ def config_from(arguments: argparse.Namespace, file: Mapping[str, Any]) -> MasCo
 
 def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
     """Refuse unknown names before the images are tracked."""
-    from maslam.mas.errors import MasError
+    from maslam.errors import MaslamError
     from maslam.mas.policies.presets import check_policy
     from maslam.mas.transport.choice import check_transport
 
     for name, check in (("policy", check_policy), ("transport", check_transport)):
         try:
             check(getattr(config, name))
-        except MasError as error:
+        except MaslamError as error:
             if hasattr(arguments, DEST + name):
                 raise UsageError(f"{option_name(name)}: {error}") from None
             raise ToolError(f"{arguments.config}: {error}") from None
