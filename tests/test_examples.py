@@ -92,7 +92,7 @@ def test_own_policy(first: Path, tmp_path: Path) -> None:
 
 def test_own_descriptor(town_stereo: Path, tmp_path: Path) -> None:
     said = run_example("03", town_stereo, tmp_path / "out")
-    assert re.match(r"descriptor thumbnail: [1-9]\d* matches accepted", said)
+    assert re.match(r"descriptor edge-map: [1-9]\d* matches accepted", said)
 
 
 def test_own_dataset(town_stereo: Path, tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ class TestNetVlad(DescriptorContract):
 
 class TestOwnDescriptor(DescriptorContract):
     def make(self) -> maslam.Descriptor:
-        return example("03_own_descriptor.py").Thumbnail()
+        return example("03_own_descriptor.py").EdgeMap()
 
 
 class TestInProcess(TransportContract):

@@ -26,7 +26,7 @@ number = foreign_package:NUMBER
 [maslam.datasets]
 csv = foreign_package.dataset:CsvReader
 [maslam.descriptors]
-thumbnail = foreign_package.descriptor:Thumbnail
+edge-map = foreign_package.descriptor:EdgeMap
 [maslam.transports]
 plain = foreign_package:transport
 """
@@ -94,8 +94,8 @@ def test_an_unknown_reader_is_one_line(
 
 
 def test_an_unknown_descriptor_is_one_line() -> None:
-    with pytest.raises(maslam.MaslamError, match=r"there is no descriptor 'thumbnial'; did you mean 'thumbnail'\?"):
-        load_descriptor("thumbnial")
+    with pytest.raises(maslam.MaslamError, match=r"there is no descriptor 'edge-mpa'; did you mean 'edge-map'\?"):
+        load_descriptor("edge-mpa")
 
 
 def test_what_cannot_be_imported_or_is_something_else_says_whose_it_is() -> None:
@@ -138,7 +138,7 @@ def test_a_reader_and_a_descriptor_by_name(tmp_path: Path, town_stereo: Path) ->
     assert maslam.open_dataset(source).kind == "csv", "before the reader that takes any folder of images"
     assert maslam.open_dataset(source, dataset="csv").kind == "csv"
     words = ["preprocess", str(town_stereo / "agent_00"), str(tmp_path / "seqs"), "--quiet", "--workers", "1"]
-    assert cli.main([*words, "--model", "thumbnail", "--dataset", "images", "--rig", "mono"]) == 0
+    assert cli.main([*words, "--model", "edge-map", "--dataset", "images", "--rig", "mono"]) == 0
     manifest = json.loads((tmp_path / "seqs" / "manifest.json").read_text())
-    assert (manifest["kind"], manifest["descriptor"]["name"]) == ("images", "thumbnail")
-    assert (manifest["settings"]["model"], manifest["settings"]["dataset"]) == ("thumbnail", "images")
+    assert (manifest["kind"], manifest["descriptor"]["name"]) == ("images", "edge-map")
+    assert (manifest["settings"]["model"], manifest["settings"]["dataset"]) == ("edge-map", "images")

@@ -32,7 +32,7 @@ class RenderConfig(BaseModel):
     baseline_m: float | None = Field(default=None, gt=0, description="stereo; default 0.54 m in town, 0.12 m indoors")
     rate_hz: float = Field(default=10.0, gt=0, description="frames a second")
     poses_file: Path | None = Field(
-       default= default=None, description="KITTI poses to drive instead of ways of our own; the world grows around them"
+        default=None, description="KITTI poses to drive instead of ways of our own; the world grows around them"
     )
     poses_step: int = Field(default=1, ge=1, description="take every so many poses of the file")
     moving_cars: int = Field(default=0, ge=0, le=200, description="cars that drive through the town")
