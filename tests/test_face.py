@@ -227,34 +227,6 @@ def test_other_mistakes_are_one_line_each(tmp_path: Path, run: maslam.Run) -> No
         assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_policy_that_names_nobody_is_told_so(run: maslam.Run, tmp_path: Path) -> None:
-    class Dreamer(maslam.Policy):
-        def ask(self, state: maslam.AgentState, outlook: maslam.Outlook, keyframe: int) -> list[int]:
-            return [7]
-
-        def optimise(self, state: maslam.AgentState, outlook: maslam.Outlook) -> list[int]:
-            return []
-
-        def buy(self, state: maslam.AgentState, outlook: maslam.Outlook) -> list[int]:
-            return []
-
-    with pytest.raises(maslam.MaslamError, match=r"Dreamer: ask\(\) named agent 7; it may name 0, 1"):
-        maslam.run(run.folder / "sequences", tmp_path / "run", policy=Dreamer)
-    assert not (tmp_path / "run").exists()
-
-
-def test_what_a_bid_is_worth_decides_who_sells(run: maslam.Run, tmp_path: Path) -> None:
-    from maslam.mas.policies.directory import Directory
-
-    class Miser(Directory):
-        def worth(self, standing: float, benefit: float, bid: maslam.Bid, deadline_ns: int) -> float:
-            return 0.0
-
-    assert run.summary.map_copies
-    poor = maslam.run(run.folder / "sequences", tmp_path / "run", preset=run.config, policy=Miser())
-    assert poor.summary.map_copies == [] and poor.summary.groups == run.summary.groups
-
-
 # -- graphs ------------------------------------------------------------------------------------------------------------
 
 

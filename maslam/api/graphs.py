@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -53,9 +52,7 @@ def write_g2o(path: PathLike, graph: PoseGraph, *, plain_ids: bool = False) -> N
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    g2o.write_g2o(partial, graph, plain_ids)
-    os.replace(partial, path)
+    g2o.write_g2o(path, graph, plain_ids)
 
 
 @on_one_thread
