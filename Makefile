@@ -1,4 +1,4 @@
-# make demo | test | lint: each sets up what it needs on a fresh machine; the second run starts at once.
+# make demo | test | lint | docs: each sets up what it needs on a fresh machine; the second run starts at once.
 # The environment is .venv (VENV=… for another); PYTHON=… chooses the interpreter it is made from.
 VENV ?= .venv
 OUT ?= demo
@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 CORE := $(VENV)/.core-installed
 DEV := $(VENV)/.dev-installed
 
-.PHONY: demo test lint coverage lock resolve clean
+.PHONY: demo test lint docs coverage lock resolve clean
 demo: $(CORE)
 	$(BIN)/maslam demo --out $(OUT)
 
@@ -21,6 +21,11 @@ lint: $(DEV)
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/mypy
+
+docs: $(DEV)
+	$(BIN)/python docs/scripts/diagrams.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "the documents: build/site/index.html"
 
 $(CORE): requirements/core.txt pyproject.toml requirements/system-libraries.sh
 	@test -n "$(PYTHON)" || { echo "maslam needs Python 3.11 or newer; none found as python3.11 or python3 (PYTHON=… names another)"; exit 1; }

@@ -27,7 +27,7 @@ CENTRES = 256
 SUFFIX = ".codes.npz"
 _VERSION = 1
 _SHAPES = {"pq32": (32, 256), "pq16": (16, 128)}
-"""Groups (bytes) and strongest axes kept, at most. Measured on held-out worlds (docs/netvlad.md): 32 bytes are best
+"""Groups (bytes) and strongest axes kept, at most. Measured on held-out worlds (docs/appendix/netvlad.md): 32 bytes are best
 spent on all 256 numbers, 16 on the first 128."""
 _ITERATIONS = 15
 _HELD_BACK = 10

@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 HERE = Path(__file__).parent
-DEV_EXTRAS = ("train", "evo", "rerun", "dev")
+DEV_EXTRAS = ("train", "evo", "rerun", "docs", "dev")
 LOCAL_VERSION = re.compile(r"\+.*$")  # "+cpu" names a build, not a release
 
 
@@ -50,7 +50,7 @@ def main() -> None:
     core = closure(project["dependencies"])
     dev = {name: version for name, version in closure(extras).items() if name not in core}
     write(HERE / "core.txt", "What maslam needs to run: the lock file of `make demo`.", core, "")
-    write(HERE / "dev.txt", "What tests and training need besides: the lock file of `make test`.", dev, "-r core.txt\n")
+    write(HERE / "dev.txt", "What tests, training and documents need besides: the lock file of `make test`.", dev, "-r core.txt\n")
 
 
 def write(path: Path, title: str, pins: dict[str, str], head: str) -> None:

@@ -1,4 +1,4 @@
-"""``maslam netvlad``: train, export, calibrate, evaluate and use the place descriptor (docs/netvlad.md)."""
+"""``maslam netvlad``: train, export, calibrate, evaluate and use the place descriptor (docs/appendix/netvlad.md)."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ of a network.
 SIFT on a regular grid, square roots of its L1-normalised histograms (Arandjelovic and Zisserman, CVPR 2012), principal
 axes to 64 numbers, 64 centres, residuals summed for each nearest centre and normalised for each (Jegou et al., CVPR
 2010; Arandjelovic and Zisserman, CVPR 2013), and, for short codes, whitened principal axes (Jegou and Chum, ECCV 2012).
-The settings were chosen on rendered held-out worlds (docs/netvlad.md).
+The settings were chosen on rendered held-out worlds (docs/appendix/netvlad.md).
 """
 
 from __future__ import annotations

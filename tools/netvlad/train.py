@@ -200,7 +200,7 @@ def export(checkpoint: Path, out: Path, name: str, input_pixels: int, training: 
 
 MIN_STD = 2.5
 """Grey levels of local contrast: above what sensor noise leaves after resizing, below any photograph
-(docs/netvlad.md)."""
+(docs/appendix/netvlad.md)."""
 
 
 def _render_job(job: tuple[str, int, int, Path], advance: Callable[[int], None]) -> None:

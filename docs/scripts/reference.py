@@ -1,0 +1,256 @@
+"""The reference pages, made from the parsers, the settings' types and the docstrings: nothing in them is written twice.
+
+``pages()`` gives each page's name and Markdown; the site's hook asks for them whenever the site is built, and
+``python docs/scripts/reference.py OUT`` writes them as files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import file_formats
+
+from maslam.tools.cli import COMMANDS, build_parser
+from maslam.tools.common.options import DEST
+
+_DEFAULT = re.compile(r"\s*\(default: (.*)\)$", re.DOTALL)
+_ROLE = re.compile(r":(?:class|func|mod|meth|data|attr):`~?([^`]+)`")
+
+ENTRY_POINTS = (
+    "maslam.frontend.datasets.open_dataset",
+    "maslam.frontend.odometry.Odometry",
+    "maslam.frontend.files.vo_files.read_tracks",
+    "maslam.descriptors.inference.NetVlad",
+    "maslam.descriptors.container.PlaceVectors",
+    "maslam.descriptors.search.NearestIndex",
+    "maslam.backend.relpose.verification.relative_pose",
+    "maslam.backend.pose_graph.g2o.read_g2o",
+    "maslam.backend.pose_graph.g2o.write_g2o",
+    "maslam.backend.central.optimise.optimise",
+    "maslam.backend.central.certificate.certify",
+    "maslam.backend.trajectory_error.trajectory_error",
+    "maslam.mas.sequence.load_sequences",
+    "maslam.mas.simulation.run",
+    "maslam.mas.agent.Agent",
+    "maslam.mas.policies.base.Policy",
+    "maslam.mas.policies.presets.preset",
+    "maslam.mas.transport.transport.Transport",
+)
+"""The inner entry points that the documents send readers to."""
+
+
+@dataclass
+class Settings:
+    """The settings of one section: rows of option, values, default, meaning; and the commands that take them."""
+
+    commands: list[str] = field(default_factory=list)
+    rows: dict[str, tuple[str, str, str, str]] = field(default_factory=dict)
+
+
+def pages() -> dict[str, str]:
+    """Markdown by the page's path inside ``docs/``."""
+    return {
+        "reference/commands.md": commands_page(),
+        "reference/settings.md": settings_page(),
+        "reference/python.md": python_page(),
+        "reference/files.md": file_formats.page(),
+    }
+
+
+# -- command line -----------------------------------------------------------------------------------------------------
+
+
+def parsers() -> Iterator[argparse.ArgumentParser]:
+    """Every command and action, in the order of ``maslam --help``."""
+    for name in COMMANDS:
+        yield from parsers_of(name)
+
+
+def parsers_of(command: str) -> Iterator[argparse.ArgumentParser]:
+    """A command, then its actions."""
+    yield from _with_actions(_choices(build_parser(command))[command])
+
+
+def _choices(parser: argparse.ArgumentParser) -> dict[str, Any]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return dict(action.choices)
+    return {}
+
+
+def _with_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    yield parser
+    for inner in _choices(parser).values():
+        yield from _with_actions(inner)
+
+
+def is_setting(action: argparse.Action) -> bool:
+    """Whether an option comes from a configuration type."""
+    return action.dest.startswith(DEST)
+
+
+def section_of(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
+    """``places`` of ``--places.threshold``; of a top-level setting the command's own name."""
+    section = action.dest.removeprefix(DEST).rpartition(".")[0]
+    return section or parser.prog
+
+
+def commands_page() -> str:
+    """One section a command, with its arguments and its own options."""
+    lines = ["# Commands", "", "Every command, its arguments and its own options. Generated from the parsers.", ""]
+    lines += ["Settings, which also stand in `config.yaml`, have a page of their own: [Settings](settings.md).", ""]
+    for parser in parsers():
+        lines += [f"## {parser.prog}", "", _cell(parser.description or ""), ""]
+        own = [action for action in parser._actions if not is_setting(action) and _told(action)]
+        if own:
+            lines += ["| argument | meaning |", "|---|---|"]
+            lines += [f"| {_names(action)} | {_cell(_help(parser, action))} |" for action in own]
+            lines += [""]
+        sections = dict.fromkeys(section_of(parser, a) for a in parser._actions if is_setting(a))
+        links = [f"[{name}](settings.md#{_anchor(name)})" for name in sections]
+        lines += [f"Settings: {', '.join(links)}.", ""] if links else []
+    return "\n".join(lines)
+
+
+def _told(action: argparse.Action) -> bool:
+    return not isinstance(action, argparse._SubParsersAction | argparse._HelpAction)
+
+
+def _names(action: argparse.Action) -> str:
+    value = action.metavar if isinstance(action.metavar, str) else action.dest.upper()
+    if action.choices is not None:
+        value = "|".join(str(choice) for choice in action.choices)
+    if not action.option_strings:
+        return f"`{value if action.metavar else action.dest}`".replace("|", "\\|")
+    flag = action.nargs == 0
+    return f"`{', '.join(action.option_strings)}{'' if flag else ' ' + value}`".replace("|", "\\|")
+
+
+def _help(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
+    """As ``--help`` would say it, also where the short help leaves it out."""
+    said = "" if action.help in (None, argparse.SUPPRESS) else str(action.help)
+    return said % {**vars(action), "prog": parser.prog} if "%" in said else said
+
+
+# -- settings ---------------------------------------------------------------------------------------------------------
+
+
+def all_settings() -> dict[str, Settings]:
+    """Every setting of every command, by section."""
+    found: dict[str, Settings] = {}
+    for parser in parsers():
+        for action in filter(is_setting, parser._actions):
+            section = found.setdefault(section_of(parser, action), Settings())
+            if parser.prog not in section.commands:
+                section.commands.append(parser.prog)
+            section.rows.setdefault(action.dest.removeprefix(DEST), _row(parser, action))
+    return found
+
+
+def _row(parser: argparse.ArgumentParser, action: argparse.Action) -> tuple[str, str, str, str]:
+    said = _help(parser, action)
+    default = _DEFAULT.search(said)
+    meaning = _DEFAULT.sub("", said)
+    return action.option_strings[0], str(action.metavar), default.group(1) if default else "", meaning
+
+
+def settings_page() -> str:
+    """A table for each section."""
+    lines = [
+        "# Settings",
+        "",
+        "Every setting is an option of the command line and a key in a YAML file (`--config FILE`): the option "
+        "`--places.max-points` is the key `max_points` in the section `places`. A run writes all of them to "
+        "`config.yaml`. Later wins: the preset, the file, the command line. An unknown key is an error.",
+        "",
+        "Generated from the configuration types; defaults of agents are those of preset `maslam`.",
+        "",
+    ]
+    for name, section in all_settings().items():
+        lines += [f"## {name}", "", f"Of {', '.join(f'`{command}`' for command in section.commands)}.", ""]
+        lines += ["| option | values | default | meaning |", "|---|---|---|---|"]
+        for option, values, default, meaning in section.rows.values():
+            values = values.replace("|", "\\|")
+            lines.append(f"| `{option}` | `{values}` | `{_cell(default)}` | {_cell(meaning)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+
+
+def _anchor(title: str) -> str:
+    """As the site makes it from a heading."""
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
+
+
+# -- Python -----------------------------------------------------------------------------------------------------------
+
+
+def public_names() -> list[str]:
+    """The names of ``import maslam`` but its version."""
+    return [name for name in import_module("maslam").__all__ if not name.startswith("__")]
+
+
+def python_page() -> str:
+    """The public face, then the inner entry points."""
+    lines = ["# Python", "", "Generated from signatures and docstrings.", ""]
+    lines += ["## import maslam", "", "The public face. A change of it is announced in the changelog.", ""]
+    face = import_module("maslam")
+    for name in public_names():
+        lines += _entry(f"maslam.{name}", getattr(face, name))
+    lines += ["## Inner entry points", "", "What the face is made of; these may change between versions.", ""]
+    for path in ENTRY_POINTS:
+        module, _, name = path.rpartition(".")
+        lines += _entry(path, getattr(import_module(module), name))
+    return "\n".join(lines)
+
+
+def _entry(path: str, thing: Any) -> list[str]:
+    name = path.rpartition(".")[2]
+    lines = [f"### {path}", "", "```python", _signature(name, thing), "```", "", prose(thing), ""]
+    if not inspect.isclass(thing):
+        return lines
+    for member, what in vars(thing).items():
+        inner = getattr(what, "__func__", what)
+        if member.startswith("_") or not inspect.getdoc(inner) or not (callable(inner) or isinstance(what, property)):
+            continue
+        head = member if isinstance(what, property) else _signature(member, inner)
+        lines += [f"**`{head}`**", "", prose(inner), ""]
+    return lines
+
+
+def _signature(name: str, thing: Any) -> str:
+    try:
+        return f"{name}{inspect.signature(thing)}".replace("'", "")
+    except (TypeError, ValueError):
+        return name
+
+
+def prose(thing: Any) -> str:
+    """A docstring as Markdown: roles and double back-ticks become code."""
+    text = inspect.getdoc(thing) or ""
+    text = _ROLE.sub(lambda found: f"`{found.group(1)}`", text)
+    return re.sub(r"``([^`]+)``", r"`\1`", text).replace("<", "&lt;")
+
+
+def main() -> None:
+    """Write the pages under the folder given."""
+    out = Path(sys.argv[1])
+    for name, text in pages().items():
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
