@@ -27,8 +27,8 @@ CENTRES = 256
 SUFFIX = ".codes.npz"
 _VERSION = 1
 _SHAPES = {"pq32": (32, 256), "pq16": (16, 128)}
-"""Groups (bytes) and strongest axes kept, at most. Measured on held-out worlds (docs/appendix/netvlad.md): 32 bytes are best
-spent on all 256 numbers, 16 on the first 128."""
+"""Groups (bytes) and strongest axes kept, at most. Measured on held-out worlds (docs/appendix/netvlad.md): 32 bytes are
+best spent on all 256 numbers, 16 on the first 128."""
 _ITERATIONS = 15
 _HELD_BACK = 10
 """Every so many-th vector is kept out of training to measure the fidelity on."""

@@ -38,8 +38,8 @@ class NetVlad(PlaceDescriptor):
 
         ``threads`` share the work on one image. ``provider``: where onnxruntime runs it, by its name in full or in
         short (``cuda``). ``batch``: images of one size that go through the network together; 1 promises the same
-        bytes for an image whatever is described with it, more is for graphics cards (docs/appendix/netvlad.md has what it
-        gains).
+        bytes for an image whatever is described with it, more is for graphics cards
+        (docs/appendix/netvlad.md has what it gains).
         """
         for name, count in (("thread", threads), ("image in a batch", batch)):
             if count < 1:

@@ -1,9 +1,9 @@
 """The last step of training: from VLAD vectors of thousands of numbers to a few hundred, fitted when the rest is done.
 
 Principal axes alone lose too much at 256 numbers: of the 1024 strongest, each scaled to like strength, almost
-everything is recognised, of the first 256 a tenth less (docs/appendix/netvlad.md). So the 1024 are mixed down by a matrix that
-is learned from pairs of views: each finds its partner (InfoNCE), and each keeps the neighbours that it has in the long
-vector (distillation), which needs no pairs and keeps the matrix from learning the training places by heart.
+everything is recognised, of the first 256 a tenth less (docs/appendix/netvlad.md). So the 1024 are mixed down by a
+matrix that is learned from pairs of views: each finds its partner (InfoNCE), and each keeps the neighbours that it has
+in the long vector (distillation), which needs no pairs and keeps the matrix from learning the training places by heart.
 """
 
 from __future__ import annotations

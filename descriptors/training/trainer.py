@@ -241,7 +241,8 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training images by
-        # heart, and tells places of another world apart far worse than the vector it is given (docs/appendix/netvlad.md).
+        # heart, and tells places of another world apart far worse than the vector it is given
+        # (docs/appendix/netvlad.md).
         vlad = self.network.aggregate(torch.cat([first, second]), self.config.gradient_thinning, self.step)
         scale = self.log_scale.exp().clamp(max=_MAX_SCALE)
         loss, accuracy = info_nce(vlad[: len(first)], vlad[len(first) :], scale)

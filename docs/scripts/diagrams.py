@@ -128,7 +128,12 @@ def overview() -> Drawing:
     sheet = Drawing(920, 250, "From images to one map")
     for k, (y, name) in enumerate([(50, "agent 0"), (125, "agent 1"), (200, "agent N")]):
         sheet.text(20, y + 4, name, FAINT, anchor="start", size=12)
-        for x, words in ((150, "images"), (310, "odometry"), (470, "key-frames,\nplace vectors"), (650, "agent:\ngraph, map")):
+        for x, words in (
+            (150, "images"),
+            (310, "odometry"),
+            (470, "key-frames,\nplace vectors"),
+            (650, "agent:\ngraph, map"),
+        ):
             sheet.box(x, y, words, INK if x < 600 else BLUE, width=120, fill=PAPER if x == 150 else "#eef2f6")
         for x in (210, 370):
             sheet.line([(x, y), (x + 38, y)], FAINT)

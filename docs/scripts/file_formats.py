@@ -63,7 +63,8 @@ TIMELINE = {
     "OPERATION_wire_bytes": "bytes sent so far",
 }
 EVENTS = {
-    "contract": "a contract ended: `operation`, `contract` (manager:number), `contractor`, `end` (its last state), `reason`",
+    "contract": "a contract ended: `operation`, `contract` (manager:number), `contractor`, `end` (its last state), "
+    "`reason`",
     "match": "a match was accepted: `match`, `inliers`",
     "group": "the agents known to share a frame: `members`",
     "optimised": "an optimisation ended at its manager: `members`, `matches`, `sweeps`, `improved`, `reason`, "
@@ -81,7 +82,8 @@ VO_FILES = {
     "times_K.txt": "time stamp of key-frame i, seconds",
     "lm_pos_K.txt": "3 numbers a row: map point j in the track's world frame",
     "lm_obs_K.txt": "key-frame index, map-point index of each observation, both from 0",
-    "descs_K.txt": "32 bytes of the observation's ORB descriptor, then its vocabulary nodes at levels 3 and 4; rows as in `lm_obs`",
+    "descs_K.txt": "32 bytes of the observation's ORB descriptor, then its vocabulary nodes at levels 3 and 4; rows as in "
+    "`lm_obs`",
 }
 TRAJECTORIES = {
     "trajectory.tum": "every frame with a pose: `time tx ty tz qx qy qz qw`, `T_W_C`",
@@ -99,8 +101,8 @@ def page() -> str:
     """The page."""
     parts = [
         "# Files",
-        "Folders and their files; `NN` is an agent's number, `K` the number of a track. The same command gives the same "
-        "bytes, but for `timing.json` and the times that the report shows.",
+        "Folders and their files; `NN` is an agent's number, `K` the number of a track. The same command gives the "
+        "same bytes, but for `timing.json` and the times that the report shows.",
         "## The SEQS folder",
         "Written by `maslam preprocess`, and by `maslam slam` as `OUT/sequences`.",
         "### manifest.json",
@@ -112,7 +114,8 @@ def page() -> str:
         "numpy arrays: `vectors` (K, dim) float32 unit rows, `textured` (K,) bool, `stamps_ns` (K,) int64, `images` "
         "(file names), `name` and `sha256` of the model, `dim`.",
         "## The RUN folder",
-        "Written by `maslam run` and `maslam slam`. `summary.json` comes last: a folder without it is not a finished run.",
+        "Written by `maslam run` and `maslam slam`. `summary.json` comes last: a folder without it is not a finished "
+        "run.",
         "### summary.json",
         _model(Summary),
         "### timing.json",

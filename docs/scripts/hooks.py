@@ -25,7 +25,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """A link to a file outside the documents works in a checkout and on a page that shows one; here its text is left."""
+    """Leave only the text of links to files outside the documents: they work in a checkout, not on the site."""
     folder = (DOCS / page.file.src_uri).parent
 
     def inside(found: re.Match[str]) -> str:

@@ -24,7 +24,14 @@ class Drawing:
         self._parts: list[str] = []
 
     def text(
-        self, x: float, y: float, words: str, colour: str = INK, anchor: str = "middle", size: int = 13, over: bool = False
+        self,
+        x: float,
+        y: float,
+        words: str,
+        colour: str = INK,
+        anchor: str = "middle",
+        size: int = 13,
+        over: bool = False,
     ) -> None:
         """One line; ``y`` is its baseline; ``over``: on a line, which is covered around the letters."""
         halo = f'stroke="{PAPER}" stroke-width="4" stroke-linejoin="round" paint-order="stroke"' if over else ""

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import reference
 
+import maslam
 from maslam.tools.cli import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,9 +42,9 @@ def broken_links(page: Path, text: str) -> list[str]:
             continue
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
-        if not (target == page or target.exists()):
-            broken.append(link)
-        elif anchor and anchor not in anchors(text if target == page else target.read_text(encoding="utf-8")):
+        found = target == page or target.exists()
+        known = text if target == page else target.read_text(encoding="utf-8") if found and anchor else ""
+        if not found or (anchor and anchor not in anchors(known)):
             broken.append(link)
     return broken
 
@@ -92,6 +93,15 @@ def test_commands_exist(page: Path) -> None:
 def test_python_compiles(page: Path) -> None:
     for block in blocks(page.read_text(encoding="utf-8"), "python"):
         ast.parse(block)
+
+
+@ALL_PAGES
+def test_the_python_face_has_the_names(page: Path) -> None:
+    used: set[str] = set()
+    for block in blocks(page.read_text(encoding="utf-8"), "python"):
+        if "import maslam\n" in block or "maslam." in block.replace("from maslam.", ""):
+            used |= set(re.findall(r"(?<![\w.])maslam\.(\w+)", re.sub(r"from maslam\S* import.*", "", block)))
+    assert used <= {*maslam.__all__}
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from typing import Any
 
 import diagrams
 import file_formats
-import maslam
 import pytest
 import reference
 from pydantic import BaseModel
 
+import maslam
 from maslam.backend.config import RelPoseConfig, SolverConfig
 from maslam.frontend.config import OdometryConfig
 from maslam.mas.config import MasConfig
