@@ -50,7 +50,7 @@ def main() -> None:
     core = closure(project["dependencies"])
     dev = {name: version for name, version in closure(extras).items() if name not in core}
     write(HERE / "core.txt", "What maslam needs to run: the lock file of `make demo`.", core, "")
-    write(HERE / "dev.txt", "What tests, training and documents need besides: the lock file of `make test`.", dev, "-r core.txt\n")
+    write(HERE / "dev.txt", "What tests, training, documents need besides: for `make test`.", dev, "-r core.txt\n")
 
 
 def write(path: Path, title: str, pins: dict[str, str], head: str) -> None:

@@ -82,8 +82,8 @@ VO_FILES = {
     "times_K.txt": "time stamp of key-frame i, seconds",
     "lm_pos_K.txt": "3 numbers a row: map point j in the track's world frame",
     "lm_obs_K.txt": "key-frame index, map-point index of each observation, both from 0",
-    "descs_K.txt": "32 bytes of the observation's ORB descriptor, then its vocabulary nodes at levels 3 and 4; rows as in "
-    "`lm_obs`",
+    "descs_K.txt": "32 bytes of the observation's ORB descriptor, then its vocabulary nodes at levels 3 and 4; rows "
+    "as in `lm_obs`",
 }
 TRAJECTORIES = {
     "trajectory.tum": "every frame with a pose: `time tx ty tz qx qy qz qw`, `T_W_C`",

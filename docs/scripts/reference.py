@@ -127,11 +127,11 @@ def _told(action: argparse.Action) -> bool:
 def _names(action: argparse.Action) -> str:
     value = action.metavar if isinstance(action.metavar, str) else action.dest.upper()
     if action.choices is not None:
-        value = "|".join(str(choice) for choice in action.choices)
+        value = f"{{{','.join(str(choice) for choice in action.choices)}}}"
     if not action.option_strings:
-        return f"`{value if action.metavar else action.dest}`".replace("|", "\\|")
+        return _code(value if action.metavar else action.dest)
     flag = action.nargs == 0
-    return f"`{', '.join(action.option_strings)}{'' if flag else ' ' + value}`".replace("|", "\\|")
+    return _code(f"{', '.join(action.option_strings)}{'' if flag else ' ' + value}")
 
 
 def _help(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
@@ -178,10 +178,15 @@ def settings_page() -> str:
         lines += [f"## {name}", "", f"Of {', '.join(f'`{command}`' for command in section.commands)}.", ""]
         lines += ["| option | values | default | meaning |", "|---|---|---|---|"]
         for option, values, default, meaning in section.rows.values():
-            values = values.replace("|", "\\|")
-            lines.append(f"| `{option}` | `{values}` | `{_cell(default)}` | {_cell(meaning)} |")
+            kinds = ", ".join(_code(value) for value in values.split("|"))
+            lines.append(f"| `{option}` | {kinds} | {_code(default)} | {_cell(meaning)} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _code(text: str) -> str:
+    """Code in a table's cell, without the bar that would end the cell."""
+    return f"`{text.replace('|', ' or ')}`"
 
 
 def _cell(text: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class PgoReport:
-    """Costs by convention (docs/appendix/backend.md), of all edges but the rejected ones; bytes are 0 for the central method.
+    """Costs by convention (docs/appendix/backend.md) of all edges but the rejected ones; centrally nothing is sent.
 
     ``certified``: whether the minimised cost is proven to be the global optimum's; ``gap``: the share by which it may
     be above it at most; both None where they were not asked for, or there is no proof (cost E). ``rotation_sweeps`` and
