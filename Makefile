@@ -24,7 +24,7 @@ lint: $(DEV)
 
 docs: $(DEV)
 	$(BIN)/python docs/scripts/diagrams.py
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the documents: build/site/index.html"
 
 $(CORE): requirements/core.txt pyproject.toml requirements/system-libraries.sh
