@@ -10,7 +10,7 @@ import argparse
 import inspect
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -22,6 +22,8 @@ from maslam.tools.cli import COMMANDS, build_parser
 from maslam.tools.common.options import DEST
 
 _DEFAULT = re.compile(r"\s*\(default: (.*)\)$", re.DOTALL)
+_SAME_SETTINGS = {"maslam slam": "maslam run"}
+"""Commands that take the top-level settings of another one."""
 _ROLE = re.compile(r":(?:class|func|mod|meth|data|attr):`~?([^`]+)`")
 
 ENTRY_POINTS = (
@@ -100,24 +102,38 @@ def is_setting(action: argparse.Action) -> bool:
 def section_of(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
     """``places`` of ``--places.threshold``; of a top-level setting the command's own name."""
     section = action.dest.removeprefix(DEST).rpartition(".")[0]
-    return section or parser.prog
+    return section or _SAME_SETTINGS.get(parser.prog, parser.prog)
 
 
 def commands_page() -> str:
     """One section a command, with its arguments and its own options."""
     lines = ["# Commands", "", "Every command, its arguments and its own options. Generated from the parsers.", ""]
     lines += ["Settings, which also stand in `config.yaml`, have a page of their own: [Settings](settings.md).", ""]
+    everywhere = common_options()
+    lines += ["## Every command", "", *_arguments(next(parsers()), lambda action: option_of(action) in everywhere)]
     for parser in parsers():
         lines += [f"## {parser.prog}", "", _cell(parser.description or ""), ""]
-        own = [action for action in parser._actions if not is_setting(action) and _told(action)]
-        if own:
-            lines += ["| argument | meaning |", "|---|---|"]
-            lines += [f"| {_names(action)} | {_cell(_help(parser, action))} |" for action in own]
-            lines += [""]
+        lines += _arguments(parser, lambda action: option_of(action) not in everywhere)
         sections = dict.fromkeys(section_of(parser, a) for a in parser._actions if is_setting(a))
         links = [f"[{name}](settings.md#{_anchor(name)})" for name in sections]
         lines += [f"Settings: {', '.join(links)}.", ""] if links else []
     return "\n".join(lines)
+
+
+def option_of(action: argparse.Action) -> str:
+    """The first name of an option; of an argument nothing."""
+    return action.option_strings[0] if action.option_strings else ""
+
+
+def common_options() -> set[str]:
+    """Options that every command and action has."""
+    return set.intersection(*({option_of(action) for action in parser._actions} - {""} for parser in parsers()))
+
+
+def _arguments(parser: argparse.ArgumentParser, wanted: Callable[[argparse.Action], bool]) -> list[str]:
+    own = [action for action in parser._actions if not is_setting(action) and _told(action) and wanted(action)]
+    rows = [f"| {_names(action)} | {_cell(_help(parser, action))} |" for action in own]
+    return ["| argument | meaning |", "|---|---|", *rows, ""] if rows else []
 
 
 def _told(action: argparse.Action) -> bool:

@@ -16,7 +16,7 @@ from maslam.tools.cli import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXTS = (*(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md"))
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(TEXTS)]
+PAGES = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *sorted(TEXTS)]
 ALL_PAGES = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)

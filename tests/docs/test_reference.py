@@ -47,10 +47,14 @@ def test_every_setting_has_values_a_default_and_a_meaning() -> None:
 def test_every_command_and_option_is_told() -> None:
     page = PAGES["reference/commands.md"]
     for parser in reference.parsers():
-        section = page.split(f"\n## {parser.prog}\n")[1].split("\n## ")[0]
+        section = section_of_page(page, parser.prog) + section_of_page(page, "Every command")
         own = [a for a in parser._actions if not reference.is_setting(a) and a.option_strings and a.dest != "help"]
         assert [a.option_strings[0] for a in own if a.option_strings[0] not in section] == []
     assert all(f"\n## maslam {name}\n" in page for name in COMMANDS)
+
+
+def section_of_page(page: str, title: str) -> str:
+    return page.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
 def test_links_between_the_generated_pages_have_their_headings() -> None:
