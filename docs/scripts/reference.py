@@ -7,16 +7,15 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import file_formats
+import python_reference
 
 from maslam.tools.cli import COMMANDS, build_parser
 from maslam.tools.common.options import DEST
@@ -24,29 +23,6 @@ from maslam.tools.common.options import DEST
 _DEFAULT = re.compile(r"\s*\(default: (.*)\)$", re.DOTALL)
 _SAME_SETTINGS = {"maslam slam": "maslam run"}
 """Commands that take the top-level settings of another one."""
-_ROLE = re.compile(r":(?:class|func|mod|meth|data|attr):`~?([^`]+)`")
-
-ENTRY_POINTS = (
-    "maslam.frontend.datasets.open_dataset",
-    "maslam.frontend.odometry.Odometry",
-    "maslam.frontend.files.vo_files.read_tracks",
-    "maslam.descriptors.inference.NetVlad",
-    "maslam.descriptors.container.PlaceVectors",
-    "maslam.descriptors.search.NearestIndex",
-    "maslam.backend.relpose.verification.relative_pose",
-    "maslam.backend.pose_graph.g2o.read_g2o",
-    "maslam.backend.pose_graph.g2o.write_g2o",
-    "maslam.backend.central.optimise.optimise",
-    "maslam.backend.central.certificate.certify",
-    "maslam.backend.trajectory_error.trajectory_error",
-    "maslam.mas.sequence.load_sequences",
-    "maslam.mas.simulation.run",
-    "maslam.mas.agent.Agent",
-    "maslam.mas.policies.base.Policy",
-    "maslam.mas.policies.presets.preset",
-    "maslam.mas.transport.transport.Transport",
-)
-"""The inner entry points that the documents send readers to."""
 
 
 @dataclass
@@ -62,7 +38,7 @@ def pages() -> dict[str, str]:
     return {
         "reference/commands.md": commands_page(),
         "reference/settings.md": settings_page(),
-        "reference/python.md": python_page(),
+        "reference/python.md": python_reference.page(),
         "reference/files.md": file_formats.page(),
     }
 
@@ -212,56 +188,6 @@ def _cell(text: str) -> str:
 def _anchor(title: str) -> str:
     """As the site makes it from a heading."""
     return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
-
-
-# -- Python -----------------------------------------------------------------------------------------------------------
-
-
-def public_names() -> list[str]:
-    """The names of ``import maslam`` but its version."""
-    return [name for name in import_module("maslam").__all__ if not name.startswith("__")]
-
-
-def python_page() -> str:
-    """The public face, then the inner entry points."""
-    lines = ["# Python", "", "Generated from signatures and docstrings.", ""]
-    lines += ["## import maslam", "", "The public face. A change of it is announced in the changelog.", ""]
-    face = import_module("maslam")
-    for name in public_names():
-        lines += _entry(f"maslam.{name}", getattr(face, name))
-    lines += ["## Inner entry points", "", "What the face is made of; these may change between versions.", ""]
-    for path in ENTRY_POINTS:
-        module, _, name = path.rpartition(".")
-        lines += _entry(path, getattr(import_module(module), name))
-    return "\n".join(lines)
-
-
-def _entry(path: str, thing: Any) -> list[str]:
-    name = path.rpartition(".")[2]
-    lines = [f"### {path}", "", "```python", _signature(name, thing), "```", "", prose(thing), ""]
-    if not inspect.isclass(thing):
-        return lines
-    for member, what in vars(thing).items():
-        inner = getattr(what, "__func__", what)
-        if member.startswith("_") or not inspect.getdoc(inner) or not (callable(inner) or isinstance(what, property)):
-            continue
-        head = member if isinstance(what, property) else _signature(member, inner)
-        lines += [f"**`{head}`**", "", prose(inner), ""]
-    return lines
-
-
-def _signature(name: str, thing: Any) -> str:
-    try:
-        return f"{name}{inspect.signature(thing)}".replace("'", "")
-    except (TypeError, ValueError):
-        return name
-
-
-def prose(thing: Any) -> str:
-    """A docstring as Markdown: roles and double back-ticks become code."""
-    text = inspect.getdoc(thing) or ""
-    text = _ROLE.sub(lambda found: f"`{found.group(1)}`", text)
-    return re.sub(r"``([^`]+)``", r"`\1`", text).replace("<", "&lt;")
 
 
 def main() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import diagrams
 import file_formats
 import pytest
+import python_reference
 import reference
 from pydantic import BaseModel
 
@@ -64,9 +65,17 @@ def test_links_between_the_generated_pages_have_their_headings() -> None:
 
 def test_every_public_name_is_told_with_its_docstring() -> None:
     page = PAGES["reference/python.md"]
-    for name in reference.public_names():
+    for name in python_reference.public_names():
         assert f"\n### maslam.{name}\n" in page
-        assert reference.prose(getattr(maslam, name)), name
+        assert python_reference.prose(getattr(maslam, name)), name
+
+
+def test_docstrings_become_markdown() -> None:
+    text = "Read ``agent_<n>`` of :class:`~maslam.Run` < 3."
+    text += "\n\nArgs:\n    out: a folder,\n        made new.\n    n: how many.\n"
+    told = python_reference.as_markdown(text)
+    assert told.startswith("Read `agent_<n>` of `maslam.Run` &lt; 3.")
+    assert told.endswith("**Args**\n\n- out: a folder,\n  made new.\n- n: how many.")
 
 
 def columns(path: Path) -> list[str]:
