@@ -34,8 +34,9 @@ ENTRY_POINTS = (
 
 
 def public_names() -> list[str]:
-    """The names of ``import maslam`` but its version."""
-    return [name for name in import_module("maslam").__all__ if not name.startswith("__")]
+    """The names of ``import maslam`` but its version, functions first."""
+    names = [name for name in import_module("maslam").__all__ if not name.startswith("__")]
+    return sorted(names, key=lambda name: (name[0].isupper(), name))
 
 
 def page() -> str:
