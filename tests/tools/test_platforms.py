@@ -48,7 +48,7 @@ POSIX_CALLS = {
     "os.sched_getaffinity",
     "os.sysconf",
 }
-GUARDED_CALLS = {("workers.py", "os.sched_getaffinity"), ("memory.py", "os.sysconf")}
+GUARDED_CALLS = {("parallel.py", "os.sched_getaffinity"), ("memory.py", "os.sysconf")}
 
 
 def test_nothing_else_needs_what_only_some_systems_have() -> None:
@@ -108,7 +108,8 @@ import os, sys
 for name in {sorted(POSIX_ONLY - {"posix"})}:
     sys.modules[name] = None
 del os.sched_getaffinity, os.sysconf
-from tools import cli, memory
+from maslam.tools import cli
+from maslam.tools.common import memory
 for command in cli.COMMANDS:
     assert cli.main([command, "--help-all"]) == 0, command
 assert memory.resource is None

@@ -162,10 +162,10 @@ def test_slam_again_replaces_the_run_and_keeps_the_sequences(run: Path, house: P
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--preset", "best"], 1, "no preset 'best'; there are"),
+        (["--preset", "best"], 2, "no preset 'best'; there are"),
         (["--seed", "-1"], 2, "--seed -1: seed: input should be greater than or equal to 0"),
         (["--config", "missing.yaml"], 1, "missing.yaml: No such file or directory"),
-        (["--relpose.min-inlierz", "3"], 2, "unrecognized arguments"),
+        (["--relpose.min-inlierz", "3"], 2, "did you mean '--relpose.min-inliers'?"),
     ],
 )
 def test_what_cannot_be_set(
