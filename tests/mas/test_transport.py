@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from sample_messages import examples, submap, verify_task
 
 from maslam.mas.protocol.accounting import Traffic, account
@@ -11,43 +10,12 @@ from maslam.mas.protocol.ids import ContractId
 from maslam.mas.protocol.messages import Award, Bid, Message, Result, encode
 from maslam.mas.protocol.solver_messages import SolverValues
 from maslam.mas.protocol.tasks import EarlierAnswer, MapDelivery, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
-from maslam.mas.protocol.tensors import MessageError, Tensor
-from maslam.mas.transport.transport import InProcessTransport, Sent, Transport
+from maslam.mas.protocol.tensors import Tensor
+from maslam.mas.transport.transport import InProcessTransport
 
 
-class TransportContract:
-    """What every transport must do; a subclass says how to make one."""
-
-    def make(self, max_message_bytes: int = 2**20, record: object = None) -> Transport:
-        raise NotImplementedError
-
-    def test_each_message_arrives_once_in_order(self) -> None:
-        transport = self.make()
-        for message in examples():
-            transport.send(message, 0)
-        got = [transport.receive() for _ in examples()]
-        assert got == examples()
-        assert transport.receive() is None
-
-    def test_wire_bytes_are_the_encoded_lengths(self) -> None:
-        seen: list[Sent] = []
-        transport = self.make(record=seen.append)
-        for message in examples():
-            transport.send(message, 3)
-        assert [s.wire_bytes for s in seen] == [len(encode(m)) for m in examples()]
-        total = sum(len(encode(m)) for m in examples())
-        assert sum(c.wire_bytes for c in transport.by_operation.values()) == total
-        assert sum(c.wire_bytes for c in transport.by_pair.values()) == total
-        assert sum(c.messages for c in transport.by_operation.values()) == len(examples())
-
-    def test_a_sender_cannot_send_what_nobody_would_take(self) -> None:
-        with pytest.raises(MessageError, match="at most 20 travel"):
-            self.make(20).send(examples()[3], 0)
-
-
-class TestInProcess(TransportContract):
-    def make(self, max_message_bytes: int = 2**20, record: object = None) -> Transport:
-        return InProcessTransport(max_message_bytes, record)  # type: ignore[arg-type]
+class TestInProcess:
+    """What is its own; ``tests/extensions`` holds it to the contract of all transports."""
 
     def test_what_cannot_be_read_is_dropped_and_counted(self) -> None:
         transport = InProcessTransport(2**20)
