@@ -8,13 +8,13 @@ An entry point names an object, or a class or function without arguments that ma
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
 from types import FunctionType, MethodType
 from typing import TypeVar
 
+from ._suggestions import did_you_mean
 from .errors import MaslamError
 
 Kind = TypeVar("Kind")
@@ -68,9 +68,7 @@ def check_name(group: ExtensionGroup, what: str, name: str, ours: Iterable[str])
         raise MaslamError(
             f"{what} '{name}' was an object in Python: give it again, or make it an entry point of {group}"
         )
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
-    raise MaslamError(f"there is no {what} '{name}'; {hint}")
+    raise MaslamError(f"there is no {what} '{name}'{did_you_mean(name, known)}")
 
 
 def name_of(extension: object) -> str:

@@ -194,8 +194,8 @@ def test_odometry_alone_is_what_preprocessing_does(run: maslam.Run, town_stereo:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"places.treshold": 0.8}, "settings: unknown setting 'places.treshold'; did you mean 'places.threshold'?"),
-        ({"places": {"threshold": 7}}, "settings: places.threshold: input should be less than or equal to 2"),
+        ({"places.treshold": 0.8}, "the settings: unknown setting 'places.treshold'; did you mean 'places.threshold'?"),
+        ({"places": {"threshold": 7}}, "the settings: places.threshold: input should be less than or equal to 2"),
         ({"seed": 1, "seed.x": 2}, "'seed.x' and 'seed' cannot both be set"),
         ({"policy": "quary_all"}, "there is no policy 'quary_all'; did you mean 'query_all'?"),
     ],

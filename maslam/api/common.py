@@ -63,7 +63,7 @@ def merged(base: Any, over: Mapping[str, Any]) -> dict[str, Any]:
 
 def changed(base: Model, settings: Mapping[str, Any], origin: Path | None = None) -> Model:
     """``base`` with settings as a file has them; an unknown name or a value out of range is an error that names it."""
-    return build(base, Namespace(), settings, origin or Path("settings"))
+    return build(base, Namespace(), settings, origin)
 
 
 def rig_kind(rig: RigKind | str | None) -> RigKind | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,8 +26,6 @@ from maslam.tools.pipeline.run import DEFAULT_PRESET
 
 from .common import PathLike, ProgressCallback, Settings, changed, nested, on_one_thread, rig_kind
 from .results import Run, Sequences
-
-log = logging.getLogger(__name__)
 
 
 @on_one_thread
@@ -75,7 +72,7 @@ def preprocess(
         content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers
     )
     images.preprocess(Path(source), Path(out), told, CallbackProgress(progress))
-    return _warned(Sequences.load(out))
+    return Sequences.load(out)
 
 
 @on_one_thread
@@ -158,7 +155,6 @@ def slam(
     told = _preprocess_settings(own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers)
     shown = CallbackProgress(progress)
     chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
-    _warned(Sequences.load(Path(out) / chain.SEQUENCES))
     return Run.load(out)
 
 
@@ -220,9 +216,3 @@ def _name(given: object) -> str | None:
 def _object(given: Any) -> Any:
     """A user's own; None where it is given by name or not at all."""
     return None if isinstance(given, str) else given
-
-
-def _warned(sequences: Sequences) -> Sequences:
-    for problem in sequences.problems:
-        log.warning("%s", problem)
-    return sequences

@@ -19,7 +19,7 @@ from maslam.mas.evaluation.summary import Summary, Timing
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentEntry, AgentSequence, Manifest, load_sequences, read_manifest
 from maslam.tools.common.errors import ToolError
-from maslam.tools.common.options import read_yaml
+from maslam.tools.common.options import read_settings
 from maslam.tools.report.run_data import RunData, read_run
 from maslam.tools.report.summary_table import SUMMARY, TIMING, read_summary, read_timing
 
@@ -155,7 +155,7 @@ class Run:
     def config(self) -> MasConfig:
         """Everything that was set; ``maslam.run(..., preset=run.config)`` repeats it."""
         path = self.folder / "config.yaml"
-        content = read_yaml(path)
+        content = read_settings(path)
         return changed(preset(str(content.get("preset"))), content, path)
 
     @property

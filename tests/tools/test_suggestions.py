@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from maslam.tools.common.suggestions import did_you_mean, nearest
+from maslam._suggestions import did_you_mean, nearest
 
 OPTIONS = ("--agents", "--rig", "--odometry.keyframes.min-flow", "--odometry.mono.min-flow-px", "--relpose.min-inliers")
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from maslam._suggestions import did_you_mean
+
 from ..common.errors import UnknownName, UsageError
-from ..common.suggestions import did_you_mean
 from .relpose.command import add_relpose, run_relpose
 
 SECTION = "odometry"

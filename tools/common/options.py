@@ -19,9 +19,10 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from maslam._suggestions import did_you_mean
+
 from .earlier_settings import modernised
 from .errors import ToolError, UnknownName, UsageError
-from .suggestions import did_you_mean
 from .yaml_lines import place_of
 
 Model = TypeVar("Model", bound=BaseModel)

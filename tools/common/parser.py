@@ -7,10 +7,11 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+from maslam._suggestions import did_you_mean, nearest
+
 from .earlier_settings import Removed, Renamed, fate
 from .errors import UnknownName
 from .essential_options import ESSENTIAL
-from .suggestions import did_you_mean, nearest
 
 EVERYWHERE = "every command"  # title of the options that all commands share
 

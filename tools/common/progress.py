@@ -65,7 +65,7 @@ class CallbackProgress:
             self._callback(title, done, total)
 
     def say(self, line: str) -> None:
-        log.info("%s", line)
+        _record(line)
 
 
 class LogProgress:

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maslam._suggestions import did_you_mean
+
 from ..common.errors import ToolError, UnknownName, UsageError
-from ..common.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from ..place_benchmarks.revisits import RevisitSettings

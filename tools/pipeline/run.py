@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..common.errors import ToolError, UnknownName, UsageError
+from maslam._suggestions import did_you_mean
+
+from ..common.errors import UnknownName
 from ..common.options import DEST, add_model_options, build, option_name, read_settings
 from ..common.progress import counter, progress_on
-from ..common.suggestions import did_you_mean
 from ..common.yaml_lines import place_of
 
 if TYPE_CHECKING:
@@ -61,9 +62,9 @@ def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
         try:
             check(getattr(config, name))
         except MaslamError as error:
-            if hasattr(arguments, DEST + name):
-                raise UsageError(f"{option_name(name)}: {error}") from None
-            raise ToolError(f"{arguments.config}: {error}") from None
+            given = hasattr(arguments, DEST + name)
+            place = option_name(name) if given else f"{place_of(arguments.config, [name])}: {name}"
+            raise UnknownName(f"{place}: {error}") from None
 
 
 def main(arguments: argparse.Namespace) -> None:
