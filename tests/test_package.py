@@ -31,6 +31,10 @@ def frames(folder: Path) -> int:
     return sum(len(sequence) for sequence in open_dataset(folder).sequences)
 
 
+def mean_error(folder: Path) -> float | None:
+    return maslam.slam(folder, "out", agents=4, seed=0).summary.ate_rmse_m.mean_agents
+
+
 version: str = maslam.__version__
 turned: Sim3 = Sim3.identity().inverse()
 """
