@@ -89,7 +89,15 @@ def test_the_config_of_a_run_of_0_1_is_read() -> None:
 def test_the_odometry_settings_of_0_1_are_read(caplog: pytest.LogCaptureFixture) -> None:
     path = OF_0_1 / "odometry.yaml"
     arguments = argparse.Namespace(
-        overlap=3, agents=None, rig=None, model="default", provider="CPU", vocabulary=None, workers=0, config=path
+        overlap=3,
+        agents=None,
+        rig=None,
+        dataset=None,
+        model="default",
+        provider="CPU",
+        vocabulary=None,
+        workers=0,
+        config=path,
     )
     assert settings_from(arguments, read_settings(path)).odometry == OdometryConfig()
     (line,) = [record.getMessage() for record in caplog.records]

@@ -22,7 +22,7 @@ from maslam.tools import cli
 from maslam.tools.common.options import DEST
 
 ROOT = Path(__file__).resolve().parents[2]
-PREFIX = cli.__name__.removesuffix("maslam.tools.cli")  # of a module's name before its folder's
+PREFIX = "maslam."  # of a module's name before its folder's
 FOLDERS = ("frontend", "descriptors", "backend", "mas", "tools")
 PACKAGES: list[str] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]["packages"]
 PLUGIN = Path(__file__).with_name("attribute_reads.py")
