@@ -17,9 +17,8 @@ Value = TypeVar("Value")
 
 
 class PutOff(Generic[Value]):
-    """A value made when it is first asked for, once. :meth:`begin` has it made meanwhile by ``start``, in a thread of
-    the one who put it off. What :class:`FrontendError` says while it is made becomes ``problem``, and the value None.
-    """
+    """A value made once, when it is first read. :meth:`begin` starts making it earlier by ``start``, in a thread of its
+    creator. A :class:`FrontendError` raised while it is made becomes ``problem``, and the value None."""
 
     def __init__(
         self, make: Callable[[], Value], start: Callable[[Callable[[], Value]], Future[Value]] | None = None
@@ -31,6 +30,7 @@ class PutOff(Generic[Value]):
         self.problem = ""
 
     def begin(self) -> None:
+        """Start making the value in the background, if a thread was given and it is not made yet."""
         if self._start is not None and self._future is None and not self._done:
             try:
                 self._future = self._start(self._make)
@@ -38,6 +38,7 @@ class PutOff(Generic[Value]):
                 self._start = None
 
     def get(self) -> Value | None:
+        """Return the value, made now if it is not there yet; None where making it failed, see ``problem``."""
         if not self._done:
             started = self._future is not None and not self._future.cancelled()
             try:
@@ -85,7 +86,7 @@ class Frame:
 
     @property
     def problem(self) -> str:
-        """What was wrong with a second image that was put off, as far as it has been asked for."""
+        """Damage of a second image that was decoded on demand; empty as long as none is known."""
         return "; ".join(put_off.problem for put_off in self._put_off() if put_off.problem)
 
     def check_size(self, image: NDArray[Any], what: str, size: tuple[int, int]) -> None:

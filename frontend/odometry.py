@@ -1,4 +1,4 @@
-"""Key-frame odometry: the method that reads like the paper (thesis sections 2.1.3 and 3.3)."""
+"""Key-frame odometry: frames in, poses, key-frames and map points out (thesis sections 2.1.3 and 3.3)."""
 
 from __future__ import annotations
 
@@ -33,6 +33,8 @@ log = logging.getLogger(__name__)
 
 
 class TrackingState(StrEnum):
+    """State of the odometry after a frame: no map yet, following a map, or searching for it."""
+
     STARTING = "starting"
     TRACKING = "tracking"
     LOST = "lost"
@@ -40,10 +42,14 @@ class TrackingState(StrEnum):
 
 @dataclass(frozen=True)
 class FrameResult:
-    """``T_W_C`` ``(4, 4)`` in the frame of the current track, None where there is no pose; ``reason`` then says why,
-    with numbers. ``problem``: what was wrong with a second image that was needed; the key-frame was made without it.
-    ``stays``: a key-frame that is no mere support of the window: it will be in the track unless it is culled.
-    ``first``: an earlier frame that has become a key-frame with this one, the first view of a monocular track."""
+    """Result of one frame.
+
+    ``T_W_C`` ``(4, 4)`` maps the camera to the frame of the current track (metres, or the track's own unit with one
+    camera); None without a pose, and ``reason`` then says why, with numbers. ``problem``: the damage of a second image
+    (right, depth) that was needed; the key-frame was made without it. ``stays``: the key-frame belongs to the track
+    unless it is culled (False: it only supports the window). ``first``: an earlier frame that has become a key-frame
+    with this one, the first view of a monocular track.
+    """
 
     stamp_ns: int
     T_W_C: NDArray[np.float64] | None
@@ -57,9 +63,12 @@ class FrameResult:
 
 @dataclass(frozen=True)
 class OdometryResult:
-    """``tracks``: one for each uninterrupted track; ``keyframe_indices``: frame index of each of its key-frames;
-    ``trajectories``: every frame with a pose, one a track; ``lost``: between, before and after them; ``stats``:
-    counts and the rig's estimated calibration."""
+    """Tracks of one sequence, with final values.
+
+    ``tracks``: one for each uninterrupted track. ``keyframe_indices`` ``(K,)`` for each track: frame index of each
+    key-frame. ``trajectories``: for each track ``T_W_C`` of every frame with a pose. ``lost``: the intervals without a
+    pose, before, between and after the tracks. ``stats``: counts, and the estimated calibration of the rig.
+    """
 
     tracks: list[VoTrack]
     keyframe_indices: list[NDArray[np.int64]]
@@ -69,8 +78,12 @@ class OdometryResult:
 
 
 class Odometry:
-    """Feed frames in order of time with :meth:`process`, then :meth:`finish`. The same frames give the same result,
-    bit by bit. ``stopwatch`` knows where the time went."""
+    """Visual odometry of one camera rig: stereo, RGB-D or one camera.
+
+    Pass frames to :meth:`process` in order of time, then call :meth:`finish`. The same frames give the same result, bit
+    by bit. ``stopwatch`` holds processor and wall time by stage. ``rig`` is rectified; ``vocabulary`` gives the words
+    of ORB descriptors. :class:`FrontendError` for a stereo rig without a baseline above 0 m.
+    """
 
     def __init__(self, rig: Rig, config: OdometryConfig, vocabulary: WordLookup) -> None:
         if rig.kind is RigKind.STEREO and not (rig.baseline_m and rig.baseline_m > 0):
@@ -88,7 +101,10 @@ class Odometry:
         self._relocalised = 0
 
     def process(self, frame: Frame) -> FrameResult:
-        """The pose of one frame. Never raises for what an image shows; a frame without a pose says why."""
+        """Return the pose of ``frame``, or the reason why there is none.
+
+        The content of an image never raises; :class:`FrontendError` where its size is not the camera's.
+        """
         problem = self._unfit(frame)
         if problem:
             return FrameResult(frame.stamp_ns, None, self._state(), False, problem)
@@ -122,11 +138,11 @@ class Odometry:
 
     @property
     def maps(self) -> list[Map]:
-        """Those of finished tracks and of the one under way: to look at, not to change."""
+        """Maps of the finished tracks and of the current one, read-only."""
         return [s.map for s in [*self._finished, *([self._segment] if self._segment else [])]]
 
     def finish(self) -> OdometryResult:
-        """Everything found, with final, bundle-adjusted values."""
+        """Return all tracks after the last frame, with bundle-adjusted poses and points."""
         segments = [*self._finished, *([self._segment] if self._segment else [])]
         for segment in segments:
             segment.close()
@@ -176,8 +192,8 @@ class Odometry:
         return segment, found
 
     def _lost(self, frame: Frame, reason: str) -> FrameResult:
-        """Search the map in some frames; from then on a new track may start where the images allow one. As long as
-        they do not, the search goes on: after a black-out of any length the camera may be where it was."""
+        """Search the map in some frames; from then on a new track may start where the images allow one. The search goes
+        on until a track starts: after a black-out of any length the camera may be where it was."""
         assert self._relocaliser is not None
         self._lost_frames += 1
         if self._relocaliser.searches > self.config.lost.relocalise_frames:
@@ -197,7 +213,7 @@ class Odometry:
         return TrackingState.LOST if self._lost_frames else TrackingState.TRACKING
 
     def _unfit(self, frame: Frame) -> str:
-        """Why a frame cannot be used at all, or nothing."""
+        """Reason why a frame cannot be used at all; empty if it can."""
         camera = self.rig.camera
         frame.check_size(frame.image, "image", (camera.width, camera.height))
         latest_ns = self._moments.latest_ns

@@ -1,4 +1,4 @@
-"""Where the time goes: processor and wall time by stage, cheap enough to run always."""
+"""Processor and wall time by stage, cheap enough to run always."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from threading import Lock
 
 
 class TimedStage(StrEnum):
-    """What the front end does with an image, in order; every moment belongs to one stage."""
+    """Stages of the front end's work on an image, in order; every moment belongs to one stage."""
 
     DECODE = "decode"
     TRACK = "track"
@@ -44,7 +44,7 @@ class Stopwatch:
 
     @property
     def times(self) -> dict[TimedStage, StageTime]:
-        """What was measured so far, in the order of :class:`TimedStage`; stages that never ran are left out."""
+        """Time measured so far, in the order of :class:`TimedStage`; stages that never ran are left out."""
         with self._lock:
             found = {stage: StageTime(cpu, wall, int(n)) for stage, (cpu, wall, n) in self._times.items()}
         return {stage: found[stage] for stage in TimedStage if stage in found}

@@ -1,4 +1,4 @@
-"""Cameras as calibrated, distorted or not, and what rectification makes of them."""
+"""Cameras as calibrated, distorted or not, before rectification."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from .models import PinholeCamera
 
 
 class Distortion(StrEnum):
+    """Lens distortion model of a raw camera; coefficients in OpenCV's order."""
+
     NONE = "none"
     RADIAL_TANGENTIAL = "radial-tangential"  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
     EQUIDISTANT = "equidistant"  # Kannala-Brandt, OpenCV's fisheye: k1 k2 k3 k4
@@ -19,8 +21,8 @@ class Distortion(StrEnum):
 
 @dataclass(frozen=True)
 class RawCamera:
-    """A camera as its calibration file has it. ``size`` ``(width, height)`` pixels, None where the file does not
-    say."""
+    """A camera as stated by its calibration file. ``size`` ``(width, height)`` pixels, None where the file does not
+    state it."""
 
     fx: float
     fy: float
@@ -32,10 +34,12 @@ class RawCamera:
 
     @property
     def K(self) -> NDArray[np.float64]:
+        """Camera matrix ``(3, 3)``, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
     def distorted(self) -> bool:
+        """Whether the lens differs from a pinhole."""
         return self.distortion is not Distortion.NONE and any(c != 0.0 for c in self.coefficients)
 
     def pinhole(self, size: tuple[int, int]) -> PinholeCamera:
@@ -45,11 +49,11 @@ class RawCamera:
 
 @dataclass(frozen=True)
 class RawRig:
-    """One or two cameras as calibrated, and what else the file said.
+    """One or two cameras as calibrated, and further values of the file.
 
-    ``T_left_right`` ``(4, 4)`` maps the right camera's coordinates into the left's, metres. ``rectified``: the
-    images are an ideal stereo pair already; then only its x is used. ``depth_unit_m``: metres a step of the depth
-    images. ``rate_hz``: frames a second.
+    ``T_left_right`` ``(4, 4)`` maps the right camera's coordinates into the left's, metres. ``rectified``: the images
+    are an ideal stereo pair already; then only its x is used. ``depth_unit_m``: metres per step of the depth images.
+    ``rate_hz``: frames per second.
     """
 
     left: RawCamera

@@ -1,5 +1,5 @@
-"""Calibration files that people bring, told apart by what is in them: OpenCV, ROS camera_info, ORB-SLAM, Kalibr, and
-our own."""
+"""Calibration files of other tools, recognised by their content: OpenCV, ROS camera_info, ORB-SLAM, Kalibr, and our
+own."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ def read_calibration(path: Path) -> RawRig:
 
 
 class Fields:
-    """The keys of one calibration file; every access checks and names file and key."""
+    """The keys of one calibration file. Each access checks the value; a wrong one raises :class:`FrontendError`, naming
+    file and key."""
 
     def __init__(self, data: dict[str, Any], path: Path, prefix: str = "") -> None:
         self.data, self.path, self.prefix = data, path, prefix
@@ -64,10 +65,12 @@ class Fields:
         return self.data.get(key) is not None
 
     def fail(self, key: str, expected: str) -> FrontendError:
+        """The error that ``expected`` is missing at ``key``, to be raised."""
         found = repr(self.data.get(key))
         return FrontendError(f"{self.path}: {self.prefix}{key}: {expected} expected, found {found[:60]}")
 
     def number(self, key: str, default: float | None = None) -> float:
+        """A finite number; ``default`` where the key is absent, an error without one."""
         if default is not None and key not in self:
             return default
         try:
@@ -91,17 +94,21 @@ class Fields:
         return tuple(flat.tolist())
 
     def text(self, key: str) -> str:
+        """The value at ``key`` as text; empty where the key is absent."""
         return str(self.data.get(key) or "").strip()
 
     def inner(self, key: str) -> Fields:
+        """The group of keys at ``key``."""
         if not isinstance(self.data.get(key), dict):
             raise self.fail(key, "a group of keys")
         return Fields(self.data[key], self.path, f"{self.prefix}{key}.")
 
     def size(self, width: str, height: str) -> tuple[int, int] | None:
+        """``(width, height)`` pixels under these two keys; None where one is absent."""
         return (int(self.number(width)), int(self.number(height))) if width in self and height in self else None
 
     def transform(self, key: str) -> NDArray[np.float64]:
+        """A rigid transform ``(4, 4)``, of 16 numbers."""
         matrix = np.array(self.numbers(key, 16)).reshape(4, 4)
         if not is_se3(matrix, 1e-3):
             raise self.fail(key, "a rigid 4x4 transform")

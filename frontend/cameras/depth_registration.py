@@ -22,10 +22,11 @@ at 80 degrees changes by 1 % a pixel."""
 
 @dataclass(frozen=True)
 class DepthRegistration:
-    """``T_C_D`` ``(4, 4)`` maps the frame of ``depth_camera``, which measured, to that of ``camera``, which took the
-    image; metres. Lens distortion of both is taken as removed.
+    """Mapping of depth from the camera that measured it to the camera of the image.
 
-    The two should look about the same way: a pixel's outline is taken as upright, and widened by what a roll tilts it.
+    ``T_C_D`` ``(4, 4)`` maps the frame of ``depth_camera``, which measured, to that of ``camera``, which took the
+    image; metres. Lens distortion of both is taken as removed. The two should look in about the same direction: a
+    pixel's outline is taken as upright, and widened by what a roll tilts it.
     """
 
     depth_camera: PinholeCamera

@@ -1,4 +1,4 @@
-"""Camera and rig models after rectification: what tracking sees. Raw, distorted cameras live in ``calibration``."""
+"""Camera and rig models after rectification, as tracking uses them. Raw, distorted cameras live in ``calibration``."""
 
 from __future__ import annotations
 
@@ -22,10 +22,13 @@ class PinholeCamera:
 
     @property
     def K(self) -> NDArray[np.float64]:
+        """Camera matrix ``(3, 3)``, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
 
 class RigKind(StrEnum):
+    """Kind of rig: one camera, a stereo pair, or a camera with depth."""
+
     MONO = "mono"
     STEREO = "stereo"
     RGBD = "rgbd"

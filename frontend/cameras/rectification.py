@@ -1,5 +1,5 @@
-"""From images as stored to images of an ideal pinhole or an ideal stereo pair: maps built once, applied to every
-frame."""
+"""Rectification: from stored images to those of an ideal pinhole or stereo pair. Maps are built once and applied to
+every frame."""
 
 from __future__ import annotations
 
@@ -36,9 +36,11 @@ class Rectifier:
     depth_index: NDArray[np.int64] | None = None
 
     def rectify_left(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The left image ``(H, W)`` or ``(H, W, 3)`` rectified."""
         return _remap(image, self.left)
 
     def rectify_right(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The right image ``(H, W)`` rectified; stereo only."""
         return image if self.right is None else _remap(image, self.right)
 
     def rectify_depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -50,7 +52,7 @@ class Rectifier:
 
 @dataclass(frozen=True)
 class Rectification:
-    """What rectifying a rig gives: the ideal camera, the baseline (stereo), the maps (None where images are ideal
+    """Result of rectifying a rig: the ideal camera, the baseline (stereo), the maps (None where images are ideal
     already), and ``R_rectified_left`` ``(3, 3)``, which turns the calibrated left camera's coordinates into the
     rectified one's."""
 

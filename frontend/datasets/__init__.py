@@ -1,4 +1,4 @@
-"""Data sets of many kinds behind one interface, found by looking at the folder."""
+"""Data sets of many kinds behind one interface; the kind is found from the folder's contents."""
 
 from __future__ import annotations
 
@@ -29,20 +29,19 @@ def open_dataset(
     readers: Sequence[ReaderLike] = (),
     kind: str | None = None,
 ) -> Dataset:
-    """The data set in folder ``path``: one sequence, or one for each sub-folder ``agent_<n>``, each of which may be of
-    any kind.
+    """Open the data set in folder ``path``: one sequence, or one for each sub-folder ``agent_<n>``, each of any kind.
 
-    ``rig``: read it as this, for example stereo images as mono; None takes the most that the files allow. With
+    ``rig``: the rig to read it as, for example stereo images as mono; None takes the most that the files allow. With
     ``strict``, the first problem that would spoil a run is raised as :class:`FrontendError`; without, problems stay
     listed in each sequence. ``readers``: a user's own, tried before ours; ``kind``: the one to read with, instead of
-    the first that recognises the folder.
+    the first that recognises the folder. :class:`FrontendError` too where nothing in the folder is recognised.
     """
     path = Path(path)
     tried = choose_readers(readers, kind)
     if not path.is_dir():
         raise FrontendError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
     if (path / _UNFINISHED).is_file():
-        raise FrontendError(f"{path}: rendering was not finished; the same `maslam render` again goes on with it")
+        raise FrontendError(f"{path}: rendering was not finished; rerun the same `maslam render` to resume")
     agents = sorted(
         (p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name)
     )

@@ -33,11 +33,12 @@ class DepthSensor:
 
 @dataclass(frozen=True)
 class FoundSequence:
-    """What a reader found in a folder. Paths need not exist: missing ones become problems.
+    """Files and numbers that a reader found in a folder.
 
-    ``calibration``: where ``raw`` comes from; ``stamps_source``: where ``stamps_ns`` come from (for messages).
-    ``truth``: ``T_W_C`` of the calibrated left camera, before rectification. ``depth_unit_m``: metres a step of the
-    depth images. ``depth_sensor``: None where depth is stored registered to the image.
+    Paths need not exist: missing ones become problems. ``calibration``: source of ``raw``; ``stamps_source``: source of
+    ``stamps_ns`` (both for messages). ``truth``: ``T_W_C`` of the calibrated left camera, before rectification.
+    ``depth_unit_m``: metres per step of the depth images. ``depth_sensor``: None where depth is stored registered to
+    the image.
     """
 
     kind: str
@@ -55,8 +56,8 @@ class FoundSequence:
 
 
 def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSequence:
-    """The sequence, rectified as ``kind``; files that this rig does not use are left out. What is wrong is added to
-    ``problems``."""
+    """Return the sequence, rectified as ``kind``; files that this rig does not use are left out. Everything wrong is
+    added to ``problems``."""
     right = found.right if kind is RigKind.STEREO else ()
     depth = found.depth if kind is RigKind.RGBD else ()
     checks.check_files(found.images, "image", problems)
@@ -96,11 +97,11 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
 
 
 def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:
-    """Ground truth given a pose a frame; None where the frames' times do not ascend, which is listed as a problem of
-    its own."""
+    """Ground truth from ``poses`` ``(N, 4, 4)`` ``T_W_C``, one per frame, at ``stamps_ns`` ``(N,)``; None where the
+    stamps do not ascend, which is listed as a problem of its own."""
     return Trajectory(stamps_ns, poses) if (np.diff(stamps_ns) > 0).all() else None
 
 
 def available_rigs(right: bool, depth: bool) -> list[RigKind]:
-    """From most to least informative, by what is there beside the (left) image."""
+    """Rigs from most to least informative, given the files present besides the (left) image."""
     return [RigKind.STEREO] * right + [RigKind.RGBD] * depth + [RigKind.MONO]

@@ -1,4 +1,4 @@
-"""What every data set is to the rest: sequences of frames, decoded when asked for."""
+"""Interface of every data set: sequences of frames, decoded on demand."""
 
 from __future__ import annotations
 
@@ -45,15 +45,17 @@ class Problem:
 
 
 class Problems:
-    """A list of problems being gathered while a data set is opened."""
+    """Problems gathered while a data set is opened, in ``found``."""
 
     def __init__(self) -> None:
         self.found: list[Problem] = []
 
     def error(self, message: str) -> None:
+        """Add a problem that makes a run wrong or stops it; ``message`` names file, number and unit."""
         self.found.append(Problem(Severity.ERROR, message))
 
     def warning(self, message: str) -> None:
+        """Add a problem that a run survives and its user should know; ``message`` as in :meth:`error`."""
         self.found.append(Problem(Severity.WARNING, message))
 
 
@@ -61,12 +63,12 @@ class Problems:
 class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
 
-    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file a frame; ``right`` (stereo) and ``depth``
-    (RGB-D, 16 bit, ``depth_unit_m`` metres a step) likewise, else empty. ``rectifier`` maps the images as stored to
+    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file per frame; ``right`` (stereo) and ``depth``
+    (RGB-D, 16 bit, ``depth_unit_m`` metres per step) likewise, else empty. ``rectifier`` maps the images as stored to
     those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the camera of
     ``rig``; None where it is stored registered to the image (and goes through the ``rectifier`` with it).
     ``stored_size`` ``(width, height)`` of the image files, pixels. ``groundtruth``: ``T_W_C`` of the rectified left
-    camera, for as many moments as are known, not only those of frames.
+    camera, at all known moments, not only those of frames.
     """
 
     kind: str
@@ -92,8 +94,10 @@ class ImageSequence:
         return len(self.left)
 
     def read(self, i: int) -> Frame:
-        """Frame ``i``, all of it decoded and rectified now. :class:`FrontendError` where a file is missing, damaged or
-        of another size."""
+        """Frame ``i``, decoded and rectified at once.
+
+        :class:`FrontendError` where a file is missing, damaged or of another size; ``IndexError`` outside 0 to N - 1.
+        """
         if not 0 <= i < len(self):
             raise IndexError(f"frame {i} of {len(self)}")
         right = self._right(i) if self.right else None
@@ -101,7 +105,7 @@ class ImageSequence:
         return Frame(i, int(self.stamps_ns[i]), self._left(i), right, depth, str(self.left[i]))
 
     def read_image(self, i: int) -> NDArray[np.uint8]:
-        """The image of frame ``i`` alone, ``(H, W)`` grey as in :meth:`read`."""
+        """The image of frame ``i`` alone, ``(H, W)`` uint8 grey; errors as :meth:`read`'s."""
         return self._left(i)
 
     def read_colour(self, i: int) -> NDArray[np.uint8]:
@@ -113,12 +117,11 @@ class ImageSequence:
     def frames(
         self, start: int = 0, stop: int | None = None, ahead: int = 4, watch: Stopwatch | None = None
     ) -> Iterator[Frame]:
-        """Frames ``start`` to ``stop`` in order, each decoded once; a thread decodes up to ``ahead`` frames before they
-        are asked for.
+        """Frames ``start`` to ``stop`` in order, each decoded once; a thread decodes up to ``ahead`` frames in advance.
 
-        What :meth:`read` raises for the image is raised when the damaged frame's turn comes, not before. The second
-        image (right, depth) is put off until it is asked for, see :class:`Frame`. ``watch`` is told what decoding
-        costs.
+        An error that :meth:`read` would raise for the image is raised when the damaged frame's turn comes, not before.
+        The second image (right, depth) is decoded on demand, see :class:`Frame`. ``watch`` receives the time that
+        decoding takes.
         """
         indices = iter(range(len(self))[start:stop])
         pending: deque[Future[Frame]] = deque()
@@ -164,7 +167,7 @@ class ImageSequence:
 
 
 def _timed(make: Callable[[], Value], watch: Stopwatch | None) -> Callable[[], Value]:
-    """``make``, and ``watch`` is told what it cost."""
+    """Run ``make`` and add its time to ``watch``."""
 
     def timed() -> Value:
         cpu, wall = time.thread_time(), time.perf_counter()
@@ -178,9 +181,9 @@ def _timed(make: Callable[[], Value], watch: Stopwatch | None) -> Callable[[], V
 
 @dataclass(frozen=True)
 class Dataset:
-    """What a folder holds: one sequence, or one for each agent of a multi-agent data set, in order of their names.
+    """Contents of a folder: one sequence, or one for each agent of a multi-agent data set, in order of their names.
 
-    ``problems``: agents that could not be opened at all, so that there is no sequence to list it in.
+    ``problems``: agents that could not be opened at all, so that no sequence can list them.
     """
 
     kind: str
@@ -190,7 +193,7 @@ class Dataset:
 
 
 class Reader(ABC):
-    """One kind of data set: knows it by its folder and opens it as one sequence.
+    """Reader of one kind of data set: recognises its folder and opens it as one sequence.
 
     A user's own derives from this class and is given as ``maslam.open_dataset(..., readers=[...])`` or by an entry
     point of the group ``maslam.datasets``. ``kind`` names it: in messages, in ``manifest.json``, and for ``--dataset``.
@@ -204,15 +207,15 @@ class Reader(ABC):
 
     @abstractmethod
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
-        """The sequence in ``folder``, as ``rig`` or, for None, as the most that its files allow.
+        """Open the sequence in ``folder``, as ``rig`` or, for None, as the most that its files allow.
 
-        Problems that leave a sequence to speak of are listed in it; others are raised as :class:`FrontendError`.
+        Problems of a usable sequence are listed in it; others are raised as :class:`FrontendError`.
         """
 
 
 def choose_rig(available: Sequence[RigKind], wanted: RigKind | None, folder: Path) -> RigKind:
-    """The rig asked for if the files allow it, else an error that says what they allow; None takes the first
-    ``available``."""
+    """Return ``wanted`` if the files allow it, else raise :class:`FrontendError` with what they allow; None takes the
+    first ``available``."""
     if wanted is None:
         return available[0]
     if wanted not in available:

@@ -1,4 +1,4 @@
-"""Whether the numbers of a data set can be right, each said with file, number and unit."""
+"""Plausibility checks of a data set's numbers; each message names file, number and unit."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ MAX_RATE_HZ = 1000.0
 MIN_RATE_HZ = 0.01
 MAX_BASELINE_M = 10.0
 MIN_BASELINE_M = 0.001
-_GAP_FACTOR = 5.0  # times the median interval: a gap worth a word
+_GAP_FACTOR = 5.0  # times the median interval: a gap worth a warning
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
 
 
 def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Path, problems: Problems) -> None:
-    """Ascending, and at a rate that a camera has; ``names`` names each frame in messages."""
+    """Check that ``stamps_ns`` ``(N,)`` ascend, at a rate that a camera has; ``names`` names each frame in messages."""
     intervals = np.diff(stamps_ns)
     if not len(intervals):
         return
@@ -37,7 +37,7 @@ def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Pat
     median_s = float(np.median(intervals)) / NS_PER_S
     if not MIN_RATE_HZ <= 1.0 / median_s <= MAX_RATE_HZ:
         problems.error(
-            f"{source}: {1.0 / median_s:.4g} images a second (one every {median_s:.4g} s), outside "
+            f"{source}: {1.0 / median_s:.4g} images per second (one every {median_s:.4g} s), outside "
             f"{MIN_RATE_HZ} to {MAX_RATE_HZ:.0f}: time stamps are in another unit than expected"
         )
     gaps = np.flatnonzero(intervals > _GAP_FACTOR * median_s * NS_PER_S)
@@ -49,7 +49,8 @@ def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Pat
 
 
 def check_camera(camera: PinholeCamera, source: Path, problems: Problems) -> None:
-    """Finite positive focal lengths, close to each other; the principal point inside the image, near its centre."""
+    """Check for finite positive focal lengths, close to each other, and a principal point inside the image, near its
+    centre."""
     values = (camera.fx, camera.fy, camera.cx, camera.cy)
     if not np.isfinite(values).all() or min(camera.fx, camera.fy) <= 0:
         problems.error(
@@ -78,7 +79,8 @@ def check_camera(camera: PinholeCamera, source: Path, problems: Problems) -> Non
 def check_size(
     calibrated: tuple[int, int] | None, stored: tuple[int, int], source: Path, image: Path, problems: Problems
 ) -> None:
-    """The size that the calibration was made for against that of the first image; both ``(width, height)``."""
+    """Compare the size that the calibration was made for with that of the first image; both ``(width, height)``,
+    pixels."""
     if calibrated is not None and calibrated != stored:
         problems.error(
             f"{source}: a calibration for {calibrated[0]}x{calibrated[1]} pixels, "
@@ -87,7 +89,7 @@ def check_size(
 
 
 def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
-    """Positive, and of a size that a rig has."""
+    """Check that the baseline, metres, is positive and of a size that a rig has."""
     if not np.isfinite(baseline_m) or baseline_m == 0:
         problems.error(f"{source}: the stereo baseline is {baseline_m} m")
     elif baseline_m < 0:
@@ -103,7 +105,7 @@ def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
 
 
 def check_files(files: Sequence[Path], what: str, problems: Problems) -> None:
-    """All of ``files`` exist."""
+    """Check that all of ``files`` exist."""
     missing = [path for path in files if not path.is_file()]
     if missing:
         problems.error(f"{missing[0]}: the {what} is missing{_more(len(missing) - 1)}")

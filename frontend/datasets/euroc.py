@@ -33,9 +33,11 @@ class EurocReader(Reader):
     kind = "euroc"
 
     def recognises(self, folder: Path) -> bool:
+        """See :meth:`Reader.recognises`."""
         return (_mav(folder) / "cam0" / "sensor.yaml").is_file()
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
+        """See :meth:`Reader.open`."""
         problems = Problems()
         mav = _mav(folder)
         left_stamps, left_images = _images(mav / "cam0")

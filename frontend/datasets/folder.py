@@ -38,9 +38,11 @@ class FolderReader(Reader):
     kind = "images"
 
     def recognises(self, folder: Path) -> bool:
+        """See :meth:`Reader.recognises`."""
         return _image_folder(folder) is not None
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
+        """See :meth:`Reader.open`."""
         problems = Problems()
         inside = _image_folder(folder)
         images = tuple(list_images(folder / inside)) if inside else ()

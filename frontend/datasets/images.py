@@ -1,4 +1,4 @@
-"""Image files: found in natural order, decoded once, and told apart from half-written ones."""
+"""Image files: found in natural order, decoded once, and distinguished from half-written ones."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def read_colour(path: Path) -> NDArray[np.uint8]:
 
 
 def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
-    """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres a step; 0 and 65535 are unknown and
-    become 0."""
+    """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres per step; 0 and 65535 are unknown and
+    become 0. Errors as :func:`read_grey`'s, and for an image of another format."""
     raw = _decode(path, cv2.IMREAD_UNCHANGED)
     if raw.ndim != 2 or raw.dtype != np.uint16:
         channels = 1 if raw.ndim == 2 else raw.shape[2]

@@ -30,9 +30,11 @@ class KittiReader(Reader):
     kind = "kitti"
 
     def recognises(self, folder: Path) -> bool:
+        """See :meth:`Reader.recognises`."""
         return (folder / "calib.txt").is_file() and any((folder / f"image_{left}").is_dir() for left, _ in _PAIRS)
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
+        """See :meth:`Reader.open`."""
         problems = Problems()
         left, right = next((pair for pair in _PAIRS if list_images(folder / f"image_{pair[0]}")), (-1, -1))
         if left < 0:
@@ -113,7 +115,7 @@ def _rows_of_images(count: int, images: tuple[Path, ...]) -> NDArray[np.int64] |
 def _times(folder: Path, images: tuple[Path, ...], problems: Problems) -> NDArray[np.int64]:
     path = folder / "times.txt"
     if not path.is_file():
-        raise FrontendError(f"{path}: missing; a KITTI sequence needs the time of each image, in seconds, one a line")
+        raise FrontendError(f"{path}: missing; a KITTI sequence needs the time of each image, in seconds, one per line")
     times = timestamps.read_stamps(path)
     rows = _rows_of_images(len(times), images)
     if rows is None:

@@ -1,4 +1,4 @@
-"""7-Scenes (Shotton et al., CVPR 2013): a hand-held Kinect, three files a frame in one folder."""
+"""7-Scenes (Shotton et al., CVPR 2013): a hand-held Kinect, three files per frame in one folder."""
 
 from __future__ import annotations
 
@@ -43,9 +43,11 @@ class SevenScenesReader(Reader):
     kind = "7scenes"
 
     def recognises(self, folder: Path) -> bool:
+        """See :meth:`Reader.recognises`."""
         return any(_COLOUR.fullmatch(path.name) for path in folder.iterdir())
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
+        """See :meth:`Reader.open`."""
         problems = Problems()
         images = tuple(path for path in list_images(folder) if _COLOUR.fullmatch(path.name))
         depth = tuple(path.with_name(f"{_stem(path)}.depth.png") for path in images)

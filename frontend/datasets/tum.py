@@ -32,7 +32,7 @@ _ROS_DEFAULT = RawCamera(525.0, 525.0, 319.5, 239.5, (640, 480))
 
 
 class TumReader(Reader):
-    """``rgb.txt``, ``depth.txt`` (``time file`` lines), ``groundtruth.txt`` if there. Depth: 5000 steps a metre.
+    """``rgb.txt``, ``depth.txt`` (``time file`` lines), ``groundtruth.txt`` if there. Depth: 5000 steps per metre.
 
     Camera: a calibration file in the folder, else the published one by the folder's name (freiburg1 to 3), else the
     ROS default.
@@ -41,9 +41,11 @@ class TumReader(Reader):
     kind = "tum"
 
     def recognises(self, folder: Path) -> bool:
+        """See :meth:`Reader.recognises`."""
         return (folder / "rgb.txt").is_file()
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
+        """See :meth:`Reader.open`."""
         problems = Problems()
         stamps, images = _listed(folder / "rgb.txt")
         has_depth = (folder / "depth.txt").is_file()

@@ -1,4 +1,4 @@
-"""Text tables of numbers: read fast, and where a line is broken, say which."""
+"""Text tables of numbers: read fast, and an error names the broken line."""
 
 from __future__ import annotations
 
@@ -86,24 +86,24 @@ def row_line(path: Path, row: int) -> int:
 
 
 def format_floats(rows: NDArray[np.float64]) -> str:
-    """One line a row, the shortest digits that give back the same float64."""
+    """One line per row, the shortest digits that give back the same float64."""
     return "".join(" ".join(map(repr, row)) + "\n" for row in np.asarray(rows, dtype=np.float64).tolist())
 
 
 def format_integers(rows: NDArray[np.integer]) -> str:
-    """One line a row of decimal integers."""
+    """One line per row of decimal integers."""
     return "".join(" ".join(map(str, row)) + "\n" for row in np.asarray(rows).tolist())
 
 
 def format_bytes_and_integers(octets: NDArray[np.uint8], integers: NDArray[np.integer]) -> str:
-    """One line a row: the bytes of ``octets`` ``(N, a)``, then ``integers`` ``(N, b)``."""
+    """One line per row: the bytes of ``octets`` ``(N, a)``, then ``integers`` ``(N, b)``."""
     text = _BYTES.__getitem__
     pairs = zip(octets.tolist(), integers.tolist(), strict=True)
     return "".join(f"{' '.join(map(text, left))} {' '.join(map(str, right))}\n" for left, right in pairs)
 
 
 def _tokens_per_line(data: bytes) -> NDArray[np.int64]:
-    """Number of blank-separated words on each line."""
+    """Number of blank-separated fields on each line."""
     text = np.frombuffer(data, dtype=np.uint8)
     inside = text > ord(" ")
     starts = inside.copy()

@@ -63,7 +63,7 @@ class Trajectory:
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """``time_s tx ty tz qx qy qz qw`` a line; nine decimals of time keep the nanoseconds."""
+    """``time_s tx ty tz qx qy qz qw`` per line; nine decimals of time keep the nanoseconds."""
     q = quat_wxyz_from_rotation(trajectory.poses[:, :3, :3]) if len(trajectory) else np.zeros((0, 4))
     q = np.where(q[:, :1] < 0, -q, q)
     rows = np.concatenate([trajectory.centres, q[:, 1:], q[:, :1]], axis=1).tolist()

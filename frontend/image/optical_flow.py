@@ -52,7 +52,7 @@ def follow_both_ways(
     guess: NDArray[np.float64],
     config: FlowConfig,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """As :func:`follow`, and the way back must end within ``round_trip_px`` of the start."""
+    """As :func:`follow`, and tracking back must end within ``round_trip_px`` of the start."""
     xy, ok = follow(source, target, uv, guess, config)
     index = np.flatnonzero(ok)
     back, returned = follow(target, source, xy[index], uv[index], config, min(1, config.levels))

@@ -60,9 +60,11 @@ class Pyramid:
         self.scales = np.array([[width / im.shape[1], height / im.shape[0]] for im in self.levels])
 
     def to_base(self, xy: NDArray[np.float64], level: int | NDArray[np.int8]) -> NDArray[np.float64]:
+        """Pixels ``(n, 2)`` of the full image from those of ``level``."""
         return (xy + 0.5) * self.scales[level] - 0.5
 
     def from_base(self, uv: NDArray[np.float64], level: int | NDArray[np.int8]) -> NDArray[np.float64]:
+        """Pixels ``(n, 2)`` of ``level`` from those of the full image."""
         return (uv + 0.5) / self.scales[level] - 0.5
 
 

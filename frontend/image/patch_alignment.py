@@ -2,7 +2,7 @@
 compiled.
 
 Inverse-compositional Lucas-Kanade (Baker and Matthews, IJCV 2004) on a translation; brightness and contrast may
-differ. Other than frame-to-frame flow it always compares with the patch as it was first seen, so errors do not add
+differ. Unlike frame-to-frame flow, it always compares with the patch as it was first seen, so errors do not add
 up, and a point may be lost and found. The kept patch is turned and scaled once into the view of the image it is looked
 for in; then all its samples share their weights, which leaves the compiler rows it can work on many pixels at a time.
 """
@@ -40,7 +40,7 @@ _FLAT = 1.2
 
 @dataclass(frozen=True)
 class Patches:
-    """What ``n`` points look like: ``uv`` ``(n, 2)`` pixels of the image they were cut from, and on each of its levels
+    """Appearance of ``n`` points: ``uv`` ``(n, 2)`` pixels of the image they were cut from, and on each of its levels
     ``pixels`` ``(n, levels, 19, 19)`` around the nearest pixel. Rows may be taken, and joined from several images."""
 
     uv: Array
@@ -50,6 +50,7 @@ class Patches:
         return len(self.uv)
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Patches:
+        """The patches of ``rows`` (indices or a mask)."""
         return Patches(self.uv[rows], self.pixels[rows])
 
 

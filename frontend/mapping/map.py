@@ -1,4 +1,4 @@
-"""The map of one track: key-frames, points, who sees what."""
+"""The map of one track: key-frames, points, and which key-frame observes which point."""
 
 from __future__ import annotations
 
@@ -46,12 +46,13 @@ class MapKeyFrame:
 
     @property
     def T_W_C(self) -> Array:
+        """Pose ``(4, 4)``, camera to the track's frame."""
         return se3_inverse(self.T_C_W)
 
 
 @dataclass(frozen=True, slots=True)
 class CulledKeyFrame:
-    """What is left of a key-frame that went: its pose ``T_C_P`` hangs on the key-frame ``parent``."""
+    """Remainder of a culled key-frame: its pose ``T_C_P`` ``(4, 4)`` relative to the key-frame ``parent``."""
 
     parent: int
     T_C_P: Array
@@ -105,10 +106,12 @@ class Map:
 
     @property
     def xyz(self) -> Array:
+        """Positions ``(P, 3)`` in the track's frame; NaN where unknown."""
         return self._xyz[: len(self)]
 
     @property
     def alive(self) -> NDArray[np.bool_]:
+        """Whether each point ``(P,)`` is still in the map."""
         return self._alive[: len(self)]
 
     @property
@@ -118,7 +121,7 @@ class Map:
 
     @property
     def views(self) -> Ints:
-        """How many key-frames see each point."""
+        """Number of key-frames that observe each point, ``(P,)``."""
         return self._views[: len(self)]
 
     @property
@@ -128,16 +131,18 @@ class Map:
 
     @property
     def described(self) -> NDArray[np.bool_]:
+        """Whether each point ``(P,)`` has a descriptor."""
         return self._described[: len(self)]
 
     @property
     def level(self) -> NDArray[np.int8]:
-        """Pyramid level of the latest descriptor ..."""
+        """Pyramid level of the latest descriptor of each point, ``(P,)``."""
         return self._level[: len(self)]
 
     @property
     def depth(self) -> Array:
-        """... and the depth it was taken at, NaN where the position is unknown."""
+        """Depth of each point ``(P,)`` at its latest descriptor, in the track's unit; NaN where its position is
+        unknown."""
         return self._depth[: len(self)]
 
     def add_points(self, count: int) -> Ints:
@@ -173,6 +178,7 @@ class Map:
         self.depth[ids] = transform_points(keyframe.T_C_W, self.xyz[ids])[:, 2]
 
     def drop_observation(self, number: int, row: int) -> None:
+        """Remove observation ``row`` of key-frame ``number``."""
         keyframe = self.keyframes[number]
         point = int(keyframe.point[row])
         keyframe.point[row] = -1
@@ -180,6 +186,7 @@ class Map:
         self.views[point] -= 1
 
     def drop_point(self, point: int) -> None:
+        """Remove a point and all its observations."""
         for number, row in self.observers[point]:
             self.keyframes[number].point[row] = -1
         self.observers[point] = []
@@ -206,7 +213,7 @@ class Map:
         self.alive[gone] = False
 
     def cull_keyframe(self, number: int, parent: int) -> None:
-        """Take a key-frame out; its pose hangs on ``parent`` from now on, its observations are forgotten."""
+        """Remove a key-frame; its pose is kept relative to ``parent``, its observations are forgotten."""
         keyframe = self.keyframes.pop(number)
         for row in np.flatnonzero(keyframe.point >= 0).tolist():
             self.observers[keyframe.point[row]].remove((number, row))

@@ -1,4 +1,4 @@
-"""A key-frame in, a better map out: new points, known points seen again, window bundle adjustment, culling."""
+"""The mapper: adds a key-frame, makes new points, finds known points again, adjusts the window, culls."""
 
 from __future__ import annotations
 

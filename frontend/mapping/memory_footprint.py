@@ -1,4 +1,4 @@
-"""What a map holds, and what it needs for that in memory."""
+"""Contents of a map and the memory they take."""
 
 from __future__ import annotations
 

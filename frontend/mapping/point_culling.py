@@ -1,4 +1,4 @@
-"""Which points of a finished map are worth writing: those that are found where they should show."""
+"""Selection of a finished map's points worth writing: those found again where they should be visible."""
 
 from __future__ import annotations
 

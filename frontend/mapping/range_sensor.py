@@ -1,4 +1,4 @@
-"""Disparity or depth at key-points: what makes a rig metric."""
+"""Disparity or depth at key-points: the measurement that gives a rig its metric scale."""
 
 from __future__ import annotations
 
@@ -203,14 +203,15 @@ class Ranging:
         return unknown, unknown
 
     def surface(self, frame: Frame) -> Surface | None:
-        """What the depth image shows as a whole; None where there is none, or where it is not used."""
+        """The depth image as a surface to align; None where there is none, or where it is not used."""
         config = self.config
         if self.rig.kind is not RigKind.RGBD or not config.align_depth or frame.depth_m is None:
             return None
         return surface(frame.depth_m, self.cam, config.max_align_depth_m, config.align_columns)
 
     def ideal(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where a pinhole would have seen what was measured at ``uv`` ``(n, 2)``."""
+        """Ideal pinhole positions ``(n, 2)``, pixels, of points measured at ``uv`` ``(n, 2)``: the residual calibration
+        removed."""
         return straighten(uv, self.cam, self.calib) if self.calib.any() else uv
 
     def corrected(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -32,7 +32,7 @@ class Start:
 
 
 class Starter(Protocol):
-    """Something that is offered frames until a track begins."""
+    """Strategy that starts a track from the frames offered to it."""
 
     def offer(self, frame: Frame) -> Start:
         """Try to start with this frame."""
@@ -40,7 +40,7 @@ class Starter(Protocol):
 
 
 def make_starter(ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> Starter:
-    """The way to start that the rig allows."""
+    """The starter that the rig allows."""
     return MetricStarter(ranging, config, watch) if ranging.rig.metric else MonoStarter(ranging, config, watch)
 
 

@@ -1,4 +1,4 @@
-"""When a tracked frame becomes a key-frame."""
+"""Decision whether a tracked frame becomes a key-frame."""
 
 from __future__ import annotations
 

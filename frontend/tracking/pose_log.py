@@ -1,4 +1,4 @@
-"""What is kept of every frame: packed, because frames are the one thing that never stops coming."""
+"""Packed record of every frame: the one thing that grows with time and not with the map."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ class LostInterval:
 
 
 class PoseLog:
-    """The tracked frames of one track, in order. A frame's pose hangs on a key-frame, so that it moves with it:
-    ``T_C_K``. 120 bytes a frame."""
+    """The tracked frames of one track, in order; 120 bytes per frame.
+
+    Each frame's pose ``T_C_K`` ``(4, 4)`` is relative to a key-frame, so that it moves with it.
+    """
 
     def __init__(self) -> None:
         self._index, self._stamp_ns, self._keyframe = array("q"), array("q"), array("q")
@@ -35,7 +37,8 @@ class PoseLog:
         return len(self._index)
 
     def note(self, index: int, stamp_ns: int, keyframe: int, T_C_K: Array) -> None:
-        """Frame ``index`` hangs on key-frame number ``keyframe``; noted again, the later word counts."""
+        """Record frame ``index`` relative to key-frame number ``keyframe``; a second record of a frame replaces the
+        first."""
         if self._index and self._index[-1] == index:
             for column in (self._index, self._stamp_ns, self._keyframe):
                 column.pop()
@@ -60,7 +63,7 @@ class PoseLog:
 
 
 class MomentLog:
-    """The time of every frame offered, and for stretches without a pose the latest reason. 8 bytes a frame."""
+    """Time of every frame offered, and the latest reason of each stretch without a pose; 8 bytes per frame."""
 
     def __init__(self) -> None:
         self._stamp_ns = array("q")
@@ -71,7 +74,7 @@ class MomentLog:
 
     @property
     def latest_ns(self) -> int | None:
-        """Of the last frame, None before the first."""
+        """Time stamp of the last frame, nanoseconds; None before the first."""
         return self._stamp_ns[-1] if self._stamp_ns else None
 
     def note(self, stamp_ns: int, reason: str) -> None:
@@ -79,7 +82,7 @@ class MomentLog:
         number = len(self)
         self._stamp_ns.append(stamp_ns)
         if reason:
-            self._reasons.pop(number - 1, None)  # of one stretch the last is told
+            self._reasons.pop(number - 1, None)  # the last reason of a stretch counts
             self._reasons[number] = reason
 
     def lost(self, posed_ns: Sequence[NDArray[np.int64]], unsaid: Callable[[], str]) -> list[LostInterval]:

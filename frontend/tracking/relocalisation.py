@@ -53,8 +53,8 @@ class _Support:
 
 
 class Relocaliser:
-    """Searches one track's map. Words of key-frames are looked up when the camera is lost, not before: tracking pays
-    nothing."""
+    """Search for a lost camera in one track's map. Words of key-frames are computed when the camera is lost, so
+    tracking pays nothing."""
 
     def __init__(self, segment: Segment, ranging: Ranging, config: OdometryConfig, vocabulary: WordLookup) -> None:
         self.segment, self.ranging, self.config, self.vocabulary = segment, ranging, config, vocabulary

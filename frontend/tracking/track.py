@@ -1,4 +1,4 @@
-"""One uninterrupted track: its map, who follows and who maps, and where each frame hangs."""
+"""One uninterrupted track: its map, its tracker and mapper, and the pose of each frame relative to a key-frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Segment:
-    """A map being driven through."""
+    """The track in progress."""
 
     def __init__(self, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
         self.map = Map()
@@ -41,7 +41,7 @@ class Segment:
         )
 
     def since_keyframe(self, frame: Frame, rig: Rig) -> SinceKeyframe:
-        """What happened since the latest key-frame, for the key-frame policy."""
+        """Changes since the latest key-frame, for the key-frame policy."""
         assert self.latest is not None
         tracker, latest = self.tracker, self.latest
         moved = np.linalg.norm((tracker.uv - tracker.anchor_uv)[tracker.found], axis=1)

@@ -1,5 +1,5 @@
-"""A frame in, its pose out: patches of the last key-frame found again where the predicted pose puts them, then the
-robust pose."""
+"""The tracker: finds patches of the last key-frame where the predicted pose projects them, then estimates the robust
+pose."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ found."""
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """``T_C_W`` is None where tracking failed, and ``reason`` says why with its numbers. ``inliers`` map points agree
-    with the pose."""
+    """Result of tracking a frame: ``T_C_W`` ``(4, 4)``, None where tracking failed, and ``reason`` with its numbers.
+    ``inliers``: map points that agree with the pose."""
 
     T_C_W: Array | None
     inliers: int
@@ -124,8 +124,8 @@ class Tracker:
         return uv, ok
 
     def _projected(self, xyz: Array, T_C_W: Array) -> tuple[Array, Array]:
-        """Where points show, and how a step around them in the key-frame shows there: as on a plane parallel to its
-        image."""
+        """Projection of points, and how a step around them in the key-frame projects there: as on a plane parallel to
+        its image."""
         T = product(T_C_W, se3_inverse(self.anchor_T))
         p = transform_points(self.anchor_T, xyz)
         guess, _ = self.ranging.project(T, p)

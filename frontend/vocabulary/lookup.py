@@ -1,4 +1,4 @@
-"""What the odometry needs of a vocabulary: :class:`maslam.frontend.vocabulary.vocabulary.Vocabulary` is one."""
+"""Interface of a vocabulary for the odometry; :class:`maslam.frontend.vocabulary.vocabulary.Vocabulary` has it."""
 
 from __future__ import annotations
 
