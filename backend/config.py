@@ -16,41 +16,62 @@ class RelPoseConfig(BaseModel):
         "points",
         description="points: 3-D points of both views; pnp: of the match, with mere directions of the query",
     )
-    max_hamming: int = Field(60, ge=0, le=256, description="descriptor distance of a match at most, bits of 256")
-    ratio: float = Field(
-        0.9, gt=0, le=1, description="best over second best descriptor distance, at most; 1: not tested"
+    max_hamming: int = Field(
+        60, ge=0, le=256, description="largest descriptor distance of a tentative match, bits of 256"
     )
-    min_matches: int = Field(8, ge=3, description="fewer tentative matches are not worth a search")
-    min_inliers: int = Field(8, ge=3, description="tentative matches that a pose must explain, at least")
-    min_word_inliers: int = Field(20, ge=3, description="the same where views are compared by words")
-    search_angle_deg: float = Field(3.0, gt=0, le=20, description="bearing error of an inlier in the search, degrees")
-    inlier_angle_deg: float = Field(0.5, gt=0, le=20, description="the same under the refined pose, degrees")
-    depth_ratio: float = Field(1.5, gt=1, description="depths of an inlier in one camera agree within this factor")
-    samples: int = Field(20_000, ge=1, description="minimal sets drawn; if side lengths disagree, dropped unsolved")
-    hypotheses: int = Field(400, ge=1, description="transforms scored, at most")
+    ratio: float = Field(
+        0.9, gt=0, le=1, description="largest ratio of the best to the second best descriptor distance; 1: not tested"
+    )
+    min_matches: int = Field(8, ge=3, description="fewest tentative matches for which a pose is searched")
+    min_inliers: int = Field(8, ge=3, description="fewest tentative matches that a pose must explain")
+    min_word_inliers: int = Field(
+        20, ge=3, description="fewest matches that a pose must explain where views are compared by vocabulary words"
+    )
+    search_angle_deg: float = Field(
+        3.0, gt=0, le=20, description="largest bearing error of an inlier in the search, degrees"
+    )
+    inlier_angle_deg: float = Field(
+        0.5, gt=0, le=20, description="largest bearing error of an inlier under the refined pose, degrees"
+    )
+    depth_ratio: float = Field(1.5, gt=1, description="largest ratio of an inlier's two depths in one camera")
+    samples: int = Field(
+        20_000, ge=1, description="minimal sets drawn; those whose side lengths disagree are dropped unsolved"
+    )
+    hypotheses: int = Field(400, ge=1, description="most hypotheses that are scored")
     refined: int = Field(5, ge=1, description="best hypotheses that are refined")
-    guided_hamming: int = Field(80, ge=0, le=256, description="descriptor distance once the pose is known, bits of 256")
+    guided_hamming: int = Field(
+        80, ge=0, le=256, description="largest descriptor distance once the pose is known, bits of 256"
+    )
     loss_scale: float = Field(3.0, gt=0, description="scale of the Cauchy loss in refinement, standard deviations")
     min_evidence: float | None = Field(
-        0.0, description="log odds for a place match by all that both views see, at least; null: not weighed"
+        0.0, description="smallest log odds for a place match by all that both views see; null: not weighed"
     )
     min_common: float = Field(
-        0.25, ge=0, le=1, description="share of a view's points that the other has in view, at least: less is no proof"
+        0.25, ge=0, le=1, description="smallest share of a view's points (0 to 1) that the other view must have in view"
     )
     max_floating: float = Field(
-        0.15, ge=0, le=1, description="share of points before a surface that the other camera sees, at most"
+        0.15,
+        ge=0,
+        le=1,
+        description="largest share of points (0 to 1) in front of a surface that the other camera sees",
     )
     max_deserted: float = Field(
-        0.3, ge=0, le=1, description="share of the common view without any point alike, at most; 5 % are so by chance"
+        0.3, ge=0, le=1, description="largest share of the common view (0 to 1) without a similar point; 5 % by chance"
     )
     min_thickness: float = Field(
         0.1,
         ge=0,
-        description="inliers' extent across their main plane over that within it; walls of one paint look alike",
+        description="smallest extent of the inliers across their main plane over that within it; rejects flat walls",
     )
-    min_word_thickness: float = Field(0.12, ge=0, description="the same where views are compared by words")
-    max_scale: float = Field(20.0, gt=1, description="a similarity's scale lies within 1/this and this")
-    max_sigma: float = Field(0.1, gt=0, description="position 1 sigma, worst direction, over median depth, at most")
+    min_word_thickness: float = Field(
+        0.12, ge=0, description="smallest extent, as min_thickness, where views are compared by vocabulary words"
+    )
+    max_scale: float = Field(20.0, gt=1, description="largest scale of a similarity, and largest inverse of it")
+    max_sigma: float = Field(
+        0.1,
+        gt=0,
+        description="largest standard deviation of the position in its worst direction, over the median depth",
+    )
 
 
 class SolverConfig(BaseModel):
@@ -63,44 +84,60 @@ class SolverConfig(BaseModel):
         description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, "
         "or one elected robot that solves for all",
     )
-    relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor takes at most 1 of it")
+    relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor uses at most 1")
     start: Literal["flagged", "warm"] = Field(
-        "flagged", description="flagged: no initial guess needed; warm: from the poses, which share a frame already"
+        "flagged",
+        description="initial guess: flagged (none needed) or warm (the present poses, which share a frame already)",
     )
     rotation_sweeps: int = Field(50, ge=1, description="rotation sweeps at most")
     pose_sweeps: int = Field(50, ge=1, description="pose sweeps of one Gauss-Newton step, at most")
     scale_sweeps: int = Field(100, ge=1, description="sweeps over the robots' scales, at most (monocular members only)")
     rotation_threshold: float = Field(
-        0.01, ge=0, description="quiet when a robot's rotation entries change less, 2-norm"
+        0.01, ge=0, description="change of a robot's rotation entries below which it is quiet, 2-norm"
     )
-    pose_threshold: float = Field(0.01, ge=0, description="quiet when a robot's poses change less, 2-norm of m and rad")
-    scale_threshold: float = Field(1e-5, ge=0, description="quiet when a robot's log scale changes by less")
+    pose_threshold: float = Field(
+        0.01, ge=0, description="change of a robot's poses below which it is quiet, 2-norm of m and rad"
+    )
+    scale_threshold: float = Field(1e-5, ge=0, description="change of a robot's log scale below which it is quiet")
     newton_steps: int = Field(1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
     change: Literal["norm", "rms"] = Field(
-        "norm", description="what thresholds of sweeps are about: a robot's whole change (published), or that of a pose"
+        "norm",
+        description="change that sweep thresholds compare: norm over a robot's poses (published), or rms per pose",
     )
 
     descent_sweeps: int = Field(200, ge=1, description="sweeps of block descent at most")
     descent_relaxation: float = Field(1.4, gt=0, lt=2, description="over-relaxation of block descent")
-    cost_tolerance: float = Field(1e-6, ge=0, description="block descent ends when the cost falls by less, as a share")
-    cost_window: int = Field(5, ge=1, description="in so many sweeps")
+    cost_tolerance: float = Field(
+        1e-6,
+        ge=0,
+        description="share of the cost by which it must fall within cost_window sweeps for block descent to go on",
+    )
+    cost_window: int = Field(
+        5, ge=1, description="block descent: sweeps over which the fall of the cost is compared with cost_tolerance"
+    )
     free_threshold: float = Field(
-        0.05, gt=0, description="rbcd-async: a separator's move that neighbours are told of, standard deviations"
+        0.05,
+        gt=0,
+        description="rbcd-async: smallest move of a separator that is sent to neighbours, standard deviations",
     )
     mixed_sweeps: int = Field(4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain")
     robust: Literal["none", "gnc"] = Field("none", description="graduated non-convexity on loops and separators (rbcd)")
     gnc_confidence: float = Field(0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps")
     gnc_noise: float = Field(
-        1.0, gt=0, description="true standard deviations over those that the information states; above 1: it boasts"
+        1.0,
+        gt=0,
+        description="true standard deviations over those that the information states; above 1: it is over-confident",
     )
     gnc_sweeps: int = Field(3, ge=1, description="sweeps between two changes of weights")
     gnc_steps: int = Field(60, ge=1, description="changes of weights at most")
 
     elected_longest: int = Field(
-        1, ge=1, description="elected: odometry edges that are sent as one, at most; 1: all as they are"
+        1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
     )
     elected_fineness: float = Field(
-        512.0, gt=0, description="elected: steps that the residuals' standard deviation has in numbers sent"
+        512.0,
+        gt=0,
+        description="elected: resolution of transmitted numbers, steps per standard deviation of the residuals",
     )
     elected_patience: int = Field(10, ge=1, description="elected: ticks in silence after which a robot counts as lost")
 
@@ -122,13 +159,13 @@ class CentralConfig(BaseModel):
         "chordal", description="two-stage chordal solution, or the graph's poses"
     )
     loss: Literal["none", "huber", "cauchy"] = Field("none", description="robust loss on loops and separators")
-    loss_scale: float = Field(3.0, gt=0, description="its scale, standard deviations")
+    loss_scale: float = Field(3.0, gt=0, description="scale of the robust loss, standard deviations")
     iterations: int = Field(100, ge=1, description="iterations at most")
-    tolerance: float = Field(1e-10, gt=0, description="ends when the cost falls by less than this share")
+    tolerance: float = Field(1e-10, gt=0, description="share of the cost by which an iteration must lower it to go on")
 
 
 class RobustConfig(BaseModel):
-    """Which loops and separators to believe: pairwise consistency (PCM) and graduated non-convexity (GNC)."""
+    """Selection of loops and separators: pairwise consistency (PCM) and graduated non-convexity (GNC)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -137,10 +174,10 @@ class RobustConfig(BaseModel):
     )
     noise: Literal["estimated", "stated"] = Field(
         "estimated",
-        description="stated: the edges' information is believed; estimated: it may be too high by one factor for all",
+        description="stated: trust the edges' information; estimated: one factor for all by which it is over-confident",
     )
-    max_noise: float = Field(10.0, ge=1, description="standard deviations are at most this many times the stated ones")
-    clique_work: int = Field(5_000_000, ge=1, description="bound of the search for the largest consistent set, nodes")
+    max_noise: float = Field(10.0, ge=1, description="largest factor of true over stated standard deviations")
+    clique_work: int = Field(5_000_000, ge=1, description="most nodes searched for the largest consistent set")
     iterations: int = Field(100, ge=1, description="GNC steps at most")
     newton_steps: int = Field(10, ge=1, description="steps of the optimiser in each GNC step, at most")
 
@@ -153,4 +190,4 @@ class SimilarityConfig(BaseModel):
     drift_sigma: float = Field(0.01, gt=0, description="1 sigma of the log scale's drift over an odometry edge")
     match_sigma: float = Field(0.02, gt=0, description="1 sigma of the log scale that a loop or separator measures")
     iterations: int = Field(50, ge=1, description="Gauss-Newton steps at most")
-    tolerance: float = Field(1e-10, ge=0, description="ends when the cost falls by less than this share")
+    tolerance: float = Field(1e-10, ge=0, description="share of the cost by which an iteration must lower it to go on")

@@ -1,8 +1,8 @@
-"""Rigid and similarity transforms: the ground floor, for everybody.
+"""Rigid and similarity transforms: primitives shared by all packages.
 
 ``T_A_B`` maps B to A: ``p_A = T_A_B @ p_B``. Rigid transforms are plain ``(..., 4, 4)`` float64 arrays, composed with
 ``@``; similarities are :class:`Sim3`, so that a scale can never be forgotten. Tangent vectors put translation first:
-``xi = (rho, phi)``, and ``exp`` acts from the right unless a function says otherwise.
+``xi = (rho, phi)``, and ``exp`` acts from the right unless a function states otherwise. Angles are radians.
 """
 
 from __future__ import annotations
@@ -186,10 +186,12 @@ class Sim3:
 
     @classmethod
     def identity(cls) -> Sim3:
+        """The identity similarity, scale 1."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def from_se3(cls, transform: ArrayLike) -> Sim3:
+        """The similarity of scale 1 with the rigid part ``transform`` ``(4, 4)``."""
         t = np.asarray(transform, dtype=np.float64)
         return cls(t[:3, :3].copy(), t[:3, 3].copy())
 
@@ -202,6 +204,7 @@ class Sim3:
         return se3(self.rotation, self.translation)
 
     def inverse(self) -> Sim3:
+        """``T_B_A`` of ``T_A_B``."""
         r_inv = self.rotation.T
         return Sim3(r_inv, -(r_inv @ self.translation) / self.scale, 1.0 / self.scale)
 

@@ -106,7 +106,7 @@ def relative_error(estimate: Array, truth: Array, length_m: float) -> RelativeEr
 
 
 def step_error(estimate: Array, truth: Array, frames: NDArray[np.int64]) -> StepError:
-    """RPE a frame of poses ``(N, 4, 4)`` ``T_W_C`` that belong to the frames numbered ``frames`` ``(N,)``, ascending;
+    """RPE per frame of poses ``(N, 4, 4)`` ``T_W_C`` that belong to the frames numbered ``frames`` ``(N,)``, ascending;
     steps over a gap do not count."""
     starts = np.flatnonzero(np.diff(frames) == 1)
     if not len(starts):

@@ -1,4 +1,4 @@
-"""What a pose graph costs, in the three conventions of the literature; a figure without its convention means nothing.
+"""Cost of a pose graph in the three conventions of the literature; a figure without its convention means nothing.
 
 - **F** (SE-Sync): sum of ``kappa |R_j - R_i R_ij|_F^2 + tau |t_j - t_i - R_i t_ij|^2``, isotropic weights from the
   information, no one-half.
@@ -21,7 +21,7 @@ Convention = Literal["F", "U", "E"]
 
 
 def edge_cost(graph: PoseGraph, convention: Convention) -> Array:
-    """Each edge's share of the cost ``(m,)``, then each prior's."""
+    """Each edge's share of the cost ``(m,)``, then each prior's, in the units of ``convention``."""
     a = graph.arrays()
     T_i, T_j = a.poses[a.ends[:, 0]], a.poses[a.ends[:, 1]]
     if convention == "E":

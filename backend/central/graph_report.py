@@ -1,4 +1,4 @@
-"""What is odd about a pose graph: what a user should hear about a public file before trusting its figures."""
+"""Irregularities of a pose graph that a user should know before trusting its figures."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class GraphReport:
 
     def lines(self) -> list[str]:
         """One sentence for each thing that is odd; none for an ordinary graph."""
-        said = [
+        found = [
             (self.parts > 1, f"{self.parts} parts that no edge joins"),
             (self.indefinite, f"{len(self.indefinite)} edges with indefinite information, made semidefinite"),
             (self.weightless, f"{len(self.weightless)} edges without information on rotation or translation"),
             (self.without_odometry, f"{len(self.without_odometry)} nodes without odometry from the node before"),
             (self.repeated, f"{len(self.repeated)} pairs of nodes with more than one edge"),
         ]
-        return [text for true, text in said if true]
+        return [text for true, text in found if true]
 
 
 def report(graph: PoseGraph) -> GraphReport:

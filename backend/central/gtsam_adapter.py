@@ -34,7 +34,7 @@ def _gtsam() -> Any:
 
 
 def levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
-    """The graph at the local optimum of ``config.cost`` it lies near, and the iterations that took."""
+    """Return ``graph`` at the nearest local optimum of ``config.cost``, and the number of iterations."""
     gtsam = _gtsam()
     a = graph.arrays()
     values = gtsam.Values()

@@ -38,7 +38,8 @@ def isotropic_weights(information: Array, dimension: int = 3) -> tuple[Array, Ar
 
 
 def indefinite(information: Array) -> NDArray[np.bool_]:
-    """Which of the symmetric matrices ``(m, k, k)`` have a negative eigenvalue beyond rounding: no measurement has."""
+    """Mask ``(m,)`` of the symmetric matrices ``(m, k, k)`` with a negative eigenvalue beyond rounding, which no
+    measurement has."""
     values = _eigenvalues(information)
     return np.asarray(values[:, 0] < -_ROUNDING * np.abs(values).max(axis=1))
 

@@ -33,9 +33,9 @@ class OptimisationResult:
 
 
 def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
-    """Optimise all poses. Never ends higher than it began.
+    """Optimise all poses of ``graph``; the cost never ends higher than it began.
 
-    In each connected part the first node stays where it is, unless priors say where the part lies.
+    In each connected part the first node keeps its pose, unless priors determine the part's place.
     """
     before = cost(graph, config.cost)
     if not graph.edges and not graph.priors:
@@ -63,7 +63,8 @@ def _descend(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:
 
 
 def polished(graph: PoseGraph, unit_weights: bool = False, steps: int = 100) -> tuple[PoseGraph, int, bool]:
-    """The graph after Newton steps of F (U with ``unit_weights``), their number, and whether only rounding is left."""
+    """Run Newton steps of F (U with ``unit_weights``) to convergence; returns the graph, the number of steps, and
+    whether only rounding is left."""
     a = graph.arrays()
     weights = frobenius_weights(a, "U" if unit_weights else "F", graph.dimension)
     refined = newton(a.ends, a.measured, weights, a.poses, anchors(a), steps)
@@ -71,10 +72,10 @@ def polished(graph: PoseGraph, unit_weights: bool = False, steps: int = 100) -> 
 
 
 def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 1) -> PoseGraph:
-    """Chordal rotations, then Gauss-Newton steps of F (U with ``unit_weights``): needs no initial guess (Carlone et
-    al., ICRA 2015).
+    """Solve by chordal rotations, then Gauss-Newton steps of F (U with ``unit_weights``), without an initial guess
+    (Carlone et al., ICRA 2015).
 
-    One step is what distributed Gauss-Seidel converges to. Priors place each connected part as a whole.
+    One step is the solution that distributed Gauss-Seidel converges to. Priors place each connected part as a whole.
     """
     free = replace(graph, priors=())
     a = free.arrays()

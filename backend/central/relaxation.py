@@ -1,7 +1,7 @@
 """One robot's block of a quadratic problem, relaxed sweep by sweep: Gauss-Seidel, Jacobi and over-relaxed.
 
 Two-stage distributed Gauss-Seidel (Choudhary et al., IJRR 2017; thesis section 3.6): every robot in turn solves for
-its own nodes with its neighbours' separators held at the last values it heard. Flagged initialisation: edges to nodes
+its own nodes with its neighbours' separators held at the last values received. Flagged initialisation: edges to nodes
 without an estimate are left out, and a robot with none but such edges waits.
 """
 
@@ -48,7 +48,7 @@ class Relaxation:
         return float("inf") if first.any() else float(np.linalg.norm(relaxed - old))
 
     def known(self) -> NDArray[np.bool_]:
-        """Which nodes ``(n,)`` have an estimate."""
+        """Mask ``(n,)`` of the nodes with an estimate."""
         return np.asarray(np.isfinite(self.values).all(axis=(1, 2)))
 
     def _islands(self) -> NDArray[np.intp]:

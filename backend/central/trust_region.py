@@ -32,7 +32,7 @@ Hessian = Callable[[Array], Array]
 
 
 def named_parts(a: EdgeArrays) -> NDArray[np.intp]:
-    """Which connected part each row of ``poses`` belongs to, ``(n,)``; edges of weight 0 join nothing."""
+    """Number of the connected part that each row of ``poses`` belongs to, ``(n,)``; edges of weight 0 join nothing."""
     return parts(a.ends[a.weight > 0], len(a.poses))
 
 

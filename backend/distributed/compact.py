@@ -17,16 +17,17 @@ _START = struct.Struct("<6f")
 
 
 class CompactWriter:
-    """Appends to a message."""
+    """Writer that appends numbers to a message, little endian."""
 
     def __init__(self) -> None:
         self._out = bytearray()
 
     def bytes(self) -> bytes:
+        """The message so far."""
         return bytes(self._out)
 
     def count(self, value: int) -> None:
-        """A whole number from 0: 7 bits a byte."""
+        """A whole number from 0: 7 bits per byte."""
         while value > 0x7F:
             self._out.append(value & 0x7F | 0x80)
             value >>= 7
@@ -37,6 +38,7 @@ class CompactWriter:
         self.count(2 * value if value >= 0 else -2 * value - 1)
 
     def number(self, value: float) -> None:
+        """A number in double precision: 8 bytes."""
         self._out += struct.pack("<d", value)
 
     def rough(self, value: float) -> None:
@@ -52,6 +54,7 @@ class CompactWriter:
         self._out += _START.pack(*numbers)
 
     def weights(self, kappa: float, tau: float) -> None:
+        """Two weights in single precision: 8 bytes."""
         self._out += _WEIGHTS.pack(kappa, tau)
 
     def steps(self, values: Iterable[float]) -> None:
@@ -61,16 +64,18 @@ class CompactWriter:
 
 
 class CompactReader:
-    """Takes the same from a message; one that ends too early raises :class:`BackendError`."""
+    """Reader of :class:`CompactWriter`'s messages; one that ends too early raises :class:`BackendError`."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
 
     @property
     def empty(self) -> bool:
+        """Whether all of the message was read."""
         return self._at >= len(self._data)
 
     def count(self) -> int:
+        """See :meth:`CompactWriter.count`."""
         value = shift = 0
         while True:
             if self.empty:
@@ -83,16 +88,20 @@ class CompactReader:
                 return value
 
     def signed(self) -> int:
+        """See :meth:`CompactWriter.signed`."""
         value = self.count()
         return -(value + 1) // 2 if value & 1 else value // 2
 
     def number(self) -> float:
+        """See :meth:`CompactWriter.number`."""
         return float(struct.unpack("<d", self._take(8))[0])
 
     def rough(self) -> float:
+        """See :meth:`CompactWriter.rough`."""
         return float(struct.unpack("<f", self._take(4))[0])
 
     def pose(self) -> Array:
+        """See :meth:`CompactWriter.pose`."""
         return poses_of(_POSE.unpack(self._take(_POSE.size)))
 
     def rough_pose(self) -> tuple[float, ...]:
@@ -100,10 +109,12 @@ class CompactReader:
         return _START.unpack(self._take(_START.size))
 
     def weights(self) -> tuple[float, float]:
+        """See :meth:`CompactWriter.weights`."""
         kappa, tau = _WEIGHTS.unpack(self._take(_WEIGHTS.size))
         return kappa, tau
 
     def steps(self) -> list[int]:
+        """See :meth:`CompactWriter.steps`."""
         return [self.signed() for _ in range(6)]
 
     def _take(self, size: int) -> bytes:

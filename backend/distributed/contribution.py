@@ -1,4 +1,4 @@
-"""What a member gives to the elected robot, and how the solution comes back: contents and bytes."""
+"""Contributions of members to the elected robot, and the solution sent back: contents and bytes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .share import Share
 
 @dataclass(frozen=True, eq=False)
 class Between:
-    """An edge to another robot, as it travels; ``off``: how far rounding may have moved it, in deviations, at most."""
+    """An edge to another robot, as transmitted; ``off``: bound of its displacement by rounding, standard deviations."""
 
     i: NodeId
     j: NodeId
@@ -46,7 +46,8 @@ class Contribution:
 
 
 def contribution(share: Share, own: OwnGraph, leader: int | None, longest: int, fineness: float) -> Contribution:
-    """What this robot gives to ``leader``: of edges between two members the lower one's, and none that it has."""
+    """This robot's contribution for ``leader``: an edge between two members is sent by the lower one, and never to a
+    leader that has it."""
     edges = [e for e in share.edges if e.is_separator and e.weight > 0]
     separators = sorted({n for e in edges for n in (e.i, e.j) if n.robot == share.robot})
     given = []
@@ -163,10 +164,10 @@ def _sizes(pairs: list[tuple[float, float]], fineness: float) -> Array:
 def encode_solution(
     graph: Condensed, poses: Array, reached: NDArray[np.bool_], fineness: float
 ) -> tuple[bytes, dict[NodeId, Array]]:
-    """The ``poses`` ``(n, 4, 4)`` of a member's nodes, those ``reached`` ``(n,)``: steps from what its own edges say;
-    and the poses that it will read from them.
+    """The ``poses`` ``(n, 4, 4)`` of a member's nodes, those ``reached`` ``(n,)``: steps from the prediction of its own
+    edges; and the poses that it will read from them.
 
-    ``graph`` as it arrived, so that the member can say the same.
+    ``graph`` as it arrived, so that the member predicts the same.
     """
     out, fineness = CompactWriter(), float(np.float32(fineness))
     out.rough(fineness)

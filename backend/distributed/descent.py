@@ -1,7 +1,7 @@
 """One robot's block of the non-linear problem: Riemannian block-coordinate descent (Tian et al., T-RO 2021).
 
-A sweep solves for all own poses with the neighbours' separators held where they were last heard: one exact
-Gauss-Newton step on F, over-relaxed, shortened until the robot's own cost does not rise. What the neighbours are told
+A sweep solves for all own poses with the neighbours' separators held where last received: one exact
+Gauss-Newton step on F, over-relaxed, shortened until the robot's own cost does not rise. What the neighbours receive
 is a coarse step; the robot's own separators then stand exactly where the neighbours believe them to be.
 """
 
@@ -126,7 +126,7 @@ class BlockDescent:
         return (scales[0], scales[1]), steps
 
     def round_to_numbers(self, kind: str) -> Array:
-        """Round the own separators to what numbers of ``kind`` can say; returns translation and rotation vector
+        """Round the own separators to what numbers of ``kind`` can represent; returns translation and rotation vector
         ``(k, 6)``, NaN without a place.
         """
         T = self.problem.poses[self.shared]

@@ -1,8 +1,8 @@
 """Block-coordinate descent in agreed rounds, accelerated, with or without graduated non-convexity.
 
 A round is one sweep: every robot takes a block step with its neighbours' separators held, lower robots first, and sends
-six bytes a separator. The cost comes down the tree every round, so every member applies the same stop rule to the same
-numbers. The best sweep's poses are kept.
+six bytes per separator. The cost comes down the tree every round, so every member applies the same stop rule to the
+same numbers. The best sweep's poses are kept.
 """
 
 from __future__ import annotations
@@ -124,11 +124,11 @@ class DescentNode(StagedNode):
         known = len(message.values) and np.isfinite(message.values[rows]).any()
         return replace(message, receiver=neighbour, values=message.values[rows] if known else np.zeros((0, 6)))
 
-    def _hear(self, neighbour: int, message: Separators) -> None:
+    def _receive(self, neighbour: int, message: Separators) -> None:
         if self._round.stage is not SolverStage.DESCENT:
-            super()._hear(neighbour, message)
+            super()._receive(neighbour, message)
             return
-        rows = np.array(self._problem.heard_rows[neighbour], dtype=np.intp)
+        rows = np.array(self._problem.received_rows[neighbour], dtype=np.intp)
         poses = self._problem.poses
         if isinstance(message, Deltas):
             poses[rows] = stepped(poses[rows], message.scales, message.steps)

@@ -1,9 +1,10 @@
 """The elected solver: one robot gathers its group's condensed graph, solves it centrally, and sends poses back.
 
-Everyone says how much it would have to send; who has most is elected, as what it has need not travel. Members give it
-their condensed graphs once, get their poses once, place what was condensed away by themselves, and report what their
-own edges cost then; the result counts only if the group's cost has not risen. Far fewer bytes than any iteration, but
-the elected robot sees the group's whole (condensed) graph. Where it falls silent the next one takes over.
+Every robot sends how much it would have to transmit; the one with the most is elected, as its own part need not travel.
+Members give it their condensed graphs once, get their poses once, place what was condensed away by themselves, and
+report what their own edges cost then; the result counts only if the group's cost has not risen. Far fewer bytes than
+any iteration, but the elected robot sees the group's whole (condensed) graph. Where it falls silent the next one takes
+over.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _DECISION = struct.Struct("<?ddH")
 
 
 class ElectedNode:
-    """``start()`` once, then ``handle`` every message addressed to it, in any order; what these return is to be sent.
+    """Call ``start()`` once, then ``handle`` with every message addressed to it, in any order; send what they return.
 
     ``outcome`` is None while it works. ``tick()`` gives again what others may have missed, and counts: after
     ``elected_patience`` ticks without a word the elected robot leaves silent members out; after twice as many the
@@ -62,16 +63,16 @@ class ElectedNode:
 
     @property
     def leader(self) -> int | None:
-        """Who is elected; None: not known yet."""
+        """The elected robot; None until it is known."""
         return self._order[self._term % len(self._order)] if self._order else None
 
     def start(self) -> list[ElectedMessage]:
-        """The first messages."""
+        """Return the first messages."""
         out = self._sizes_again()
         return [*out, *self._elect()] if len(self.share.members) == 1 else out
 
     def handle(self, message: ElectedMessage) -> list[ElectedMessage]:
-        """Take a message in; returns what is to be sent because of it."""
+        """Receive a message; returns the messages to send because of it."""
         if not isinstance(message, ElectedMessage):
             raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if message.receiver != self.share.robot or message.sender not in self.share.members:
@@ -93,7 +94,8 @@ class ElectedNode:
         return [*out, *self._take(message)]
 
     def tick(self) -> list[ElectedMessage]:
-        """What others may have missed, once more; with patience at its end, also what to do without the silent."""
+        """Return the messages that others may have missed; with patience at its end, also those that leave silent
+        members out."""
         self._silent += 1
         repeated = list(self._said) if self.outcome is not None else [*self._sizes_again(), *self._said]
         if self.outcome is not None or self._silent < self._config.elected_patience:
@@ -110,7 +112,7 @@ class ElectedNode:
         return self._to(self._others(), Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
 
     def _elect(self) -> list[ElectedMessage]:
-        """Most to send first; who has said nothing comes last."""
+        """Most to send first; a robot not yet received from comes last."""
         self._order = sorted(self.share.members, key=lambda r: (-self._sizes.get(r, -1), r))
         out = self._join(self._term)
         early, self._early = self._early, []
@@ -163,14 +165,14 @@ class ElectedNode:
         return [r for r in self.share.members if r != self.share.robot]
 
     def _members(self) -> list[int]:
-        """Who takes part."""
+        """The robots that take part."""
         return [r for r in self.share.members if r not in self._left_out]
 
     def _to(self, receivers: Iterable[int], kind: Kind, body: bytes) -> list[ElectedMessage]:
         return [ElectedMessage(kind, self._term, self.share.robot, r, body) for r in receivers]
 
     def _say(self, messages: list[ElectedMessage]) -> list[ElectedMessage]:
-        """Send, and remember for repetition until there is something newer to say."""
+        """Send, and keep for retransmission until a newer message replaces it."""
         self._said = messages
         return list(messages)
 
@@ -211,7 +213,7 @@ class ElectedNode:
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
 
     def _try_decide(self) -> list[ElectedMessage]:
-        """As the elected robot: once everyone has said what its own edges cost now."""
+        """As the elected robot: once every member has sent the present cost of its own edges."""
         if self._gathered is None or any(r not in self._costs for r in self._members()):
             return []
         given = [self._contributions[r] for r in self._members()]
@@ -247,7 +249,7 @@ class ElectedNode:
         if not accepted:
             reason = f"the cost would rise: {before:.6g} to {after:.6g}" if after == after else "a member fell silent"
         elif not mine:
-            reason = "left out: others heard nothing from this robot"
+            reason = "left out: others received nothing from this robot"
         poses = self._poses if mine and self._poses is not None else own.poses
         self.outcome = SolverOutcome(
             robot=self.share.robot,

@@ -1,4 +1,4 @@
-"""What an elected group says: one kind of envelope, and the bodies' layouts in ``contribution.py``."""
+"""Messages of an elected group: one kind of envelope; ``contribution.py`` has the layouts of the bodies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FIRST_KIND = 0xE0
 
 
 class Kind(IntEnum):
-    """In the order they are said."""
+    """Kinds of message, in the order in which they are sent."""
 
     SIZE = 0
     CONTRIBUTION = 1
@@ -39,7 +39,7 @@ class ElectedMessage:
         return len(self.body)
 
     def encode(self) -> bytes:
-        """A header of 6 bytes, and the body."""
+        """A header of 6 bytes, then the body."""
         return _HEADER.pack(_FIRST_KIND + self.kind, self.term, self.sender, self.receiver) + self.body
 
     @classmethod

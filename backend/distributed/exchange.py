@@ -23,12 +23,11 @@ _MOST_TICKS = 20
 
 @dataclass(frozen=True)
 class GroupTraffic:
-    """``payload_bytes``: rotations and poses of separators as they were sent: 8 bytes a number in the two-stage sweeps
-    (as published tables count, which leave the exchange of starting poses out); all separators that block descent
-    sends, of which most numbers take one byte; all that an elected robot gathers and sends back. ``wire_bytes``: all.
-    ``trace``: (payload bytes until then, the
-    group's cost) whenever members learned of it: at the start, at the end, and after each sweep of block descent.
-    """
+    """``payload_bytes``: rotations and poses of separators as they were sent: 8 bytes per number in the two-stage
+    sweeps (as published tables count, which leave the exchange of starting poses out); all separators that block
+    descent sends, of which most numbers take one byte; all that an elected robot gathers and sends back.
+    ``wire_bytes``: all. ``trace``: (payload bytes until then, the group's cost) whenever members learned of it: at the
+    start, at the end, and after each sweep of block descent."""
 
     messages: int
     payload_bytes: int
@@ -38,7 +37,7 @@ class GroupTraffic:
 
 @dataclass(frozen=True, eq=False)
 class GroupResult:
-    """What a group of nodes ended with."""
+    """Result of a group of nodes."""
 
     graph: PoseGraph
     outcomes: Mapping[int, SolverOutcome]
@@ -46,9 +45,8 @@ class GroupResult:
 
     @property
     def judged(self) -> tuple[JudgedEdge | None, ...]:
-        """What robust selection made of each edge, in the order of ``graph.edges``; None: not judged. Both owners say
-        the same.
-        """
+        """Outcome of robust selection for each edge, in the order of ``graph.edges``, the same at both owners; None:
+        not judged."""
         verdicts = {robot: iter(outcome.judged) for robot, outcome in self.outcomes.items()}
         out: list[JudgedEdge | None] = []
         for edge in self.graph.edges:
@@ -61,7 +59,7 @@ class GroupResult:
 
 
 class _Post:
-    """Messages on their way, as bytes, and the count of them."""
+    """Messages in transit, as bytes, and the count of them."""
 
     def __init__(self, method: str) -> None:
         self.queue: deque[bytes] = deque()
@@ -80,7 +78,7 @@ class _Post:
                 self._count(message)
 
     def next(self) -> Any:
-        """The oldest message on its way."""
+        """The oldest message in transit."""
         data = self.queue.popleft()
         return ElectedMessage.decode(data) if self._elected else decode(data)
 
@@ -132,7 +130,8 @@ def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[
 def optimise_distributed(
     graph: PoseGraph, config: SolverConfig, arbitrary_scale: frozenset[int] = frozenset()
 ) -> GroupResult:
-    """A whole graph, cut into its robots' shares and solved by message alone."""
+    """Cut ``graph`` into its robots' shares and solve it by messages alone. ``arbitrary_scale``: robots whose unit of
+    length is their own."""
     outcomes, traffic = solve_group(shares(graph, arbitrary_scale), config)
     scales = {robot: outcome.scales[robot] for robot, outcome in outcomes.items()}
     poses = {node: T for outcome in outcomes.values() for node, T in outcome.poses.items()}

@@ -1,10 +1,10 @@
-"""Block-coordinate descent without rounds: every robot works when it is ticked, with whatever it has heard by then.
+"""Block-coordinate descent without rounds: every robot works when it is ticked, with the values received so far.
 
 States carry versions and replace each other, so late, lost, repeated and disordered messages only delay. A robot is
 quiet when its block step, given the newest versions it has of its neighbours, moves no separator by more than a
 threshold; it then stands still until a neighbour's newer version arrives. Standings go up the tree of members. When
 the latest standings of all are quiet and name each other's versions, nobody can move any more: a first one to move
-would have needed a version that nobody has made. So the root's decision finds all where they said they were.
+would have needed a version that nobody has made. So the root's decision finds all in the state that they reported.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .share import Share
 _PATIENCE = 3
 # Neighbours that step at the same time overshoot together.
 _RELAXATION = 0.85
-# Without news, a step that is only what the last one left out is not worth a message.
+# Without new values, a step that is only what the last one left out is not worth a message.
 _LEFTOVER = 0.3
 # Steps at most in which only poses move that no neighbour sees.
 _MOST_IDLE = 20
@@ -31,10 +31,8 @@ _HERE = Round(SolverStage.FREE)
 
 
 class FreeNode(DescentNode):
-    """Riemannian block-coordinate descent, asynchronous; its owner calls :meth:`tick` again and again (a timer).
-
-    Where it has come to rest, a few accelerated rounds finish what plain descent is slow at.
-    """
+    """Riemannian block-coordinate descent, asynchronous; its owner calls :meth:`tick` periodically. At rest, a few
+    accelerated rounds finish the slow end of plain descent."""
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
         super().__init__(share, config)
@@ -59,6 +57,7 @@ class FreeNode(DescentNode):
     # -- messages ----------------------------------------------------------------------------------------------------
 
     def handle(self, message: NodeMessage) -> list[NodeMessage]:
+        """Receive a message; returns the messages to send because of it."""
         if not isinstance(message, NodeMessage):
             raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if not isinstance(message, SeparatorState | Status):
@@ -98,7 +97,7 @@ class FreeNode(DescentNode):
             self._standings[standing.robot] = standing
 
     def tick(self) -> list[NodeMessage]:
-        """Work with what has been heard, and say what neighbours have not confirmed."""
+        """Work with the values received; returns the messages that neighbours have not confirmed."""
         if self.outcome is not None or self._round != _HERE:
             return super().tick()
         self._ticks += 1
@@ -142,7 +141,7 @@ class FreeNode(DescentNode):
         return float(np.abs(np.nan_to_num(moved(before, after)) * metric).max(initial=0.0))
 
     def _adopt(self, neighbour: int, state: SeparatorState) -> None:
-        rows = np.array(self._problem.heard_rows[neighbour], dtype=np.intp)
+        rows = np.array(self._problem.received_rows[neighbour], dtype=np.intp)
         known = np.isfinite(state.values).all(axis=1)
         values = state.values[known]
         self._problem.poses[rows[known]] = se3(so3_exp(values[:, 3:]), values[:, :3])

@@ -14,7 +14,7 @@ from .share import Share
 
 
 class LocalProblem:
-    """Poses ``(n, 4, 4)`` of own nodes (the first ``own_count`` rows) and separators of neighbours (NaN until heard
+    """Poses ``(n, 4, 4)`` of own nodes (the first ``own_count`` rows) and separators of neighbours (NaN until received
     of).
     """
 
@@ -36,11 +36,11 @@ class LocalProblem:
         self.poses = np.full((len(self.nodes), 4, 4), np.nan)
         self.poses[: self.own_count] = [share.poses[n] for n in own]
         self.sent_rows: dict[int, list[int]] = {}
-        self.heard_rows: dict[int, list[int]] = {}
+        self.received_rows: dict[int, list[int]] = {}
         for neighbour in share.neighbours:
             mine, theirs = share.separators_with(neighbour)
             self.sent_rows[neighbour] = [row[n] for n in mine]
-            self.heard_rows[neighbour] = [row[n] for n in theirs]
+            self.received_rows[neighbour] = [row[n] for n in theirs]
         # The anchor robot's first node stays where it is.
         self.given = [0] if share.robot == share.members[0] else []
 
@@ -104,13 +104,13 @@ class LocalProblem:
         T = self.poses[self.sent_rows[neighbour]]
         return np.concatenate([T[:, :3, 3], so3_log(T[:, :3, :3])], axis=1)
 
-    def hear_poses(self, neighbour: int, values: Array) -> None:
-        """Inverse of :meth:`separator_poses` at the other side."""
-        self.poses[self.heard_rows[neighbour]] = se3(so3_exp(values[:, 3:]), values[:, :3])
+    def receive_poses(self, neighbour: int, values: Array) -> None:
+        """Inverse of :meth:`separator_poses` at the receiver."""
+        self.poses[self.received_rows[neighbour]] = se3(so3_exp(values[:, 3:]), values[:, :3])
 
 
 def scale_stage(share: Share) -> Relaxation:
-    """Log scales of this robot (row 0) and its neighbours, from the separators' ``scale``: one unknown number a robot.
+    """Log scales of this robot (row 0) and its neighbours, from the separators' ``scale``: one unknown per robot.
 
     Each pair of robots counts once, by the median of its edges, so that one wrong scale among several does no harm;
     metric members (or, where there are none, the anchor) stand fixed at 0.

@@ -1,7 +1,7 @@
-"""Everything that solver nodes say to each other: plain values with a sender and a receiver, and their encoding.
+"""Messages between solver nodes: plain values with a sender and a receiver, and their encoding.
 
 ``payload_bytes`` is what the published tables count: the numbers of separator poses, 8 bytes each where they travel in
-double precision, else what they take. The true length on the wire is that of :func:`encode`.
+double precision, else what they take. The bytes sent are those of :func:`encode`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..geometry import Array
 
 
 class SolverStage(IntEnum):
-    """What a sweep works on, in this order."""
+    """Unknowns that a sweep works on, in this order."""
 
     SCALE = 0
     START = 1
@@ -67,12 +67,13 @@ class Values:
 
     @property
     def payload_bytes(self) -> int:
+        """8 bytes per number of a two-stage sweep, else the bytes transmitted."""
         return np.dtype(number_type(self.round.stage)).itemsize * int(self.values.size)
 
 
 @dataclass(frozen=True, eq=False)
 class Deltas:
-    """How one robot's separators moved in a sweep, coarsely: ``steps`` ``(k, 6)`` int8, translation then turn.
+    """Moves of one robot's separators in a sweep, coarse: ``steps`` ``(k, 6)`` int8, translation then turn.
 
     ``scales`` (float32 exactly): a step of translation in metres and of the turn ``R exp(delta)`` in radians. Both
     sides go on from the pose that these steps lead to, so what rounding left out is in the next message.
@@ -91,10 +92,10 @@ class Deltas:
 
 @dataclass(frozen=True)
 class Report:
-    """What a robot and those below it in the tree of members found in a round: up the tree.
+    """Summary of a round from a robot and those below it in the tree of members, sent up the tree.
 
-    ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum
-    over their edges; ``numbers``: further sums, 4 bytes each.
+    ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum over
+    their edges; ``numbers``: further sums, 4 bytes each.
     """
 
     sender: int
@@ -111,10 +112,10 @@ class Report:
 
 @dataclass(frozen=True)
 class Decision:
-    """What follows for everyone: down the tree. The same at every member, so all end at the same sweep.
+    """Decision of a round for all members, sent down the tree; the same at every member, so all end at the same sweep.
 
-    ``go_on``: one more sweep of this stage, else the next stage; ``cost``: the group's sum; ``numbers``: what the
-    method makes of the further sums, 4 bytes each.
+    ``go_on``: one more sweep of this stage, else the next stage; ``cost``: the group's sum; ``numbers``: the method's
+    result from the further sums, 4 bytes each.
     """
 
     sender: int
@@ -151,9 +152,8 @@ class SeparatorState:
 
 @dataclass(frozen=True)
 class Standing:
-    """What a robot says of itself: it has nothing to change (``quiet``) at its ``version`` given these of its
-    neighbours' (number, version). ``serial`` counts what it said.
-    """
+    """State of convergence that a robot reports: it has nothing to change (``quiet``) at its ``version`` given these of
+    its neighbours' (number, version). ``serial`` counts its reports."""
 
     robot: int
     serial: int
@@ -164,7 +164,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class Status:
-    """Without rounds: the latest standings of the sender and those below it: up the tree."""
+    """Method without rounds: the latest state of convergence of the sender and those below it, sent up the tree."""
 
     sender: int
     receiver: int
@@ -182,12 +182,13 @@ _USED = struct.Struct("<HH")
 
 
 def number_type(stage: SolverStage) -> str:
-    """How the numbers of :class:`Values` travel: block descent starts from single precision and sends steps after."""
+    """Format of the numbers in :class:`Values`: single precision for block descent, which sends steps afterwards, else
+    double."""
     return "<f4" if stage in (SolverStage.DESCENT, SolverStage.FREE) else "<f8"
 
 
 def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
-    """``numbers`` as the other side will read them: single precision."""
+    """``numbers`` as the receiver reads them: single precision."""
     return tuple(float(np.float32(x)) for x in numbers)
 
 

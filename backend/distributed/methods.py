@@ -1,4 +1,4 @@
-"""Which node runs which method."""
+"""Choice of the node for each method."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SolverNode(Protocol):
         which a message of another method does not."""
 
     def tick(self) -> Sequence[Any]:
-        """What others may have missed, once more."""
+        """Return the messages that others may have missed."""
 
 
 def node_for(share: Share, config: SolverConfig) -> SolverNode:

@@ -2,7 +2,7 @@
 
 A sweep over all robots is a fixed-point map x -> g(x). The mix that would have made the last residuals g(x) - x
 smallest is found from a few inner products, which go up the tree of members with the cost; the few weights come down
-with the decision. Every robot mixes its own poses and, from what it has heard, its neighbours' separators: nothing
+with the decision. Every robot mixes its own poses and, from the values received, its neighbours' separators: nothing
 more is sent.
 """
 

@@ -89,14 +89,14 @@ class Node(StagedNode):
         known = flat.copy() if np.isfinite(flat).any() else flat[:0].copy()
         return Values(self.share.robot, neighbour, self._round, known)
 
-    def _hear(self, neighbour: int, message: Separators) -> None:
+    def _receive(self, neighbour: int, message: Separators) -> None:
         if self._round.stage not in _SWEPT:
-            super()._hear(neighbour, message)
+            super()._receive(neighbour, message)
             return
         assert isinstance(message, Values)
         if not len(message.values):
             return
-        rows = self._problem.heard_rows[neighbour]
+        rows = self._problem.received_rows[neighbour]
         if self._round.stage is SolverStage.ROTATION:
             self._stage.values[rows] = np.swapaxes(message.values.reshape(-1, 3, 3), 1, 2)
         else:

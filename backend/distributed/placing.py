@@ -1,7 +1,7 @@
 """Bringing a robot's own frame into the group's: no initial guess needed, one transform for each rigid piece.
 
 A robot solves its own graph alone first; what hangs together there is a piece. A piece is placed by the edges that tie
-it to poses that have a place already. This is flagged initialisation with six numbers a separator instead of nine.
+it to poses that have a place already. This is flagged initialisation with six numbers per separator instead of nine.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Pieces:
         )
 
     def place(self, poses: Array, placed: NDArray[np.bool_], bound: float | None) -> bool:
-        """Move pieces that edges tie to ``placed`` poses to where these say, and mark them; True if any was.
+        """Move pieces that edges tie to ``placed`` poses to where these edges put them, and mark them; True if any was.
 
         With a ``bound`` on an edge's cost the edges vote first, and only those that agree with the winner count.
         """

@@ -1,8 +1,9 @@
-"""Rounds that a whole group agrees on: the part of a solver node that knows messages and nothing of poses.
+"""Synchronous rounds of a whole group: the part of a solver node that knows messages and nothing of poses.
 
-A round is: hear what the work needs (Gauss-Seidel: this round's values of lower robots; Jacobi: none), work, send the
-separators, hear all neighbours, report up a binary tree over the members, get the decision down the same tree. So
-every member knows at the same round what all of them found, and no member decides for others by looking into them.
+A round: receive the input of the work (Gauss-Seidel: this round's values of lower robots; Jacobi: none), work, send the
+separators, receive those of all neighbours, report up a binary tree over the members, receive the decision down the
+same tree. So every member knows at the same round what all of them found, and no member decides for others by looking
+into them.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ Separators = Values | Deltas
 
 
 class Rounds(ABC):
-    """``start()`` once, then ``handle`` every message addressed to it, in any order; what these return is to be sent.
+    """A solver node that works in rounds.
 
-    ``outcome`` is None while it works. Messages that come twice or too early do no harm; one that contradicts its
-    graph raises :class:`BackendError`. ``tick()`` gives again what others may have missed: for transports that lose
-    messages, also after the end.
+    Call ``start()`` once, then ``handle`` with every message addressed to it, in any order; send the messages that they
+    return. ``outcome`` is None while it works. Repeated and early messages do no harm; one that contradicts its graph
+    raises :class:`BackendError`. ``tick()`` returns again what others may have missed, also after the end: for
+    transports that lose messages.
     """
 
     def __init__(self, share: Share, first: Round) -> None:
@@ -31,7 +33,7 @@ class Rounds(ABC):
         self._round = first
         self._solved = self._reported = False
         self._change = 0.0
-        self._heard: dict[Round, dict[int, Separators]] = {}
+        self._received: dict[Round, dict[int, Separators]] = {}
         self._reports: dict[Round, dict[int, Report]] = {}
         self._decisions: dict[Round, Decision] = {}
         self._recent: dict[Round, list[NodeMessage]] = {}
@@ -40,7 +42,7 @@ class Rounds(ABC):
         self._parent = share.members[(rank - 1) // 2] if rank else None
         self._children = [share.members[c] for c in (2 * rank + 1, 2 * rank + 2) if c < len(share.members)]
 
-    # -- what a method says ------------------------------------------------------------------------------------------
+    # -- supplied by a method ----------------------------------------------------------------------------------------
 
     @abstractmethod
     def _enter(self) -> None:
@@ -55,12 +57,12 @@ class Rounds(ABC):
         """The separators for this neighbour after the work."""
 
     @abstractmethod
-    def _hear(self, neighbour: int, message: Separators) -> None:
+    def _receive(self, neighbour: int, message: Separators) -> None:
         """Inverse of :meth:`_say` at the other side."""
 
     @abstractmethod
     def _found(self) -> tuple[float, tuple[float, ...]]:
-        """This robot's part of the group's cost and of its sums, once all neighbours are heard."""
+        """This robot's part of the group's cost and of its sums, once all neighbours' values are received."""
 
     @abstractmethod
     def _decide(self, change: float, cost: float, numbers: tuple[float, ...]) -> Decision:
@@ -88,12 +90,12 @@ class Rounds(ABC):
     # -- what happens to it ------------------------------------------------------------------------------------------
 
     def start(self) -> list[NodeMessage]:
-        """The first messages."""
+        """Return the first messages."""
         self._enter()
         return self._advance()
 
     def handle(self, message: NodeMessage) -> list[NodeMessage]:
-        """Take a message in; returns what is to be sent because of it."""
+        """Receive a message; returns the messages to send because of it."""
         if not isinstance(message, NodeMessage):
             raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if message.receiver != self.share.robot:
@@ -103,7 +105,7 @@ class Rounds(ABC):
         match message:
             case Values() | Deltas():
                 self._check(message)
-                self._heard.setdefault(message.round, {})[message.sender] = message
+                self._received.setdefault(message.round, {})[message.sender] = message
             case Report():
                 self._check_tree(message.sender, self._children)
                 self._reports.setdefault(message.round, {})[message.sender] = message
@@ -113,7 +115,7 @@ class Rounds(ABC):
         return self._advance()
 
     def tick(self) -> list[NodeMessage]:
-        """The messages of the last two rounds once more."""
+        """Return the messages of the last two rounds again."""
         return [m for r in sorted(self._recent) for m in self._recent[r]]
 
     def _check_tree(self, sender: int, allowed: Sequence[int | None]) -> None:
@@ -137,7 +139,7 @@ class Rounds(ABC):
     # -- one round ---------------------------------------------------------------------------------------------------
 
     def _advance(self) -> list[NodeMessage]:
-        """Do everything that can be done with what has been heard."""
+        """Do everything that can be done with the values received."""
         out: list[NodeMessage] = []
         while self.outcome is None:
             progress = self._try_work()
@@ -162,26 +164,26 @@ class Rounds(ABC):
         if self._solved:
             return None
         if self._waits_for_lower():
-            heard = self._heard.get(self._round, {})
+            received = self._received.get(self._round, {})
             lower = [n for n in self.share.neighbours if n < self.share.robot]
-            if any(n not in heard for n in lower):
+            if any(n not in received for n in lower):
                 return None
             for neighbour in lower:
-                self._hear(neighbour, heard[neighbour])
+                self._receive(neighbour, received[neighbour])
         self._change = self._work()
         self._solved = True
         return self._emit([self._say(n) for n in self._receivers()])
 
     def _try_report(self) -> list[NodeMessage] | None:
         """Once the work is done here, at every neighbour and below in the tree: pass the sums up."""
-        heard, below = self._heard.get(self._round, {}), self._reports.get(self._round, {})
+        received, below = self._received.get(self._round, {}), self._reports.get(self._round, {})
         if not self._solved or self._reported:
             return None
-        if any(n not in heard for n in self._awaited()) or any(c not in below for c in self._children):
+        if any(n not in received for n in self._awaited()) or any(c not in below for c in self._children):
             return None
         for neighbour in self._awaited():
             if not (self._waits_for_lower() and neighbour < self.share.robot):
-                self._hear(neighbour, heard[neighbour])
+                self._receive(neighbour, received[neighbour])
         self._reported = True
         cost, numbers = self._found()
         reports = [below[c] for c in self._children]
@@ -209,7 +211,7 @@ class Rounds(ABC):
             self._enter()
         self._solved = self._reported = False
         self._change = 0.0
-        self._heard.pop(decision.round, None)
+        self._received.pop(decision.round, None)
         self._reports.pop(decision.round, None)
         self._decisions.pop(decision.round, None)
         return out

@@ -1,4 +1,4 @@
-"""What one robot brings to a distributed optimisation and what it takes home."""
+"""Input and output of one robot in a distributed optimisation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..pose_graph.graph import Edge, NodeId, PoseGraph
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """What one robot brings to its group.
+    """Input of one robot to its group.
 
     ``members``: all robots of the group, this one among them; the lowest is the anchor: the result is in the frame of
     its poses. ``poses`` ``T_O_i`` ``(4, 4)`` of its own nodes, in any frame. ``edges``: those between its own nodes,
@@ -51,7 +51,7 @@ class Share:
 
     @property
     def neighbours(self) -> list[int]:
-        """Members it shares an edge with, sorted."""
+        """Members that share an edge with this robot, sorted."""
         return sorted({n.robot for e in self.edges for n in (e.i, e.j)} - {self.robot})
 
     def separators_with(self, neighbour: int) -> tuple[list[NodeId], list[NodeId]]:
@@ -65,9 +65,8 @@ class Share:
 
 @dataclass(frozen=True)
 class JudgedEdge:
-    """What robust selection made of an edge: ``weight`` 0 (rejected) to 1, ``residual`` in standard deviations (the
-    square root of its share of F at the end), the same at both owners.
-    """
+    """Outcome of robust selection for an edge, the same at both owners: ``weight`` 0 (rejected) to 1, ``residual`` in
+    standard deviations (the square root of its share of F at the end)."""
 
     i: NodeId
     j: NodeId
@@ -76,12 +75,13 @@ class JudgedEdge:
 
     @property
     def rejected(self) -> bool:
+        """Whether the edge was left out: weight below one half."""
         return self.weight < 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class SolverOutcome:
-    """What a node ends with; acceptance, reason and costs are the same at every member, as are sweep counts where all
+    """Result of a node; acceptance, reason and costs are the same at every member, as are sweep counts where all
     work in rounds.
 
     ``poses`` of its own nodes in the anchor's frame and unit; where ``accepted`` is False, or in ``unreached``, the

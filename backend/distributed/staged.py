@@ -1,4 +1,4 @@
-"""What every distributed method begins and ends with: common units, the cost before, the cost after, acceptance."""
+"""Stages common to every distributed method: units before it, then the cost before, the cost after, acceptance."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ class StagedNode(Rounds):
             values = values.copy() if np.isfinite(values).all() else values[:0].copy()
         return Values(self.share.robot, neighbour, self._round, values)
 
-    def _hear(self, neighbour: int, message: Separators) -> None:
+    def _receive(self, neighbour: int, message: Separators) -> None:
         assert isinstance(message, Values)
         if not len(message.values):
             return
         if self._round.stage is SolverStage.START:
-            self._problem.hear_poses(neighbour, message.values)
+            self._problem.receive_poses(neighbour, message.values)
         else:
             assert self._scale is not None
             self._scale.values[1 + self.share.neighbours.index(neighbour)] = message.values

@@ -1,4 +1,4 @@
-"""g2o files: one file for a graph, or one a robot, in 3-D and 2-D.
+"""g2o files: one file for a graph, or one per robot, in 3-D and 2-D.
 
 Ids are plain numbers of any size, or gtsam symbols (a letter in the top byte says which robot). In a set of files with
 plain ids each file is a robot. Planar graphs are held in 3-D, ``dimension`` 2.
@@ -47,7 +47,7 @@ class _Line(NamedTuple):
 
 
 def read_g2o(paths: Path | Sequence[Path], skipped: list[str] | None = None) -> PoseGraph:
-    """One graph from one file, or from a set with one file a robot.
+    """One graph from one file, or from a set with one file per robot.
 
     Edges between robots that stand in both robots' files count once; what stands twice in one file counts twice. Nodes
     without a VERTEX line get their pose from the edges, odometry first. A line that makes no sense raises
@@ -72,7 +72,7 @@ def read_g2o(paths: Path | Sequence[Path], skipped: list[str] | None = None) -> 
 
 
 class _Reading:
-    """What has been read so far."""
+    """State of the reading so far."""
 
     def __init__(self, ids: Ids) -> None:
         self.ids = ids

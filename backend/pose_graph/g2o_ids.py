@@ -1,4 +1,4 @@
-"""Which node a g2o id means: robots' letters, files, or plain numbers."""
+"""Nodes of g2o ids: robots' letters, files, or plain numbers."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class NodeId(NamedTuple):
 
 
 class EdgeKind(StrEnum):
-    """What measured an edge: odometry, a loop closure of one robot, or a place match between two (a separator edge)."""
+    """Source of an edge: odometry, a loop closure of one robot, or a place match between two (a separator edge)."""
 
     ODOMETRY = "odometry"
     LOOP = "loop"

@@ -158,11 +158,11 @@ def _noise(residual: Array, cov: Array, along: Array, angle: float, depth: float
     line = np.where(size[:, None] > 1e-12, along / np.maximum(size, 1e-12)[:, None], [1.0, 0.0])
     beside = np.stack([-line[:, 1], line[:, 0]], axis=1)
     angle_now = angle * _typical(residual, cov, beside)
-    told = size >= np.median(size)
+    informative = size >= np.median(size)
     depth_now = depth
     # Without parallax the depths do not show, and do not matter.
-    if depth * np.median(size[told]) > 0.5 * angle:
-        depth_now = depth * _typical(residual[told], cov[told], line[told])
+    if depth * np.median(size[informative]) > 0.5 * angle:
+        depth_now = depth * _typical(residual[informative], cov[informative], line[informative])
     return max(angle_now, MIN_ANGLE_SIGMA), min(max(depth_now, MIN_DEPTH_SIGMA * unit), unit)
 
 

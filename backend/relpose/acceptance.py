@@ -1,4 +1,4 @@
-"""Everything that must hold of a relative pose before two key-frames count as views of one place."""
+"""Conditions on a relative pose for two key-frames to count as views of one place."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_RMSE_SHARE = 0.6
 
 @dataclass(frozen=True, eq=False)
 class FoundPose:
-    """What verification found: the refined pose; ``tentative`` ``(k, 3)``: the match's points of tentative matches that
+    """A pose found by verification, refined; ``tentative`` ``(k, 3)``: the match's points of tentative matches that
     fit it; ``guided_M``, ``guided_Q`` ``(g, 3)``: points matched again under it; ``similar``: share of all pairs of
     descriptors of the two views that are similar enough to be one point's."""
 
@@ -43,7 +43,7 @@ class FoundPose:
 
 
 def problem_of(found: FoundPose, config: RelPoseConfig) -> tuple[str | None, float | None]:
-    """The first thing that is too little, with its figures, or None; and the log odds, where they are weighed."""
+    """The first condition that fails, with its figures, or None; and the log odds, where they are weighed."""
     T, n = found.alignment.T_M_Q, len(found.tentative)
     shapes = [shape(points) for points in (found.tentative, found.guided_M)]
     width, thickness = min(s[0] for s in shapes), min(s[1] for s in shapes)
@@ -70,13 +70,13 @@ def problem_of(found: FoundPose, config: RelPoseConfig) -> tuple[str | None, flo
     elif sigma > config.max_sigma * depth:
         problem = f"too uncertain: position sigma {sigma:.3g} > {config.max_sigma:g} of the median depth {depth:.3g}"
     elif floating > config.max_floating:
-        problem = f"contradicted: {floating:.0%} of the points float before a surface > {config.max_floating:.0%}"
+        problem = f"contradicted: {floating:.0%} of the points float in front of a surface > {config.max_floating:.0%}"
     elif weighed and found.evidence.common < config.min_common:
         problem = f"little in common: {found.evidence.common:.0%} of a view < {config.min_common:.0%}"
     elif weighed and deserted > config.max_deserted:
         problem = f"contradicted: {deserted:.0%} of the common view has no point alike > {config.max_deserted:.0%}"
     elif odds is not None and config.min_evidence is not None and odds < config.min_evidence:
-        problem = f"contradicted: {told(found.evidence)}: evidence {odds:.1f} < {config.min_evidence:g}"
+        problem = f"contradicted: {shares_text(found.evidence)}: evidence {odds:.1f} < {config.min_evidence:g}"
     return problem, odds
 
 
@@ -112,8 +112,8 @@ def features(found: FoundPose, thickness: float) -> Array:
     )
 
 
-def told(evidence: Evidence) -> str:
-    """The shares for people."""
+def shares_text(evidence: Evidence) -> str:
+    """The shares of repeated, deserted and floating points as a sentence."""
     e = evidence
     return f"{e.repeated:.0%} of the points repeated, {e.deserted:.0%} of the view deserted, {e.floating:.0%} floating"
 

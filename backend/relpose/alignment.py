@@ -1,4 +1,4 @@
-"""Robust least squares for the pose between two cameras that see the same points, with an honest uncertainty.
+"""Robust least squares for the pose between two cameras that see the same points, with a consistent uncertainty.
 
 Each camera measures a point's direction well and its depth badly: the inverse depth has about the same error
 everywhere (stereo). So residuals are direction (2) and inverse depth (1) in the match camera, weighted by the noise
@@ -41,7 +41,7 @@ class Alignment:
 
     @property
     def information(self) -> Array:
-        """``(6, 6)`` of the rigid part, the scale marginalised."""
+        """Information ``(6, 6)`` of the rigid part, the scale marginalised."""
         full = self.full_information
         rigid = full[:6, :6]
         if full[6, 6] > 0:

@@ -1,5 +1,5 @@
-"""What speaks for and against a relative pose: of the points that both cameras should see, how many look the same,
-how many look otherwise, and how many float before a surface that the other camera sees behind them.
+"""Evidence for and against a relative pose: of the points that both cameras should see, how many look the same,
+how many look otherwise, and how many float in front of a surface that the other camera sees behind them.
 
 Matches alone cannot tell two rooms of one pattern apart: any number of them is right on paint that repeats. What is
 missing can: a poster that only one view has, a cupboard that stands where the other camera looks through.
@@ -25,11 +25,14 @@ _SAME_SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class Side:
-    """Counts over the ``points`` of one view. ``visible``: in the other camera's field of view; ``tested``: of these,
-    those where it sees a surface; ``floating``: of these, those before that surface; ``met``: visible points that fall
-    on a point of the other view; ``alike``: of these, those with a similar descriptor; ``deserted``: visible points
-    with none alike among as many of their neighbours as should have three (chance alone makes 5 % of them so);
-    ``close``: visible points that meet one within half the bound."""
+    """Counts over the ``points`` of one view.
+
+    ``visible``: in the other camera's field of view; ``tested``: of these, those where it sees a surface; ``floating``:
+    of these, those in front of that surface; ``met``: visible points that fall on a point of the other view; ``alike``:
+    of these, those with a similar descriptor; ``deserted``: visible points with no similar one among as many of their
+    neighbours as should have three (chance alone makes 5 % of them so); ``close``: visible points that meet one within
+    half the bound.
+    """
 
     points: int
     visible: int
@@ -42,22 +45,25 @@ class Side:
 
     @property
     def repeated_share(self) -> float:
-        """Of the visible points, those that fall on one of the other view not by chance, which fills the disc evenly:
-        a ring of three times the area tells how many do."""
+        """Of the visible points, the share that fall on a point of the other view beyond chance. Chance fills the disc
+        evenly: a ring of three times the area measures it."""
         return max(self.close - (self.met - self.close) / 3.0, 0.0) / max(self.visible, 1)
 
     @property
     def floating_share(self) -> float:
+        """Of the tested points, those in front of the surface that the other view sees (0 to 1)."""
         return self.floating / max(self.tested, 1)
 
     @property
     def deserted_share(self) -> float:
+        """Of the visible points, those in a neighbourhood without similar points (0 to 1)."""
         return self.deserted / max(self.visible, 1)
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of the query's points in the match's view, and the other way round; and what follows from both."""
+    """Evidence in both directions: the query's points in the match's view, the match's points in the query's view, and
+    figures of both."""
 
     query: Side
     match: Side
@@ -69,17 +75,17 @@ class Evidence:
 
     @property
     def floating(self) -> float:
-        """The larger share: a cupboard floats before the wall in one direction only."""
+        """The larger share of floating points: a cupboard floats in front of the wall in one direction only."""
         return max(self.query.floating_share, self.match.floating_share)
 
     @property
     def deserted(self) -> float:
-        """The smaller share: that one view sees less of what the other sees is not a matter of right or wrong."""
+        """The smaller share of deserted points: one view may see less than the other and still be right."""
         return min(self.query.deserted_share, self.match.deserted_share)
 
     @property
     def repeated(self) -> float:
-        """The larger share: each view may see details that the other is too far away for."""
+        """The larger share of repeated points: each view may see details that the other is too far away for."""
         return max(self.query.repeated_share, self.match.repeated_share)
 
     @property
@@ -110,7 +116,7 @@ def _field(points: Array) -> Array:
 
 
 def _side(predicted: Array, own: Array, distances: Distances, radius: float, alike: int, sigma: float) -> Side:
-    """What becomes of ``predicted`` ``(n, 3)`` among the ``own`` ``(m, 3)`` points of the camera that they are in."""
+    """Counts of ``predicted`` ``(n, 3)`` among the ``own`` ``(m, 3)`` points of the camera that they are in."""
     counts = _count(
         np.ascontiguousarray(predicted),
         np.ascontiguousarray(own),
@@ -174,7 +180,7 @@ def _count(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _deserted(rays, similar):  # type: ignore[no-untyped-def]
-    """How many of the rays ``(v, 3)`` have none that is similar among as many neighbours as should have three."""
+    """Number of the rays ``(v, 3)`` without a similar one among as many neighbours as should have three."""
     alike = rays[similar]
     if not len(alike):
         return len(rays)

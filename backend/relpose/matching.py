@@ -46,6 +46,7 @@ class PointCandidates:
 
     @classmethod
     def within(cls, distances: Distances, at_most: int) -> PointCandidates:
+        """The entries of ``distances`` ``(n, m)`` up to ``at_most``."""
         rows, columns = _within(distances, at_most)
         return cls(rows, columns, distances[rows, columns], (distances.shape[0], distances.shape[1]))
 

@@ -25,7 +25,7 @@ _CELLS = 8  # across and down, for the spread of the chosen points
 
 
 def pack_points(points_C: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Ranges ``(6,)`` and codes ``(n,)`` of points ``(n, 3)`` before the camera (z > 0)."""
+    """Ranges ``(6,)`` and codes ``(n,)`` of points ``(n, 3)`` in front of the camera (z > 0)."""
     if len(points_C) and points_C[:, 2].min() <= 0:
         raise BackendError("points behind the camera have no code")
     if not len(points_C):
@@ -78,7 +78,7 @@ def worth_sending(points_C: Array, descriptors: NDArray[np.uint8], count: int) -
 
 
 def as_sent(view: PlaceView, count: int, code: PointCode, descriptor_bytes: int) -> tuple[PlaceView, int]:
-    """What arrives of a view that is sent with at most ``count`` points (0: all), and the bytes of its points."""
+    """The receiver's copy of a view sent with at most ``count`` points (0: all), and the bytes of its points."""
     points, words, descriptors = view.points_C, view.words, view.descriptors
     rows = np.arange(len(points))
     if count and descriptors is not None:

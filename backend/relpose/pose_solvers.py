@@ -1,4 +1,4 @@
-"""The two ways from matches to a pose: from 3-D points of both views, or from the match's points and the query's
+"""Two methods from matches to a pose: from 3-D points of both views, or from the match's points and the query's
 directions alone."""
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ _SOUND_SHARE, _SOUND_RATIO = 0.8, 1.25
 
 
 class PoseSolver(Protocol):
-    """Matched points are ``(k, 3)`` in their cameras' frames; ``points_Q`` may be mere directions to a solver that
-    reads no more of them."""
+    """Solver for the pose between two views.
+
+    Matched points are ``(k, 3)`` in their cameras' frames; ``points_Q`` may be mere directions to a solver that needs
+    no depths of the query.
+    """
 
     def search(self, points_M: Array, points_Q: Array, rng: np.random.Generator) -> list[Sim3]:
         """Hypotheses, best first."""
@@ -51,20 +54,25 @@ class PointsSolver:
         self._scaled, self._config = scaled, config
 
     def search(self, points_M: Array, points_Q: Array, rng: np.random.Generator) -> list[Sim3]:
+        """See :meth:`PoseSolver.search`."""
         return search(points_M, points_Q, self._scaled, self._config, rng)
 
     def refine(self, points_M: Array, points_Q: Array, start: Sim3, iterations: int = ITERATIONS) -> Alignment:
+        """See :meth:`PoseSolver.refine`."""
         return refine(points_M, points_Q, start, self._scaled, self._config.loss_scale, iterations)
 
     def placed(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
+        """The query's points as they are."""
         return points_Q
 
     def surface(
         self, T_M_Q: Sim3, points_M: Array, points_Q: Array, known: NDArray[np.bool_], pairs: NDArray[np.intp]
     ) -> Array:
+        """The query's points as they are."""
         return points_Q
 
     def finish(self, found: Alignment, points_M: Array, points_Q: Array, known: NDArray[np.bool_]) -> Alignment | str:
+        """``found`` as it is."""
         return found
 
 
@@ -75,27 +83,32 @@ class BearingsSolver:
         self._scaled, self._config = scaled, config
 
     def search(self, points_M: Array, points_Q: Array, rng: np.random.Generator) -> list[Sim3]:
+        """See :meth:`PoseSolver.search`."""
         return search_bearings(points_M, points_Q, self._config.search_angle_deg, rng)
 
     def refine(self, points_M: Array, points_Q: Array, start: Sim3, iterations: int = ITERATIONS) -> Alignment:
+        """See :meth:`PoseSolver.refine`."""
         return refine_bearings(points_M, points_Q, start, self._config.loss_scale, iterations)
 
     def placed(self, T_M_Q: Sim3, points_M: Array, points_Q: Array) -> Array:
+        """The query's directions at the depths of the match's points under the pose."""
         return lend_depths(T_M_Q, points_M, points_Q)
 
     def surface(
         self, T_M_Q: Sim3, points_M: Array, points_Q: Array, known: NDArray[np.bool_], pairs: NDArray[np.intp]
     ) -> Array:
+        """See :meth:`PoseSolver.surface`."""
         lent = lend_surface(T_M_Q, points_M, points_Q)
-        told = pairs[known[pairs[:, 0]]]
-        if len(told) < _MIN_DEPTHS:
+        measured = pairs[known[pairs[:, 0]]]
+        if len(measured) < _MIN_DEPTHS:
             return lent
-        own, points = points_Q[told[:, 0]], points_M[told[:, 1]]
+        own, points = points_Q[measured[:, 0]], points_M[measured[:, 1]]
         logs = np.log(np.linalg.norm(lend_depths(T_M_Q, points, own), axis=1) / np.linalg.norm(own, axis=1))
         sound = np.mean(np.abs(logs) < np.log(_SOUND_RATIO)) >= _SOUND_SHARE
         return np.where(known[:, None], points_Q, lent) if sound else lent
 
     def finish(self, found: Alignment, points_M: Array, points_Q: Array, known: NDArray[np.bool_]) -> Alignment | str:
+        """See :meth:`PoseSolver.finish`."""
         if not self._scaled:
             return found
         if known.sum() < _MIN_DEPTHS:
@@ -104,13 +117,14 @@ class BearingsSolver:
 
 
 def solver_for(scaled: bool, config: RelPoseConfig) -> PoseSolver:
-    """``scaled``: one of the views has a unit of its own."""
+    """The solver for ``config``; ``scaled``: one of the views has a unit of its own."""
     return BearingsSolver(scaled, config) if config.solver == "pnp" else PointsSolver(scaled, config)
 
 
 def fitting(
     solver: PoseSolver, T_M_Q: Sim3, points_M: Array, points_Q: Array, angle_deg: float, depth_ratio: float
 ) -> NDArray[np.bool_]:
-    """Which matches ``(k,)`` a pose explains."""
+    """Mask ``(k,)`` of the matches that a pose explains: bearing error up to ``angle_deg``, depths within the factor
+    ``depth_ratio``."""
     placed = solver.placed(T_M_Q, points_M, points_Q)
     return agreeing(Transforms.of(T_M_Q), points_M, placed, angle_deg, depth_ratio)[0]

@@ -1,4 +1,4 @@
-"""Which rigid or similarity transform do most matched points agree on? A seeded RANSAC, as arrays.
+"""Seeded RANSAC over arrays for the rigid or similarity transform that most matched points agree on.
 
 Three matches make a hypothesis (Umeyama's closed form). Three pairs of points can only belong together if their
 triangles have the same sides (up to one factor for similarities), which is cheap to test: many sets are drawn, the
@@ -30,19 +30,20 @@ class Transforms:
     scales: Array
 
     def one(self, k: int) -> Sim3:
+        """Similarity ``k`` of the batch."""
         return Sim3(self.rotations[k].copy(), self.translations[k].copy(), float(self.scales[k]))
 
     @classmethod
     def of(cls, transform: Sim3) -> Transforms:
+        """A batch of one."""
         return cls(transform.rotation[None], transform.translation[None], np.array([transform.scale]))
 
 
 def search(
     points_M: Array, points_Q: Array, with_scale: bool, config: RelPoseConfig, rng: np.random.Generator
 ) -> list[Sim3]:
-    """The best few hypotheses, best first, for matched points ``(k, 3)`` in their cameras' frames; empty if none
-    stands out.
-    """
+    """Return the best few hypotheses, best first, for matched points ``(k, 3)`` in their cameras' frames; empty if none
+    stands out."""
     triples = _alike_triples(points_M, points_Q, with_scale, config, rng)
     if not len(triples):
         return []
@@ -55,9 +56,8 @@ def search(
 def agreeing(
     transforms: Transforms, points_M: Array, points_Q: Array, angle_deg: float, depth_ratio: float
 ) -> NDArray[np.bool_]:
-    """Which matches ``(h, k)`` each transform explains: directions in both cameras within the angle, depths within
-    the ratio.
-    """
+    """Mask ``(h, k)`` of the matches that each transform explains: directions in both cameras within ``angle_deg``,
+    depths within the factor ``depth_ratio``."""
     return np.asarray(
         _agreeing(
             transforms.rotations,

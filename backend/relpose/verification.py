@@ -1,4 +1,5 @@
-"""RelPose: are two key-frames views of one place, and how do their cameras stand to each other? (thesis section 3.5)"""
+"""RelPose: verification that two key-frames view one place, and the relative pose of their cameras (thesis section
+3.5)."""
 
 from __future__ import annotations
 
@@ -65,11 +66,11 @@ class PlaceView:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """``(n,)``: :attr:`depth_known`, spelled out."""
+        """:attr:`depth_known` as a mask ``(n,)``, also where it is None."""
         return np.ones(len(self.points_C), dtype=np.bool_) if self.depth_known is None else self.depth_known
 
     def with_depth(self) -> PlaceView:
-        """The rows that are points."""
+        """The rows whose depth is known."""
         if self.depth_known is None:
             return self
         rows = self.depth_known
@@ -82,7 +83,7 @@ class PlaceView:
 
 
 def joined(first: PlaceView, rest: PlaceView) -> PlaceView:
-    """One view of the points of two."""
+    """One view with the points of ``first``, then those of ``rest``."""
     both = (first, rest)
     descriptors, words = [v.descriptors for v in both], [v.words for v in both]
     return PlaceView(
@@ -100,14 +101,14 @@ def joined(first: PlaceView, rest: PlaceView) -> PlaceView:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Whether the match holds, why, and how the cameras stand.
+    """Verdict on a candidate match, its reason, and the relative pose.
 
-    ``reason`` is "accepted" or says what was too little and by how much; ``T_M_Q`` maps the query camera to the match
-    camera (scale 1 when both are metric); ``matches`` tentative, of which ``inliers`` fit the refined pose; ``rmse``:
-    bearing error of the matches made again under the pose, of which there are ``guided``, degrees (NaN without a pose);
+    ``reason`` is "accepted" or names the figure that was too small, and by how much; ``T_M_Q`` maps the query camera to
+    the match camera (scale 1 when both are metric); ``matches`` tentative, of which ``inliers`` fit the refined pose;
+    ``rmse``: bearing error of the ``guided`` matches made again under the pose, degrees (NaN without a pose);
     ``full_information`` ``(7, 7)`` of translation (match's unit), rotation and log scale, the last 0 when both are
-    metric; ``evidence``: what speaks for and against the pose, ``log_odds`` its sum (None where it is not weighed).
-    ``T_M_Q`` and the information may be there without acceptance, for the record.
+    metric; ``evidence`` for and against the pose, ``log_odds`` its sum (None where it is not weighed). ``T_M_Q`` and
+    the information may be there without acceptance, for the record.
     """
 
     accepted: bool
@@ -153,7 +154,8 @@ class _Hypothesis:
 def relative_pose(query: PlaceView, match: PlaceView, config: RelPoseConfig, rng: np.random.Generator) -> Verdict:
     """Match, search, refine, match again under the found pose, refine again, judge.
 
-    Same inputs and the same state of ``rng``: same verdict, bit for bit.
+    ``query``, ``match``: points in their own cameras' frames. Same inputs and the same state of ``rng``: same verdict,
+    bit for bit. Too few matches are a verdict, not an error.
     """
     match = match.with_depth()
     query = query if config.solver == "pnp" else query.with_depth()

@@ -1,1 +1,1 @@
-"""Which edges to believe: robust selection of loops and separators."""
+"""Robust selection of loops and separators."""

@@ -7,10 +7,11 @@ from scipy.special import chdtri, gammaincinv
 
 
 def below(probability: float, freedom: float) -> float:
-    """What a squared distance of ``freedom`` degrees stays below with this probability."""
+    """Quantile of chi-square with ``freedom`` degrees: the squared distance not exceeded with this probability."""
     return 2.0 * float(gammaincinv(freedom / 2.0, probability))
 
 
 def exceeded(probability: float, freedom: float) -> float:
-    """What it exceeds with this probability: exact for small ones."""
+    """Upper quantile of chi-square with ``freedom`` degrees: the squared distance exceeded with this probability, exact
+    for small ones."""
     return float(chdtri(freedom, probability))

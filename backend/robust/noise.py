@@ -1,4 +1,4 @@
-"""How much larger the noise is than the edges state, and in how many directions.
+"""Ratio of the true noise to the one that the edges state, and in how many directions.
 
 Public graphs, and simple front ends, state far too small uncertainties; a chi-square threshold then throws away most
 of what is right. The law of right edges' squared distances is found with the selection itself: from what is believed
@@ -42,12 +42,13 @@ class Noise:
 
     @classmethod
     def stated(cls, dimension: int) -> Noise:
+        """The noise as the edges state it: scale 1, full degrees of freedom."""
         full = degrees_of_freedom(dimension)
         return cls(full, 1.0, float(full))
 
     @property
     def factor(self) -> float:
-        """By how much standard deviations exceed the stated ones, in the mean over directions."""
+        """Factor by which standard deviations exceed the stated ones, in the mean over directions."""
         return (self.scale * self.freedom / self.full) ** 0.5
 
     def limit(self, exceeding: float) -> float:

@@ -29,7 +29,7 @@ _WITNESSES = 10
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """What PCM found.
+    """Result of PCM.
 
     ``accepted`` ``(m,)``: odometry, and the edges of the largest consistent sets; ``agreeing`` ``(m,)``: with how many
     others of its kind an edge agrees; ``tested`` ``(m,)``: how many others there were. An edge with none is accepted:

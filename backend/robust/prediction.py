@@ -1,6 +1,4 @@
-"""What a solution says about an edge, the edge itself left out: the test by which edges go, and rejected ones come
-back.
-"""
+"""Prediction of an edge by a solution without it: the test by which edges are rejected and rejected ones come back."""
 
 from __future__ import annotations
 

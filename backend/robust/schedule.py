@@ -23,13 +23,13 @@ def truncation(confidence: float, degrees_of_freedom: int = 6) -> float:
 
 
 def first_mu(largest_squared: float, bound: float) -> float | None:
-    """Where to begin, given the largest squared residual; None: all are so small that no edge can be turned down."""
+    """The first ``mu``, given the largest squared residual; None: all are so small that no edge can be rejected."""
     excess = 2.0 * largest_squared - bound
     return None if excess <= 0.0 else bound / excess
 
 
 def next_mu(mu: float) -> float:
-    """The next, sharper surrogate."""
+    """The ``mu`` of the next, sharper surrogate."""
     return GROWTH * mu
 
 

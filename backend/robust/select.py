@@ -1,6 +1,4 @@
-"""One door to robust optimisation: choose the edges to believe, optimise with them, and say what was left out and
-why.
-"""
+"""Entry point of robust optimisation: select edges, optimise with them, report the rejected ones with the reason."""
 
 from __future__ import annotations
 
@@ -56,8 +54,9 @@ class RobustResult:
 def optimise_robustly(
     graph: PoseGraph, method: RobustMethod, central: CentralConfig | None = None, config: RobustConfig | None = None
 ) -> RobustResult:
-    """Optimise with the edges worth believing. Odometry always is; weights that ``graph`` has already are not used:
-    every edge can come back.
+    """Optimise with the edges that robust selection accepts; odometry is always accepted.
+
+    Weights that ``graph`` has already are not used: every edge can come back.
     """
     central, config = central or CentralConfig(), config or RobustConfig()
     whole = graph.with_weights(np.ones(len(graph.edges)))
@@ -95,7 +94,7 @@ def optimise_robustly(
 def _contradicted(
     graph: PoseGraph, found: Consistency, central: CentralConfig, config: RobustConfig
 ) -> NDArray[np.bool_]:
-    """Which edges ``(m,)`` that PCM had nothing to test by are wrong by what the others say, if they say anything."""
+    """Mask ``(m,)`` of the edges that PCM could not test and that the others contradict."""
     lone = np.array([e.kind is not EdgeKind.ODOMETRY for e in graph.edges], dtype=bool) & (found.tested == 0)
     out = np.zeros(len(graph.edges), dtype=bool)
     rows = np.flatnonzero(lone)
