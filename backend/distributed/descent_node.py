@@ -45,7 +45,7 @@ class DescentNode(StagedNode):
         self._costs: list[float] = []
         self._best: tuple[float, Array] | None = None
         self._final = self._selection is None
-        self._told = self._warm
+        self._announced = self._warm
         self._message: Values | Deltas | None = None
 
     def _after_start(self) -> Round:
@@ -99,10 +99,10 @@ class DescentNode(StagedNode):
         new = descent.place()
         change = 0.0 if self._placing else descent.sweep(self._config.descent_relaxation if self._costs else 1.0)
         me, at = self.share.robot, self._round
-        if new or not self._told:
-            self._told = bool(descent.placed[: self._problem.own_count].any())
+        if new or not self._announced:
+            self._announced = bool(descent.placed[: self._problem.own_count].any())
             self._message = Values(me, me, at, descent.round_to_numbers(number_type(SolverStage.DESCENT)))
-        elif self._placing or not self._told:
+        elif self._placing or not self._announced:
             self._message = Values(me, me, at, np.zeros((0, 6)))
         else:
             self._message = Deltas(me, me, at, *descent.round_to_steps(public))

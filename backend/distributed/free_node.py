@@ -206,7 +206,7 @@ class FreeNode(DescentNode):
             return
         # Everybody has everybody's newest separators: the rounds go on from there.
         self._sweeps[SolverStage.POSE] = self._version
-        self._told = True
+        self._announced = True
         self._round = Round(SolverStage.DESCENT)
 
     def _receivers(self) -> list[int]:

@@ -118,7 +118,7 @@ class _GncState:
         free = len(a.poses) - len(anchors(a))
         freedom = self.noise.full * (int((weights > 0.5).sum()) + len(self.graph.priors) - free)
         if freedom > 0:
-            # The residuals of a fit tell the size; the shape stays what the cycles told.
+            # The residuals of a fit tell the size; the shape stays as found from the cycles.
             mean = self.noise.full * float(weights @ self.squared) / freedom
             self.noise = self.noise.grown(mean, freedom, self._config)
 
