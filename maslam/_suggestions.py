@@ -1,4 +1,4 @@
-"""The nearest known names to one that nobody knows: "did you mean"."""
+"""The known names nearest to an unknown one: "did you mean"."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What people run: the command line, synthetic worlds, evaluation, reports."""
+"""The command line, synthetic worlds, evaluation, reports."""

@@ -1,4 +1,4 @@
-"""The command ``maslam``: which commands there are, and how each failure is said in one line.
+"""The command ``maslam``: its commands, and the one line in which each failure is reported.
 
 A command is a module of this package with ``add_arguments(parser)`` and ``main(arguments) -> int | None`` (the exit
 code; None is 0). It is imported only when it is called, so ``maslam --help`` costs no library.
@@ -43,7 +43,7 @@ SUCCESS, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line; returns the exit code: 0 success, 1 a failure said in one line, 2 a usage error, 130
+    """Run one command line; returns the exit code: 0 success, 1 a failure reported in one line, 2 a usage error, 130
     interrupted.
     """
     _print_whatever_it_is()
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UnknownName as error:
         print(f"maslam: {error}", file=sys.stderr)
         return USAGE
-    except Exception as error:  # noqa: BLE001 - a command's module that cannot be imported is said like any failure
+    except Exception as error:  # noqa: BLE001 - a command's module that cannot be imported is reported like any failure
         return _fail(error, debug="--debug" in words)
     if arguments.command is None:
         parser.print_help()

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from .common.progress import Progress
 
 _MIN_DESCRIPTORS = 50
-"""An image with fewer says nothing about how words are spread over images."""
+"""An image with fewer does not show how words are spread over images."""
 _FAST_THRESHOLD = 12
 """Grey levels; the odometry looks for corners as faint."""
 
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """``features`` ORB key-points an image; ``every``: use each n-th image of a folder."""
+    """``features`` ORB key-points per image; ``every``: use each n-th image of a folder."""
 
     branching: int = 10
     depth: int = 4
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     train.add_argument("--depth", type=int, default=defaults.depth, help="levels below the root (default: %(default)s)")
     train.add_argument(
-        "--features", type=int, default=defaults.features, help="key-points an image (default: %(default)s)"
+        "--features", type=int, default=defaults.features, help="ORB key-points per image (default: %(default)s)"
     )
     train.add_argument(
         "--every", type=int, default=defaults.every, help="use every n-th image of a folder (default: %(default)s)"
@@ -82,7 +82,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 
 def vocabulary_info(path: Path, vocabulary: Vocabulary) -> list[str]:
-    """What a vocabulary holds, a line each."""
+    """Contents of a vocabulary, one line each."""
     import numpy as np
 
     levels, leaves = vocabulary.levels, vocabulary.is_leaf

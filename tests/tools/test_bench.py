@@ -176,8 +176,8 @@ def test_the_command(town: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert one["same_each_run"] and one["runs"] == 2 and one["files"] and one["unreadable"] == []
         assert sum(one["stages_ms"].values()) == pytest.approx(one["cpu_ms"], rel=0.01)
         assert {"decode", "track", "stereo", "adjust", "export", "write"} <= set(one["stages_ms"])
-        assert one["yard_cpu"] == pytest.approx(one["cpu_ms"] / one["yard_ms"], rel=0.01)
-        assert one["yard_wall"] == pytest.approx(one["wall_ms"] / one["yard_ms"], rel=0.01)
+        assert one["unit_cpu"] == pytest.approx(one["cpu_ms"] / one["unit_ms"], rel=0.01)
+        assert one["unit_wall"] == pytest.approx(one["wall_ms"] / one["unit_ms"], rel=0.01)
         assert 20 < one["baseline_mb"] < one["peak_mb"] < 2000
     folder = tmp_path / "out" / name.replace("/", "_")
     assert (folder / "poses_0.txt").is_file() and (folder / "trajectory_0.tum").is_file()
@@ -231,7 +231,7 @@ def test_the_slope_is_that_of_what_grows_with_frames() -> None:
         for n in frames
     )
     report = MemoryReport(samples, 1)
-    assert report.bytes_a_frame == pytest.approx(120.0) and report.resident_bytes_a_frame > 500
+    assert report.bytes_per_frame == pytest.approx(120.0) and report.resident_bytes_per_frame > 500
     assert report.ms_growth == pytest.approx((5.0 + 0.8875) / (5.0 + 0.3875), rel=0.01)
     assert "120 bytes" in report.text() and json.loads(report.json())["tracks"] == 1
 

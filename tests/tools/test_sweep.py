@@ -57,7 +57,7 @@ def test_ours_stands_beside_what_the_thesis_prints() -> None:
 
 def test_the_systems_of_the_thesis_stand_beside_each_other() -> None:
     ours = {"optimised": (90.0, 20.0, 40), "selection": (80.0, 9.0, 38), "default": (45.0, 30.0, 30)}
-    rows = [row(preset=p, explored=e, payload_dvpr=d, accepted=a) for p, (e, d, a) in ours.items()]
+    rows = [row(preset=p, exploration=e, payload_dvpr=d, accepted=a) for p, (e, d, a) in ours.items()]
     assert "| 00 | 20 | 2.00 | 0.45 | 0.95 | - |" in report(grouped(rows))
     assert "beside each other" not in report(grouped([row()]))
 

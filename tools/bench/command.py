@@ -1,6 +1,5 @@
-"""``maslam bench``: what the odometry costs and how good it is (``vo``), what it keeps in memory (``memory``), what
-the search of place vectors (``search``) and distributed optimisation (``pgo``) cost, and which place matches are
-believed (``relpose``)."""
+"""``maslam bench``: cost and accuracy of the odometry (``vo``), its memory (``memory``), cost of the search of place
+vectors (``search``) and of distributed optimisation (``pgo``), and outcomes of place matches (``relpose``)."""
 
 from __future__ import annotations
 
@@ -14,21 +13,21 @@ from .relpose.command import add_relpose, run_relpose
 
 SECTION = "odometry"
 _VO = """\
-Each sequence runs in a process of its own, one at a time, images decoded along the way as `maslam preprocess` does
-it, but without place vectors. Processor time is that of all threads. The yard is one call of OpenCV's
+Each sequence runs in a process of its own, one at a time, images decoded during the run as `maslam preprocess` does
+it, but without place vectors. Processor time is that of all threads. The reference unit is one call of OpenCV's
 ORB.create(2000).detectAndCompute on one thread, the median over images of the same sequence: taken before and after
 the run, and the smaller counts, because other work on the machine only ever lengthens it. Compiled code is warmed up
-on the first 60 frames before the clock starts: compiling (once a machine) and loading it (once a process, about a
+on the first 60 frames before the clock starts: compiling (once per machine) and loading it (once per process, about a
 second) are not in the figures. Short sequences run several times; the run of median cost is shown. Errors: ATE is the
 RMSE of position after one alignment, SE(3), or Sim(3) for one camera; RPE over L metres is KITTI's drift, from every
-frame to the first one at least L farther along the true way, mean error over L, after the one global scale for one
-camera; RPE a frame is the RMSE from frame to frame."""
+frame to the first one at least L farther along the true path, mean error over L, after the one global scale for one
+camera; RPE per frame is the RMSE from frame to frame."""
 
 _MEMORY = """\
-A closed way through a town is rendered once and driven lap after lap, each frame decoded again and a new moment, in a
+A closed path through a town is rendered once and driven lap after lap, each frame decoded again at a new time, in a
 process of its own. No loop is closed: every lap makes key-frames and points of its own, so memory grows with them.
-Memory a frame is the slope of resident memory over the last three quarters of the run, with the maps and without
-them; what the maps hold is counted array by array."""
+Memory per frame is the slope of resident memory over the last three quarters of the run, with and excluding the maps,
+whose contents are counted array by array."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="other systems' trajectories, TUM or KITTI (12 numbers a row and frame, or 13 with the time), shown "
+        help="other systems' trajectories, TUM or KITTI (12 numbers per frame, or 13 with the time), shown "
         "beside ours; SEQUENCE where there are several",
     )
     vo.add_argument("--files", action="store_true", help="also write the five files of each track, and count that")

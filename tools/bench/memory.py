@@ -50,7 +50,7 @@ class MemorySettings:
 
 @dataclass(frozen=True)
 class Sample:
-    """After ``frame`` frames: resident memory and of it the maps' (megabytes), what the maps hold, processor time a
+    """After ``frame`` frames: resident memory and of it the maps' (megabytes), what the maps hold, processor time per
     frame since the sample before, frames without a pose so far."""
 
     frame: int
@@ -67,19 +67,19 @@ class Sample:
 
 @dataclass(frozen=True)
 class MemoryReport:
-    """``bytes_a_frame``: slope of resident memory without the maps, over the settled part of the run, by Siegel's
-    repeated medians: a step that comes once, a library loaded, is no growth. ``ms_growth``: processor time a frame in
+    """``bytes_per_frame``: slope of resident memory excluding the maps, over the settled part of the run, by Siegel's
+    repeated medians: a step that comes once, a library loaded, is no growth. ``ms_growth``: processor time per frame in
     the last quarter over that in the second."""
 
     samples: tuple[Sample, ...]
     tracks: int
 
     @property
-    def bytes_a_frame(self) -> float:
+    def bytes_per_frame(self) -> float:
         return 1e6 * self._slope([s.resident_mb - s.map_mb for s in self.samples])
 
     @property
-    def resident_bytes_a_frame(self) -> float:
+    def resident_bytes_per_frame(self) -> float:
         """The same with the maps."""
         return 1e6 * self._slope([s.resident_mb for s in self.samples])
 
@@ -95,7 +95,7 @@ class MemoryReport:
         return float(siegelslopes(values[first:], [s.frame for s in self.samples[first:]])[0])
 
     def record(self) -> dict[str, Any]:
-        figures = {"bytes_a_frame": self.bytes_a_frame, "resident_bytes_a_frame": self.resident_bytes_a_frame}
+        figures = {"bytes_per_frame": self.bytes_per_frame, "resident_bytes_per_frame": self.resident_bytes_per_frame}
         figures["ms_growth"] = self.ms_growth
         rounded = {name: round(value, 3) for name, value in figures.items()}
         return {"tracks": self.tracks, **rounded, "samples": [asdict(sample) for sample in self.samples]}
@@ -104,18 +104,21 @@ class MemoryReport:
         return json.dumps(self.record(), indent=1)
 
     def text(self) -> str:
-        rows = [["frames", "resident", "maps", "key-frames", "culled", "points", "observations", "CPU a frame", "lost"]]
+        rows = [
+            ["frames", "resident", "maps", "key-frames", "culled", "points", "observations", "CPU per frame", "lost"]
+        ]
         for s in self.samples[:: max(1, len(self.samples) // 20)]:
             memory = [f"{s.resident_mb:.1f} MB", f"{s.map_mb:.1f} MB"]
             counts = [str(n) for n in (s.keyframes, s.culled, s.points, s.observations)]
             rows.append([str(s.frame), *memory, *counts, f"{s.cpu_ms:.2f} ms", str(s.lost)])
         last = self.samples[-1]
-        said = [
+        notes = [
             f"{last.frame} frames, {last.lost} without a pose; tracks: {self.tracks}",
-            f"memory a frame  {self.resident_bytes_a_frame:.0f} bytes, without the maps {self.bytes_a_frame:.0f} bytes",
-            f"time a frame    {self.ms_growth:.2f} x from the second quarter of the run to the last",
+            f"memory per frame  {self.resident_bytes_per_frame:.0f} bytes, "
+            f"excluding the maps {self.bytes_per_frame:.0f} bytes",
+            f"time per frame    {self.ms_growth:.2f} x from the second quarter of the run to the last",
         ]
-        return "\n".join([*aligned(rows), "", *said])
+        return "\n".join([*aligned(rows), "", *notes])
 
 
 def bench_memory(settings: MemorySettings, progress: Progress) -> MemoryReport:
@@ -127,7 +130,7 @@ def bench_memory(settings: MemorySettings, progress: Progress) -> MemoryReport:
     if settings.frames < SAMPLES:
         raise ToolError(f"{settings.frames} frames: at least {SAMPLES} are needed")
     if settings.lap < _SHORTEST_LAP:
-        raise UsageError(f"--lap {settings.lap}: at least {_SHORTEST_LAP} frames make a way that can be followed")
+        raise UsageError(f"--lap {settings.lap}: at least {_SHORTEST_LAP} frames make a path that can be followed")
     with ExitStack() as stack:
         root = settings.images or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         sequence = open_dataset(_rendered(root, settings, progress)).sequences[0]
@@ -143,8 +146,8 @@ def circuit(frames: int) -> NDArray[np.float64]:
     """``(frames, 4, 4)`` ``T_W_C`` round an ellipse at even speed; after the last comes the first."""
     a, b = _HALF_AXES_M
     t = np.linspace(0.0, 2 * np.pi, 20_000)
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff([a * np.sin(t), -b * np.cos(t)], axis=1)))])
-    t = np.interp(np.arange(frames) * way[-1] / frames, way, t)
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff([a * np.sin(t), -b * np.cos(t)], axis=1)))])
+    t = np.interp(np.arange(frames) * driven[-1] / frames, driven, t)
     zero = np.zeros(frames)
     yaw = np.arctan2(a * np.cos(t), b * np.sin(t))
     centres = np.stack([a * np.sin(t), zero, b * (1.0 - np.cos(t))], axis=1)

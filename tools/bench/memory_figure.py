@@ -19,7 +19,7 @@ def draw_memory(report: MemoryReport, path: Path) -> None:
         memory.plot(frames, [s.map_mb for s in samples], color=colour_of(2), label="maps")
         memory.set_ylim(bottom=0)
         memory.legend()
-        dress(memory, f"memory: {report.bytes_a_frame:.0f} bytes a frame without the maps", "frames", "MB")
+        dress(memory, f"memory: {report.bytes_per_frame:.0f} bytes per frame excluding the maps", "frames", "MB")
         for k, name in enumerate(("points", "keyframes", "culled")):
             held.plot(frames, [max(1, getattr(s, name)) for s in samples], color=colour_of(k), label=name)
         held.set_yscale("log")
@@ -27,4 +27,4 @@ def draw_memory(report: MemoryReport, path: Path) -> None:
         dress(held, "what the maps hold", "frames", "")
         spent.plot(frames, [s.cpu_ms for s in samples], color=colour_of(0))
         spent.set_ylim(bottom=0)
-        dress(spent, f"processor time a frame: {report.ms_growth:.2f} x in the end", "frames", "ms")
+        dress(spent, f"processor time per frame: {report.ms_growth:.2f} x in the end", "frames", "ms")

@@ -20,7 +20,7 @@ from ..pgo.methods import Request, solve, solver_of
 
 @dataclass(frozen=True)
 class PgoMeasurement:
-    """One method on one city. ``gap``: cost F over the central optimum's, minus one; bytes a robot and in all;
+    """One method on one city. ``gap``: cost F over the central optimum's, minus one; bytes per robot and in all;
     ``cpu_s`` of all robots together, one after the other."""
 
     method: str
@@ -115,7 +115,7 @@ def draw(results: Sequence[PgoMeasurement], path: Path) -> None:
     from ..common.figures import colour_of, dress, saved_figure
 
     panels: list[tuple[str, Callable[[PgoMeasurement], float]]] = [
-        ("kB on the wire a robot", lambda r: r.wire_bytes / 1e3 / r.robots),
+        ("kB sent per robot", lambda r: r.wire_bytes / 1e3 / r.robots),
         ("processor seconds a robot", lambda r: r.cpu_s / r.robots),
         ("above the optimum, share", lambda r: max(r.gap, 1e-8)),
     ]

@@ -1,4 +1,4 @@
-"""Settings of version 0.1 and what became of them.
+"""Settings of version 0.1 and their changes since.
 
 A settings file of 0.1 is read, with a line that says what has another name now and what is gone; an option of 0.1 is
 refused in a line that names the new word.
@@ -43,7 +43,7 @@ have no entry of their own."""
 
 
 def fate(name: str, table: Mapping[str, Fate] = SETTINGS_OF_0_1) -> Fate | None:
-    """What became of the setting ``name`` of 0.1; None: nothing, or there never was one."""
+    """The change of the setting ``name`` of 0.1; None: unchanged, or there never was one."""
     section, rest = name, ""
     while section not in table:
         section, dot, last = section.rpartition(".")
@@ -74,11 +74,11 @@ def modernised(content: dict[str, Any], origin: Path, table: Mapping[str, Fate] 
                 _put(today, to, values.get(value, value) if isinstance(value, str) else value, origin)
             case None:
                 _put(today, name, value, origin)
-    log.warning("%s: settings of version 0.1: %s", origin, "; ".join(_told(fates)))
+    log.warning("%s: settings of version 0.1: %s", origin, "; ".join(_changes(fates)))
     return today
 
 
-def _told(fates: Mapping[str, Fate]) -> Iterator[str]:
+def _changes(fates: Mapping[str, Fate]) -> Iterator[str]:
     renamed = [f"{name} is now {one.to}" for name, one in fates.items() if isinstance(one, Renamed) and one.to != name]
     removed = [f"{name} is gone ({one.why})" for name, one in fates.items() if isinstance(one, Removed)]
     for lines in (renamed, removed):

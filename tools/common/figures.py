@@ -12,7 +12,7 @@ from typing import Any
 
 from maslam._atomic import replacing
 
-# Okabe and Ito's colours, told apart by colour-blind readers, without the yellow that vanishes on white.
+# Okabe and Ito's colours, distinguishable for colour-blind readers, without the yellow that vanishes on white.
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#6A51A3", "#8C6D31")
 DASHES = ((), (6, 3), (2, 3), (8, 3, 2, 3))  # points drawn and left out, when the colours are used up
 INK, FAINT, GRID, FRAME, TRUTH = "#22303c", "#6b7a89", "#e4e9ee", "#d5dde4", "#b8c2cc"

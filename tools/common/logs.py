@@ -1,4 +1,4 @@
-"""Where log lines go. Modules write to ``logging.getLogger(__name__)``; only the command line attaches handlers.
+"""Destinations of log lines. Modules write to ``logging.getLogger(__name__)``; only the command line attaches handlers.
 
 Lines of worker processes are handled in the process that started them, so that a log file has one writer and the lines
 on a terminal stand above the progress bars.
@@ -28,7 +28,7 @@ LEVELS = {
     "debug": logging.DEBUG,
 }
 OURS = ("maslam", "frontend", "descriptors", "backend", "mas", "tools")
-"""The loggers whose level is set: libraries are heard from ``warning`` on, whatever is asked for."""
+"""The loggers whose level is set: libraries log from ``warning`` on, whatever is asked for."""
 ON_CONSOLE = {"on_console": True}
 """``extra`` of a line that stands on the console already: it goes to the log file only."""
 _FORMAT = "%(asctime)s %(levelname)-7s [%(process)d] %(name)s: %(job)s%(message)s"
@@ -109,7 +109,8 @@ def logs_to(level: str | None = None, file: Path | None = None) -> Iterator[None
 
 @dataclass(frozen=True)
 class Relay:
-    """What a worker process needs to send its log lines home: the queue, and the level of each of our loggers."""
+    """Values with which a worker process sends its log lines to its parent: the queue, and the level of each of our
+    loggers."""
 
     queue: Any
     levels: dict[str, int]

@@ -1,4 +1,4 @@
-"""What memory this process holds, as the operating system counts it."""
+"""Memory of this process, as the operating system counts it."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ _work: Any = None  # in a worker: what it does with each small job
 
 @dataclass(frozen=True)
 class JobOutcome(Generic[Result]):
-    """What became of one job: its result, or the error that ended it."""
+    """Outcome of one job: its result, or the error that ended it."""
 
     result: Result | None
     error: Exception | None

@@ -81,7 +81,7 @@ class CommandParser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]  # overloaded there by the kind of namespace
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> Any:
-        """As the base class, after a look at the names: a wrong one is said before what is missing."""
+        """As the base class, after a look at the names: a wrong one is reported before what is missing."""
         for word in self._own_words(list(args or [])):
             name = word.partition("=")[0]
             if name not in self._option_string_actions:

@@ -1,4 +1,4 @@
-"""Progress of long work on standard error: bars on a terminal, a line now and then in a log, silence when told."""
+"""Progress of long work on standard error: bars on a terminal, a line now and then in a log, silence on request."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _record(line: str) -> None:
 
 
 class Silent:
-    """No progress; what must be said is said on standard error."""
+    """No progress; warnings still go to standard error."""
 
     def start(self, title: str, total: int) -> int:
         return 0

@@ -1,4 +1,4 @@
-"""Where in a YAML file a setting stands, for messages about it."""
+"""Line numbers of settings in a YAML file, for messages about them."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ _SHOWN_PROBLEMS = 20
 
 @dataclass(frozen=True)
 class SequenceReport:
-    """What one sequence is. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
+    """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
     frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say."""
 
     name: str
@@ -65,7 +65,7 @@ class SequenceReport:
 
 @dataclass(frozen=True)
 class InspectReport:
-    """What a data set is, sequence by sequence; ``problems``: agents that could not be opened."""
+    """Properties of a data set, sequence by sequence; ``problems``: agents that could not be opened."""
 
     path: Path
     kind: str
@@ -157,7 +157,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
 
 @dataclass(frozen=True)
 class _Sensors:
-    """What images say about their calibration: a line for stereo, a line for depth, and what is wrong."""
+    """Findings of the images on their calibration: a line for stereo, a line for depth, and what is wrong."""
 
     rows: str = ""
     depth: str = ""
@@ -167,7 +167,7 @@ class _Sensors:
 def _decode(
     sequence: ImageSequence, chosen: range | list[int], progress: Progress | None
 ) -> tuple[list[Problem], _Sensors]:
-    """Every frame of ``chosen`` that cannot be read (missing files are known already and not said again), and what the
+    """Every frame of ``chosen`` that cannot be read (missing files are known already), and what the
     others show."""
     from maslam.frontend.datasets import Problem, Severity
     from maslam.frontend.errors import FrontendError

@@ -66,7 +66,7 @@ def main(_: argparse.Namespace) -> int:
 
 
 def system_checks() -> list[Check]:
-    """What the operating system gives, beside libraries."""
+    """Checks of the operating system, excluding libraries."""
     name = platform.system()
     tested = "tested" if name == "Linux" else "not tested there; what cannot work says so in a line"
     measured = not math.isnan(resident_mb())

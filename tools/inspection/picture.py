@@ -1,5 +1,5 @@
-"""What the odometry would see of a frame, as a picture: the undistorted image with its features, and beside it the
-right image or the depth."""
+"""Picture of a frame as the odometry sees it: the undistorted image with its features, and beside it the right image or
+the depth."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ def draw(sequence: ImageSequence, index: int) -> Picture:
     off their row in red. RGB-D: depth by colour (black: unknown) under the edges of the image."""
     frame = sequence.read(index)
     image, features = _with_features(frame.image)
-    panels, told = [image], f"{features} features"
+    panels, caption = [image], f"{features} features"
     if frame.right is not None:
         left, right, matched = _pair(frame, image)
-        panels, told = [left, right], f"{told}, {matched}"
+        panels, caption = [left, right], f"{caption}, {matched}"
     if frame.depth_m is not None:
         colours, span = _depth(frame)
-        panels, told = [image, colours], f"{told}, depth {span}"
+        panels, caption = [image, colours], f"{caption}, depth {span}"
     camera = sequence.rig.camera
     how = "rectified" if sequence.rectifier is not None else "as stored"
-    text = f"{sequence.name} frame {index}, {camera.width}x{camera.height} {how}, fx {camera.fx:.1f} px: {told}"
+    text = f"{sequence.name} frame {index}, {camera.width}x{camera.height} {how}, fx {camera.fx:.1f} px: {caption}"
     return np.concatenate([_strip(text, sum(p.shape[1] for p in panels)), np.concatenate(panels, axis=1)])
 
 

@@ -1,4 +1,4 @@
-"""What images of a pair, or an image and its depth, say about the calibration that came with them."""
+"""Checks of a calibration on the images of a pair, or on an image and its depth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MATCH_DISTANCE = 40
 _MAX_ROWS = 12.0
 """Rows apart, pixels, within which a point is looked for in the right image."""
 _ENOUGH = 40
-"""Matches below which nothing is said."""
+"""Fewest matches from which anything is concluded."""
 _ROWS_PX, _ROWS_75_PX = 1.0, 1.5
 _WRONG_WAY = 0.25
 """Share of points that may lie right of their place in the left image: mismatches; far points do so by rounding."""
@@ -37,7 +37,7 @@ class RowCheck:
 
     @property
     def rows_px(self) -> NDArray[np.float64]:
-        """How much lower each point lies in the right image ``(n,)``: 0 in a rectified pair."""
+        """Row difference of each point, right minus left image ``(n,)``, pixels: 0 in a rectified pair."""
         return self.right_uv[:, 1] - self.left_uv[:, 1]
 
     @property
@@ -100,7 +100,7 @@ def check_depth(frame: Frame) -> DepthCheck | None:
 
 
 def row_lines(checks: Sequence[RowCheck]) -> tuple[str, list[Problem]]:
-    """The line of the report and what is wrong, from several frames; nothing is said on too few points."""
+    """The line of the report and what is wrong, from several frames; nothing is concluded from too few points."""
     from maslam.frontend.datasets import Problem, Severity
 
     features, count = sum(c.features for c in checks), sum(len(c.left_uv) for c in checks)

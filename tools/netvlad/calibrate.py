@@ -88,7 +88,7 @@ def world_benchmarks(
 
 
 def target(model: str, out: Path | None) -> Path | None:
-    """Where the calibrated card belongs: None beside the model itself. A shipped model, asked for by its name, keeps
+    """Path of the calibrated card: None beside the model itself. A shipped model, asked for by its name, keeps
     its card."""
     if out is None and not model.endswith(".onnx"):
         raise UsageError(
@@ -151,8 +151,8 @@ def retrieval(net: NetVlad, benchmark: PlaceBenchmark) -> Retrieval:
     return retrieve(queries, references, benchmark.truth, ignore=np.logical_or.reduce(masks) if masks else None)
 
 
-def said(path: Path, calibration: Calibration, precision: float) -> list[str]:
-    """What came out, for people: the card written, both thresholds, each set by itself, and what to doubt."""
+def summary_lines(path: Path, calibration: Calibration, precision: float) -> list[str]:
+    """Result of the calibration as text: the card written, both thresholds, each set by itself, and what to doubt."""
     lines = [f"{path}: {'a shipped card rewritten' if path.parent.resolve() == MODELS else 'written'}"]
     rows = [["", "distance", "precision", "recall"]]
     for name, point in (("strict", calibration.strict), ("candidate", calibration.candidate)):

@@ -82,7 +82,7 @@ def describe_file(images: ImageSet, model: NetVlad, out: Path, settings: Describ
     """Write ``out``, the container of all vectors; a line that says what is in it.
 
     What is done so far stands in ``out.unfinished`` and is taken up again as long as images and model are the same.
-    Images that cannot be read are left out and said; ``ToolError`` where they are too many.
+    Images that cannot be read are left out and reported; ``ToolError`` where they are too many.
     """
     part = out.with_name(out.name + ".unfinished")
     fingerprint, total = _fingerprint(images, model), len(images.files)

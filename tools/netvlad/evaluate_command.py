@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="training worlds of each kind that baselines are fitted on, too (default: %(default)s)",
     )
     parser.add_argument("--vocabulary", type=Path, metavar="FILE", help="of bag-of-words (default: the shipped one)")
-    parser.add_argument("--json", action="store_true", help="records instead of a table")
+    parser.add_argument("--json", action="store_true", help="print JSON records instead of a table")
     parser.add_argument("--out", type=Path, metavar="DIR", help="pictures: curves, hits and misses, recall over bytes")
     add_input_options(parser)
     add_world_options(parser)
@@ -221,7 +221,7 @@ def _data(arguments: argparse.Namespace) -> Path:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """OpenCV on one thread, as the times in the table are said to be."""
+    """OpenCV on one thread, as the table states of its times."""
     import cv2
 
     before = cv2.getNumThreads()

@@ -1,4 +1,5 @@
-"""``maslam netvlad export``: any file of weights that is known, told by its content, to an ONNX graph and its card."""
+"""``maslam netvlad export``: any file of weights that is known, recognised by its content, to an ONNX graph and its
+card."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ _PIXELS = 76_800  # 320x240
 
 @dataclass(frozen=True)
 class InputForm:
-    """What a network without a card is given. ``pixels``: images are resized to about so many, their shape kept;
+    """Input of a network without a card. ``pixels``: images are resized to about so many, their shape kept;
     ``size`` (height, width): to exactly this instead; None where the file says all there is to say. ``mean`` and
     ``std``: grey levels, one number for each channel; a network that takes float32 gets (level - mean) / std."""
 

@@ -103,7 +103,7 @@ def _codebooks(model: Path) -> str:
     books = codebooks_path(model)
     if books.is_file():
         return f"{books} ({books.stat().st_size / 1e6:.1f} MB)"
-    return "none: no product codes of its vectors on the air"
+    return "none: its vectors cannot be transmitted in product codes"
 
 
 def _thresholds(card: ModelCard) -> list[list[str]]:

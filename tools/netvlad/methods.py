@@ -40,7 +40,7 @@ class Code:
 @dataclass(frozen=True)
 class Method:
     """A descriptor: ``describe`` makes a description of one image, which each of ``codes`` sends in its own form;
-    ``colour``: it is told more by BGR images than by grey ones."""
+    ``colour``: BGR images give it more than grey ones."""
 
     name: str
     describe: Callable[[NDArray[np.uint8]], Any]

@@ -1,4 +1,4 @@
-"""What the actions of ``maslam netvlad`` have in common: options for rendered worlds, and the word about torch."""
+"""Options common to the actions of ``maslam netvlad``: rendered worlds, own sequences, and the message about torch."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ CACHE = Path("worlds_cache")
 
 
 def add_world_options(parser: argparse.ArgumentParser) -> None:
-    """Where rendered places are kept and who renders them."""
+    """Options for the folder of rendered places and the processes that render them."""
     parser.add_argument(
         "--cache", type=Path, default=CACHE, metavar="DIR", help="rendered places, kept (default: %(default)s)"
     )
     parser.add_argument(
-        "--workers", type=int, default=0, metavar="N", help="processes that render (default: one a core)"
+        "--workers", type=int, default=0, metavar="N", help="processes that render (default: one per core)"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def add_held_out_options(parser: argparse.ArgumentParser) -> None:
-    """Which held-out worlds."""
+    """Options for the choice of held-out worlds."""
     parser.add_argument(
         "--worlds", type=int, default=2, metavar="N", help="held-out worlds of each kind (default: %(default)s)"
     )

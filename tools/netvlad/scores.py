@@ -1,4 +1,4 @@
-"""How well places are recognised: any descriptor on any benchmark, as the table that ``maslam netvlad eval`` prints."""
+"""Scores of place recognition: any descriptor on any benchmark, as the table that ``maslam netvlad eval`` prints."""
 
 from __future__ import annotations
 

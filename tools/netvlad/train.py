@@ -38,7 +38,7 @@ KINDS = ("indoor", "town")
 
 
 class MaterialConfig(BaseModel):
-    """What is trained on."""
+    """Material of a training run."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

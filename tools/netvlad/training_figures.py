@@ -32,8 +32,8 @@ def training_picture(log: Path, out: Path) -> None:
         loss.plot([row["step"] for row in rows], [row["loss"] for row in rows], color=colour_of(0), linewidth=1.6)
         dress(loss, "loss (InfoNCE)", "step", "nats")
         loss.set_ylim(bottom=0.0)
-        told = {"color": FAINT, "linewidth": 1.0, "label": "pairs of the batch told right"}
-        right.plot([row["step"] for row in rows], [row["right"] for row in rows], **told)
+        style = {"color": FAINT, "linewidth": 1.0, "label": "pairs of the batch classified correctly"}
+        right.plot([row["step"] for row in rows], [row["right"] for row in rows], **style)
         for number, name in enumerate(names):
             known = [row for row in rows if name in row]
             steps, values = [row["step"] for row in known], [row[name] for row in known]

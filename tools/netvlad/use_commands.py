@@ -19,14 +19,14 @@ def add_use_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]
     _running_arguments(info, threads=1)
     card = actions.add_parser("card", help="write or complete the card of an ONNX file, so that it can be used here")
     card.add_argument("model", metavar="FILE.onnx", type=Path)
-    for name, said in (
+    for name, text in (
         ("name", "of the model"),
         ("licence", "of its weights"),
         ("training", "the commands that made them"),
         ("data", "the images they were trained on"),
         ("source", "where they come from"),
     ):
-        card.add_argument(f"--{name}", metavar="TEXT", help=said)
+        card.add_argument(f"--{name}", metavar="TEXT", help=text)
     card.add_argument("--figures", metavar="FILE", type=Path, help="what `maslam netvlad eval --json` printed")
     add_input_options(card)
     describe = actions.add_parser("describe", help="place vectors of whole sequences or folders of images, to a file")
@@ -48,7 +48,7 @@ def add_use_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
-    """What ``calibrate`` takes beside the choice of rendered worlds."""
+    """Options of ``calibrate``, excluding the choice of rendered worlds."""
     parser.add_argument("model", metavar="NAME|MODEL.onnx")
     parser.add_argument(
         "--sequence",
@@ -77,8 +77,8 @@ def add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _running_arguments(parser: argparse.ArgumentParser, threads: int) -> None:
-    said = "images at a time (default: one a core)" if threads == 0 else "that share one image (default: %(default)s)"
-    parser.add_argument("--threads", type=int, default=threads, metavar="N", help=said)
+    text = "images at a time (default: one per core)" if threads == 0 else "that share one image (default: %(default)s)"
+    parser.add_argument("--threads", type=int, default=threads, metavar="N", help=text)
     parser.add_argument(
         "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs it, cuda or so (default: CPU)"
     )
@@ -140,13 +140,13 @@ def run_calibration(arguments: argparse.Namespace, kinds: tuple[str, ...]) -> No
         CalibrationSettings,
         calibrate_model,
         own_benchmarks,
-        said,
+        summary_lines,
         target,
         world_benchmarks,
     )
 
     out = target(arguments.model, arguments.out)
-    _, card = read_card(arguments.model)  # what is wrong with the model is said before worlds are rendered
+    _, card = read_card(arguments.model)  # what is wrong with the model is reported before worlds are rendered
     settings = CalibrationSettings(
         arguments.worlds,
         arguments.places,
@@ -168,4 +168,4 @@ def run_calibration(arguments: argparse.Namespace, kinds: tuple[str, ...]) -> No
     if arguments.json:
         print(card.calibration.model_dump_json(indent=1))
     else:
-        print("\n".join(said(path, card.calibration, settings.precision)))
+        print("\n".join(summary_lines(path, card.calibration, settings.precision)))

@@ -55,14 +55,14 @@ def _drive(rng: np.random.Generator, side: int, steps: int) -> list[tuple[int, i
     """Positions and headings, metre by metre; at each crossing left, right or straight on."""
     x, y = (int(v) * BLOCK for v in rng.integers(0, side + 1, 2))
     heading = int(rng.integers(4))
-    way: list[tuple[int, int, int]] = []
-    while len(way) < steps:
+    path: list[tuple[int, int, int]] = []
+    while len(path) < steps:
         if x % BLOCK == 0 and y % BLOCK == 0:
             options = [h for h in ((heading + turn) % 4 for turn in (0, 0, 1, 3)) if _inside(x, y, h, side)]
             heading = int(rng.choice(options)) if options else (heading + 2) % 4
         x, y = x + _HEADINGS[heading][0], y + _HEADINGS[heading][1]
-        way.append((x, y, heading))
-    return way
+        path.append((x, y, heading))
+    return path
 
 
 def _inside(x: int, y: int, heading: int, side: int) -> bool:

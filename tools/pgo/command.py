@@ -35,16 +35,16 @@ robust
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """``FILES… OUT``, the method, and everything its solver can be told."""
+    """``FILES… OUT``, the method, and all settings of its solver."""
     from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
 
     from .methods import METHODS, ROBUST
 
     parser.epilog = _METHODS
     parser.add_argument(
-        "files", metavar="FILES", type=Path, nargs="+", help="a g2o file, one file a robot, or a folder of them"
+        "files", metavar="FILES", type=Path, nargs="+", help="a g2o file, one file per robot, or a folder of them"
     )
-    parser.add_argument("out", metavar="OUT", type=Path, help="a .g2o file, or a folder for one file a robot")
+    parser.add_argument("out", metavar="OUT", type=Path, help="a .g2o file, or a folder for one file per robot")
     parser.add_argument("--method", choices=METHODS, default="rbcd", help="see below (default: %(default)s)")
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(
@@ -97,7 +97,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 
 def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
-    """What the command line asks for, of this graph."""
+    """The request of the command line for this graph."""
     from maslam.backend.config import CentralConfig, RobustConfig
 
     from .methods import LOSSES, Request, solver_of

@@ -50,7 +50,7 @@ def _curve(graph: PoseGraph, request: Request, optimum: float) -> Curve:
         except BackendError:
             if limit is None:
                 raise
-            continue  # stopped so early that not every robot has heard of a neighbour
+            continue  # stopped so early that not every robot has received from a neighbour
         reached = cost(graph.with_poses(found.poses), found.minimised)  # type: ignore[arg-type]
         points.append((found.payload_bytes, found.wire_bytes, max(reached / optimum - 1.0, 0.0)))
         end = limit is None or found.iterations < limit

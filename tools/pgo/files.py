@@ -34,7 +34,7 @@ def expand(paths: Sequence[Path]) -> list[Path]:
 
 
 def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:
-    """One file, or a folder with one file a robot and the report."""
+    """One file, or a folder with one file per robot and the report."""
     from maslam.backend.pose_graph.g2o import write_g2o
 
     alone = len(graph.robots) == 1

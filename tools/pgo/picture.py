@@ -15,7 +15,7 @@ _FLOOR = 1e-7
 def draw_convergence(made: Sequence[Curve], title: str, path: Path) -> None:
     """Payload on the left, everything sent on the right; a dot where a method stops by itself."""
     with saved_figure(path, (11.0, 4.4)) as figure:
-        for k, (name, label) in enumerate((("payload", "bytes of poses"), ("wire", "bytes on the wire"))):
+        for k, (name, label) in enumerate((("payload", "bytes of poses"), ("wire", "bytes sent"))):
             axes = figure.add_subplot(1, 2, k + 1)
             for number, curve in enumerate(made):
                 x, y = getattr(curve, name), [max(gap, _FLOOR) for gap in curve.gaps]

@@ -1,4 +1,4 @@
-"""What an optimisation did, for people and as JSON."""
+"""Report of an optimisation, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class PgoReport:
     ``certified``: whether the minimised cost is proven to be the global optimum's; ``gap``: the share by which it may
     be above it at most; both None where they were not asked for, or there is no proof (cost E). ``rotation_sweeps`` and
     ``pose_sweeps`` are None for methods without sweeps; ``iterations`` is their sum, or the solver's own.
-    ``rejected``: each edge that robust selection turned down, and why. ``warnings``: what is odd about the graph.
+    ``rejected``: each edge that robust selection turned down, and why. ``warnings``: irregularities of the graph.
     """
 
     method: str

@@ -18,7 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("demo"), metavar="DIR", help="folder for images and results (default: demo)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the town, its light and the agents' ways (default: 0)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the town, its light and the agents' paths (default: 0)"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 

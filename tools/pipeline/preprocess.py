@@ -35,10 +35,9 @@ DEFAULT_OVERLAP = 3  # key-frames; the predecessor's on KITTI
 
 @dataclass(frozen=True)
 class PreprocessSettings:
-    """What ``maslam preprocess`` is told. ``agents`` None: one agent a sequence; ``overlap`` key-frames of a split
-    sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: where the
-    front end's results are kept, OUT/frontend if not told.
-    """
+    """Settings of ``maslam preprocess``. ``agents`` None: one agent per sequence; ``overlap`` key-frames of a split
+    sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: folder of
+    the front end's results, by default OUT/frontend."""
 
     odometry: OdometryConfig
     agents: int | None = None
@@ -56,7 +55,7 @@ class PreprocessSettings:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SRC OUT`` and everything that can be set."""
     parser.add_argument(
-        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` says what is read"
+        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` shows what is read"
     )
     parser.add_argument(
         "out", metavar="OUT", type=Path, help="folder for the agent sequences; unfinished work in it is taken up again"
@@ -103,7 +102,11 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         "--vocabulary", type=Path, metavar="FILE", help="DBoW2 vocabulary of ORB words (default: the shipped one)"
     )
     parser.add_argument(
-        "--workers", type=int, default=0, metavar="N", help="processes (default: one a core, at most one a sequence)"
+        "--workers",
+        type=int,
+        default=0,
+        metavar="N",
+        help="processes (default: one per core, at most one per sequence)",
     )
     from maslam.frontend.config import OdometryConfig
 
@@ -150,7 +153,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 
 def summary_line(manifest: Manifest, out: Path) -> str:
-    """What was made, in a line."""
+    """The result in one line."""
     keyframes, frames = (sum(getattr(a, n) for a in manifest.agents) for n in ("keyframes", "frames"))
     agents = f"{len(manifest.agents)} agent{'s' if len(manifest.agents) > 1 else ''}"
     return f"{out}: {agents}, {frames} frames, {keyframes} key-frames, scale {manifest.scale}"
@@ -159,7 +162,7 @@ def summary_line(manifest: Manifest, out: Path) -> str:
 def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: Progress) -> Manifest:
     """Make the SEQS folder ``out`` from the images in ``source``.
 
-    Sequences that cannot be used are said, noted in the manifest and left out; ``ToolError`` where none is left.
+    Sequences that cannot be used are reported, noted in the manifest and left out; ``ToolError`` where none is left.
     """
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind

@@ -29,7 +29,7 @@ SEQUENCES = "sequences"  # in OUT: what preprocessing made
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SRC OUT`` and the options of ``preprocess`` and ``run``."""
     parser.add_argument(
-        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` says what is read"
+        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` shows what is read"
     )
     parser.add_argument(
         "out", metavar="OUT", type=Path, help=f"folder for the results; OUT/{SEQUENCES} holds the agent sequences"

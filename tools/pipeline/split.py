@@ -22,7 +22,7 @@ from ..common.errors import UsageError
 
 @dataclass(frozen=True)
 class SequenceShare:
-    """What one agent gets: frames ``first`` to ``last`` (inclusive), and of each track the key-frames
+    """One agent's share: frames ``first`` to ``last`` (inclusive), and of each track the key-frames
     ``keyframes[track]`` (a slice).
     """
 

@@ -39,11 +39,11 @@ class Gap:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What the front end made of one sequence of F frames.
+    """Result of the front end for one sequence of F frames.
 
     ``tracks``: one for each uninterrupted track, their key-frames numbered in ``keyframes`` by frame (ascending).
     ``trajectories``: every tracked frame of each track, ``T_W_C`` in the track's frame. ``vectors`` ``(K, dim)`` and
-    ``textured`` ``(K,)``: one a key-frame, all tracks in order. ``unreadable``: what was wrong with each image that
+    ``textured`` ``(K,)``: one per key-frame, all tracks in order. ``unreadable``: what was wrong with each image that
     was needed and could not be read.
     """
 

@@ -1,4 +1,4 @@
-"""What the front end made of a sequence, kept on disk and used again while images, settings and code are the same."""
+"""Result of the front end for a sequence, kept on disk and reused while images, settings and code are the same."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:
 
 
 def load_tracked(path: Path, fingerprint: str) -> Tracked | None:
-    """What :func:`save_tracked` wrote, or None where there is nothing or it was made from something else."""
+    """Read the result of :func:`save_tracked`; None where there is none or it was made from something else."""
     if not path.is_file():
         return None
     try:

@@ -37,7 +37,7 @@ _DIRECTIONS = 24
 
 
 class SamplerConfig(BaseModel):
-    """How places are visited. Outdoors; :data:`INDOORS` is tighter. Angles in degrees, lengths in metres."""
+    """Settings for visiting places. Outdoors; :data:`INDOORS` is tighter. Angles in degrees, lengths in metres."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -47,13 +47,13 @@ class SamplerConfig(BaseModel):
     places: int = Field(220, gt=0)
     views: int = Field(3, gt=1)
     clearance_m: float = Field(1.2, gt=0)  # free ground around the camera
-    open_m: float = Field(12.0, gt=0)  # free way ahead of a camera that looks along it
-    along_m: float = Field(3.0, ge=0)  # how far another visit stands from the first, each way
+    open_m: float = Field(12.0, gt=0)  # free space ahead of a camera that looks along the path
+    along_m: float = Field(3.0, ge=0)  # how far another visit stands from the first, in either direction
     aside_m: float = Field(1.5, ge=0)
     turn_deg: float = Field(12.0, ge=0)
     height_m: float = Field(1.6, gt=0)
     min_overlap: float = Field(0.4, ge=0, le=1)  # shared points of the two visits of a pair
-    conflict_overlap: float = Field(0.08, ge=0, le=1)  # from here on two places are not told apart
+    conflict_overlap: float = Field(0.08, ge=0, le=1)  # from here on two places count as one
     fov_deg: tuple[float, float] = (60.0, 90.0)  # horizontal
     noise: float = Field(1.5, ge=0)  # grey levels
 
@@ -103,13 +103,13 @@ def rendered_places(
 
 
 def cache_path(cache: Path, kind: str, seed: int, config: SamplerConfig) -> Path:
-    """Where the places of one world are kept; another setting is another file."""
+    """File of the places of one world; another setting is another file."""
     digest = hashlib.sha256(f"{_CACHE_VERSION} {kind} {seed} {config.model_dump_json()}".encode()).hexdigest()[:12]
     return cache / f"{kind}_{seed}_{config.places}_{digest}.npz"
 
 
 def config_for(kind: str) -> SamplerConfig:
-    """How places of a kind of world ("town", "indoor") are visited."""
+    """Settings for visiting places of a kind of world ("town", "indoor")."""
     return STREETS if kind == "town" else INDOORS
 
 
@@ -202,7 +202,7 @@ def save_places(path: Path, places: list[list[Visit]]) -> None:
 
 
 def load_places(path: Path) -> list[list[Visit]]:
-    """What :func:`save_places` wrote."""
+    """Read the places that :func:`save_places` wrote."""
     with np.load(path, allow_pickle=False) as file:
         data = {key: file[key] for key in file.files}
     flat = []
@@ -219,7 +219,7 @@ def _camera(config: SamplerConfig, rng: np.random.Generator) -> PinholeCamera:
 
 
 def standpoint(world: World, config: SamplerConfig, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A pose on free ground; outdoors along the way, indoors towards anything that is not too near."""
+    """A pose on free ground; outdoors along the path, indoors towards anything that is not too near."""
     free = world.free
     rows, cols = np.nonzero(free.clearance >= config.clearance_m)
     while True:
@@ -291,6 +291,6 @@ def _hidden(visit: Visit, u: NDArray, v: NDArray, z: NDArray, inside: NDArray[np
 
 
 def _dull(visit: Visit, config: SamplerConfig) -> bool:
-    """Whether a view is filled by something right before the camera."""
+    """Whether a view is filled by something close in front of the camera."""
     depth = (visit.points_W - visit.T_W_C[:3, 3]) @ visit.T_W_C[:3, 2]
     return bool(np.nanmedian(depth) < (0.8 if config.indoors else 2.5)) if not np.isnan(depth).all() else True

@@ -18,7 +18,7 @@ OPERATIONS = {
     "dvpr": "place queries",
     "relpose": "verification",
     "dopt": "optimisation",
-    "mapmerge": "map sale",
+    "mapmerge": "map exchange",
     "negotiation": "negotiation",
 }
 OPERATION_COLOUR = dict(zip(OPERATIONS, ("#56B4E9", "#0072B2", "#D55E00", "#009E73", "#8d99a6"), strict=True))
@@ -40,7 +40,7 @@ class Path2D:
 
 @dataclass(frozen=True)
 class TopView:
-    """What a map shows: ``paths``, the true ones ``truths`` ``(N, 2)`` and ``links`` ``(M, 2, 2)`` between matched
+    """Contents of a map: ``paths``, the true ones ``truths`` ``(N, 2)`` and ``links`` ``(M, 2, 2)`` between matched
     places.
     """
 
@@ -96,7 +96,7 @@ def draw_map(axes: Any, view: TopView, width: float = 1.8, names: bool = False) 
 
 
 def draw_lines(axes: Any, times_s: Array, series: Mapping[str, Array], moments_s: Sequence[float] = ()) -> None:
-    """One line a name over time, from zero; thin vertical lines at ``moments_s``."""
+    """One line per name over time, from zero; thin vertical lines at ``moments_s``."""
     for moment in moments_s:
         axes.axvline(moment, color=FAINT, linewidth=0.8, linestyle=(0, (2, 3)), gid=tip("an optimisation ended"))
     for index, (name, line) in enumerate(series.items()):
@@ -106,7 +106,7 @@ def draw_lines(axes: Any, times_s: Array, series: Mapping[str, Array], moments_s
 
 
 def draw_bytes(axes: Any, times_s: Array, cumulative: Mapping[str, Array]) -> None:
-    """Bytes since the start, one band an operation, stacked."""
+    """Bytes since the start, one band per operation, stacked."""
     from matplotlib.ticker import EngFormatter
 
     below = np.zeros(len(times_s))
@@ -156,7 +156,7 @@ def bytes_chart(times_s: Array, cumulative: Mapping[str, Array]) -> str:
     with house_figure(_HALF) as figure:
         axes = figure.add_subplot()
         draw_bytes(axes, times_s, cumulative)
-        dress(axes, "", "time, s", "on the wire")
+        dress(axes, "", "time, s", "bytes sent")
         return inline_svg(figure, "bytes by operation over time")
 
 

@@ -33,7 +33,7 @@ def draw(run: Path, out: Path) -> None:
 
 
 def _image(axes: Any, data: RunData, index: int) -> None:
-    """What the agent saw half-way, framed in its colour."""
+    """The agent's image half-way through its sequence, framed in its colour."""
     import cv2
 
     entry = data.manifest.agents[index]

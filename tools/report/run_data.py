@@ -56,6 +56,7 @@ class RunData:
 
     @property
     def has_truth(self) -> bool:
+        """Whether the ground truth of any agent is known."""
         return any(agent.truth is not None for agent in self.agents)
 
     @property
@@ -95,7 +96,8 @@ class RunData:
         return trajectory_error(estimate, truth_xyz, self.manifest.scale == "arbitrary").T_truth_estimate
 
     def position_at(self, agent: int, stamp_ns: int) -> Array | None:
-        """Where the agent was at a moment of the source's clock; None where it has no pose within half a second."""
+        """Position ``(3,)`` in the world of ``agent`` at ``stamp_ns`` on the source's clock; None without a pose within
+        half a second."""
         estimate = self.agents[agent].estimate
         row = int(estimate.nearest(np.array([stamp_ns - self.agents[agent].start_ns]), 500_000_000)[0])
         return None if row < 0 else self.in_world[agent][row]
@@ -103,10 +105,10 @@ class RunData:
     @cached_property
     def accepted(self) -> list[dict[str, str]]:
         """The rows of ``matches.csv`` that were used."""
-        return [row for row in self.matches if row["fate"] == "accepted"]
+        return [row for row in self.matches if row["outcome"] == "accepted"]
 
     def traffic_matrix(self) -> NDArray[np.int64]:
-        """Wire bytes from each agent (row) to each (column)."""
+        """Bytes sent from each agent (row) to each (column)."""
         matrix = np.zeros((len(self.agents), len(self.agents)), dtype=np.int64)
         for row in self.traffic:
             matrix[int(row["sender"]), int(row["recipient"])] += int(row["wire_bytes"])
@@ -128,7 +130,7 @@ def read_run(folder: Path) -> RunData:
             manifest=manifest,
             config=(folder / "config.yaml").read_text(encoding="utf-8"),
             agents=agents,
-            matches=_read_csv(folder / "matches.csv"),
+            matches=[_of_today(row) for row in _read_csv(folder / "matches.csv")],
             timeline={
                 name: np.array([_number(row[name]) for row in timeline]) for name in (timeline[0] if timeline else [])
             },
@@ -159,6 +161,11 @@ def _read_agent(run: Path, index: int, starts_ns: list[int]) -> AgentData:
 def _read_csv(path: Path) -> list[dict[str, str]]:
     with open(path, encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def _of_today(match: dict[str, str]) -> dict[str, str]:
+    """A row of ``matches.csv`` under today's column names; ``outcome`` was called ``fate`` in version 0.1."""
+    return {{"fate": "outcome"}.get(name, name): value for name, value in match.items()}
 
 
 def _number(text: str) -> float:

@@ -1,4 +1,4 @@
-"""What a report says, section by section."""
+"""The report's contents, section by section."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def tiles(run: RunData) -> list[Tile]:
     accepted, false = s["matches"]["accepted"], s["matches"]["false_accepted"]
     known = "truth unknown" if false is None else f"{false} of them false"
     judged = "" if false is None or not accepted else "bad" if false else "good"
-    explored = s["exploration_percent"]
+    exploration = s["exploration_percent"]
     total = s["traffic"]["total"]
     return [
         *_error_tiles(run),
         Tile("agents in one frame", f"{biggest} of {s['agents']}", mood=shared),
         Tile("accepted matches", str(accepted), known, judged),
-        Tile("explored, mean", f"{np.mean(explored):.0f} %", f"least {min(explored):.0f} %"),
-        Tile("on the air", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
+        Tile("exploration, mean", f"{np.mean(exploration):.0f} %", f"minimum {min(exploration):.0f} %"),
+        Tile("bytes sent", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
         Tile("time of the agents", f"{run.timing['wall_s']:.1f} s", f"{run.timing['realtime_factor']:.1f} x real time"),
     ]
 
@@ -119,11 +119,11 @@ def _copies(run: RunData) -> Section:
     for agent in run.agents:
         error = run.summary["ate_rmse_m"]["maps"][agent.index]
         measured = "" if error is None else f", ATE of all {error:.3f} m"
-        said = f"holds {len(agent.copies)} of {len(run.agents) - 1}{measured}"
+        caption = f"holds {len(agent.copies)} of {len(run.agents) - 1}{measured}"
         chart = copy_chart(agent.name, _held(run, agent))
         head = f'<h3 style="color:{colour_of(agent.index)}">{escape(agent.name)}</h3>'
-        figures.append(f"<figure>{head}{chart}<figcaption>{escape(said)}</figcaption></figure>")
-    note = "What each agent knows in the end: its own key-frames and the maps it bought from others, in its own frame."
+        figures.append(f"<figure>{head}{chart}<figcaption>{escape(caption)}</figcaption></figure>")
+    note = "Final maps: each agent's own key-frames and the map copies it bought from others, in its own frame."
     return Section("Map copies", note, f'<div class="copies">{"".join(figures)}</div>')
 
 
@@ -180,14 +180,14 @@ def _bytes(run: RunData) -> Section:
         rows.append([title, f"{one['messages']:,}", f"{one['payload_bytes']:,}", f"{one['wire_bytes']:,}"])
     key = legend([(title, OPERATION_COLOUR[name], ()) for name, title in OPERATIONS.items()])
     chart = bytes_chart(times, bands) if len(times) else ""
-    note = "Payload counts as published tables do; wire is the exact length of every encoded message."
+    note = "Payload is counted as in published tables; wire bytes are the exact length of every encoded message."
     parts = table(["operation", "messages", "payload bytes", "wire bytes"], rows, total=True)
     return Section("Bytes by operation", note, f'<div class="columns"><div>{key}{chart}</div><div>{parts}</div></div>')
 
 
 def _exploration(run: RunData) -> Section:
-    explored = run.summary["exploration_percent"]
-    entries = [(a.name, explored[a.index], f"{explored[a.index]:.1f} %", colour_of(a.index)) for a in run.agents]
+    exploration = run.summary["exploration_percent"]
+    entries = [(a.name, exploration[a.index], f"{exploration[a.index]:.1f} %", colour_of(a.index)) for a in run.agents]
     note = (
         "Frames of an agent's own map and the copies it holds, over all frames of all agents, each frame counted once."
     )
@@ -202,9 +202,9 @@ def _images(run: RunData) -> Section:
         ends = [
             f"agent_{int(row[f'{end}_agent']):02d} key-frame {row[f'{end}_keyframe']}" for end in ("query", "match")
         ]
-        said = f"{ends[0]} at {ends[1]}: {row['inliers']} map points agree"
+        caption = f"{ends[0]} at {ends[1]}: {row['inliers']} map points agree"
         pair = f'<img src="{one.query}" alt="query image"><img src="{one.match}" alt="matched image">'
-        figures.append(f'<figure><div class="pair">{pair}</div><figcaption>{escape(said)}</figcaption></figure>')
+        figures.append(f'<figure><div class="pair">{pair}</div><figcaption>{escape(caption)}</figcaption></figure>')
     note = reason or "Left the query, right the place it was recognised as."
     return Section(
         "Images of accepted matches", note, f'<div class="pairs">{"".join(figures)}</div>' if figures else ""
@@ -215,30 +215,30 @@ def _matches(run: RunData) -> Section:
     matches = run.summary["matches"]
     counts = {"accepted": matches["accepted"], **matches["rejected"]}
     most = max(counts.values(), default=0)
-    fates = bars([(n, c, str(c), "#009E73" if n == "accepted" else "#9aa7b3") for n, c in counts.items()], most)
-    head = ["time", "query", "match", "distance", "fate", "why", "matches", "inliers", "error"]
-    shown = sorted(run.matches, key=lambda row: (row["fate"] != "accepted", float(row["time_s"])))[:MAX_MATCH_ROWS]
+    outcomes = bars([(n, c, str(c), "#009E73" if n == "accepted" else "#9aa7b3") for n, c in counts.items()], most)
+    head = ["time", "query", "match", "distance", "outcome", "why", "matches", "inliers", "error"]
+    shown = sorted(run.matches, key=lambda row: (row["outcome"] != "accepted", float(row["time_s"])))[:MAX_MATCH_ROWS]
     listing = f'<div class="scroll">{table(head, [_match_cells(row) for row in shown], text_columns=3)}</div>'
     hidden = len(run.matches) - len(shown)
     more = f"{hidden} more rows stand in matches.csv." if hidden else ""
-    note = f"{matches['candidates']} pairs looked alike, {matches['verified']} passed the geometric check. {more}"
-    return Section("Matches and their fate", note, fates + listing)
+    note = f"{matches['candidates']} candidate pairs, {matches['verified']} passed the geometric check. {more}"
+    return Section("Candidate matches and their outcome", note, outcomes + listing)
 
 
 def _match_cells(row: dict[str, str]) -> list[str]:
     false = row["false"] == "1"
-    fate = "false" if false else row["fate"]
-    said = "accepted, but false" if false else row["fate"]
+    outcome = "false" if false else row["outcome"]
+    label = "accepted, but false" if false else row["outcome"]
     ends = [f"agent_{int(row[f'{end}_agent']):02d} · {row[f'{end}_keyframe']}" for end in ("query", "match")]
     error = f"{float(row['error_m']):.2f} m" if row["error_m"] else "–"
-    why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word and word != row["fate"]))
-    badge = f'<span class="fate {fate}">{escape(said)}</span>'
+    why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word and word != row["outcome"]))
+    badge = f'<span class="outcome {outcome}">{escape(label)}</span>'
     return [f"{float(row['time_s']):.1f} s", *ends, row["distance"], badge, why, row["matches"], row["inliers"], error]
 
 
 def _pairs(run: RunData) -> Section:
     names = [agent.name for agent in run.agents]
-    note = "Wire bytes from the agent of the row to the agent of the column."
+    note = "Bytes sent from the agent of the row to the agent of the column."
     return Section(
-        "Who talked to whom", note, f'<div class="scroll">{traffic_matrix(names, run.traffic_matrix())}</div>'
+        "Bytes between agents", note, f'<div class="scroll">{traffic_matrix(names, run.traffic_matrix())}</div>'
     )

@@ -35,7 +35,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 
 def table_of(run: Path) -> str:
-    """The figures of a finished run and what it took, for people."""
+    """The figures of a finished run and its time, as text."""
     return table(read_summary(run), read_timing(run))
 
 
@@ -69,10 +69,10 @@ def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
 
 
 def _errors(summary: dict[str, Any]) -> list[str]:
-    """A row an agent: RMSE and mean of its trajectory, of the maps it holds, in the frame it shares, and what it
-    knows.
+    """One row per agent: RMSE and mean error of its trajectory, of the maps it holds, in the frame it shares; its
+    exploration.
     """
-    rmse, mean, explored = summary["ate_rmse_m"], summary["ate_mean_m"], summary["exploration_percent"]
+    rmse, mean, exploration = summary["ate_rmse_m"], summary["ate_mean_m"], summary["exploration_percent"]
     metres = [
         summary["odometry_rmse_m"],
         rmse["agents"],
@@ -81,10 +81,10 @@ def _errors(summary: dict[str, Any]) -> list[str]:
         rmse["connected"],
         summary["path_length_m"],
     ]
-    rows = [["", "odometry", "ATE", "ATE mean", "maps held", "connected", "path", "explored"]]
+    rows = [["", "odometry", "ATE", "ATE mean", "maps held", "connected", "path", "exploration"]]
     for i in range(summary["agents"]):
-        rows.append([f"agent_{i:02d}", *(_metres(column[i]) for column in metres), _percent(explored[i])])
-    rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(explored))])
+        rows.append([f"agent_{i:02d}", *(_metres(column[i]) for column in metres), _percent(exploration[i])])
+    rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(exploration))])
     biggest = max(len(group) for group in summary["groups"])
     shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
     truth = [] if any(v is not None for v in rmse["agents"]) else ["no ground truth: errors cannot be known"]
@@ -104,9 +104,9 @@ def _matches(summary: dict[str, Any]) -> list[str]:
     matches, solved = summary["matches"], summary["optimisations"]
     false = matches.get("false_accepted")
     rejected = ", ".join(f"{reason} {count}" for reason, count in sorted((matches.get("rejected") or {}).items()))
-    said = f"{matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
+    counts = f"{matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
     return [
-        f"matches        {said}" + ("" if false is None else f", {false} of them false"),
+        f"matches        {counts}" + ("" if false is None else f", {false} of them false"),
         *([f"  rejected     {rejected}"] if rejected else []),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
         f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--experiment",
         metavar="NAME",
-        help="a plan to start from: thesis, scaling or quick (default: one run of KITTI 00's way)",
+        help="a plan to start from: thesis, scaling or quick (default: one run along the path of KITTI 00)",
     )
     parser.add_argument("--plan", type=Path, metavar="FILE", help="YAML with the plan's settings; a sweep's plan.yaml")
     parser.add_argument(
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--kitti", type=Path, metavar="DIR", help="your own KITTI images instead of rendered ones")
     parser.add_argument("--no-reference", action="store_true", help="without the omniscient reference")
-    parser.add_argument("--workers", type=int, default=0, metavar="N", help="processes (default: one a core)")
+    parser.add_argument("--workers", type=int, default=0, metavar="N", help="processes (default: one per core)")
     parser.add_argument(
         "--ray", metavar="ADDRESS", nargs="?", const="", help="runs on a Ray cluster that sees the same folders"
     )
@@ -61,12 +61,12 @@ def main(arguments: argparse.Namespace) -> None:
 
     base = experiment(arguments.experiment) if arguments.experiment else SweepPlan()
     plan = build(base, arguments, read_plan(arguments.plan), arguments.plan)
-    for name in plan.presets:  # a wrong setting is said now, not after the images are rendered
+    for name in plan.presets:  # a wrong setting is reported now, not after the images are rendered
         build(preset(name), argparse.Namespace(), plan.settings, arguments.plan, SETTINGS)
     poses = arguments.poses or Path(os.environ.get("MASLAM_DATA", "../shared/data")) / "kitti_poses"
-    shop = Workshop(arguments.out, poses, arguments.kitti, arguments.workers)
+    workshop = Workshop(arguments.out, poses, arguments.kitti, arguments.workers)
     with progress_on(quiet=arguments.quiet) as progress:
-        rows, page = sweep(plan, shop, progress, not arguments.no_reference, arguments.ray)
+        rows, page = sweep(plan, workshop, progress, not arguments.no_reference, arguments.ray)
     if arguments.json:
         from .rows import as_record
 
@@ -86,7 +86,7 @@ def read_plan(path: Path | None) -> dict[str, Any]:
 
 
 def sweep(
-    plan: SweepPlan, shop: Workshop, progress: Progress, with_reference: bool = True, ray: str | None = None
+    plan: SweepPlan, workshop: Workshop, progress: Progress, with_reference: bool = True, ray: str | None = None
 ) -> tuple[list[Row], Path]:
     """Everything; returns the rows and the page with the tables."""
     from .execute import execute, prepare, references
@@ -94,18 +94,18 @@ def sweep(
     from .rows import grouped, row_of
     from .tables import report
 
-    _claim(shop.out, plan)
-    prepare(plan, shop, progress)
-    known: dict[str, dict[str, Any]] = references(plan, shop, progress) if with_reference else {}
-    figures = execute(plan, shop, progress, ray)
+    _claim(workshop.out, plan)
+    prepare(plan, workshop, progress)
+    known: dict[str, dict[str, Any]] = references(plan, workshop, progress) if with_reference else {}
+    figures = execute(plan, workshop, progress, ray)
     rows = [row_of(cell, each, known.get(cell.material)) for cell, each in figures.items()]
     groups = grouped(rows)
-    _write_rows(shop.out, rows)
-    page = shop.out / "tables.md"
+    _write_rows(workshop.out, rows)
+    page = workshop.out / "tables.md"
     write_atomically(page, report(groups))
     first = min(plan.seeds)
-    runs = {(c.sequence, c.agents, c.preset): shop.run(c) for c in figures if c.seed == first}
-    for path in draw_all(groups, runs, shop.out / "figures"):
+    runs = {(c.sequence, c.agents, c.preset): workshop.run(c) for c in figures if c.seed == first}
+    for path in draw_all(groups, runs, workshop.out / "figures"):
         progress.say(f"wrote {path}")
     return rows, page
 

@@ -36,7 +36,7 @@ class Workshop:
     workers: int = 0
 
     def images(self, cell: Cell) -> Path:
-        """Where a cell's images lie, or will."""
+        """Folder of a cell's images."""
         if cell.sequence != TOWN and self.kitti is not None:
             found = [p for p in (self.kitti / "sequences" / cell.sequence, self.kitti / cell.sequence) if p.is_dir()]
             if not found:
@@ -51,7 +51,7 @@ class Workshop:
         return self.out / "runs" / cell.name
 
 
-def prepare(plan: SweepPlan, shop: Workshop, progress: Progress) -> None:
+def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
     """Images and agent sequences of all cells; the front end runs once for each sequence, however it is cut."""
     from maslam.frontend.config import OdometryConfig
 
@@ -59,37 +59,38 @@ def prepare(plan: SweepPlan, shop: Workshop, progress: Progress) -> None:
     from ..worlds.dataset import render_dataset
 
     for cell in _materials(plan):
-        images = shop.images(cell)
-        if shop.kitti is None or cell.sequence == TOWN:
-            config = _rendering(plan, shop, cell)
-            render_dataset(config, images, counter(progress, f"rendering {images.name}"), shop.workers or None)
+        images = workshop.images(cell)
+        if workshop.kitti is None or cell.sequence == TOWN:
+            config = _rendering(plan, workshop, cell)
+            render_dataset(config, images, counter(progress, f"rendering {images.name}"), workshop.workers or None)
         split = None if cell.sequence == TOWN else cell.agents
-        store = shop.out / FRONTEND / images.name
+        store = workshop.out / FRONTEND / images.name
         settings = PreprocessSettings(
-            OdometryConfig(), agents=split, overlap=plan.overlap, workers=shop.workers, store=store
+            OdometryConfig(), agents=split, overlap=plan.overlap, workers=workshop.workers, store=store
         )
-        preprocess(images, shop.sequences(cell), settings, progress)
+        preprocess(images, workshop.sequences(cell), settings, progress)
 
 
-def references(plan: SweepPlan, shop: Workshop, progress: Progress) -> dict[str, dict[str, Any]]:
+def references(plan: SweepPlan, workshop: Workshop, progress: Progress) -> dict[str, dict[str, Any]]:
     """The omniscient reference of each material, as records."""
     from dataclasses import asdict
 
     from .reference import reference_of
 
     return {
-        cell.material: asdict(reference_of(shop.sequences(cell), counter(progress, f"reference {cell.material}")))
+        cell.material: asdict(reference_of(workshop.sequences(cell), counter(progress, f"reference {cell.material}")))
         for cell in _materials(plan)
     }
 
 
-def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None = None) -> dict[Cell, Figures]:
+def execute(plan: SweepPlan, workshop: Workshop, progress: Progress, ray: str | None = None) -> dict[Cell, Figures]:
     """Run every cell that has not been run with these settings; returns the figures of all.
 
     A run that fails does not stop the others; the first failure is raised at the end.
     """
     jobs = {
-        cell.name: (SweepJob(shop.sequences(cell), shop.run(cell), cell, plan.settings), 100) for cell in plan.cells()
+        cell.name: (SweepJob(workshop.sequences(cell), workshop.run(cell), cell, plan.settings), 100)
+        for cell in plan.cells()
     }
     todo = {name: job for name, job in jobs.items() if not job[0].done()}
     log.info("%d of %d runs to do", len(todo), len(jobs))
@@ -98,7 +99,7 @@ def execute(plan: SweepPlan, shop: Workshop, progress: Progress, ray: str | None
     else:
         from ..common.parallel import core_count, run_jobs
 
-        outcomes = run_jobs(run_cell, todo, shop.workers or core_count(), progress)
+        outcomes = run_jobs(run_cell, todo, workshop.workers or core_count(), progress)
         errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
     for name, error in errors.items():
         progress.say(f"{name}: {error}")
@@ -117,7 +118,7 @@ class SweepJob:
     settings: dict[str, Any]
 
     def stamp(self) -> dict[str, Any]:
-        """What the run depends on: another code, sequence or setting makes it anew."""
+        """Fingerprint of code, sequence and settings; the run is repeated where it differs."""
         return {
             "sequences": sequences_digest(self.sequences),
             "code": code_digest("mas", "backend", "descriptors"),
@@ -163,13 +164,13 @@ def _materials(plan: SweepPlan) -> list[Cell]:
     return list({cell.material: cell for cell in plan.cells()}.values())
 
 
-def _rendering(plan: SweepPlan, shop: Workshop, cell: Cell) -> Any:
+def _rendering(plan: SweepPlan, workshop: Workshop, cell: Cell) -> Any:
     from ..worlds.config import RenderConfig
 
     size = {"width": plan.width, "height": plan.height, "seed": plan.world_seed}
     if cell.sequence == TOWN:
         return RenderConfig(world="town", agents=cell.agents, frames=plan.frames or 300, **size)
-    poses = shop.poses / f"{cell.sequence}.txt"
+    poses = workshop.poses / f"{cell.sequence}.txt"
     if not poses.is_file():
         raise ToolError(f"{poses}: no such pose file; --poses names the folder of KITTI pose files")
     frames = plan.frames or 1_000_000

@@ -33,12 +33,12 @@ def draw_all(groups: Sequence[Group], runs: dict[tuple[str, int, str], Path], ou
 
 
 def _against_agents(groups: Sequence[Group], sequence: str, path: Path) -> Path:
-    """Bytes, exploration, error and time against the number of agents, a colour a preset. Bytes and times of presets
-    differ by powers of ten."""
+    """Bytes, exploration, error and time against the number of agents, one colour per preset. Bytes and times of
+    presets differ by powers of ten."""
     presets = list(dict.fromkeys(group.preset for group in groups))
     panels = [
-        ("MB on the wire", "wire_total", True),
-        ("explored, %", "explored", False),
+        ("MB sent", "wire_total", True),
+        ("exploration, %", "exploration", False),
         ("mean ATE, m", "ate_agents", False),
         ("s of the multi-agent part", "wall_s", True),
     ]
@@ -120,6 +120,6 @@ def _over_time(data: RunData, title: str, path: Path) -> Path:
             dress(axes, "", "s", label)
         draw_bytes(on_wire, time, {name: data.timeline[f"{name}_wire_bytes"] for name in OPERATIONS})
         on_wire.legend(loc="upper left")
-        dress(on_wire, "", "s", "on the wire")
+        dress(on_wire, "", "s", "bytes sent")
         figure.suptitle(title, x=0.01, ha="left")
     return path

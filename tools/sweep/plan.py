@@ -1,4 +1,4 @@
-"""What a sweep runs: a plan, and its cells."""
+"""Plan of a sweep, and its cells."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ from ..common.digests import code_digest, sequences_digest
 from ..common.errors import ToolError
 
 FILE = "reference.json"
-# What a key-frame costs on its way to the server and back: a place vector of 256 float32, 12 + 32 bytes a map point as
+# Bytes of a key-frame sent to the server and back: a place vector of 256 float32, 12 + 32 bytes per map point as
 # the published tables count, its pose; and the solved pose back.
 _POSE_BYTES, _POINT_BYTES = 48, 44
 
@@ -98,17 +98,17 @@ def make_reference(
     accepted = [match for _, match in matches]
     groups = _groups(len(states), [match.id for match in accepted])
     graph = _solved(states, accepted)
-    onlooker = GroundTruthEvaluator(sequences)
-    errors = [onlooker.error_of(s.me, _trajectory(s, graph, q)) for s, q in zip(states, sequences, strict=True)]
+    evaluator = GroundTruthEvaluator(sequences)
+    errors = [evaluator.error_of(s.me, _trajectory(s, graph, q)) for s, q in zip(states, sequences, strict=True)]
     rmse = [None if e is None else float(e.rmse_m) for e in errors]
     known = [e for e in rmse if e is not None]
-    wrong = [onlooker.match_error(match, agents) for match in accepted]
+    wrong = [evaluator.match_error(match, agents) for match in accepted]
     return Reference(
         made_from="",
         ate_rmse_m=rmse,
         mean_ate_m=float(np.mean(known)) if known else None,
         groups=groups,
-        exploration_percent=_reachable(onlooker, groups),
+        exploration_percent=_reachable(evaluator, groups),
         keyframes=sum(len(s.keyframes) for s in states),
         candidates=len(pairs),
         matches=len(accepted),
@@ -201,11 +201,11 @@ def _groups(count: int, matches: Sequence[MatchId]) -> list[list[int]]:
     return sorted([np.flatnonzero(label == k).tolist() for k in np.unique(label)])
 
 
-def _reachable(onlooker: GroundTruthEvaluator, groups: Sequence[Sequence[int]]) -> list[float]:
+def _reachable(evaluator: GroundTruthEvaluator, groups: Sequence[Sequence[int]]) -> list[float]:
     """Percent of all frames that the members of an agent's group have seen together."""
-    shares = dict.fromkeys(range(len(onlooker.sequences)), 0.0)
+    shares = dict.fromkeys(range(len(evaluator.sequences)), 0.0)
     for group in groups:
-        shares.update(dict.fromkeys(group, onlooker.share_seen_by(group)))
+        shares.update(dict.fromkeys(group, evaluator.share_seen_by(group)))
     return [shares[agent] for agent in sorted(shares)]
 
 

@@ -24,10 +24,9 @@ class Figures:
 @dataclass(frozen=True)
 class Row:
     """One run. Errors in metres (means over the agents), MB = 10^6 bytes: ``payload_*`` as published, ``wire_*`` true;
-    percent explored, and of what connectivity allows; ``reference_*``: the omniscient reference's; ``regret_ate``:
-    error over its error, ``regret_bytes``: wire bytes over its bytes. Of map copies: map points a key-frame, and the
-    median over all of how far their points are from where their owner has them. None without truth, reference,
-    copies."""
+    exploration in percent, and of what connectivity allows; ``reference_*``: the omniscient reference's;
+    ``regret_ate``: error over its error, ``regret_bytes``: wire bytes over its bytes. Of map copies: map points per
+    key-frame, and the median distance of their points from their owner's. None without truth, reference, copies."""
 
     sequence: str
     agents: int
@@ -49,12 +48,12 @@ class Row:
     wire_mapmerge: float
     wire_negotiation: float
     wire_total: float
-    explored: float
-    explored_of_possible: float | None
+    exploration: float
+    exploration_of_possible: float | None
     accepted: int
     false_accepted: int | None
     largest_group: int
-    points_a_keyframe: float | None
+    points_per_keyframe: float | None
     points_off_m: float | None
     wall_s: float
     reference_ate: float | None
@@ -74,7 +73,7 @@ def row_of(cell: Cell, figures: Figures, reference: Mapping[str, Any] | None) ->
     }
     ate, best = summary["ate_rmse_m"]["mean_agents"], reference["mean_ate_m"] if reference else None
     size = reference["bytes"] / 1e6 if reference else None
-    explored = summary["exploration_percent"]
+    exploration = summary["exploration_percent"]
     copies = summary["map_copies"]
     off = [copy["points_off_m"] for copy in copies if copy["points_off_m"] is not None]
     possible = reference["exploration_percent"] if reference else None
@@ -87,12 +86,12 @@ def row_of(cell: Cell, figures: Figures, reference: Mapping[str, Any] | None) ->
         ate_agents=ate,
         ate_maps=summary["ate_rmse_m"]["mean_maps"],
         odometry=summary["odometry_mean_rmse_m"],
-        explored=float(np.mean(explored)),
-        explored_of_possible=100.0 * float(np.mean(np.divide(explored, possible))) if possible else None,
+        exploration=float(np.mean(exploration)),
+        exploration_of_possible=100.0 * float(np.mean(np.divide(exploration, possible))) if possible else None,
         accepted=summary["matches"]["accepted"],
         false_accepted=summary["matches"]["false_accepted"],
         largest_group=max(len(group) for group in summary["groups"]),
-        points_a_keyframe=sum(c["points"] for c in copies) / sum(c["keyframes"] for c in copies) if copies else None,
+        points_per_keyframe=sum(c["points"] for c in copies) / sum(c["keyframes"] for c in copies) if copies else None,
         points_off_m=float(np.median(off)) if off else None,
         wall_s=figures.timing["wall_s"],
         reference_ate=best,

@@ -15,7 +15,7 @@ _COLUMNS: list[tuple[str, str, str]] = [
     ("RelPose, MB", "payload_relpose", "relpose"),
     ("DOpt, MB", "payload_dopt", "dopt"),
     ("maps, MB", "payload_mapmerge", "mapmerge"),
-    ("explored, %", "explored", "explored"),
+    ("exploration, %", "exploration", "exploration"),
 ]
 
 
@@ -32,7 +32,7 @@ def report(groups: Sequence[Group]) -> str:
 
 _HOW = (
     "Mean over the seeds ± half their range. Bytes in the first table of a preset are payload, as published; in the "
-    "second they are what was sent (wire). In brackets: what the thesis prints. MB = 10^6 bytes."
+    "second the bytes sent (wire). In brackets: what the thesis prints. MB = 10^6 bytes."
 )
 
 
@@ -57,10 +57,10 @@ def _true_table(groups: Sequence[Group]) -> str:
         ("regret", lambda g: _text(g["regret_ate"], 3)),
         ("wire, MB", lambda g: _text(g["wire_total"])),
         ("of it maps", lambda g: _text(g["wire_mapmerge"])),
-        ("points a key-frame", lambda g: _text(g["points_a_keyframe"], 0)),
+        ("points per key-frame", lambda g: _text(g["points_per_keyframe"], 0)),
         ("off, m", lambda g: _text(g["points_off_m"], 3)),
         ("reference, MB", lambda g: _text(g["reference_mb"])),
-        ("explored of possible, %", lambda g: _text(g["explored_of_possible"], 1)),
+        ("exploration of possible, %", lambda g: _text(g["exploration_of_possible"], 1)),
         ("in one frame", lambda g: f"{min(r.largest_group for r in g.rows)} of {g.agents}"),
         ("matches (false)", lambda g: f"{_text(g['accepted'], 0)} ({_text(g['false_accepted'], 0)})"),
         ("s", lambda g: _text(g["wall_s"], 1)),
@@ -70,7 +70,7 @@ def _true_table(groups: Sequence[Group]) -> str:
 
 
 def _directions(groups: Sequence[Group]) -> list[str]:
-    """What the thesis says of its systems, each against the one before it (4.3, 4.4), and of clusters (2.2.3)."""
+    """The thesis's statements on its systems, each against the one before it (4.3, 4.4), and of clusters (2.2.3)."""
     by_preset = {(g.sequence, g.agents, g.preset): g for g in groups}
     lines = []
     for sequence, agents in dict.fromkeys((g.sequence, g.agents) for g in groups):
@@ -78,7 +78,7 @@ def _directions(groups: Sequence[Group]) -> list[str]:
             by_preset.get((sequence, agents, name)) for name in ("predecessor", "default", "optimised", "selection")
         )
         found = [
-            _ratio(optimised, default, "explored"),
+            _ratio(optimised, default, "exploration"),
             _ratio(selection, optimised, "payload_dvpr"),
             _ratio(selection, optimised, "accepted"),
             _ratio(default, predecessor, "payload_dvpr"),
@@ -88,7 +88,7 @@ def _directions(groups: Sequence[Group]) -> list[str]:
     heads = [
         "sequence",
         "agents",
-        "explored: optimised / default",
+        "exploration: optimised / default",
         "DVPR bytes: selection / optimised",
         "accepted matches: selection / optimised",
         "DVPR bytes: default / predecessor",
@@ -110,9 +110,9 @@ def _town(groups: Sequence[Group]) -> list[str]:
         [g.preset, str(g.agents), _text(g["payload_dvpr"]), _text(g["wire_total"]), _text(g["regret_ate"], 3)]
         for g in chosen
     ]
-    heads = ["preset", "agents", f"DVPR, MB ({TOWN_DVPR_MB:g})", "all, MB on the wire", "ATE regret"]
-    said = f"Thesis, section 4.6: {TOWN_DVPR_MB:g} MB for place recognition, {TOWN_REST_MB:g} for RelPose and DOpt."
-    return ["## The town", said, markdown(heads, lines)]
+    heads = ["preset", "agents", f"DVPR, MB ({TOWN_DVPR_MB:g})", "all, MB sent", "ATE regret"]
+    note = f"Thesis, section 4.6: {TOWN_DVPR_MB:g} MB for place recognition, {TOWN_REST_MB:g} for RelPose and DOpt."
+    return ["## The town", note, markdown(heads, lines)]
 
 
 def markdown(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

@@ -1,4 +1,4 @@
-"""What the thesis prints: Tables 4.1 to 4.3, and of the town what the text says (section 4.6)."""
+"""Figures printed in the thesis: Tables 4.1 to 4.3, and the text on the town (section 4.6)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Printed:
-    """Errors in metres (mean over the agents), MB of payload by operation, percent explored."""
+    """Errors in metres (mean over the agents), MB of payload by operation, exploration in percent."""
 
     ate_agents: float
     ate_maps: float
@@ -15,7 +15,7 @@ class Printed:
     relpose: float
     dopt: float
     mapmerge: float
-    explored: float
+    exploration: float
 
 
 def _rows(*lines: tuple[float, ...]) -> dict[tuple[str, int], Printed]:

@@ -21,9 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--poses",
         type=Path,
         metavar="FILE",
-        help="a KITTI pose file to drive, as --poses-file (default: a way through the world)",
+        help="a KITTI pose file to drive, as --poses-file (default: a path through the world)",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="threads (default: one a core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="threads (default: one per core)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_model_options(parser, RenderConfig())
 

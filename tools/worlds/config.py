@@ -14,7 +14,7 @@ from .rendering.sensor import SensorConfig
 
 
 class RenderConfig(BaseModel):
-    """What to render. The same configuration gives the same bytes.
+    """Settings of a rendering. The same configuration gives the same bytes.
 
     Defaults are named (``default=``): type checkers without pydantic's plug-in see them only so.
     """
@@ -22,19 +22,21 @@ class RenderConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     world: Literal["town", "indoor"] = Field(default="town", description="streets of a town, or an office floor")
-    seed: int = Field(default=0, ge=0, description="seed of the world, the ways, the lights and the noise")
-    agents: int = Field(default=4, ge=1, le=100, description="agents, each with its own way and light")
+    seed: int = Field(default=0, ge=0, description="seed of the world, the paths, the lights and the noise")
+    agents: int = Field(default=4, ge=1, le=100, description="agents, each with its own path and light")
     frames: int = Field(default=120, ge=1, description="frames of each agent; of all together with a pose file")
-    width: int = Field(default=640, ge=32, le=4096, description="pixels")
-    height: int = Field(default=360, ge=32, le=4096, description="pixels")
+    width: int = Field(default=640, ge=32, le=4096, description="image width, pixels")
+    height: int = Field(default=360, ge=32, le=4096, description="image height, pixels")
     fov_deg: float = Field(default=84.0, gt=20, lt=140, description="horizontal field of view, degrees")
-    rig: RigKind = Field(default=RigKind.STEREO, description="cameras of each agent")
-    baseline_m: float | None = Field(default=None, gt=0, description="stereo; default 0.54 m in town, 0.12 m indoors")
-    rate_hz: float = Field(default=10.0, gt=0, description="frames a second")
-    poses_file: Path | None = Field(
-        default=None, description="KITTI poses to drive instead of ways of our own; the world grows around them"
+    rig: RigKind = Field(default=RigKind.STEREO, description="cameras of each agent: mono, stereo or rgbd")
+    baseline_m: float | None = Field(
+        default=None, gt=0, description="stereo: distance of the cameras, metres; default 0.54 in town, 0.12 indoors"
     )
-    poses_step: int = Field(default=1, ge=1, description="take every so many poses of the file")
+    rate_hz: float = Field(default=10.0, gt=0, description="frames per second")
+    poses_file: Path | None = Field(
+        default=None, description="KITTI pose file to drive instead of generated paths; the world grows around it"
+    )
+    poses_step: int = Field(default=1, ge=1, description="use every n-th pose of the pose file")
     moving_cars: int = Field(default=0, ge=0, le=200, description="cars that drive through the town")
     light_change: float = Field(default=1.0, ge=0, le=1, description="difference of light between the agents, 0 to 1")
     sensor: SensorConfig = SensorConfig()

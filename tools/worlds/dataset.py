@@ -38,7 +38,7 @@ def render_dataset(
 
     ``world.json`` is written last and marks the folder as complete: a folder that was finished with the same settings
     is left as it is, one that was interrupted is gone on with. Raises RenderError where ``out`` holds anything else,
-    and where the way cannot be driven.
+    and where the path cannot be driven.
     """
     settings = {"version": VERSION, **config.model_dump(mode="json")}
     if config.poses_file is not None:
@@ -169,7 +169,7 @@ def _render_one(job: _Job, renderer: Renderer, scenario: Scenario, config: Rende
 
 
 def exposure_of(light: Light, drift: float) -> float:
-    """What an exposure meter would choose in this light, times the agent's own bias and the drift of this frame."""
+    """Exposure that a meter would choose in this light, times the agent's own bias and the drift of this frame."""
     return light.metered() * light.exposure * drift
 
 

@@ -1,4 +1,4 @@
-"""Who moves where, when, in which light: everything of a rendering but the pictures."""
+"""Motion and light of a rendering: everything but the images."""
 
 from __future__ import annotations
 
@@ -56,22 +56,22 @@ class Scenario:
 
 
 def plan_scenario(config: RenderConfig) -> Scenario:
-    """The world, the ways, the lights. Raises RenderError where they cannot be had."""
+    """The world, the paths, the lights. Raises RenderError where they cannot be had."""
     movers: tuple[Mover, ...] = ()
     if config.moving_cars and (config.world != "town" or config.poses_file is not None):
         raise RenderError(
             f"{config.moving_cars} moving cars need the streets of the town: not indoors, not with a pose file"
         )
     if config.poses_file is not None:
-        world, ways = _along(config)
+        world, paths = _along(config)
     elif config.world == "indoor":
-        world, ways = _indoor(config)
+        world, paths = _indoor(config)
     else:
-        world, ways, movers = _town(config)
+        world, paths, movers = _town(config)
     rng = np.random.default_rng([config.seed, 3])
-    lights = [random_light(rng, config.light_change, world.kind == "indoor") for _ in ways]
+    lights = [random_light(rng, config.light_change, world.kind == "indoor") for _ in paths]
     plans = [
-        AgentPlan(poses, light, _drift(len(poses), config, rng)) for poses, light in zip(ways, lights, strict=True)
+        AgentPlan(poses, light, _drift(len(poses), config, rng)) for poses, light in zip(paths, lights, strict=True)
     ]
     return Scenario(world, tuple(plans), movers)
 
@@ -86,17 +86,17 @@ def _town(config: RenderConfig) -> tuple[World, list[Poses], tuple[Mover, ...]]:
     world, network = build_town(config.seed, **_quality(config))  # type: ignore[arg-type]
     rng = np.random.default_rng([config.seed, 2])
     seconds = config.frames / config.rate_hz
-    ways = []
+    paths = []
     for route in plan_routes(network, config.agents, 6.5 * seconds, rng):
         gait = Gait(cruise_mps=float(rng.uniform(8.0, 10.0)), height_m=float(rng.uniform(1.55, 1.75)))
         line = lane_line(network, route, gait.cruise_mps * seconds + 60.0)
-        ways.append(
+        paths.append(
             drive(line, config.frames, config.rate_hz, gait, rng, float(np.clip(rng.normal(0, 0.25), -0.5, 0.25)))
         )
-    return world, ways, _traffic(config, network, ways)
+    return world, paths, _traffic(config, network, paths)
 
 
-def _traffic(config: RenderConfig, network: Network, ways: list[Poses]) -> tuple[Mover, ...]:
+def _traffic(config: RenderConfig, network: Network, paths: list[Poses]) -> tuple[Mover, ...]:
     """Cars on routes of their own that never come near a camera; fewer than asked for is an error."""
     rng = np.random.default_rng([config.seed, 4])
     seconds = config.frames / config.rate_hz
@@ -109,8 +109,8 @@ def _traffic(config: RenderConfig, network: Network, ways: list[Poses]) -> tuple
         poses = drive(
             lane_line(network, route, gait.cruise_mps * seconds + 60.0), config.frames, config.rate_hz, gait, rng
         )
-        others = [*ways, *(m.poses for m in out)]
-        if all(np.linalg.norm(poses[:, [0, 2], 3] - way[:, [0, 2], 3], axis=1).min() > 7.0 for way in others):
+        others = [*paths, *(m.poses for m in out)]
+        if all(np.linalg.norm(poses[:, [0, 2], 3] - path[:, [0, 2], 3], axis=1).min() > 7.0 for path in others):
             out.append(Mover(attempt % 10, poses))
     if len(out) < config.moving_cars:
         raise RenderError(
@@ -125,20 +125,20 @@ def _indoor(config: RenderConfig) -> tuple[World, list[Poses]]:
 
     world, floor = build_indoor(config.seed)
     rng = np.random.default_rng([config.seed, 2])
-    way = tour(floor, world.free, rng)
+    path = tour(floor, world.free, rng)
     seconds = config.frames / config.rate_hz
-    # Each starts where the one before it is after half of the time: so neighbours share the other half of their ways.
+    # Each starts where the one before it is after half of the time: so neighbours share the other half of their paths.
     first = float(rng.random())
-    length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     starts = np.arange(config.agents, dtype=np.float64) * (0.5 * seconds)
-    where = way_at(walk(way, first, 0.0, 2 * length), WALKING, starts)
-    ways = []
+    where = way_at(walk(path, first, 0.0, 2 * length), WALKING, starts)
+    paths = []
     for metres in where:
-        line = walk(way, first, metres, WALKING.cruise_mps * seconds + 3.0)
-        ways.append(
+        line = walk(path, first, metres, WALKING.cruise_mps * seconds + 3.0)
+        paths.append(
             drive(line, config.frames, config.rate_hz, WALKING, rng, float(np.clip(rng.normal(0, 0.05), -0.1, 0.1)))
         )
-    return world, ways
+    return world, paths
 
 
 def _along(config: RenderConfig) -> tuple[World, list[Poses]]:

@@ -49,7 +49,10 @@ def add_relpose(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--points", type=int, default=0, metavar="N", help="points that the query sends, at most (default: all)"
     )
     relpose.add_argument(
-        "--code", choices=["float", "grid"], default="float", help="bytes a point, 12 or 4 (default: %(default)s)"
+        "--code",
+        choices=["float", "grid"],
+        default="float",
+        help="transmitted points: float (12 bytes each) or grid (4 bytes each; default: %(default)s)",
     )
     relpose.add_argument(
         "--features", choices=["descriptors", "words"], default="descriptors", help="compared by (default: %(default)s)"

@@ -22,7 +22,7 @@ _APART = 0.02
 
 @dataclass(frozen=True, eq=False)
 class KeyPoints:
-    """What the front end makes of one view: ``points_C`` ``(n, 3)`` from stereo, NaN where there is none;
+    """Result of the front end for one view: ``points_C`` ``(n, 3)`` from stereo, NaN where there is none;
     ``descriptors`` ``(n, 32)``; ``words`` ``(n,)`` at level 4."""
 
     points_C: Array

@@ -35,7 +35,7 @@ _HIDDEN_SHARE, _HIDDEN_M = 0.1, 0.1
 
 
 class RelPosePlacesConfig(BaseModel):
-    """How places are drawn and visited. Lengths in metres, angles in degrees."""
+    """Settings for drawing and visiting places. Lengths in metres, angles in degrees."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -44,7 +44,7 @@ class RelPosePlacesConfig(BaseModel):
     fov_deg: float = Field(80.0, gt=20, lt=140)  # horizontal
     places: int = Field(100, gt=0)  # each visited twice
     twins: int = Field(0, ge=0)  # of these, the first ones, also have their look-alike at another door, indoors
-    turn_deg: float = Field(35.0, ge=0)  # between the visits, each way
+    turn_deg: float = Field(35.0, ge=0)  # between the visits, in either direction
     min_overlap: float = Field(0.2, ge=0, le=1)  # of the visits
 
 
@@ -61,7 +61,7 @@ class StereoVisit:
     rig: Rig
 
     def points_W(self) -> Array:
-        """Where the surfaces are that it sees, ``(n, 3)``."""
+        """Surface points that it sees, ``(n, 3)``."""
         camera, (h, w) = self.rig.camera, self.depth_m.shape
         v, u = np.mgrid[:h, :w] * _SUBSAMPLED
         z = self.depth_m.astype(np.float64)
@@ -230,7 +230,7 @@ class _PairRenderer:
 
 
 def _dull(visit: StereoVisit, sampler: SamplerConfig) -> bool:
-    """Whether a view is filled by something right before the camera, or by the sky."""
+    """Whether a view is filled by something close in front of the camera, or by the sky."""
     known = visit.depth_m[visit.depth_m > 0]
     return len(known) < 0.2 * visit.depth_m.size or bool(np.median(known) < (0.8 if sampler.indoors else 2.5))
 

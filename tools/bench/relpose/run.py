@@ -103,15 +103,18 @@ class RelPoseReport:
             ["far off", f"{self.far_off} of the accepted by more than {_FAR_OFF_M} m or {_FAR_OFF_DEG} degrees"],
             ["error, median", f"{100 * self.median_m:.1f} cm, {self.median_deg:.2f} degrees"],
             ["error, 90 %", f"{100 * self.ninety_m:.1f} cm, {self.ninety_deg:.2f} degrees"],
-            ["squared error", f"{self.squared_per_dof:.2f} of what the information says, median (0.89 if honest)"],
+            [
+                "squared error",
+                f"{self.squared_per_dof:.2f} of what the information states, median (0.89 if consistent)",
+            ],
             ["bytes", f"{self.bytes_each:.0f} of points and descriptors a verification"],
             ["time", f"{self.ms:.1f} ms of one core a verification"],
             ["right, refused", _counted(self.refused_right)],
             ["look-alike, refused", _counted(self.refused_wrong)],
         ]
         width = max(len(name) for name, _ in figures)
-        said = [f"{name.ljust(width)}  {value}" for name, value in figures]
-        return "\n".join([*said, "", *aligned(rows), *(f"false: {name}" for name in self.false_accepted)])
+        lines = [f"{name.ljust(width)}  {value}" for name, value in figures]
+        return "\n".join([*lines, "", *aligned(rows), *(f"false: {name}" for name in self.false_accepted)])
 
 
 def bench_relpose(settings: RelPoseSettings, progress: Progress) -> RelPoseReport:

@@ -1,4 +1,4 @@
-"""How far trajectories of one sequence are from the truth: the figures of ``maslam bench vo``."""
+"""Errors of one sequence's trajectories against the truth: the figures of ``maslam bench vo``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LENGTHS_M = (10.0, 100.0)
 @dataclass(frozen=True, eq=False)
 class Aligned:
     """One track beside the truth: ``positions`` after alignment and ``truth`` ``(N, 3)`` metres, ``along_m`` ``(N,)``
-    the way driven so far, ``errors_m`` ``(N,)``."""
+    the path driven so far, ``errors_m`` ``(N,)``."""
 
     positions: Array
     truth: Array
@@ -30,7 +30,7 @@ class Aligned:
 class Accuracy:
     """``posed`` frames have a pose and a true one. Tracks have frames of their own: each is aligned by itself, and the
     figures are those of all their poses. ``rpe_percent`` and ``rpe_deg_per_m``: one for each of :data:`LENGTHS_M`,
-    NaN where no track is as long. ``scale``: true size over estimated size of the longest track. ``path_m``: the way
+    NaN where no track is as long. ``scale``: true size over estimated size of the longest track. ``path_m``: the path
     of these frames."""
 
     posed: int
@@ -108,10 +108,10 @@ def _paired(
 
 
 def _along(truth: Trajectory, frames: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> Array:
-    """Metres of the true way from the first frame of the sequence to each of ``frames``."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth.centres, axis=0), axis=1))])
-    start = np.interp(stamps_ns[0], truth.stamps_ns, way)
-    return np.interp(stamps_ns[frames], truth.stamps_ns, way) - start
+    """Metres of the true path from the first frame of the sequence to each of ``frames``."""
+    driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth.centres, axis=0), axis=1))])
+    start = np.interp(stamps_ns[0], truth.stamps_ns, driven)
+    return np.interp(stamps_ns[frames], truth.stamps_ns, driven) - start
 
 
 def _mean(values: Sequence[float], weights: Sequence[int]) -> float:

@@ -1,4 +1,4 @@
-"""The picture of ``maslam bench vo``: paths from above, error along the way, processor time by stage."""
+"""The picture of ``maslam bench vo``: paths from above, error along the path, processor time by stage."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _paths(axes: Any, result: BenchResult) -> None:
 
 
 def _errors(axes: Any, result: BenchResult) -> None:
-    """Error of position along the true way; it breaks between tracks."""
+    """Error of position along the true path; it breaks between tracks."""
     words = []
     for k, (name, errors) in enumerate(_systems(result)):
         if errors is None:
@@ -90,10 +90,10 @@ def _errors(axes: Any, result: BenchResult) -> None:
         place = {"xy": (0.015, 0.97 - 0.075 * k), "xycoords": "axes fraction", "va": "top", "fontsize": 8.5}
         axes.annotate(line, color=colour_of(k), fontweight="bold" if k == 0 else "normal", **place)
     if not words:
-        said = "nothing to compare with the truth" if result.truth else "no ground truth"
-        axes.annotate(said, xy=(0.5, 0.5), xycoords="axes fraction", ha="center", color=FAINT)
+        note = "nothing to compare with the truth" if result.truth else "no ground truth"
+        axes.annotate(note, xy=(0.5, 0.5), xycoords="axes fraction", ha="center", color=FAINT)
     how = "" if result.accuracy is None else f" after {'Sim(3)' if result.accuracy.with_scale else 'SE(3)'} alignment"
-    dress(axes, f"error of position{how}", "way driven, m", "m")
+    dress(axes, f"error of position{how}", "path driven, m", "m")
     low, high = axes.get_ylim()
     axes.set_ylim(0.0, high + 0.13 * len(words) * (high - min(low, 0.0)))
 
@@ -104,7 +104,7 @@ def _costs(axes: Any, results: Sequence[BenchResult]) -> None:
     for row, result in enumerate(results):
         times, left = result.measured.times, 0.0
         for name in stages:
-            width = times.stages_s.get(name, 0.0) / result.frames / times.yard_s
+            width = times.stages_s.get(name, 0.0) / result.frames / times.unit_s
             label = name if row == 0 else None
             axes.barh(row, width, left=left, height=0.66, color=STAGE_COLOURS[name], label=label, edgecolor="white")
             if width > 0.11:
@@ -112,14 +112,16 @@ def _costs(axes: Any, results: Sequence[BenchResult]) -> None:
                 axes.text(left + width / 2, row, f"{ms:.1f}", ha="center", va="center", fontsize=7.5, color=INK)
             left += width
         cpu, wall = (1e3 * spent / result.frames for spent in (times.cpu_s, times.wall_s))
-        yard = 1e3 * times.yard_s
-        words = f" {cpu / yard:.2f} x  ({cpu:.1f} ms; an ORB call {yard:.1f} ms; wall {wall / yard:.2f} x)"
+        unit = 1e3 * times.unit_s
+        words = f" {cpu / unit:.2f} x  ({cpu:.1f} ms; an ORB call {unit:.1f} ms; wall {wall / unit:.2f} x)"
         axes.text(left, row, words, va="center", fontsize=8.5, color=INK)
     axes.set_yticks(range(len(results)), [result.name for result in results])
     axes.invert_yaxis()
-    most = max(result.measured.times.cpu_s / result.frames / result.measured.times.yard_s for result in results)
+    most = max(result.measured.times.cpu_s / result.frames / result.measured.times.unit_s for result in results)
     axes.set_xlim(0, 1.5 * most)
-    dress(axes, "processor time a frame by stage (ms in the bars)", "multiples of one ORB call on the same images", "")
+    dress(
+        axes, "processor time per frame by stage (ms in the bars)", "multiples of one ORB call on the same images", ""
+    )
     axes.grid(axis="y", visible=False)
     axes.figure.legend(
         *axes.get_legend_handles_labels(),

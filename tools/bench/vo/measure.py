@@ -20,15 +20,16 @@ if TYPE_CHECKING:
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
 WARM_FRAMES = 60
-YARD_IMAGES = 12
-YARD_FEATURES = 2000
-_TELL_EVERY_S = 1.0  # telling costs processor time too
+UNIT_IMAGES = 12
+UNIT_FEATURES = 2000
+_REPORT_EVERY_S = 1.0  # reporting costs processor time too
 WRITE = "write"
 
 
 @dataclass(frozen=True)
 class BenchJob:
-    """What to run, how often; ``files``: the folder that the five files of each track go to, None = not written."""
+    """A measurement: what to run, how often; ``files``: the folder that the five files of each track go to, None = not
+    written."""
 
     sequence: ImageSequence
     odometry: OdometryConfig
@@ -40,23 +41,24 @@ class BenchJob:
 @dataclass(frozen=True)
 class RunTimes:
     """One run over all frames, seconds: processor time of all threads, wall time, processor time by stage (what no
-    stage owns is ``other``), and the yard: one ORB call on an image of the sequence."""
+    stage owns is ``other``), and the reference unit ``unit_s``: one ORB call on an image of the sequence."""
 
     cpu_s: float
     wall_s: float
-    yard_s: float
+    unit_s: float
     stages_s: dict[str, float]
 
     @property
-    def cpu_yards(self) -> float:
-        return self.cpu_s / self.yard_s
+    def cpu_units(self) -> float:
+        """Processor time of the run in reference units."""
+        return self.cpu_s / self.unit_s
 
 
 @dataclass(frozen=True)
 class VoMeasurement:
-    """``trajectories``: every frame with a pose, one a track; ``times``: the run of median cost, counted in yards, of
-    ``runs``; ``same``: all runs gave the same poses, bit by bit. ``baseline_mb``: resident memory before the first
-    image (Python, libraries, vocabulary); ``peak_mb`` includes it. ``lost``: gaps and why."""
+    """``trajectories``: every frame with a pose, one per track; ``times``: the run of median cost, counted in reference
+    units, of ``runs``; ``same``: all runs gave the same poses, bit by bit. ``baseline_mb``: resident memory before the
+    first image (Python, libraries, vocabulary); ``peak_mb`` includes it. ``lost``: gaps and why."""
 
     trajectories: tuple[Trajectory, ...]
     stats: dict[str, float]
@@ -97,7 +99,7 @@ def measure_job(job: BenchJob, advance: Callable[[int], None]) -> VoMeasurement:
         stats={name: float(value) for name, value in first.stats.items()},
         lost=tuple(_gap(gap) for gap in first.lost),
         unreadable=tuple(unreadable),
-        times=sorted(times, key=lambda one: one.cpu_yards)[len(times) // 2],
+        times=sorted(times, key=lambda one: one.cpu_units)[len(times) // 2],
         runs=job.runs,
         same=same,
         baseline_mb=baseline,
@@ -110,7 +112,7 @@ def _gap(gap: LostInterval) -> str:
 
 
 def _warm_up(job: BenchJob, vocabulary: Vocabulary) -> None:
-    """Compile, or load, every kernel on the first frames: it is paid once, not a frame."""
+    """Compile, or load, every kernel on the first frames: it is paid once, not per frame."""
     from maslam.frontend.errors import FrontendError
     from maslam.frontend.odometry import Odometry
 
@@ -126,9 +128,9 @@ def _warm_up(job: BenchJob, vocabulary: Vocabulary) -> None:
 def _run(
     job: BenchJob, vocabulary: Vocabulary, unreadable: list[str], advance: Callable[[int], None]
 ) -> tuple[OdometryResult, RunTimes]:
-    """All frames once, from the files to the trajectory; the yard before and after.
+    """All frames once, from the files to the trajectory; the reference unit before and after.
 
-    Of the two yards the smaller counts: other work on the machine only ever lengthens it, and a shorter yard is not
+    Of the two units the smaller counts: other work on the machine only ever lengthens it, and a shorter unit is not
     in our favour. Making tracks into five files' content counts only where the files are written.
     """
     from maslam.frontend.files.vo_files import write_track
@@ -136,7 +138,7 @@ def _run(
 
     from ...pipeline.tracking import follow
 
-    yard_before = yard_s(job.sequence)
+    unit_before = unit_s(job.sequence)
     odometry = Odometry(job.sequence.rig, job.odometry, vocabulary)
     wall, cpu = time.perf_counter(), time.process_time()
     for frame, _ in follow(job.sequence, odometry, unreadable):
@@ -151,7 +153,7 @@ def _run(
     stages, not_counted = _stages(odometry, job.files is not None, written)
     cpu, wall = cpu - not_counted[0], wall - not_counted[1]
     stages["other"] = max(0.0, cpu - sum(stages.values()))
-    return result, RunTimes(cpu, wall, min(yard_before, yard_s(job.sequence)), stages)
+    return result, RunTimes(cpu, wall, min(unit_before, unit_s(job.sequence)), stages)
 
 
 def _stages(odometry: Odometry, files: bool, written: float) -> tuple[dict[str, float], tuple[float, float]]:
@@ -167,15 +169,15 @@ def _stages(odometry: Odometry, files: bool, written: float) -> tuple[dict[str, 
     return stages, (export.cpu_s, export.wall_s)
 
 
-def yard_s(sequence: ImageSequence) -> float:
+def unit_s(sequence: ImageSequence) -> float:
     """Median processor time, seconds, of OpenCV's ORB with 2000 features on left images spread over the sequence."""
     import cv2
 
     from maslam.frontend.errors import FrontendError
 
-    orb = cv2.ORB.create(YARD_FEATURES)
+    orb = cv2.ORB.create(UNIT_FEATURES)
     spent: list[float] = []
-    for index in np.unique(np.linspace(0, len(sequence) - 1, YARD_IMAGES).round().astype(int)).tolist():
+    for index in np.unique(np.linspace(0, len(sequence) - 1, UNIT_IMAGES).round().astype(int)).tolist():
         try:
             image = next(sequence.frames(index, index + 1)).image  # the left one alone
         except FrontendError:
@@ -200,10 +202,10 @@ class _Throttled:
 
     def __init__(self, advance: Callable[[int], None], offset: int) -> None:
         self._advance, self._offset = advance, offset
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
 
     def __call__(self, level: int) -> None:
         now = time.monotonic()
-        if now - self._told_s >= _TELL_EVERY_S:
-            self._told_s = now
+        if now - self._reported_s >= _REPORT_EVERY_S:
+            self._reported_s = now
             self._advance(self._offset + level)

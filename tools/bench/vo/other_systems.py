@@ -14,14 +14,15 @@ from maslam.frontend.files.trajectory import Trajectory, read_kitti_poses, read_
 from ...common.errors import ToolError, UsageError
 from .accuracy import half_frame_ns
 
-_TUM, _KITTI, _KITTI_TIMED = 8, 12, 13  # numbers a row
+_TUM, _KITTI, _KITTI_TIMED = 8, 12, 13  # numbers per row
 
 
 def read_other(path: Path, stamps_ns: NDArray[np.int64]) -> tuple[Trajectory, str]:
     """The trajectory in ``path`` for a sequence with frames at ``stamps_ns``, and what to know about it, or nothing.
 
-    TUM (8 numbers a row) and KITTI with a time (13) go by their times; KITTI without (12) has a row a frame from the
-    first on: rows beyond the last frame are left out. ``ToolError`` or ``FrontendError`` in one line for anything else.
+    TUM (8 numbers per row) and KITTI with a time (13) go by their times; KITTI without (12) has one row per frame from
+    the first on: rows beyond the last frame are left out. ``ToolError`` or ``FrontendError`` in one line for anything
+    else.
     """
     values = read_table(path, (_TUM, _KITTI, _KITTI_TIMED), "a pose (TUM, or KITTI without or with a time)")
     if not len(values):

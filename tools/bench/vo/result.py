@@ -1,4 +1,4 @@
-"""What ``maslam bench vo`` found for one sequence, as a record for programs and as tables for people."""
+"""Result of ``maslam bench vo`` for one sequence, as a record for programs and as tables for people."""
 
 from __future__ import annotations
 
@@ -47,9 +47,10 @@ class BenchResult:
 
 
 def record(result: BenchResult) -> dict[str, Any]:
-    """Plain values for JSON; None where something cannot be known."""
+    """Plain values for JSON, None where unknown. ``unit_ms``: the reference unit, one OpenCV ORB call on an image of
+    the sequence; ``unit_cpu`` and ``unit_wall``: ``cpu_ms`` and ``wall_ms`` (per frame) in multiples of it."""
     measured, times = result.measured, result.measured.times
-    yard_ms = 1e3 * times.yard_s
+    unit_ms = 1e3 * times.unit_s
     cpu_ms, wall_ms = 1e3 * times.cpu_s / result.frames, 1e3 * times.wall_s / result.frames
     stages = {name: _rounded(1e3 * spent / result.frames, 4) for name, spent in times.stages_s.items()}
     return {
@@ -64,9 +65,9 @@ def record(result: BenchResult) -> dict[str, Any]:
         **_errors(result.accuracy),
         "cpu_ms": _rounded(cpu_ms, 4),
         "wall_ms": _rounded(wall_ms, 4),
-        "yard_ms": _rounded(yard_ms, 4),
-        "yard_cpu": _rounded(cpu_ms / yard_ms, 4),
-        "yard_wall": _rounded(wall_ms / yard_ms, 4),
+        "unit_ms": _rounded(unit_ms, 4),
+        "unit_cpu": _rounded(cpu_ms / unit_ms, 4),
+        "unit_wall": _rounded(wall_ms / unit_ms, 4),
         "stages_ms": stages,
         "peak_mb": _rounded(measured.peak_mb, 1),
         "baseline_mb": _rounded(measured.baseline_mb, 1),
@@ -83,7 +84,7 @@ def record(result: BenchResult) -> dict[str, Any]:
 
 
 def tables(results: Sequence[BenchResult]) -> str:
-    """Accuracy, cost, and cost by stage, a line a sequence."""
+    """Accuracy, cost, and cost by stage, one line per sequence."""
     parts = [_accuracy_table(results), _cost_table(results), _stage_table(results)]
     notes = [f"{r.name}: {line}" for r in results for line in (*r.measured.lost, *r.measured.unreadable)]
     notes += [f"{r.name}: not the same poses in each run" for r in results if not r.measured.same]
@@ -115,7 +116,7 @@ def _errors(accuracy: Accuracy | None) -> dict[str, Any]:
 
 def _accuracy_table(results: Sequence[BenchResult]) -> list[str]:
     head = ["accuracy", "frames", "tracks", "path", "ATE"]
-    head += [f"RPE {length:.0f} m" for length in LENGTHS_M] + ["deg/m", "RPE a frame", "scale", "alignment"]
+    head += [f"RPE {length:.0f} m" for length in LENGTHS_M] + ["deg/m", "RPE per frame", "scale", "alignment"]
     rows = [head]
     for result in results:
         tracks = str(len(result.measured.trajectories))
@@ -141,14 +142,14 @@ def _error_cells(accuracy: Accuracy | None) -> list[str]:
 
 
 def _cost_table(results: Sequence[BenchResult]) -> list[str]:
-    rows = [["cost a frame", "CPU", "wall", "ORB call", "CPU / ORB", "wall / ORB", "peak", "at start", "runs"]]
+    rows = [["cost per frame", "CPU", "wall", "ORB call", "CPU / ORB", "wall / ORB", "peak", "at start", "runs"]]
     for result in results:
         found = record(result)
         rows.append(
             [
                 result.name,
-                *(_cell(found[name], ".1f", " ms") for name in ("cpu_ms", "wall_ms", "yard_ms")),
-                *(_cell(found[name], ".2f", " x") for name in ("yard_cpu", "yard_wall")),
+                *(_cell(found[name], ".1f", " ms") for name in ("cpu_ms", "wall_ms", "unit_ms")),
+                *(_cell(found[name], ".2f", " x") for name in ("unit_cpu", "unit_wall")),
                 *(_cell(found[name], ".0f", " MB") for name in ("peak_mb", "baseline_mb")),
                 str(found["runs"]),
             ]

@@ -32,7 +32,7 @@ _ENOUGH_FRAMES, _MOST_RUNS = 300, 5
 
 @dataclass(frozen=True)
 class VoSettings:
-    """What ``maslam bench vo`` is told. ``runs`` None: as many as it takes to 300 frames, at most 5. ``compare``:
+    """Settings of ``maslam bench vo``. ``runs`` None: as many as it takes to 300 frames, at most 5. ``compare``:
     ``[SEQUENCE=]FILE`` each."""
 
     odometry: OdometryConfig
@@ -60,9 +60,9 @@ class VoReport:
 
 
 def bench_vo(folders: Sequence[Path], settings: VoSettings, progress: Progress) -> VoReport:
-    """Measure every sequence of ``folders``; those that fail are said and left out, ``ToolError`` where all do."""
+    """Measure every sequence of ``folders``; those that fail are reported and left out, ``ToolError`` where all do."""
     sequences = _open(folders, settings, progress)
-    # Read before the work begins: a wrong file is said now, not after minutes.
+    # Read before the work begins: a wrong file is reported now, not after minutes.
     others = {
         name: [(path, *read_other(path, sequences[name].stamps_ns)) for path in paths]
         for name, paths in assign(list(settings.compare), list(sequences)).items()

@@ -1,4 +1,4 @@
-"""Ways through an office floor: round the corridors, now and then through a door into a room and out again."""
+"""Paths through an office floor: round the corridors, now and then through a door into a room and out again."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ..scene.world import FreeSpace
 from .floor import CORRIDOR_M, Door, Floor
 
 VISIT = 0.25
-"""Part of the doors on the way that are gone through."""
+"""Share of the doors on the path that are gone through."""
 ROUND_M = 0.6
 """Distance from a wall or a desk that a turn in a room must keep at least: the half of it."""
 
 
 def tour(floor: Floor, free: FreeSpace, rng: np.random.Generator) -> Line:
-    """A closed way ``(k, 2)``: an eight through all corridors, the middle one twice in the same direction, with visits
+    """A closed path ``(k, 2)``: an eight through all corridors, the middle one twice in the same direction, with visits
     to rooms."""
     (x0, x1), (za, zb, zc) = floor.xs, floor.zs
     corners = [(x0, za), (x1, za), (x1, zb), (x0, zb), (x0, zc), (x1, zc), (x1, zb), (x0, zb), (x0, za)]
@@ -58,9 +58,9 @@ def _visit(door: Door, corridor_z: float, free: FreeSpace) -> list[NDArray[np.fl
     return []
 
 
-def walk(way: Line, first: float, metres: float, length_m: float) -> Line:
-    """``length_m`` of the closed ``way``: from ``metres`` after the part ``first`` (0 to 1) of it, gone round as often
+def walk(path: Line, first: float, metres: float, length_m: float) -> Line:
+    """``length_m`` of the closed ``path``: from ``metres`` after the part ``first`` (0 to 1) of it, gone round as often
     as it takes."""
-    points = resample(way, 0.1)
+    points = resample(path, 0.1)
     start = int(first * len(points) + metres / 0.1)
     return points[(start + np.arange(int(length_m / 0.1) + 1)) % len(points)]

@@ -13,7 +13,7 @@ Line = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gait:
-    """How something moves: ``cruise_mps``; accelerations in m/s2; ``height_m`` of the camera; wobble: deviations of
+    """Motion of a carrier: ``cruise_mps``; accelerations in m/s2; ``height_m`` of the camera; wobble: deviations of
     the angles (degrees) and of the height (metres), at about ``wobble_hz``;
     ``smooth_m`` rounds the corners of the line; ``turn_dps``: degrees a second at most."""
 
@@ -74,7 +74,7 @@ def drive(
     times = np.arange(frames) / rate_hz
     if seconds[-1] < times[-1]:
         raise ValueError(
-            f"the way of {len(points) * step:.0f} m ends after {seconds[-1]:.1f} s, {times[-1]:.1f} s are asked for"
+            f"the path of {len(points) * step:.0f} m ends after {seconds[-1]:.1f} s, {times[-1]:.1f} s are asked for"
         )
     s = np.interp(times, seconds, np.arange(len(points), dtype=np.float64))
     x, z, yaw = (np.interp(s, np.arange(len(points)), a) for a in (points[:, 0], points[:, 1], heading))

@@ -183,7 +183,7 @@ def sign_post(
 def sign_plate(
     mesh: MeshBuilder, at: Floats, towards: Floats, bottom: float, width: float, material: int, stuff: Stuff
 ) -> None:
-    """A thin plate that faces both ways along the road."""
+    """A thin plate that faces both directions along the road."""
     along = np.array([-towards[1], towards[0]])
     for way in (1.0, -1.0):
         centre = at + way * 0.09 * along

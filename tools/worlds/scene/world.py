@@ -32,7 +32,7 @@ class World:
 @dataclass(frozen=True)
 class FreeSpace:
     """A raster of the ground plane: ``clearance`` ``(h, w)`` metres from each cell to the nearest obstacle or edge of
-    the way, 0 where one may not be; cell (row, col) lies at ``z = origin[1] + row * cell_m``, ``x = origin[0] + col *
+    the path, 0 where one may not be; cell (row, col) lies at ``z = origin[1] + row * cell_m``, ``x = origin[0] + col *
     cell_m``."""
 
     clearance: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Which way each agent drives: own start points, and by design stretches that others drive in the same direction at
+"""Routes of the agents: own start points, and by design stretches that others drive in the same direction at
 another time."""
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ CORNER_M = 9.5
 """Where a turn begins and ends, metres from the crossing."""
 
 Stretch = tuple[int, int, int]
-"""From node, to node, number of the piece of ``BIN_M`` on that way."""
+"""From node, to node, number of the piece of ``BIN_M`` on that street."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def plan_routes(
     network: Network, agents: int, length_m: float, rng: np.random.Generator, candidates: int = CANDIDATES
 ) -> list[Route]:
     """A route of at least ``length_m`` for each agent. Each is the best of many random ones: it shares about half its
-    way with the agents before it, with several of them if it can, comes back on its own tracks if it is long enough,
+    path with the agents before it, with several of them if it can, comes back on its own tracks if it is long enough,
     and starts at a place of its own."""
     lengths = {e: _length(network, *e) for a, b in network.edges for e in ((a, b), (b, a))}
     routes: list[Route] = []
@@ -77,7 +77,7 @@ def _random_route(
     rng: np.random.Generator,
 ) -> Route:
     ways = sorted(lengths)
-    if others and rng.random() < 0.8:  # begin where somebody drives, or on a way that leads there
+    if others and rng.random() < 0.8:  # begin where somebody drives, or on a street that leads there
         other = others[int(rng.integers(len(others)))]
         a, b, _ = other.stretches[int(rng.integers(len(other.stretches)))]
         before = [n for n in network.neighbours(a) if n != b]
