@@ -1,5 +1,5 @@
-"""What the pipeline needs of a place descriptor: :class:`maslam.descriptors.inference.NetVlad` is one, a user's own may
-be another."""
+"""Interface of a place descriptor for the pipeline: :class:`maslam.descriptors.inference.NetVlad` is one, a user's own
+may be another."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TEXTURE_PIXELS = 20_000  # texture is judged on an image of this size, that of 
 
 
 class PlaceDescriptor(ABC):
-    """Makes a unit vector of an image: near vectors are views of one place.
+    """Maps an image to a unit vector: near vectors are views of one place.
 
     A user's own derives from this class, sets ``name``, ``dim`` and ``threshold``, writes :meth:`describe`, and is
     given as ``maslam.preprocess(..., descriptor=...)`` or by an entry point of the group ``maslam.descriptors``.
@@ -29,7 +29,7 @@ class PlaceDescriptor(ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """For messages and ``manifest.json``."""
+        """Name for messages and ``manifest.json``."""
 
     @property
     @abstractmethod
@@ -57,8 +57,8 @@ class PlaceDescriptor(ABC):
 
     @property
     def sha256(self) -> str:
-        """Identifies the model, 64 hexadecimal digits: vectors of two models never mix, and what was made with another
-        one is made anew. Of the class's name and source unless overridden: override it where weights lie elsewhere."""
+        """Identity of the model, 64 hexadecimal digits: vectors of two models never mix, and results of another model
+        are made anew. By default from the class's name and source; override it where weights lie elsewhere."""
         return hashlib.sha256(f"{self.name} {self.dim} {_source(type(self))}".encode()).hexdigest()
 
     @property
@@ -68,7 +68,7 @@ class PlaceDescriptor(ABC):
 
     @property
     def colour(self) -> bool:
-        """Whether images in colour tell the descriptor more than grey ones."""
+        """Whether the descriptor uses colour."""
         return False
 
     def textured(self, images: Images) -> NDArray[np.bool_]:

@@ -37,7 +37,7 @@ class SetCurve(BaseModel):
 
 
 class Calibration(BaseModel):
-    """Where the thresholds come from. ``curve``: rising through the distances, for plots and for other wishes."""
+    """Origin of the thresholds. ``curve``: rising through the distances, for plots and for other choices."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -50,13 +50,13 @@ class Calibration(BaseModel):
 
 
 class Figure(BaseModel):
-    """How well places of one set are found with one code of the vectors: a row of ``maslam netvlad eval``."""
+    """Recognition of one set's places with one code of the vectors: a row of ``maslam netvlad eval``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     dataset: str
     code: str
-    bytes: int = Field(gt=0)  # of one vector on the wire
+    bytes: int = Field(gt=0)  # of one transmitted vector
     queries: int = Field(ge=0)
     recall_at_1: float = Field(ge=0, le=1)
     recall_at_5: float = Field(ge=0, le=1)
@@ -64,7 +64,7 @@ class Figure(BaseModel):
 
 
 class ModelCard(BaseModel):
-    """What a user of the weights must know; ``default.json`` beside ``default.onnx``."""
+    """The description that a model's user needs; ``default.json`` beside ``default.onnx``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -88,6 +88,7 @@ class ModelCard(BaseModel):
 
     @property
     def channels(self) -> int:
+        """Channels of the network's input: 3 with colour, else 1."""
         return 3 if self.colour else 1
 
     @model_validator(mode="after")

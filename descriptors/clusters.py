@@ -1,4 +1,4 @@
-"""What fits to vectors without labels: centres, principal axes. numpy and scipy only: used with and without torch."""
+"""Fits to vectors without labels: centres, principal axes. numpy and scipy only: used with and without torch."""
 
 from __future__ import annotations
 

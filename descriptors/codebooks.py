@@ -99,7 +99,7 @@ class Codebooks:
 
 
 def codebooks_path(model: Path) -> Path:
-    """Where the codebooks of an ``.onnx`` file stand."""
+    """Path of the codebooks of an ``.onnx`` file."""
     return model.with_suffix(SUFFIX)
 
 

@@ -73,11 +73,12 @@ class Coder(ABC):
 
     @property
     def key(self) -> str:
+        """Name of the code and, where it has any, of its codebook."""
         return self.code
 
     @property
     def whole(self) -> bool:
-        """Whether decoded vectors are compared with whole vectors (else with :meth:`cut` ones)."""
+        """Whether decoded vectors are compared with whole vectors (True) or with :meth:`cut` ones."""
         return len(self._axes) == self.dim
 
     def cut(self, vectors: Vectors) -> Vectors:
@@ -181,9 +182,11 @@ class ProductCoder(Coder):
 
     @property
     def key(self) -> str:
+        """See :attr:`Coder.key`."""
         return f"{self.code}-{self._book.digest}"
 
     def restored(self, distance: float) -> float:
+        """See :meth:`Coder.restored`."""
         cosine = (1.0 - 0.5 * distance**2) / self._book.fidelity
         return float(np.sqrt(max(2.0 - 2.0 * cosine, 0.0)))
 

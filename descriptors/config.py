@@ -25,7 +25,7 @@ class NetVladConfig(BaseModel):
 
 
 class ProjectionConfig(BaseModel):
-    """How the projection is fitted when the rest is trained."""
+    """Fit of the projection, made when the rest is trained."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -38,7 +38,7 @@ class ProjectionConfig(BaseModel):
 
 
 class TrainingConfig(BaseModel):
-    """How to train. The same configuration, images, seed and thread count give the same weights."""
+    """Settings of a training run. The same configuration, images, seed and thread count give the same weights."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -1,4 +1,4 @@
-"""Images to place vectors with onnxruntime alone: what agents run. No torch here."""
+"""Place vectors of images by onnxruntime alone: the part that agents run, without torch."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ MAX_SIDE_RATIO = 8.0
 
 
 class NetVlad(PlaceDescriptor):
-    """A loaded model. ``describe`` gives the same bytes for the same image, alone or among others, on every call."""
+    """A loaded model: images in, place vectors out. ``describe`` gives the same bytes for the same image, alone or
+    among others, on every call."""
 
     def __init__(self, session: ModelSession, card: ModelCard, batch: int = 1) -> None:
         self._session, self._card, self._batch = session, card, batch
@@ -50,31 +51,33 @@ class NetVlad(PlaceDescriptor):
 
     @property
     def name(self) -> str:
+        """Name of the model, for messages and ``manifest.json``."""
         return self._card.name
 
     @property
     def path(self) -> Path:
-        """Of the ONNX file; what belongs to the model stands beside it."""
+        """Path of the ONNX file; the other files of the model stand beside it."""
         return self._session.path
 
     @property
     def sha256(self) -> str:
-        """Of the ONNX file: vectors of two models never mix."""
+        """SHA-256 of the ONNX file, hexadecimal: vectors of two models never mix."""
         return self._card.sha256
 
     @property
     def dim(self) -> int:
+        """Numbers in a vector."""
         return self._card.dim
 
     @property
     def threshold(self) -> float:
-        """Euclidean distance below which two images show one place on appearance alone (precision 0.99 where
-        calibrated)."""
+        """Euclidean distance of unit vectors, 0 to 2, below which two images show one place on appearance alone
+        (precision 0.99 where calibrated)."""
         return self._card.threshold
 
     @property
     def candidate_threshold(self) -> float:
-        """Euclidean distance below which a pair is worth a geometric verification: what agents use by default."""
+        """Euclidean distance of unit vectors, 0 to 2, below which a pair is verified by geometry."""
         return self._card.candidate_threshold
 
     @property
@@ -84,16 +87,17 @@ class NetVlad(PlaceDescriptor):
 
     @property
     def calibration(self) -> Calibration | None:
-        """How the thresholds were measured."""
+        """Measurement of the thresholds; None for an uncalibrated model."""
         return self._card.calibration
 
     @property
     def card(self) -> ModelCard:
+        """The model's card: input, output and thresholds."""
         return self._card
 
     @property
     def colour(self) -> bool:
-        """Whether colour images tell the network more than grey ones."""
+        """Whether the network uses colour."""
         return self._card.colour
 
     def describe(self, images: Images) -> NDArray[np.float32]:
@@ -109,7 +113,8 @@ class NetVlad(PlaceDescriptor):
         return np.array([self._has_texture(self._prepare(image)) for image in images], dtype=bool)
 
     def look(self, images: Images) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """:meth:`describe` and :meth:`textured` of images that are brought to size once."""
+        """:meth:`describe` and :meth:`textured` together: vectors ``(N, dim)`` float32 and flags ``(N,)`` bool; each
+        image is resized once."""
         flags: list[bool] = []
 
         def gated() -> Iterator[NDArray[np.uint8]]:
@@ -122,15 +127,15 @@ class NetVlad(PlaceDescriptor):
         return vectors, np.array(flags, dtype=bool)
 
     def place_vectors(self, images: Images, stamps_ns: NDArray[np.int64] | Sequence[int]) -> PlaceVectors:
-        """Vectors, texture flags and time stamps (nanoseconds, one an image) in the container that is written to
-        disk."""
+        """Vectors, texture flags and time stamps (integer nanoseconds, one per image) in the container that is written
+        to disk."""
         from .container import PlaceVectors
 
         stamps = np.asarray(stamps_ns, dtype=np.int64)
         return PlaceVectors(self.name, self.sha256, self.dim, stamps, *self.look(images))
 
     def _prepare(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What the network gets of one image, ``(C, h, w)``."""
+        """The network's input for one image, ``(C, h, w)`` uint8."""
         if not self._card.colour:
             return to_working_size(image, self._card.input_pixels, self._card.input_size)[None]
         return np.ascontiguousarray(

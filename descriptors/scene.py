@@ -1,4 +1,4 @@
-"""What a receiver's own images tell about coded place vectors from the same surroundings.
+"""Correction of coded place vectors by a receiver's own images of the same surroundings.
 
 A coarse code is made for every place in the world. One robot's places have much in common: their vectors lie close
 about their mean and vary along few directions, and what a code loses there is alike for all of them. A receiver knows

@@ -19,7 +19,7 @@ _UNIT = 1e-3  # a vector off unit length by more than this is scaled to it
 
 
 def available_providers() -> tuple[str, ...]:
-    """What this installation of onnxruntime can run models on, the default first: ``CPUExecutionProvider``, ..."""
+    """Execution providers of this installation of onnxruntime, the default first: ``CPUExecutionProvider``, ..."""
     import onnxruntime
 
     return tuple(sorted(onnxruntime.get_available_providers(), key=lambda name: (name != CPU, name)))
@@ -130,5 +130,5 @@ def _check(session: Any, path: Path, card: ModelCard) -> None:
 
 
 def _line(error: Exception) -> str:
-    """What onnxruntime says, as one line."""
+    """onnxruntime's error message as one line."""
     return " ".join(str(error).split())

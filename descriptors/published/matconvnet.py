@@ -229,7 +229,8 @@ def _whitening(layer: _NetworkLayer, centres: tuple[int, ...], dim: int | None) 
 
 
 def _softening(layer: _NetworkLayer, channels: int) -> float:
-    """What vl_nnnormalize adds, from its four numbers: window, kappa, alpha, beta of x / (kappa + alpha * sum)^beta."""
+    """Constant that vl_nnnormalize adds, from its four numbers: window, kappa, alpha, beta of x / (kappa + alpha *
+    sum)^beta."""
     found = np.asarray(layer.fields.get("param", ())).ravel().astype(np.float64)
     if len(found) != 4 or found[0] < 2 * channels or found[2] != 1 or found[3] != 0.5 or not 0 <= found[1] < 1e-3:
         raise DescriptorError(

@@ -30,8 +30,8 @@ _ENCODER = [
 
 
 def read_torch(path: Path) -> dict[str, Any]:
-    """What a PyTorch file holds, a dictionary, read without executing anything in it; tensors are mapped, not copied,
-    where the file allows it."""
+    """Read a PyTorch file, a dictionary, without executing anything in it; tensors are mapped, not copied, where the
+    file allows it."""
     size = path.stat().st_size
     if size > MAX_FILE_BYTES:
         raise DescriptorError(f"{path}: {size / 1e9:.1f} GB, a checkpoint of VGG16-NetVLAD has less than 4")

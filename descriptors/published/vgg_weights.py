@@ -89,7 +89,7 @@ class VggWeights:
 
 
 def rows_to_keep(wanted: int | None, found: int | None) -> int | None:
-    """How many of the ``found`` numbers of a file's whitening (None: it has none) to read: the first ones hold most of
+    """Number of the ``found`` numbers of a file's whitening (None: it has none) to read: the first ones hold most of
     the variance. ``DescriptorError`` where more than that are ``wanted``."""
     if wanted is None:
         return found

@@ -1,5 +1,5 @@
-"""Two views of one place for training: how an image may change between visits (view, light, focus, noise, things in
-the way).
+"""Two views of one place for training: how an image may change between visits (view, light, focus, noise,
+occlusion).
 
 Random numbers come from numpy generators and are turned into tensors, so that a step repeats whatever torch's own
 state is.
@@ -29,7 +29,7 @@ class Augmentation(BaseModel):
     shading: float = Field(0.5, ge=0)  # log strength of smooth light and shadow across the image
     blur_px: float = Field(1.0, ge=0)  # largest standard deviation
     noise: float = Field(0.02, ge=0)  # largest standard deviation, share of full scale
-    occlusion: float = Field(0.35, ge=0, le=1)  # largest side of a rectangle in the way, share of the image's
+    occlusion: float = Field(0.35, ge=0, le=1)  # largest side of an occluding rectangle, share of the image's
     occluded: float = Field(0.4, ge=0, le=1)  # share of the images that have one
     mirror: bool = True  # both views alike: a mirrored place is another place
 
@@ -96,7 +96,7 @@ def _reframe(images: NDArray[np.uint8], size: tuple[int, int], kind: Augmentatio
 
 
 def _relight(x: Tensor, kind: Augmentation, rng: np.random.Generator) -> Tensor:
-    """Light, shadow, something in the way, focus, noise: ``(n, 1, H, W)`` in 0 to 1 to the same in 0 to 255, whole
+    """Light, shadow, occlusion, focus, noise: ``(n, 1, H, W)`` in 0 to 1 to the same in 0 to 255, whole
     levels."""
     from kornia.filters import gaussian_blur2d
 
@@ -109,7 +109,7 @@ def _relight(x: Tensor, kind: Augmentation, rng: np.random.Generator) -> Tensor:
         h, w = (int(side * rng.uniform(0.1, kind.occlusion)) for side in (height, width))
         top, left = int(rng.integers(height - h + 1)), int(rng.integers(width - w + 1))
         other = int(rng.integers(count))
-        # What stands in the way is a piece of another image, so that it looks like something.
+        # The occluder is a piece of another image, so that it looks like something.
         x[i, :, top : top + h, left : left + w] = x[
             other, :, height - h - top : height - top, width - w - left : width - left
         ].clone()

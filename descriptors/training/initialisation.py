@@ -1,4 +1,4 @@
-"""Where training of NetVLAD starts: settled batch norms, k-means centres, principal axes as the first projection."""
+"""Start of NetVLAD's training: settled batch norms, k-means centres, principal axes as the first projection."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def settle_batch_norms(network: NetVladNetwork, images: NDArray[np.uint8]) -> No
 
 
 def device_of(network: NetVladNetwork) -> torch.device:
-    """Where the network's weights lie."""
+    """Device of the network's weights."""
     return network.project.weight.device
 
 

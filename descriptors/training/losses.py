@@ -1,4 +1,4 @@
-"""What training of place vectors minimises. Imports torch."""
+"""Losses of the training of place vectors. Imports torch."""
 
 from __future__ import annotations
 

@@ -40,6 +40,7 @@ class VladLayer(nn.Module):
         self.assign.bias.copy_(-alpha * centres.square().sum(dim=1))
 
     def forward(self, features: Tensor) -> Tensor:
+        """VLAD vectors ``(n, clusters * channels)`` of feature maps ``(n, channels, h, w)``."""
         weights = self.assign(features).softmax(dim=1).flatten(2)  # (N, K, h*w)
         sums = weights @ features.flatten(2).transpose(1, 2)  # (N, K, D)
         residuals = sums - weights.sum(dim=2, keepdim=True) * self.centres
@@ -103,6 +104,7 @@ class NetVladNetwork(nn.Module):
         return torch.cat([math.sqrt(1.0 - share) * learned, math.sqrt(share) * fixed], dim=1)
 
     def forward(self, images: Tensor) -> Tensor:
+        """Place vectors ``(n, dim)``, unit rows, of images ``(n, C, H, W)``."""
         return F.normalize(self.project(self.aggregate(images)), dim=1)
 
 

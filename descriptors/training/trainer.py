@@ -36,7 +36,7 @@ _MAX_SCALE = 60.0
 class PlaceSet:
     """Places seen V times each: ``views`` ``(P, V, h, w)`` uint8; V = 1 for photographs, whose second view is made.
 
-    ``conflicts`` ``(P, P)`` bool: pairs of places that see each other and so must not be told apart (None: no such
+    ``conflicts`` ``(P, P)`` bool: pairs of places that see each other and so must not be separated (None: no such
     pairs). ``group``: sets of one group take turns, one in each batch, so that a batch holds many places of one world:
     its look-alikes are the negatives that teach most. ``weight``: the group's share of the batches, relative to the
     others'. ``strips``: share of neighbours in a batch that are made look-alikes by a common strip.
@@ -202,7 +202,7 @@ class Trainer:
 
     def _draw_batch(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Both views of a batch, ``(n, 1, H, W)`` each. Every batch mixes all groups: batch norms see in training
-        what they see later, and no batch can be told from another by its style."""
+        what they see later, and no batch can be recognised by its style."""
         groups: dict[str, list[PlaceSet]] = {}
         for one in self.sets:
             groups.setdefault(one.group or one.name, []).append(one)
@@ -241,7 +241,7 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         # On the VLAD vector, not behind the projection: trained jointly, the projection learns the training images by
-        # heart, and tells places of another world apart far worse than the vector it is given
+        # heart, and separates places of another world far worse than the vector it is given
         # (docs/appendix/netvlad.md).
         vlad = self.network.aggregate(torch.cat([first, second]), self.config.gradient_thinning, self.step)
         scale = self.log_scale.exp().clamp(max=_MAX_SCALE)
