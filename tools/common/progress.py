@@ -49,7 +49,7 @@ class Silent:
 
 
 class CallbackProgress:
-    """For Python: ``callback(title, done, total)`` is told of each step; lines that stay go to the log."""
+    """For Python: ``callback(title, done, total)`` is called at each step; lines that stay go to the log."""
 
     def __init__(self, callback: Callable[[str, int, int], None] | None = None) -> None:
         self._callback = callback
