@@ -93,7 +93,8 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         default="default",
         metavar="NAME|FILE",
-        help="place descriptor: a shipped one, an ONNX file, or an entry point of maslam.descriptors",
+        help="place descriptor: a shipped one, an ONNX file, or an entry point of maslam.descriptors "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs the place descriptor (default: CPU)"
