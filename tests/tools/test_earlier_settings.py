@@ -88,17 +88,7 @@ def test_the_config_of_a_run_of_0_1_is_read() -> None:
 
 def test_the_odometry_settings_of_0_1_are_read(caplog: pytest.LogCaptureFixture) -> None:
     path = OF_0_1 / "odometry.yaml"
-    arguments = argparse.Namespace(
-        overlap=3,
-        agents=None,
-        rig=None,
-        dataset=None,
-        model="default",
-        provider="CPU",
-        vocabulary=None,
-        workers=0,
-        config=path,
-    )
+    arguments = parser_of("preprocess").parse_args(["SRC", "OUT", "--config", str(path)])
     assert settings_from(arguments, read_settings(path)).odometry == OdometryConfig()
     (line,) = [record.getMessage() for record in caplog.records]
     assert "odometry.seed is gone (it had no effect)" in line

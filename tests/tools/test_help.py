@@ -119,8 +119,7 @@ def test_a_wrong_name_is_a_usage_error_in_one_line(words: str, line: str, capsys
         (
             "slam a b --config",
             "policy: diretory\n",
-            ":1: policy: input should be 'query_all', 'clustered', 'logic', 'selection' or 'directory', not "
-            "'diretory'; did you mean 'directory'?",
+            ":1: there is no policy 'diretory'; did you mean 'directory'?",
         ),
         ("slam a b --config", "odometri: {}\n", ":1: unknown setting 'odometri'; did you mean 'odometry'?"),
         (

@@ -25,7 +25,7 @@ from maslam.tools.common.progress import progress_on
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("frontend", "descriptors", "backend", "mas", "tools")
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (ERROR|WARNING|INFO|DEBUG) +\[(\d+)\] ([\w.]+): (.*)")
-log = logging.getLogger("tools.test_logs")
+log = logging.getLogger("maslam.test_logs")
 
 
 def log_at_every_level() -> None:
@@ -43,7 +43,7 @@ def test_levels_hold_on_the_console_and_in_the_file(
     written = (tmp_path / "log").read_text().splitlines()
     assert len(shown) == len(written) == count
     assert all(LINE.fullmatch(line) for line in written)
-    assert shown[0] == "error: tools.test_logs: at error"
+    assert shown[0] == "error: maslam.test_logs: at error"
 
 
 def test_the_file_has_more_than_the_console_by_default_and_is_appended_to(
@@ -52,7 +52,7 @@ def test_the_file_has_more_than_the_console_by_default_and_is_appended_to(
     for _ in range(2):
         with logs_to(file=tmp_path / "log"):
             log_at_every_level()
-    assert capsys.readouterr().err.splitlines() == ["error: tools.test_logs: at error", "warning: at warning"] * 2
+    assert capsys.readouterr().err.splitlines() == ["error: maslam.test_logs: at error", "warning: at warning"] * 2
     levels = [LINE.fullmatch(line)[1] for line in (tmp_path / "log").read_text().splitlines()]  # type: ignore[index]
     assert levels == ["ERROR", "WARNING", "INFO"] * 2
 
@@ -201,7 +201,7 @@ if __name__ == "__main__":
         task = progress.start("working", 40)
         for done, _ in enumerate(each_finished(note, range(40), 2), 1):
             progress.advance(task, done)
-            logging.getLogger("tools.main").info("%d are done", done)
+            logging.getLogger("maslam.main").info("%d are done", done)
         progress.say("a line that was said")
 """
 
@@ -213,8 +213,8 @@ def test_lines_stand_whole_above_the_bars_of_a_terminal(tmp_path: Path) -> None:
     moved = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "\n", re.sub(r"\x1b\[[0-9;]*m", "", text))  # colours gone, cursor moves
     lines = [line.strip() for line in moved.replace("\r", "\n").splitlines()]
     whole = [line for line in lines if line.startswith("info: ")]
-    expected = [f"info: tools.test_logs: part {k}" for k in range(40)]
-    expected += [f"info: tools.main: {k} are done" for k in range(1, 41)]
+    expected = [f"info: maslam.test_logs: part {k}" for k in range(40)]
+    expected += [f"info: maslam.main: {k} are done" for k in range(1, 41)]
     assert sorted(whole) == sorted(expected)
     assert "a line that was said" in lines
     assert any("working" in line and "40/40" in line for line in lines)

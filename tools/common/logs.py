@@ -27,7 +27,7 @@ LEVELS = {
     "info": logging.INFO,
     "debug": logging.DEBUG,
 }
-OURS = ("maslam", "frontend", "descriptors", "backend", "mas", "tools")
+OURS = ("maslam",)
 """The loggers whose level is set: libraries log from ``warning`` on, whatever is asked for."""
 ON_CONSOLE = {"on_console": True}
 """``extra`` of a line that stands on the console already: it goes to the log file only."""

@@ -7,11 +7,10 @@ import importlib
 import math
 import platform
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
-
-from packaging.requirements import Requirement
 
 from ..common.errors import describe
 from ..common.memory import resident_mb
@@ -79,8 +78,9 @@ def system_checks() -> list[Check]:
 def library_checks() -> list[Check]:
     """Every dependency imported for real: a wheel that is installed may still miss a library of the system. What is
     not made for this system is not needed on it."""
-    wanted = [Requirement(text) for text in requires("maslam") or [] if "extra ==" not in text]
-    return [_import_check(one.name.lower(), one.marker is None or one.marker.evaluate()) for one in wanted]
+    wanted = [text for text in requires("maslam") or [] if "extra ==" not in text]
+    elsewhere = re.compile(rf"sys_platform *!= *['\"]{sys.platform}['\"]")
+    return [_import_check(_name(text), needed=elsewhere.search(text) is None) for text in wanted]
 
 
 def extra_checks() -> list[Check]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from maslam.extensions import name_of
 
-from ..common.errors import ToolError, UsageError, describe
+from ..common.errors import ToolError, UnknownName, UsageError, describe
 from ..common.options import add_model_options, build, read_settings
 from ..common.progress import Progress, progress_on
 
@@ -94,7 +94,7 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         default="default",
         metavar="NAME|FILE",
         help="place descriptor: a shipped one, an ONNX file, or an entry point of maslam.descriptors "
-        "(default: %(default)s)",
+        "(default: the shipped one)",
     )
     parser.add_argument(
         "--provider", default="CPU", metavar="NAME", help="where onnxruntime runs the place descriptor (default: CPU)"
@@ -142,7 +142,7 @@ def _check_kind(kind: str | None) -> None:
         if kind is not None:
             check_kind(kind)
     except MaslamError as error:
-        raise UsageError(f"--dataset: {error}") from None
+        raise UnknownName(f"--dataset: {error}") from None
 
 
 def main(arguments: argparse.Namespace) -> None:

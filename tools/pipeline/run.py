@@ -62,7 +62,7 @@ def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
         try:
             check(getattr(config, name))
         except MaslamError as error:
-            given = hasattr(arguments, DEST + name)
+            given = hasattr(arguments, DEST + name) or arguments.config is None
             place = option_name(name) if given else f"{place_of(arguments.config, [name])}: {name}"
             raise UnknownName(f"{place}: {error}") from None
 
