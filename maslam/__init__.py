@@ -18,6 +18,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from ._links import check_links
+
+check_links()
+
 if TYPE_CHECKING:
     from .api.datasets import open_dataset
     from .api.evaluation import evaluate

@@ -7,6 +7,7 @@ import hashlib
 import io
 import math
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -232,6 +233,29 @@ def test_a_sequences_name_is_one_folder_on_every_system() -> None:
 
     assert _as_folder("town/agent_00") == "town_agent_00"
     assert _as_folder(r"C:\data\town/agent_00") == "C__data_town_agent_00"
+
+
+@pytest.fixture
+def checkout_without_links(tmp_path: Path) -> Path:
+    """As git for Windows makes it where it may not make links: a file that holds the link's target."""
+    (tmp_path / "maslam").mkdir()
+    for path in (ROOT / "maslam").iterdir():
+        if path.is_symlink():
+            (tmp_path / "maslam" / path.name).write_text(os.readlink(path))
+        elif path.suffix == ".py":
+            shutil.copy(path, tmp_path / "maslam")
+    return tmp_path
+
+
+def test_a_checkout_without_links_is_told_in_a_line(checkout_without_links: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(checkout_without_links), "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-m", "maslam", "--version"]
+    done = subprocess.run(command, env=environment, cwd=checkout_without_links, capture_output=True, text=True)
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr.count("\n") == 1 and done.stderr.startswith("maslam: this checkout lacks the symbolic links")
+    code = "try:\n    import maslam\nexcept ImportError as error:\n    print(error)"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("this checkout lacks the symbolic links")
 
 
 def test_paths_in_fingerprints_do_not_depend_on_the_separator(tmp_path: Path) -> None:
