@@ -59,23 +59,23 @@ class Agent:
     def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
         self.state = AgentState(profile, config)
         self.policy = policy
-        self.desk = AgentContext(self.state, Ledger(profile.me))
+        self.context = AgentContext(self.state, Ledger(profile.me))
         self.book = Candidates(self.state)
-        verification = Verification(self.desk, self.book)
-        self.places = PlaceRecognition(self.desk, self.book, verification)
-        self.optimisation = Optimisation(self.desk, lambda: policy.peer_to_peer(self.state, self.outlook()))
-        self.maps = MapExchange(self.desk, policy.worth)
+        verification = Verification(self.context, self.book)
+        self.places = PlaceRecognition(self.context, self.book, verification)
+        self.optimisation = Optimisation(self.context, lambda: policy.peer_to_peer(self.state, self.outlook()))
+        self.maps = MapExchange(self.context, policy.worth)
         self.refused: list[Refused] = []
-        self._trades: dict[OperationKind, Operation] = {
+        self._operations: dict[OperationKind, Operation] = {
             OperationKind.DVPR: self.places,
             OperationKind.RELPOSE: verification,
             OperationKind.DOPT: self.optimisation,
             OperationKind.MAPMERGE: self.maps,
         }
-        self.pool = CallQueue(self.desk, self._trades)
+        self.pool = CallQueue(self.context, self._operations)
         self._new: list[KeyFrame] = []
         self.news = PendingMatches(self.state)
-        self.final = FinalRound(self.desk, self.maps)
+        self.final = FinalRound(self.context, self.maps)
 
     # -- what comes in ------------------------------------------------------------------------------------------------
 
@@ -87,7 +87,7 @@ class Agent:
 
     def finish(self) -> None:
         """The environment's word that all sequences are over: from now on the agent only settles what it knows."""
-        self.desk.close()
+        self.context.close()
 
     def handle(self, message: Message) -> list[Message]:
         """Act on a message; one that makes no sense here is refused and remembered, and changes nothing."""
@@ -96,15 +96,15 @@ class Agent:
                 raise ProtocolError(
                     f"message from {message.sender} to {message.recipient} came to agent {self.state.me}"
                 )
-            self.desk.standing.heard(message.sender)
+            self.context.reputation.heard(message.sender)
             self._dispatch(message)
         except Repeated as repeated:
-            self.desk.answer_again(repeated.contract, message.body)
+            self.context.answer_again(repeated.contract, message.body)
         except LateMessage:
             pass
         except (ProtocolError, WorkError, ValueError) as error:
             self.refused.append(Refused(message.sender, str(error)))
-            self.desk.note("refused", sender=message.sender, reason=str(error))
+            self.context.note("refused", sender=message.sender, reason=str(error))
         return self._settle()
 
     def tick(self, now_ns: int) -> list[Message]:
@@ -115,7 +115,7 @@ class Agent:
             self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
             if self.state.config.places.own_loops:
                 self.places.close_own_loop(keyframe)
-        if self._new or self.desk.closing:
+        if self._new or self.context.closing:
             self.places.recall(self.policy.recall(self.state, self.outlook(), len(self._new)))
         self._new = []
         self.places.resume()
@@ -129,11 +129,11 @@ class Agent:
         return self._settle()
 
     def _remind(self, now_ns: int) -> None:
-        self.desk.now_ns = now_ns
-        for contract in self.desk.ledger.expired(now_ns):
-            self.desk.watch(contract)
+        self.context.now_ns = now_ns
+        for contract in self.context.ledger.expired(now_ns):
+            self.context.watch(contract)
         self._settle_contracts()
-        self.desk.remind()
+        self.context.remind()
         self._settle_contracts()
         self.optimisation.resend()
 
@@ -142,18 +142,18 @@ class Agent:
     @property
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
-        busy = self.optimisation.busy or bool(self.desk.ledger.running()) or bool(self._new)
-        return self.desk.closing and not busy and not self._news() and self.final.over and not self._behind()
+        busy = self.optimisation.busy or bool(self.context.ledger.running()) or bool(self._new)
+        return self.context.closing and not busy and not self._news() and self.final.over and not self._behind()
 
     @property
     def waiting(self) -> bool:
         """Whether others owe it an answer: it wants to be reminded."""
-        return self.desk.words.owed or self.optimisation.busy or self.pool.waiting
+        return self.context.retransmitter.owed or self.optimisation.busy or self.pool.waiting
 
     @property
     def diary(self) -> list[Event]:
         """What happened so far, oldest first."""
-        return self.desk.diary
+        return self.context.diary
 
     def outlook(self) -> Outlook:
         """What the policy may know beside the state."""
@@ -165,8 +165,8 @@ class Agent:
             since_matched={a: count - 1 - at for a, at in sorted(self.book.last_matched.items())},
             stale=frozenset(self.maps.stale),
             distances=dict(self.places.distances),
-            reachable=frozenset(a for a in self.state.profile.others if self.desk.may_call(a)),
-            closing=self.desk.closing,
+            reachable=frozenset(a for a in self.state.profile.others if self.context.may_call(a)),
+            closing=self.context.closing,
             delivered=dict(self.places.told.delivered),
         )
 
@@ -176,7 +176,7 @@ class Agent:
 
     def _news(self) -> set[MatchId]:
         """Matches accepted or withdrawn since the last optimisation; none when it failed too often at the end."""
-        if self.desk.closing and self.optimisation.attempts.hopeless:
+        if self.context.closing and self.optimisation.attempts.hopeless:
             return set()
         return self.news.matches
 
@@ -191,8 +191,8 @@ class Agent:
             self.optimisation.start(members)
             return
         sellers = self.policy.buy(self.state, outlook)
-        if self.desk.closing:
-            sellers = [] if self.desk.calling(OperationKind.MAPMERGE) else self.final.choose(sellers)
+        if self.context.closing:
+            sellers = [] if self.context.calling(OperationKind.MAPMERGE) else self.final.choose(sellers)
         if sellers:
             self.maps.buy(sellers)
 
@@ -204,7 +204,7 @@ class Agent:
             known = set(self.state.group)
             # Who knows no more than the sender has nothing to pass on: the sender has told them all.
             if self.state.join(body.members) and not known <= set(body.members):
-                tell_group(self.desk)
+                tell_group(self.context)
         elif isinstance(body, MapNotice):
             self.maps.hear_of(sender, body.offers)
         elif isinstance(body, SolverBody):
@@ -220,24 +220,24 @@ class Agent:
 
     def _called(self, sender: int, identity: ContractId, body: Call) -> None:
         """A call for proposals: bid or refuse."""
-        if body.deadline_ns < self.desk.now_ns:
+        if body.deadline_ns < self.context.now_ns:
             raise LateMessage(f"call of agent {sender} came after its deadline")
-        contract = self.desk.ledger.called(sender, identity, body)
-        superseded, self.desk.ledger.superseded = self.desk.ledger.superseded, []
+        contract = self.context.ledger.called(sender, identity, body)
+        superseded, self.context.ledger.superseded = self.context.ledger.superseded, []
         for old in superseded:
-            self.desk.watch(old)
+            self.context.watch(old)
         self._settle_contracts()
         if body.members and self.state.join(body.members):
-            tell_group(self.desk)
+            tell_group(self.context)
         self.pool.take(contract, body)
 
     def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> None:
         """A contract goes on: the ledger allows it or not, then the operation acts."""
-        contract = self.desk.ledger.hear(identity, sender, body)
-        self.desk.hear(contract)
-        trade = self._trades[contract.operation]
+        contract = self.context.ledger.hear(identity, sender, body)
+        self.context.hear(contract)
+        trade = self._operations[contract.operation]
         if isinstance(body, Bid) and body.ready_ns > contract.deadline_ns:
-            self.desk.say(contract, Rejection("ready too late"))
+            self.context.say(contract, Rejection("ready too late"))
         elif isinstance(body, Bid):
             trade.on_bid(contract, body)
         elif isinstance(body, Award):
@@ -251,23 +251,23 @@ class Agent:
         try:
             trade.work(contract, award.task)
         except (WorkError, ValueError) as error:
-            self.desk.say(contract, Failure(str(error)[:_REASON_LENGTH]))
+            self.context.say(contract, Failure(str(error)[:_REASON_LENGTH]))
 
     def _settle(self) -> list[Message]:
         """Wind up what ended, take over what an optimisation brought, and hand out the mail."""
         self._settle_contracts()
         self.pool.inspect()
         self._settle_contracts()
-        out, self.desk.outbox = self.desk.outbox, []
+        out, self.context.outbox = self.context.outbox, []
         return out
 
     def _settle_contracts(self) -> None:
-        while self.desk.ended or self.optimisation.adoptions:
-            while self.desk.ended:
-                contract = self.desk.ended.pop(0)
-                self.desk.note_end(contract)
+        while self.context.ended or self.optimisation.adoptions:
+            while self.context.ended:
+                contract = self.context.ended.pop(0)
+                self.context.note_end(contract)
                 self._note_standing()
-                self._trades[contract.operation].on_end(contract)
+                self._operations[contract.operation].on_end(contract)
             adoptions, self.optimisation.adoptions = self.optimisation.adoptions, []
             for adoption in adoptions:
                 self.news.used(adoption.matches)
@@ -280,8 +280,8 @@ class Agent:
 
     def _note_standing(self) -> None:
         """Who is regarded otherwise since the last contract."""
-        for other, record in self.desk.standing.changes(self.desk.now_ns):
-            self.desk.note(
+        for other, record in self.context.reputation.changes(self.context.now_ns):
+            self.context.note(
                 "standing",
                 of=other,
                 regard=str(record.regard),

@@ -157,20 +157,20 @@ def run(
     started = time.perf_counter()
     keyframes = [keyframes_of(sequence) for sequence in sequences]
     agents = make_agents(manifest, sequences, config, policy)
-    onlooker = GroundTruthEvaluator(sequences)
+    evaluator = GroundTruthEvaluator(sequences)
     log.info("%d agents, preset %s, policy %s, seed %d", len(agents), config.preset, config.policy, config.seed)
     with Recorder(out) as recorder:
         carrier = make_transport(config, recorder.sent, transport)
         environment = Environment(agents, keyframes, carrier, config)
         recorder.begin_timeline(len(agents))
-        steps = _play(environment, onlooker, recorder, progress)
-        errors = match_errors(agents, onlooker)
+        steps = _play(environment, evaluator, recorder, progress)
+        errors = match_errors(agents, evaluator)
         recorder.settings(config, manifest)
         recorder.events(event for agent in agents for event in agent.diary)
         recorder.matches(agents, errors)
         for agent, sequence in zip(agents, sequences, strict=True):
             recorder.agent(agent, sequence)
-        summary = summarise(agents, sequences, config, onlooker, carrier, errors, steps)
+        summary = summarise(agents, sequences, config, evaluator, carrier, errors, steps)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
         summary = summary.model_copy(update={"duration_s": duration})
         recorder.summary(summary)
@@ -233,7 +233,7 @@ def coder_of(manifest: Manifest, code: str) -> Coder:
 
 
 def _play(
-    environment: Environment, onlooker: GroundTruthEvaluator, recorder: Recorder, progress: RunProgress | None
+    environment: Environment, evaluator: GroundTruthEvaluator, recorder: Recorder, progress: RunProgress | None
 ) -> int:
     """Step until all agents are done; returns how many steps that took."""
     total = environment.steps
@@ -243,7 +243,7 @@ def _play(
         limit += round(_CLOSING_OPTIMISATIONS * config.optimisation.deadline_s / config.step_s)
     for number in range(limit):
         environment.step(number)
-        recorder.step(timeline_row(number, environment, onlooker))
+        recorder.step(timeline_row(number, environment, evaluator))
         if progress is not None:
             progress(min(number + 1, total), total)
         if number + 1 >= total and environment.over:
@@ -252,11 +252,11 @@ def _play(
     return limit
 
 
-def timeline_row(number: int, environment: Environment, onlooker: GroundTruthEvaluator) -> list[object]:
+def timeline_row(number: int, environment: Environment, evaluator: GroundTruthEvaluator) -> list[object]:
     """What ``timeline.csv`` says about a step; errors are empty without truth."""
     agents = environment.agents
-    own = [onlooker.keyframe_error(a) for a in agents]
-    maps = [onlooker.map_error(a) for a in agents]
+    own = [evaluator.keyframe_error(a) for a in agents]
+    maps = [evaluator.map_error(a) for a in agents]
     accepted = len({m for a in agents for m in a.state.accepted})
     counts = [environment.transport.by_operation[t] for t in Traffic]
     return [

@@ -20,9 +20,9 @@ from .operation import Operation
 class CallQueue:
     """Answers calls by the operations' bids, now or when idle; lower managers first, as all agents prefer them."""
 
-    def __init__(self, desk: AgentContext, trades: Mapping[OperationKind, Operation]) -> None:
-        self.desk = desk
-        self._trades = trades
+    def __init__(self, context: AgentContext, trades: Mapping[OperationKind, Operation]) -> None:
+        self.context = context
+        self._operations = trades
         self._waiting: list[tuple[Contract, Call, int]] = []
 
     @property
@@ -32,12 +32,12 @@ class CallQueue:
 
     def take(self, contract: Contract, call: Call) -> None:
         """A new call: answer it, or keep it."""
-        if not self.desk.serves(contract.manager, contract.operation):
-            regard = self.desk.standing.regard(contract.manager)
-            self.desk.say(contract, Refusal(f"in bad standing: {regard}"))
+        if not self.context.serves(contract.manager, contract.operation):
+            regard = self.context.reputation.regard(contract.manager)
+            self.context.say(contract, Refusal(f"in bad standing: {regard}"))
         elif not self._answered(contract, call):
-            patience = self.desk.state.config.link.silence_s / 2
-            self._waiting.append((contract, call, self.desk.now_ns + round(patience * 1e9)))
+            patience = self.context.state.config.link.silence_s / 2
+            self._waiting.append((contract, call, self.context.now_ns + round(patience * 1e9)))
             self._waiting.sort(key=lambda w: w[0].id)
 
     def inspect(self) -> None:
@@ -46,18 +46,18 @@ class CallQueue:
             contract, call, until_ns = entry
             if not self._open(contract) or self._answered(contract, call):
                 self._waiting.remove(entry)
-            elif self.desk.now_ns >= until_ns:
+            elif self.context.now_ns >= until_ns:
                 self._waiting.remove(entry)
-                self.desk.say(contract, Refusal("busy"))
+                self.context.say(contract, Refusal("busy"))
 
     def _open(self, contract: Contract) -> bool:
         try:
-            return self.desk.ledger.get(contract.id, contract.contractor).state is ContractState.CALLED
+            return self.context.ledger.get(contract.id, contract.contractor).state is ContractState.CALLED
         except LateMessage:
             return False
 
     def _answered(self, contract: Contract, call: Call) -> bool:
-        answer = self._trades[contract.operation].bid(contract, call)
+        answer = self._operations[contract.operation].bid(contract, call)
         if answer is not None:
-            self.desk.say(contract, answer)
+            self.context.say(contract, answer)
         return answer is not None

@@ -45,8 +45,8 @@ class AgentContext:
     _last_probes: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        self.words = Retransmitter(self.me, self.state.config.link)
-        self.standing = ReputationBook(self.state.config.standing)
+        self.retransmitter = Retransmitter(self.me, self.state.config.link)
+        self.reputation = ReputationBook(self.state.config.standing)
 
     @property
     def me(self) -> int:
@@ -59,7 +59,7 @@ class AgentContext:
         if operation is not OperationKind.DOPT:
             return self.now_ns + round(config.deadline_s * 1e9)
         others = list(contractors)
-        slowest = max((self.words.pace.wait_ns(c) for c in others), default=0)
+        slowest = max((self.retransmitter.rtt.wait_ns(c) for c in others), default=0)
         usual = config.optimisation.deadline_s * 1e9
         # Of few answers even the quickest may have been late, because words were lost on the way.
         longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
@@ -74,19 +74,19 @@ class AgentContext:
         a part in an optimisation or a sale, and end with the sequences."""
         small = operation not in (OperationKind.DOPT, OperationKind.MAPMERGE)
         if self.closing or not small:
-            return self.standing.regard(other) is Trust.GOOD or (small and other in self._last_probes)
-        return self.standing.may_call(other, self.now_ns)
+            return self.reputation.regard(other) is Trust.GOOD or (small and other in self._last_probes)
+        return self.reputation.may_call(other, self.now_ns)
 
     def close(self) -> None:
         """All sequences have ended. Who is silent is asked once more: it may have come since the last probe."""
         if not self.closing:
             self.closing = True
             others = self.state.profile.others
-            self._last_probes = {a for a in others if self.standing.regard(a) is Trust.SILENT}
+            self._last_probes = {a for a in others if self.reputation.regard(a) is Trust.SILENT}
 
     def serves(self, other: int, operation: OperationKind) -> bool:
         """Whether to work for the other: questions about places always, they let it come back."""
-        return operation in (OperationKind.DVPR, OperationKind.RELPOSE) or self.standing.regard(other) is Trust.GOOD
+        return operation in (OperationKind.DVPR, OperationKind.RELPOSE) or self.reputation.regard(other) is Trust.GOOD
 
     def call(
         self, operation: OperationKind, contractors: Iterable[int], members: tuple[int, ...] = ()
@@ -98,7 +98,7 @@ class AgentContext:
         worth = [c for c in contractors if self.may_call(c, operation)]
         identity, free = self.ledger.call(operation, worth, deadline_ns)
         for contract in self.ledger.managed(identity) if free else []:
-            self.standing.called(contract.contractor, self.now_ns)
+            self.reputation.called(contract.contractor, self.now_ns)
             self._last_probes.discard(contract.contractor)
             self._say(contract, contract.contractor, Call(operation, deadline_ns, members))
         return identity, free
@@ -112,27 +112,27 @@ class AgentContext:
 
     def _say(self, contract: Contract, other: int, body: ContractBody) -> None:
         message = Message(self.me, other, contract.id, body)
-        self.words.said(contract, message, self.now_ns)
+        self.retransmitter.said(contract, message, self.now_ns)
         self.outbox.append(message)
 
     def hear(self, contract: Contract) -> None:
         """The other side said something in a contract, which is like this now."""
-        self.words.heard(contract, self.now_ns)
+        self.retransmitter.heard(contract, self.now_ns)
         self.watch(contract)
 
     def answer_again(self, contract: Contract, body: Body) -> None:
         """A word came that the contract had heard, or that it is too late for: the other side may have missed mine."""
         if not contract.ended:
-            self.words.heard(contract, self.now_ns)
-        message = self.words.answer(contract, body, self.now_ns)
+            self.retransmitter.heard(contract, self.now_ns)
+        message = self.retransmitter.answer(contract, body, self.now_ns)
         if message is not None:
             self.outbox.append(message)
 
     def remind(self) -> None:
         """Say again what was not answered in time, and give up contractors that have gone silent."""
-        for contract in self.words.silent(self.now_ns):
+        for contract in self.retransmitter.silent(self.now_ns):
             self.cancel([contract], SILENT)
-        self.outbox += self.words.due(self.now_ns)
+        self.outbox += self.retransmitter.due(self.now_ns)
 
     def watch(self, contract: Contract) -> None:
         """Remember a contract that has ended, for the agent to wind up once the message at hand is dealt with."""
@@ -156,9 +156,9 @@ class AgentContext:
     def note_end(self, contract: Contract) -> None:
         """How a contract ended, told once: by its manager."""
         if contract.manager != self.me:
-            self.standing.left_waiting(contract)
+            self.reputation.left_waiting(contract)
         else:
-            self.standing.ended(contract)
+            self.reputation.ended(contract)
             self.note(
                 "contract",
                 operation=contract.operation.name.lower(),

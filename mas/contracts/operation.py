@@ -19,12 +19,12 @@ class Operation(ABC):
     """One operation, as manager and as contractor. Every method is called with a contract that the ledger has
     advanced."""
 
-    def __init__(self, desk: AgentContext) -> None:
-        self.desk = desk
+    def __init__(self, context: AgentContext) -> None:
+        self.context = context
 
     @property
     def state(self) -> AgentState:
-        return self.desk.state
+        return self.context.state
 
     @abstractmethod
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal | None:

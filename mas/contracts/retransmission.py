@@ -52,7 +52,7 @@ class Retransmitter:
         self.me = me
         self.config = config
         self.repeated = 0
-        self.pace = RttEstimator(config)
+        self.rtt = RttEstimator(config)
         self._last: dict[Key, _Last] = {}
         self._owed: set[Key] = set()
         self._deadlines: list[tuple[int, Key]] = []
@@ -77,7 +77,7 @@ class Retransmitter:
                 and before in (ContractState.CALLED, ContractState.AWARDED)
                 and contract.state is not before
             ):
-                self.pace.answered(contract.contractor, now_ns - last.first_ns)
+                self.rtt.answered(contract.contractor, now_ns - last.first_ns)
             last.contract, last.since_ns, last.tries = contract, now_ns, 0
             self._note_owed((contract.id, contract.contractor), contract)
 
@@ -102,13 +102,13 @@ class Retransmitter:
         shortest = round(self.config.silence_s * 1e9)
         # Who works was there a moment ago, and giving it up costs all other members of an optimisation their work.
         times = 2 if contract.state is ContractState.WORKING else 1
-        return times * max(shortest, _TRIES * self.pace.wait_ns(self._other(contract)))
+        return times * max(shortest, _TRIES * self.rtt.wait_ns(self._other(contract)))
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
         """What a repeated word, or one that came after the end, is answered with; None: nothing. ``contract``: my
         copy."""
         last = self._last.get((contract.id, contract.contractor))
-        if last is None or now_ns - last.word_ns < self.pace.wait_ns(self._other(contract)) // 2:
+        if last is None or now_ns - last.word_ns < self.rtt.wait_ns(self._other(contract)) // 2:
             return None
         if contract.manager == self.me:
             missed = contract.state in _MANAGER_ENDS and isinstance(body, Bid | Confirmation)
@@ -142,7 +142,7 @@ class Retransmitter:
         return word
 
     def _wait_ns(self, last: _Last) -> int:
-        return self.pace.wait_ns(self._other(last.contract), last.tries)
+        return self.rtt.wait_ns(self._other(last.contract), last.tries)
 
     def _other(self, contract: Contract) -> int:
         return contract.contractor if contract.manager == self.me else contract.manager

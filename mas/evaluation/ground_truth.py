@@ -1,4 +1,4 @@
-"""What an onlooker measures who knows the truth: thesis Table 3.2. No agent ever sees any of this."""
+"""What an evaluator measures who knows the truth: thesis Table 3.2. No agent ever sees any of this."""
 
 from __future__ import annotations
 

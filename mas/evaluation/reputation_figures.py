@@ -21,8 +21,8 @@ def standings(agents: Sequence[Agent]) -> list[StandingFigures]:
 def _of(me: int, agents: Sequence[Agent]) -> StandingFigures:
     views: dict[int, Reputation] = {}
     for other in agents:
-        if me in other.desk.standing.records:
-            views[other.state.me] = other.desk.standing.records[me]
+        if me in other.context.reputation.records:
+            views[other.state.me] = other.context.reputation.records[me]
     values = [r.value for r in views.values()]
     return StandingFigures(
         agent=me,
@@ -40,5 +40,5 @@ def fault_figures(agents: Sequence[Agent], transport: Transport) -> FaultFigures
     """What was lost and doubled on purpose, and how often agents repeated themselves; None without such faults."""
     if not isinstance(transport, FaultyTransport):
         return None
-    repeated = sum(a.desk.words.repeated + a.optimisation.repeated for a in agents)
+    repeated = sum(a.context.retransmitter.repeated + a.optimisation.repeated for a in agents)
     return FaultFigures(lost=transport.lost, doubled=transport.doubled, repeated=repeated)

@@ -27,16 +27,16 @@ def summarise(
     agents: Sequence[Agent],
     sequences: Sequence[AgentSequence],
     config: MasConfig,
-    onlooker: GroundTruthEvaluator,
+    evaluator: GroundTruthEvaluator,
     transport: Transport,
     errors: dict[MatchId, MatchError],
     steps: int,
 ) -> Summary:
     """All figures but the wall times, which are 0."""
-    own = [onlooker.error_of(a.state.me, frame_trajectory(a.state, s)) for a, s in zip(agents, sequences, strict=True)]
-    odometry = [onlooker.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
-    maps = [onlooker.map_error(a) for a in agents]
-    connected = onlooker.connected_errors(agents)
+    own = [evaluator.error_of(a.state.me, frame_trajectory(a.state, s)) for a, s in zip(agents, sequences, strict=True)]
+    odometry = [evaluator.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
+    maps = [evaluator.map_error(a) for a in agents]
+    connected = evaluator.connected_errors(agents)
     columns = (own, maps, [connected.get(a.state.me) for a in agents])
     rmse = [None if e is None else e.rmse_m for e in odometry]
     traffic = {t.value: _traffic([count]) for t, count in transport.by_operation.items()}
@@ -46,7 +46,7 @@ def summarise(
         seed=config.seed,
         place_code=agents[0].state.profile.coder.key,
         place_code_bytes=agents[0].state.profile.coder.bytes,
-        scale="arbitrary" if onlooker.with_scale else "metric",
+        scale="arbitrary" if evaluator.with_scale else "metric",
         agents=len(agents),
         keyframes=sum(len(a.state.keyframes) for a in agents),
         keyframes_placed=[len(a.state.placed()) for a in agents],
@@ -57,12 +57,12 @@ def summarise(
         ate_mean_m=_errors(columns, "mean_m"),
         odometry_rmse_m=rmse,
         odometry_mean_rmse_m=_mean(rmse),
-        path_length_m=[onlooker.path_length_m(a.state.me) for a in agents],
-        exploration_percent=[onlooker.exploration_percent(a) for a in agents],
+        path_length_m=[evaluator.path_length_m(a.state.me) for a in agents],
+        exploration_percent=[evaluator.exploration_percent(a) for a in agents],
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
         optimisations=_optimisations(agents),
-        map_copies=map_copies(agents, [onlooker.copy_errors(a) for a in agents]),
+        map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
         refused_messages=len(transport.refused) + sum(len(a.refused) for a in agents),
         standing=standings(agents),
         faults=fault_figures(agents, transport),

@@ -18,8 +18,8 @@ class FinalRound:
     A notice may get lost: who lacks the map of a member of its group for long asks again.
     """
 
-    def __init__(self, desk: AgentContext, maps: MapExchange) -> None:
-        self.desk, self.maps = desk, maps
+    def __init__(self, context: AgentContext, maps: MapExchange) -> None:
+        self.context, self.maps = context, maps
         self.searching = True
         self._rounds = 0
         self._idle = 0
@@ -27,19 +27,19 @@ class FinalRound:
     @property
     def over(self) -> bool:
         """Whether there is nothing to buy, as far as the agent knows."""
-        return not self.searching and not self.maps.stale.intersection(self._open(self.desk.state.partners()))
+        return not self.searching and not self.maps.stale.intersection(self._open(self.context.state.partners()))
 
     def _open(self, sellers: list[int]) -> list[int]:
         """Those of them from whom it may still buy."""
-        config = self.desk.state.config.merge
+        config = self.context.state.config.merge
         allowed = config.enabled and self._rounds < config.closing_rounds
-        return [a for a in sellers if self.desk.may_call(a, OperationKind.MAPMERGE)] if allowed else []
+        return [a for a in sellers if self.context.may_call(a, OperationKind.MAPMERGE)] if allowed else []
 
     def choose(self, sellers: list[int]) -> list[int]:
         """Whom of these to buy from now."""
         sellers = self._open(sellers)
         wanted = [a for a in sellers if self._rounds == 0 or a in self.maps.stale]
-        lacking = bool(self.desk.state.group - {self.desk.me} - self.maps.held.keys() - self.maps.refused_owners)
+        lacking = bool(self.context.state.group - {self.context.me} - self.maps.held.keys() - self.maps.refused_owners)
         self._idle = 0 if wanted else self._idle + 1
         if lacking and self._idle in _ASKS_AFTER:
             wanted = sellers
@@ -53,9 +53,9 @@ class FinalRound:
 
     def _announce(self, partners: list[int]) -> None:
         """Tell them what they do not know to be here."""
-        offers = self.maps.shop.offers(self.maps.held, self.desk.closing)
+        offers = self.maps.shop.offers(self.maps.held, self.context.closing)
         for partner in partners:
             news = self.maps.announcements.news(partner, offers)
             if news:
                 self.maps.announcements.told(partner, news)
-                self.desk.tell(partner, None, MapNotice(news))
+                self.context.tell(partner, None, MapNotice(news))

@@ -44,15 +44,15 @@ class MapTender:
 class MapExchange(Operation):
     """Manager: the buyer; contractor: the seller."""
 
-    def __init__(self, desk: AgentContext, worth: Worth = utility) -> None:
-        super().__init__(desk)
+    def __init__(self, context: AgentContext, worth: Worth = utility) -> None:
+        super().__init__(context)
         self._worth = worth
         self.held: dict[int, MapCopy] = {}
         self.last_bought: dict[int, int] = {}
         self.stale: set[int] = set()
-        self.shop = Seller(desk.state)
+        self.shop = Seller(context.state)
         self.announcements = Announcements()
-        self._again = RetryBudget(desk.state.config.link.retries)
+        self._again = RetryBudget(context.state.config.link.retries)
         self._tenders: dict[ContractId, MapTender] = {}
         self._rejected: set[tuple[int, int, int]] = set()
         self._spoilt: set[int] = set()
@@ -62,9 +62,9 @@ class MapExchange(Operation):
 
     def buy(self, sellers: list[int]) -> None:
         """Call for the maps of these agents."""
-        identity, called = self.desk.call(OperationKind.MAPMERGE, sellers)
+        identity, called = self.context.call(OperationKind.MAPMERGE, sellers)
         if called:
-            self._tenders[identity] = MapTender(self.desk.now_ns, set(called))
+            self._tenders[identity] = MapTender(self.context.now_ns, set(called))
         for seller in called:
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
@@ -83,7 +83,7 @@ class MapExchange(Operation):
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         tender = self._tenders.get(contract.id)
         if tender is None:
-            self.desk.say(contract, Rejection("no longer wanted"))
+            self.context.say(contract, Rejection("no longer wanted"))
             return
         tender.bids[contract.contractor] = bid
         self.announcements.told(contract.contractor, bid.offers)
@@ -103,9 +103,9 @@ class MapExchange(Operation):
         them."""
         patience = round(0.5e9 * self.state.config.deadline_s)
         for identity, tender in sorted(self._tenders.items()):
-            if self.desk.now_ns - tender.called_ns >= patience:
-                silent = [c for c in self.desk.ledger.managed(identity) if c.contractor in tender.pending]
-                self.desk.cancel(silent, "no answer")
+            if self.context.now_ns - tender.called_ns >= patience:
+                silent = [c for c in self.context.ledger.managed(identity) if c.contractor in tender.pending]
+                self.context.cancel(silent, "no answer")
                 tender.pending.clear()
                 self._award(identity)
 
@@ -122,8 +122,8 @@ class MapExchange(Operation):
         for seller, bid in sorted(tender.bids.items()):
             for offer in bid.offers:
                 self._confirm(seller, offer)
-        contracts = self.desk.ledger.managed(identity)
-        standing = {seller: self.desk.standing.of(seller).value for seller in tender.bids}
+        contracts = self.context.ledger.managed(identity)
+        standing = {seller: self.context.reputation.of(seller).value for seller in tender.bids}
         deadline_ns = max((c.deadline_ns for c in contracts), default=0)
         wanted = orders(tender.bids, standing, self._wants, deadline_ns, self._worth)
         for one in contracts:
@@ -132,12 +132,12 @@ class MapExchange(Operation):
 
     def _order(self, contract: Contract, owners: tuple[int, ...]) -> None:
         if not owners:
-            self.desk.say(contract, Rejection("nothing new"))
+            self.context.say(contract, Rejection("nothing new"))
             return
         copies = [None if o in self._spoilt else self.held.get(o) for o in owners]
         editions = tuple(0 if c is None or c.stock is None else c.version for c in copies)
         known = tuple(() if c is None or c.stock is not None else runs_of(c.keyframes) for c in copies)
-        self.desk.say(contract, Award(MapOrder(owners, editions, self.state.frame, known if any(known) else ())))
+        self.context.say(contract, Award(MapOrder(owners, editions, self.state.frame, known if any(known) else ())))
 
     def _wants(self, seller: int, offer: Offer) -> bool:
         """Newer than what I hold. The owner's own word counts more than another's: a copy that is newer than the
@@ -153,7 +153,7 @@ class MapExchange(Operation):
         """At the end an owner that offers the edition I hold says that it has not moved since: in common coordinates
         the copy then stands where its owner has it, whatever it was moved by meanwhile."""
         held = self.held.get(owner)
-        if held is None or held.stock is None or not self.desk.closing or offer.owner != owner:
+        if held is None or held.stock is None or not self.context.closing or offer.owner != owner:
             return
         if offer.version == held.version and held.frame == self.state.frame:
             placement = Sim3(np.eye(3), np.zeros(3), held.stock.map.unit)
@@ -165,10 +165,10 @@ class MapExchange(Operation):
         seller = contract.contractor
         found = seller_frame(self.state, seller, outcome)
         if found is None:
-            self.desk.note("map_refused", seller=seller, reason="no common place to align it by")
+            self.context.note("map_refused", seller=seller, reason="no common place to align it by")
             return
         T_mine_seller, placed_by = found
-        now = self.desk.now_ns
+        now = self.context.now_ns
         for submap in outcome.maps:
             try:
                 whole = completed(submap, self.held.get(submap.owner))
@@ -187,7 +187,7 @@ class MapExchange(Operation):
             self.stale.add(seller)
         else:
             self._rejected.add((seller, owner, version))
-        self.desk.note("map_refused", seller=seller, owner=owner, reason=reason)
+        self.context.note("map_refused", seller=seller, owner=owner, reason=reason)
 
     def _unpack(self, parcel: Parcel, T_mine_seller: Sim3, seller: int, placed_by: MatchId | None) -> None:
         """A copy made of patches."""
@@ -204,7 +204,7 @@ class MapExchange(Operation):
         else:
             placement = T_mine_seller @ (placement if parcel.placement is None else unpack_sim3(parcel.placement))
         route = (*parcel.route, seller)
-        self._take(held_of_stock(stock, placement, route, self.desk.now_ns), placed_by)
+        self._take(held_of_stock(stock, placement, route, self.context.now_ns), placed_by)
 
     def _take(self, new: MapCopy, placed_by: MatchId | None) -> None:
         """Algorithm 1: update the copy or append a new one, if it passes the checks."""
@@ -218,7 +218,7 @@ class MapExchange(Operation):
             return
         self.held[owner] = verdict.held
         known = 0 if old is None else len(old.keyframes)
-        self.desk.note(
+        self.context.note(
             "map_bought",
             seller=seller,
             owner=owner,
@@ -261,14 +261,14 @@ class MapExchange(Operation):
             return
         self.held[owner] = verdict.held
         if verdict.standing is not None and (verdict.aligned_by is not None or final):
-            self.desk.note("map_checked", owner=owner, version=held.version, final=final, **verdict.remarks())
+            self.context.note("map_checked", owner=owner, version=held.version, final=final, **verdict.remarks())
 
     def _refuse(self, held: MapCopy, reason: str) -> None:
         """Not kept, and not bought again from this seller."""
         self._rejected.add((held.seller, held.owner, held.version))
         if held.seller == held.owner:
-            self.desk.standing.blame(held.seller)
-        self.desk.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
+            self.context.reputation.blame(held.seller)
+        self.context.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
 
     def _anchor(self, held: MapCopy, adoption: Adoption) -> int:
         me = self.state.me
@@ -282,15 +282,15 @@ class MapExchange(Operation):
     # -- seller -------------------------------------------------------------------------------------------------------
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        offers = self.shop.offers(self.held, self.desk.closing)
+        offers = self.shop.offers(self.held, self.context.closing)
         if not offers:
             return Refusal("nothing to sell yet")
         self.announcements.told(contract.manager, offers)
-        return Bid(cost_bytes=self.shop.estimate(offers, self.held), ready_ns=self.desk.now_ns, offers=offers)
+        return Bid(cost_bytes=self.shop.estimate(offers, self.held), ready_ns=self.context.now_ns, offers=offers)
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, MapOrder):
             raise WorkError("not an order for maps")
-        delivery = self.shop.delivery(contract.manager, task, self.held, self.desk.closing)
-        self.desk.say(contract, Confirmation())
-        self.desk.say(contract, Result(delivery))
+        delivery = self.shop.delivery(contract.manager, task, self.held, self.context.closing)
+        self.context.say(contract, Confirmation())
+        self.context.say(contract, Result(delivery))

@@ -14,8 +14,8 @@ from .session import OptimisationSession
 class BidEstimator:
     """Costs are learned: bytes for each match end, and logical time, of the agent's last optimisation."""
 
-    def __init__(self, desk: AgentContext) -> None:
-        self.desk = desk
+    def __init__(self, context: AgentContext) -> None:
+        self.context = context
         self._bytes_a_row = SOLVER_BYTES_A_ROW
         self._took_ns = 0
         self._made: tuple[tuple[int, int | None], Bid] | None = None
@@ -23,7 +23,7 @@ class BidEstimator:
     def bid(self, peer: int | None = None) -> Bid:
         """Made once for each state the agent is in: several managers may call at the same time. ``peer``: of an
         optimisation with this agent only."""
-        state, now_ns = self.desk.state, self.desk.now_ns
+        state, now_ns = self.context.state, self.context.now_ns
         if self._made is None or self._made[0] != (state.version, peer):
             bid = terms(state, now_ns, peer)
             rows = 0 if bid.links is None else len(bid.links.matches)
@@ -34,4 +34,4 @@ class BidEstimator:
     def paid(self, session: OptimisationSession) -> None:
         """An optimisation came to its end."""
         self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
-        self._took_ns = self.desk.now_ns - session.began_ns
+        self._took_ns = self.context.now_ns - session.began_ns

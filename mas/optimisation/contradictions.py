@@ -7,14 +7,14 @@ from ..protocol.ids import MatchId
 from ..state.match_audit import judged
 
 
-def hold_against(desk: AgentContext, contradicted: frozenset[MatchId]) -> None:
+def hold_against(context: AgentContext, contradicted: frozenset[MatchId]) -> None:
     """What a whole group's matches contradict is held against who reported it to me, as long as that is so; where it
     may be one of several it is left out and held against nobody."""
-    state = desk.state
+    state = context.state
     reporters = sorted({m.match_agent for m in contradicted})
     before = {m.match_agent for m in state.contradicted}
     state.contradicted = contradicted if len(reporters) == 1 else frozenset()
     if reporters:
-        desk.note("contradicted", reported_by=reporters, matches=len(contradicted))
+        context.note("contradicted", reported_by=reporters, matches=len(contradicted))
     for reporter in sorted(before | set(reporters)):
-        desk.standing.judged(reporter, *judged(state, reporter))
+        context.reputation.judged(reporter, *judged(state, reporter))

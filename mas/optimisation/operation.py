@@ -31,18 +31,18 @@ class Optimisation(Operation):
     of before and after lie in the same one. Its contract ends without a result, and the manager calls again.
     """
 
-    def __init__(self, desk: AgentContext, peer_to_peer: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, context: AgentContext, peer_to_peer: Callable[[], bool] = lambda: False) -> None:
         """``peer_to_peer``: whether the agent takes part in others' optimisations with their managers only."""
-        super().__init__(desk)
+        super().__init__(context)
         self._peer_to_peer = peer_to_peer
         self.tender: OptimisationTender | None = None
         self.session: OptimisationSession | None = None
         self.adoptions: list[Adoption] = []
-        self.attempts = Backoff(desk.state.config.link)
+        self.attempts = Backoff(context.state.config.link)
         self.repeated = 0
         self._bid_ns: dict[int, int] = {}
         self._before = SessionHistory()
-        self.terms = BidEstimator(desk)
+        self.terms = BidEstimator(context)
 
     @property
     def busy(self) -> bool:
@@ -51,35 +51,35 @@ class Optimisation(Operation):
     @property
     def ready(self) -> bool:
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
-        settling = self.desk.calling(OperationKind.DOPT) or self._engaged
-        return not self.busy and not settling and self.desk.now_ns >= self.attempts.not_before_ns
+        settling = self.context.calling(OperationKind.DOPT) or self._engaged
+        return not self.busy and not settling and self.context.now_ns >= self.attempts.not_before_ns
 
     @property
     def _engaged(self) -> bool:
         """Whether a manager that got a bid lately may still award: calling now would only get in its way."""
-        since_ns = self.desk.now_ns - round(self.state.config.link.silence_s * 1e9)
-        mine = (c for c in self.desk.ledger.running(OperationKind.DOPT) if c.contractor == self.state.me)
+        since_ns = self.context.now_ns - round(self.state.config.link.silence_s * 1e9)
+        mine = (c for c in self.context.ledger.running(OperationKind.DOPT) if c.contractor == self.state.me)
         return any(self._bid_ns.get(c.manager, since_ns) > since_ns for c in mine)
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
     def start(self, members: list[int]) -> None:
         """Call for an optimisation with these agents; alone if nobody else is named."""
-        others = [a for a in members if a != self.state.me and self.desk.may_call(a, OperationKind.DOPT)]
+        others = [a for a in members if a != self.state.me and self.context.may_call(a, OperationKind.DOPT)]
         mine = self.terms.bid()
         if not others:
             self._award(OptimisationTender(None, set(), {self.state.me: mine}))
             return
-        identity, called = self.desk.call(OperationKind.DOPT, others, tuple(sorted(members)))
+        identity, called = self.context.call(OperationKind.DOPT, others, tuple(sorted(members)))
         if called:
             self.tender = OptimisationTender(identity, set(called), {self.state.me: mine}, set(others) - set(called))
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         if self.tender is None or self.tender.identity != contract.id:
-            self.desk.say(contract, Rejection("no longer wanted"))
+            self.context.say(contract, Rejection("no longer wanted"))
             return
         if bid.peer_to_peer:
-            self.desk.note("peer_to_peer", bidder=contract.contractor)
+            self.context.note("peer_to_peer", bidder=contract.contractor)
         self.tender.bids[contract.contractor] = bid
         self._answered(contract.contractor)
 
@@ -99,15 +99,15 @@ class Optimisation(Operation):
         me = self.state.me
         found = plan(me, tender.bids, self.state.depths())
         if tender.identity is not None:
-            hold_against(self.desk, found.contradicted)
-        contracts = self.desk.ledger.managed(tender.identity) if tender.identity is not None else []
+            hold_against(self.context, found.contradicted)
+        contracts = self.context.ledger.managed(tender.identity) if tender.identity is not None else []
         for contract in contracts:
             if contract.contractor in found.tasks:
-                self.desk.say(contract, Award(found.tasks[contract.contractor]))
+                self.context.say(contract, Award(found.tasks[contract.contractor]))
             elif contract.state is ContractState.BID:
-                self.desk.say(contract, Rejection("not connected"))
+                self.context.say(contract, Rejection("not connected"))
         if tender.missing and found.members == (me,):
-            self.attempts.failed(self.desk.now_ns, self.state.me)
+            self.attempts.failed(self.context.now_ns, self.state.me)
             return
         self.attempts.missed |= bool(tender.missing)
         task = found.tasks[me]
@@ -125,7 +125,7 @@ class Optimisation(Operation):
         if not session.unconfirmed and not session.begun:
             for member in session.task.members:
                 if member != self.state.me:
-                    self.desk.tell(member, session.identity, Begin())
+                    self.context.tell(member, session.identity, Begin())
             self._run(session)
 
     def on_result(self, contract: Contract, outcome: Outcome) -> None:
@@ -144,13 +144,13 @@ class Optimisation(Operation):
                 return Refusal("calling for an optimisation itself")
             given_up, self.tender = self.tender, None
             if given_up.identity is not None:
-                self.desk.cancel(self.desk.ledger.managed(given_up.identity), "gives way to a lower number")
-        self._bid_ns[contract.manager] = self.desk.now_ns
+                self.context.cancel(self.context.ledger.managed(given_up.identity), "gives way to a lower number")
+        self._bid_ns[contract.manager] = self.context.now_ns
         return self.terms.bid(contract.manager if self._peer_to_peer() else None)
 
     def _bid_to_lower(self, contract: Contract) -> bool:
         """Whether a bid to a lower manager is still open: that one goes first."""
-        bids = (c for c in self.desk.ledger.running(OperationKind.DOPT) if c.state is ContractState.BID)
+        bids = (c for c in self.context.ledger.running(OperationKind.DOPT) if c.state is ContractState.BID)
         return any(c.manager < contract.manager for c in bids if c.contractor == self.state.me)
 
     def work(self, contract: Contract, task: Task) -> None:
@@ -164,7 +164,7 @@ class Optimisation(Operation):
         except (BackendError, ValueError) as error:
             raise WorkError(f"cannot take part: {error}") from error
         self.session = OptimisationSession(contract.id, task, node, contract)
-        self.desk.say(contract, Confirmation())
+        self.context.say(contract, Confirmation())
 
     def begin(self, sender: int, identity: ContractId | None) -> None:
         """The manager's word that all members have confirmed."""
@@ -199,7 +199,7 @@ class Optimisation(Operation):
         have reported. Decisions are not answered, or two who are done would talk for ever."""
         if session is None or sender not in session.task.members or decides(body):
             return
-        found = session.link.again(session.node, sender, body, self.desk.now_ns, self.desk.words.pace)
+        found = session.link.again(session.node, sender, body, self.context.now_ns, self.context.retransmitter.rtt)
         self._repeat(session, [m for m in found if decides(m)])
 
     # -- both ---------------------------------------------------------------------------------------------------------
@@ -219,8 +219,8 @@ class Optimisation(Operation):
             self._leave(session)
         elif contract.contractor in session.task.members:
             self._leave(session)
-            self.attempts.failed(self.desk.now_ns, self.state.me)
-            self.desk.cancel(self.desk.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
+            self.attempts.failed(self.context.now_ns, self.state.me)
+            self.context.cancel(self.context.ledger.managed(contract.id), f"agent {contract.contractor} dropped out")
 
     def _leave(self, session: OptimisationSession) -> None:
         """Out of an optimisation that did not come to its end; late messages of it are ignored."""
@@ -232,19 +232,19 @@ class Optimisation(Operation):
         session = self.session
         if session is not None and session.begun:
             others = set(session.task.members) - {self.state.me}
-            patience_ns = self.desk.deadline_ns(OperationKind.DOPT, others) - self.desk.now_ns
-            if others and self.desk.now_ns > session.began_ns + patience_ns:
+            patience_ns = self.context.deadline_ns(OperationKind.DOPT, others) - self.context.now_ns
+            if others and self.context.now_ns > session.began_ns + patience_ns:
                 # The others are through, and their last word does not reach this agent.
                 self._leave(session)
-                self.attempts.failed(self.desk.now_ns, self.state.me)
+                self.attempts.failed(self.context.now_ns, self.state.me)
                 if session.contract is not None:
-                    self.desk.say(session.contract, Failure("the last word did not arrive"))
+                    self.context.say(session.contract, Failure("the last word did not arrive"))
                 return
-            self._repeat(session, session.link.due(session.node, self.desk.now_ns, self.desk.words.pace))
+            self._repeat(session, session.link.due(session.node, self.context.now_ns, self.context.retransmitter.rtt))
 
     def _run(self, session: OptimisationSession) -> None:
-        session.begun, session.began_ns = True, self.desk.now_ns
-        session.link.goes_on(self.desk.now_ns)
+        session.begun, session.began_ns = True, self.context.now_ns
+        session.link.goes_on(self.context.now_ns)
         self._send(session, session.node.start())
         early, session.early = session.early, []
         for sender, body in early:
@@ -256,9 +256,11 @@ class Optimisation(Operation):
             out = session.node.handle(from_wire(sender, self.state.me, body))
         except BackendError as error:
             raise ProtocolError(f"solver message of agent {sender}: {error}") from error
-        now_ns = self.desk.now_ns
+        now_ns = self.context.now_ns
         if session.link.seen(sender, body) and not out:
-            self._repeat(session, session.link.again(session.node, sender, body, now_ns, self.desk.words.pace))
+            self._repeat(
+                session, session.link.again(session.node, sender, body, now_ns, self.context.retransmitter.rtt)
+            )
         elif out:
             session.link.goes_on(now_ns)
         self._send(session, out)
@@ -268,7 +270,7 @@ class Optimisation(Operation):
         for message in messages:
             body = to_wire(message)
             session.sent_bytes += ENVELOPE_BYTES + solver_payload(body)
-            self.desk.tell(message.receiver, session.identity, body)
+            self.context.tell(message.receiver, session.identity, body)
 
     def _repeat(self, session: OptimisationSession, messages: Sequence[SolverMessage]) -> None:
         self.repeated += len(messages)
@@ -286,9 +288,9 @@ class Optimisation(Operation):
         sweeps = outcome.rotation_sweeps + outcome.pose_sweeps
         if session.contract is not None:
             answer = OptimiseAnswer(outcome.accepted, outcome.cost_before, outcome.cost_after, sweeps)
-            self.desk.say(session.contract, Result(answer))
+            self.context.say(session.contract, Result(answer))
         else:
-            self.desk.note(
+            self.context.note(
                 "optimised",
                 members=list(session.task.members),
                 matches=len(session.task.matches),

@@ -35,23 +35,23 @@ class SolverLink:
         self._seen.add(key)
         return known
 
-    def due(self, node: SolverNode, now_ns: int, pace: RttEstimator) -> list[SolverMessage]:
+    def due(self, node: SolverNode, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
         """The last message to each other member, once the node has waited long enough: whoever has it already answers
         with what this node may have missed, and learns by the next that it missed something itself."""
         last = {m.receiver: m for m in node.tick()}
-        wait = max((pace.wait_ns(member, min(self.tries, 2)) for member in last), default=0)
+        wait = max((rtt.wait_ns(member, min(self.tries, 2)) for member in last), default=0)
         if now_ns - self.said_ns < wait:
             return []
         self.said_ns, self.tries = now_ns, self.tries + 1
         return list(last.values())
 
     def again(
-        self, node: SolverNode, member: int, body: SolverBody, now_ns: int, pace: RttEstimator
+        self, node: SolverNode, member: int, body: SolverBody, now_ns: int, rtt: RttEstimator
     ) -> list[SolverMessage]:
         """The last messages to a member that said ``body`` again: those of its round and later, for it has all before.
         Not twice at once."""
         told = self._told_ns.get(member)
-        if told is not None and now_ns - told < pace.wait_ns(member) // 2:
+        if told is not None and now_ns - told < rtt.wait_ns(member) // 2:
             return []
         self._told_ns[member] = now_ns
         since = round_of(body)

@@ -221,13 +221,13 @@ def figure(value: Any) -> Any:
     return f"{value:.6g}" if isinstance(value, float) else value
 
 
-def match_errors(agents: Sequence[Agent], onlooker: GroundTruthEvaluator) -> dict[MatchId, MatchError]:
+def match_errors(agents: Sequence[Agent], evaluator: GroundTruthEvaluator) -> dict[MatchId, MatchError]:
     """The error of every verified match whose truth is known."""
     errors = {}
     for agent in agents:
         for match in agent.state.verified.values():
             if match.id.query_agent == agent.state.me:
-                error = onlooker.match_error(match, agents)
+                error = evaluator.match_error(match, agents)
                 if error is not None:
                     errors[match.id] = error
     return errors

@@ -37,17 +37,17 @@ class PlaceRecognition(Operation):
     ``distances``: how near each agent's last answer came, 0 to 2.
     """
 
-    def __init__(self, desk: AgentContext, book: Candidates, verification: Verification) -> None:
-        super().__init__(desk)
+    def __init__(self, context: AgentContext, book: Candidates, verification: Verification) -> None:
+        super().__init__(context)
         self.book = book
         self.verification = verification
         self._waiting: dict[int, deque[int]] = {}
         self._asked: dict[ContractId, int] = {}
         self._cluster = ClusterIndex()
-        self._latest = RecentQueries(book, desk.state.config.places.latest_frames)
+        self._latest = RecentQueries(book, context.state.config.places.latest_frames)
         self.told = SentQueries()
         self.distances: dict[int, float] = {}
-        self._again = RetryBudget(desk.state.config.link.retries)
+        self._again = RetryBudget(context.state.config.link.retries)
 
     @property
     def threshold(self) -> float:
@@ -82,17 +82,17 @@ class PlaceRecognition(Operation):
                 self.ask(keyframe, [other])
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.desk.now_ns)
+        return Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.context.now_ns)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         keyframe = self._asked.get(contract.id)
         if keyframe is None:
-            self.desk.say(contract, Rejection("no longer wanted"))
+            self.context.say(contract, Rejection("no longer wanted"))
             return
         profile = self.state.profile
         kind = PlaceQuery if profile.ownership is Ownership.NONE else OwnerQuery
         query = kind(keyframe, profile.language, self._coded(keyframe).tobytes())
-        self.desk.say(contract, Award(query))
+        self.context.say(contract, Award(query))
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, PlaceQuery):
@@ -103,8 +103,8 @@ class PlaceRecognition(Operation):
             self.recall({self.state.me: len(self.state.keyframes)})
         respond = self._answer_as_owner if isinstance(task, OwnerQuery) else self._answer
         answer: Outcome = respond(contract.manager, task.keyframe, vector)
-        self.desk.say(contract, Confirmation())
-        self.desk.say(contract, Result(answer))
+        self.context.say(contract, Confirmation())
+        self.context.say(contract, Result(answer))
 
     def _answer(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceAnswer | EarlierAnswer:
         found = self._latest.nearest(asker, keyframe, vector)
@@ -163,7 +163,7 @@ class PlaceRecognition(Operation):
                 raise WorkError(f"redirected to agent {other}, which cannot be asked")
         if answer.keyframe is not None and answer.distance < self.threshold:
             match = MatchId(self.state.me, keyframe, other, answer.keyframe)
-            self.verification.request(Candidate(match, self.desk.now_ns, answer.distance))
+            self.verification.request(Candidate(match, self.context.now_ns, answer.distance))
 
     def _ask_own_log(self, keyframe: int) -> None:
         """The agent owns the cluster of its own key-frame: no message needed. It compares what would have travelled."""
@@ -179,7 +179,7 @@ class PlaceRecognition(Operation):
             self.told.ended(contract, keyframe, again)
             if again:
                 self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
-        if not self.desk.ledger.managed(contract.id):
+        if not self.context.ledger.managed(contract.id):
             self._asked.pop(contract.id, None)
         self._next([contract.contractor])
 
@@ -191,13 +191,13 @@ class PlaceRecognition(Operation):
 
     def _next(self, others: Iterable[int]) -> None:
         """Call those who are free: one call for all who are asked about the same key-frame."""
-        busy = {c.contractor for c in self.desk.ledger.running(OperationKind.DVPR) if c.manager == self.state.me}
+        busy = {c.contractor for c in self.context.ledger.running(OperationKind.DVPR) if c.manager == self.state.me}
         wanted: dict[int, list[int]] = {}
         for other in others:
-            if self._waiting.get(other) and other not in busy and self.desk.may_call(other):
+            if self._waiting.get(other) and other not in busy and self.context.may_call(other):
                 wanted.setdefault(self._waiting[other].popleft(), []).append(other)
         for keyframe, agents in sorted(wanted.items()):
-            identity, _ = self.desk.call(OperationKind.DVPR, agents)
+            identity, _ = self.context.call(OperationKind.DVPR, agents)
             self._asked[identity] = keyframe
 
     # -- own loop closures --------------------------------------------------------------------------------------------
@@ -211,7 +211,7 @@ class PlaceRecognition(Operation):
         if found is None or found[1] >= self.threshold:
             return
         me = self.state.me
-        candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.desk.now_ns, found[1])
+        candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.context.now_ns, found[1])
         if self.book.propose(candidate):
             self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
 

@@ -40,12 +40,12 @@ _KEPT = 256
 class Verification(Operation):
     """Manager: the agent that asked; contractor: the agent that knew the place."""
 
-    def __init__(self, desk: AgentContext, book: Candidates) -> None:
-        super().__init__(desk)
+    def __init__(self, context: AgentContext, book: Candidates) -> None:
+        super().__init__(context)
         self.book = book
         self._waiting: dict[int, deque[MatchId]] = {}
         self._running: dict[ContractId, MatchId] = {}
-        self._again = RetryBudget(desk.state.config.link.retries)
+        self._again = RetryBudget(context.state.config.link.retries)
         self._promising: set[MatchId] = set()
         self._first: dict[MatchId, PlaceView] = {}
 
@@ -56,14 +56,14 @@ class Verification(Operation):
             self._next(candidate.id.match_agent)
 
     def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=VERIFY_ANSWER_BYTES, ready_ns=self.desk.now_ns)
+        return Bid(cost_bytes=VERIFY_ANSWER_BYTES, ready_ns=self.context.now_ns)
 
     def on_bid(self, contract: Contract, bid: Bid) -> None:
         match = self._running.get(contract.id)
         if match is None:
-            self.desk.say(contract, Rejection("no longer wanted"))
+            self.context.say(contract, Rejection("no longer wanted"))
             return
-        self.desk.say(contract, Award(_task(self.state, match, rest=match in self._promising)))
+        self.context.say(contract, Award(_task(self.state, match, rest=match in self._promising)))
 
     def work(self, contract: Contract, task: Task) -> None:
         if not isinstance(task, VerifyTask) or task.match.query_agent != contract.manager:
@@ -73,13 +73,13 @@ class Verification(Operation):
         if task.metric != self.state.profile.metric:
             raise WorkError("one scale is metric, the other arbitrary")
         query = self._view_of(task)
-        self.desk.say(contract, Confirmation())
+        self.context.say(contract, Confirmation())
         mine = self.state.keyframes[task.match.match]
         verdict = verify(self.state, task.match, query, mine, bool(task.more))
         answer = _answer(self.state, task, mine, verdict)
         if answer.wants_more:
             self._first[task.match] = query
-        self.desk.say(contract, Result(answer))
+        self.context.say(contract, Result(answer))
         if verdict.accepted:
             assert verdict.T_M_Q is not None and answer.information is not None
             # The information as it travels, so that both owners weigh the match alike.
@@ -160,12 +160,12 @@ class Verification(Operation):
         """Take in a verified match; accepted ones join their agents in a group, and the group hears of it."""
         accepted_now = self.state.add_match(match)
         for other in set(match.id.agents) - {self.state.me}:
-            self.desk.standing.judged(other, *judged(self.state, other))
+            self.context.reputation.judged(other, *judged(self.state, other))
         for accepted in accepted_now:
             self.book.matched(accepted)
-            self.desk.note("match", match=str(accepted), inliers=self.state.verified[accepted].inliers)
+            self.context.note("match", match=str(accepted), inliers=self.state.verified[accepted].inliers)
             if self.state.join(accepted.agents):
-                tell_group(self.desk)
+                tell_group(self.context)
 
     def resume(self) -> None:
         """Go on with agents that could not be called for a while."""
@@ -174,20 +174,20 @@ class Verification(Operation):
 
     def _next(self, other: int) -> None:
         waiting = self._waiting.get(other)
-        if not waiting or not self.desk.may_call(other):
+        if not waiting or not self.context.may_call(other):
             return
-        identity, called = self.desk.call(OperationKind.RELPOSE, [other])
+        identity, called = self.context.call(OperationKind.RELPOSE, [other])
         if called:
             self._running[identity] = waiting.popleft()
 
 
-def tell_group(desk: AgentContext) -> None:
+def tell_group(context: AgentContext) -> None:
     """Tell the group's other members who is in it, after it grew; they pass it on as far as it is news to them."""
-    members = tuple(sorted(desk.state.group))
-    desk.note("group", members=list(members))
+    members = tuple(sorted(context.state.group))
+    context.note("group", members=list(members))
     for member in members:
-        if member != desk.me:
-            desk.tell(member, None, GroupNotice(members))
+        if member != context.me:
+            context.tell(member, None, GroupNotice(members))
 
 
 def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame, first: bool = False) -> Verdict:

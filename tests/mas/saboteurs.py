@@ -94,7 +94,7 @@ class Swindler(Liar):
 
     @property
     def quiet(self) -> bool:
-        return self.desk.closing and not self.desk.ledger.running()
+        return self.context.closing and not self.context.ledger.running()
 
     def invented(self, outcome: VerifyAnswer) -> Sim3:
         T_T_M = Sim3.from_se3(unpack_poses(outcome.T_T_M.array()))
@@ -117,7 +117,7 @@ class Sleeper(Saboteur):
 
     @property
     def asleep(self) -> bool:
-        return self.ASLEEP_S[0] <= self.desk.now_ns / 1e9 < self.ASLEEP_S[1]
+        return self.ASLEEP_S[0] <= self.context.now_ns / 1e9 < self.ASLEEP_S[1]
 
     def handle(self, message: Message) -> list[Message]:
         return [] if self.asleep else super().handle(message)

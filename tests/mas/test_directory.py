@@ -38,11 +38,11 @@ def test_bytes_of_place_recognition_grow_with_key_frames_not_with_agents_squared
 def test_where_the_directory_leaves_the_next_one_takes_over() -> None:
     manifest, sequences = town(4, 40, spacing_m=12.0, drifting=0.03)
     config = preset("maslam").model_copy(update={"faults": FaultsConfig.model_validate({"leave_s": {0: 2.0}})})
-    environment, onlooker = live(manifest, sequences, config)
+    environment, evaluator = live(manifest, sequences, config)
     assert any({1, 2, 3} <= set(group) for group in groups_of(environment.agents))
-    errors = onlooker.connected_errors(environment.agents)
+    errors = evaluator.connected_errors(environment.agents)
     assert max(errors[a].rmse_m for a in (1, 2, 3)) < 1.0
-    assert not any(environment.agents[a].desk.ledger.running() for a in (1, 2, 3))
+    assert not any(environment.agents[a].context.ledger.running() for a in (1, 2, 3))
 
 
 def test_agents_with_one_camera_each_find_their_common_unit(tmp_path: Path) -> None:

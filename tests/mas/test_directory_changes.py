@@ -47,11 +47,11 @@ def play(
             told.setdefault(key, set()).add(message.contract)
 
     manifest, sequences = town(4, keyframes, spacing_m=spacing_m, drifting=0.03)
-    environment, onlooker = live(manifest, sequences, config, odd, listen=listen)
-    assert not [e for e in match_errors(environment.agents, onlooker).values() if e.false]
+    environment, evaluator = live(manifest, sequences, config, odd, listen=listen)
+    assert not [e for e in match_errors(environment.agents, evaluator).values() if e.false]
     for agent in environment.agents:
         assert not agent.refused
-    return environment, onlooker, told
+    return environment, evaluator, told
 
 
 def times(told: Told) -> set[int]:
@@ -69,7 +69,7 @@ def test_a_place_seen_before_the_directory_left_is_recognised_afterwards(keyfram
     successor finds out while all drive, or at the end: then a silence of 2 x 3 s ends after the last key-frame."""
     left_s = 6.0
     assert spacing_m / 5.0 > left_s, "nobody is where another one was before that"
-    environment, onlooker, told = play(faulty(leave_s={0: left_s}), keyframes, spacing_m)
+    environment, evaluator, told = play(faulty(leave_s={0: left_s}), keyframes, spacing_m)
     assert [1, 2, 3] in groups_of(environment.agents)
     partners = {a: environment.agents[a].state.partners() for a in (1, 2, 3)}
     assert partners[1] == [2] and partners[2] == [1, 3] and partners[3] == [2]
@@ -78,16 +78,16 @@ def test_a_place_seen_before_the_directory_left_is_recognised_afterwards(keyfram
             shared = [m for m in environment.agents[agent].state.accepted if partner in m.agents]
             assert min(min(m.query, m.match) for m in shared) * KEYFRAME_S < left_s - 1.0, "told to the one that left"
         assert set(environment.agents[agent].maps.held) == {1, 2, 3} - {agent}
-        assert not environment.agents[agent].desk.ledger.running()
-    assert max(onlooker.connected_errors(environment.agents)[a].rmse_m for a in (1, 2, 3)) < 1.5
+        assert not environment.agents[agent].context.ledger.running()
+    assert max(evaluator.connected_errors(environment.agents)[a].rmse_m for a in (1, 2, 3)) < 1.5
     assert times(told) == {1}, "once"
     assert known_to(told, 1, 2) == known_to(told, 1, 3) == set(range(keyframes))
 
 
 def test_one_that_comes_late_and_is_the_directory_then_is_told_what_it_missed() -> None:
-    environment, onlooker, told = play(faulty(late_s={0: 6.0}), 40, 32.0)
+    environment, evaluator, told = play(faulty(late_s={0: 6.0}), 40, 32.0)
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
-    assert max(e.rmse_m for e in onlooker.connected_errors(environment.agents).values()) < 1.0
+    assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0
     assert times(told) == {1}
     for sender in (1, 2, 3):
         assert known_to(told, 0, sender) == set(range(40))
@@ -104,9 +104,9 @@ def test_a_directory_that_comes_back_is_told_only_what_it_missed_and_the_other_o
     successor took in earned it one earlier one."""
     config = faulty(delay_s=0.001)
     config = config.model_copy(update={"standing": config.standing.model_copy(update={"probe_s": 2.0})})
-    environment, onlooker, told = play(config, 60, 40.0, {0: Dozer})
+    environment, evaluator, told = play(config, 60, 40.0, {0: Dozer})
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
-    assert max(e.rmse_m for e in onlooker.connected_errors(environment.agents).values()) < 1.0
+    assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0
     assert times(told) == {1}
     meanwhile = (2.0 + 2 * config.step_s) / KEYFRAME_S
     for sender in (2, 3):
@@ -142,7 +142,7 @@ def test_on_a_link_that_fails_often_there_is_no_storm() -> None:
     assert moved, "otherwise this test shows nothing"
     assert len(told) <= 3 * 3 * keyframes
     assert dvpr_bytes(environment) <= 3 / (1 - loss) * dvpr_bytes(whole)
-    assert not any(a.desk.ledger.running(OperationKind.DVPR) for a in environment.agents)
+    assert not any(a.context.ledger.running(OperationKind.DVPR) for a in environment.agents)
 
 
 def agent_of(number: int, keyframes: int) -> Agent:

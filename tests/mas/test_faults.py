@@ -135,7 +135,7 @@ def test_agents_end_in_peace_whatever_the_air_is_like(
     assert not environment.transport.refused
     for agent in environment.agents:
         assert not agent.refused, "a word out of place"
-        assert not agent.desk.ledger.running(), "a contract without end"
+        assert not agent.context.ledger.running(), "a contract without end"
 
 
 class Deaf(Agent):
@@ -161,7 +161,7 @@ def test_who_misses_the_end_of_an_optimisation_stays_where_it_was_and_is_called_
     solver = CONFIG.optimisation.solver.model_copy(update={"method": method})
     optimisation = CONFIG.optimisation.model_copy(update={"solver": solver})
     config = CONFIG.model_copy(update={"optimisation": optimisation})
-    environment, onlooker = live(manifest, sequences, config, {deaf: Deaf}, watch=frames_are_true)
+    environment, evaluator = live(manifest, sequences, config, {deaf: Deaf}, watch=frames_are_true)
     agent = environment.agents[deaf]
     optimised = [e for a in environment.agents for e in a.diary if e.kind == "optimised"]
     assert isinstance(agent, Deaf)
@@ -170,7 +170,7 @@ def test_who_misses_the_end_of_an_optimisation_stays_where_it_was_and_is_called_
     if agent.missed is not None:
         assert len(optimised) >= 2, "called again"
     assert groups_of(environment.agents) == [[0, 1, 2]]
-    assert max(e.rmse_m for e in onlooker.connected_errors(environment.agents).values()) < 0.5
+    assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 0.5
 
 
 def frames_are_true(agents: list[Agent], truth: list[np.ndarray]) -> None:  # type: ignore[type-arg]

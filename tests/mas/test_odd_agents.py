@@ -42,8 +42,8 @@ def honest(odd: int) -> list[int]:
     return [a for a in range(4) if a != odd]
 
 
-def error_m(environment: Environment, onlooker: GroundTruthEvaluator, agent: int) -> float:
-    error = onlooker.error_of(agent, keyframe_trajectory(environment.agents[agent].state))
+def error_m(environment: Environment, evaluator: GroundTruthEvaluator, agent: int) -> float:
+    error = evaluator.error_of(agent, keyframe_trajectory(environment.agents[agent].state))
     assert error is not None
     return error.rmse_m
 
@@ -52,8 +52,8 @@ def error_m(environment: Environment, onlooker: GroundTruthEvaluator, agent: int
 def without(preset_name: str, odd: int) -> list[float]:
     """Errors of the others when the odd one is not there."""
     three = [four()[a] for a in honest(odd)]
-    environment, onlooker = live(manifest_of(three), three, preset(preset_name))
-    return [error_m(environment, onlooker, a) for a in range(3)]
+    environment, evaluator = live(manifest_of(three), three, preset(preset_name))
+    return [error_m(environment, evaluator, a) for a in range(3)]
 
 
 def play(
@@ -64,25 +64,27 @@ def play(
     config: MasConfig = preset(preset_name)
     config = config.model_copy(update={"faults": FaultsConfig.model_validate(faults)})
     sequences = four(bent)
-    environment, onlooker = live(manifest_of(sequences), sequences, config, {odd: kind} if kind else None)
+    environment, evaluator = live(manifest_of(sequences), sequences, config, {odd: kind} if kind else None)
     agents = environment.agents
     assert any(set(honest(odd)) <= set(group) for group in groups_of(agents))
     for agent, alone in zip(honest(odd), without(preset_name, odd), strict=True):
-        assert error_m(environment, onlooker, agent) <= 1.1 * alone + 0.02
-        assert not agents[agent].desk.ledger.running() and not agents[agent].refused
-        assert all(agents[agent].desk.standing.regard(a) is Trust.GOOD for a in honest(odd)), "nobody else is blamed"
+        assert error_m(environment, evaluator, agent) <= 1.1 * alone + 0.02
+        assert not agents[agent].context.ledger.running() and not agents[agent].refused
+        assert all(agents[agent].context.reputation.regard(a) is Trust.GOOD for a in honest(odd)), (
+            "nobody else is blamed"
+        )
         for owner in set(agents[agent].maps.held) - {odd}:
-            assert map_off_m(environment, onlooker, agent, owner).max() < FALSE_M
-    for match, error in match_errors(agents, onlooker).items():
+            assert map_off_m(environment, evaluator, agent, owner).max() < FALSE_M
+    for match, error in match_errors(agents, evaluator).items():
         assert odd in match.agents or not (error.false and match in agents[match.query_agent].state.accepted)
     return environment
 
 
-def map_off_m(environment: Environment, onlooker: GroundTruthEvaluator, holder: int, owner: int) -> np.ndarray:  # type: ignore[type-arg]
+def map_off_m(environment: Environment, evaluator: GroundTruthEvaluator, holder: int, owner: int) -> np.ndarray:  # type: ignore[type-arg]
     """How far off each key-frame ``(K,)`` of a held map is, when the holder's own trajectory is laid on the truth."""
     agent = environment.agents[holder]
-    error = onlooker.error_of(holder, keyframe_trajectory(agent.state))
-    truth = onlooker.sequences[owner].groundtruth
+    error = evaluator.error_of(holder, keyframe_trajectory(agent.state))
+    truth = evaluator.sequences[owner].groundtruth
     assert error is not None and truth is not None
     held = agent.maps.held[owner]
     found = error.T_truth_estimate @ held.poses[:, :3, 3]
@@ -92,7 +94,7 @@ def map_off_m(environment: Environment, onlooker: GroundTruthEvaluator, holder: 
 @pytest.mark.parametrize(("name", "odd"), PLACES)
 def test_one_that_bids_and_never_delivers(name: str, odd: int) -> None:
     agents = play(name, odd, Idler).agents
-    assert {agents[a].desk.standing.regard(odd) for a in honest(odd)} == {Trust.UNDELIVERING}
+    assert {agents[a].context.reputation.regard(odd) for a in honest(odd)} == {Trust.UNDELIVERING}
     assert not any(odd in agents[a].maps.held for a in honest(odd))
 
 
@@ -157,6 +159,6 @@ def test_one_that_comes_late(name: str, odd: int) -> None:
 @pytest.mark.parametrize(("name", "odd"), PLACES)
 def test_one_that_leaves(name: str, odd: int) -> None:
     agents = play(name, odd, leave_s={odd: 5.0}).agents
-    assert Trust.SILENT in {agents[a].desk.standing.regard(odd) for a in honest(odd)}
+    assert Trust.SILENT in {agents[a].context.reputation.regard(odd) for a in honest(odd)}
     for agent in honest(odd):
         assert set(agents[agent].maps.held) >= (set(honest(odd)) - {agent} if name == "maslam" else set())

@@ -195,7 +195,7 @@ def test_a_claim_about_a_key_frame_that_is_not_there_fails_politely() -> None:
     agent.handle(Message(0, 1, contract, Call(OperationKind.RELPOSE, 10**9)))
     out = agent.handle(Message(0, 1, contract, Award(verify_task(match=MatchId(0, 3, 1, 99)))))
     assert [type(m.body) for m in out] == [Failure]
-    assert not agent.desk.ledger.running()
+    assert not agent.context.ledger.running()
 
 
 def test_corrupt_bytes_between_agents_cost_only_their_message() -> None:

@@ -219,7 +219,7 @@ def optimised(agents: list[Agent], manager: int) -> tuple[int, ...]:
     while (message := transport.receive()) is not None:
         for answer in agents[message.recipient].handle(message):
             transport.send(answer, 0)
-    assert not any(a.desk.ledger.running() for a in agents)
+    assert not any(a.context.ledger.running() for a in agents)
     notes = [e.fields["members"] for e in agents[manager].diary if e.kind == "optimised"]
     return tuple(notes[-1])
 

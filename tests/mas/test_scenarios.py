@@ -31,13 +31,13 @@ def faulty(**faults: object) -> MasConfig:
     return CONFIG.model_copy(update={"faults": FaultsConfig.model_validate(faults)})
 
 
-def errors(environment: Environment, onlooker: GroundTruthEvaluator) -> list[TrajectoryError]:
-    found = [onlooker.error_of(a.state.me, keyframe_trajectory(a.state)) for a in environment.agents]
+def errors(environment: Environment, evaluator: GroundTruthEvaluator) -> list[TrajectoryError]:
+    found = [evaluator.error_of(a.state.me, keyframe_trajectory(a.state)) for a in environment.agents]
     return [e for e in found if e is not None]
 
 
 def regards(agents: list[Agent], of: int) -> list[Trust]:
-    return [a.desk.standing.regard(of) for a in agents if a.state.me != of]
+    return [a.context.reputation.regard(of) for a in agents if a.state.me != of]
 
 
 def groups_with(environment: Environment, agents: tuple[int, ...]) -> bool:
@@ -53,40 +53,40 @@ def undisturbed() -> list[float]:
 
 
 def test_one_that_bids_and_never_delivers_is_found_out_and_waited_for_no_more(undisturbed: list[float]) -> None:
-    environment, onlooker = live(*four(), CONFIG, {ODD: Idler})
+    environment, evaluator = live(*four(), CONFIG, {ODD: Idler})
     agents = environment.agents
     assert regards(agents, ODD) == [Trust.UNDELIVERING] * 3
     assert all(regards(agents, a)[-1] is Trust.GOOD for a in HONEST), "nobody else is blamed"
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
-        assert errors(environment, onlooker)[honest].rmse_m <= 1.1 * alone + 0.02
+        assert errors(environment, evaluator)[honest].rmse_m <= 1.1 * alone + 0.02
         assert set(agents[honest].maps.held) >= set(HONEST) - {honest}
-        assert not agents[honest].desk.ledger.running()
+        assert not agents[honest].context.ledger.running()
 
 
 def test_one_that_lies_about_matches_is_found_out_and_its_matches_are_not_used(undisturbed: list[float]) -> None:
-    environment, onlooker = live(*four(), CONFIG, {ODD: Liar})
+    environment, evaluator = live(*four(), CONFIG, {ODD: Liar})
     agents = environment.agents
     liar = agents[ODD]
     assert isinstance(liar, Liar) and liar.lies >= 6
     told = [a for a in HONEST if any(reported_by_liar(m) for m in agents[a].state.verified)]
-    assert told and all(agents[a].desk.standing.regard(ODD) is Trust.UNTRUSTED for a in told)
+    assert told and all(agents[a].context.reputation.regard(ODD) is Trust.UNTRUSTED for a in told)
     assert not [m for a in HONEST for m in agents[a].state.accepted if reported_by_liar(m)]
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
-        assert errors(environment, onlooker)[honest].rmse_m <= 1.1 * alone + 0.02
+        assert errors(environment, evaluator)[honest].rmse_m <= 1.1 * alone + 0.02
 
 
 def test_one_whose_lies_agree_is_told_by_the_way_round_over_third_agents(undisturbed: list[float]) -> None:
     """Between two agents its lies look like truth: all of its map claimed 15 m beside where it is."""
-    environment, onlooker = live(*four(), CONFIG, {ODD: Swindler})
+    environment, evaluator = live(*four(), CONFIG, {ODD: Swindler})
     agents = environment.agents
     assert isinstance(agents[ODD], Swindler) and agents[ODD].lies >= 6
-    accusers = [a for a in HONEST if agents[a].desk.standing.of(ODD).f > 0]
-    regards = [agents[b].desk.standing.regard(a) for a in HONEST for b in HONEST if a != b]
+    accusers = [a for a in HONEST if agents[a].context.reputation.of(ODD).f > 0]
+    regards = [agents[b].context.reputation.regard(a) for a in HONEST for b in HONEST if a != b]
     assert accusers and Trust.UNTRUSTED not in regards
     assert groups_with(environment, HONEST)
-    connected = onlooker.connected_errors(environment.agents)
+    connected = evaluator.connected_errors(environment.agents)
     assert max(connected[a].rmse_m for a in HONEST) < 0.6, "15 m would show"
 
 
@@ -99,30 +99,30 @@ def test_one_with_a_wrong_map_does_not_spoil_the_others(undisturbed: list[float]
     world = make_world(0)
     ways = [circuit(12.0 * a, 45.0) for a in range(4)]
     sequences = [make_sequence(world, w, 0, a, drifting=0.9 if a == ODD else 0.03) for a, w in enumerate(ways)]
-    environment, onlooker = live(manifest_of(sequences), sequences, CONFIG)
+    environment, evaluator = live(manifest_of(sequences), sequences, CONFIG)
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
-        assert errors(environment, onlooker)[honest].rmse_m <= 1.1 * alone + 0.02
+        assert errors(environment, evaluator)[honest].rmse_m <= 1.1 * alone + 0.02
 
 
 def test_one_that_comes_late_is_taken_in() -> None:
-    environment, onlooker = live(*four(), faulty(late_s={ODD: 8.0}))
+    environment, evaluator = live(*four(), faulty(late_s={ODD: 8.0}))
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
     seen = [e.fields["regard"] for e in environment.agents[0].diary if e.kind == "standing" and e.fields["of"] == ODD]
     assert seen == ["silent", "good"], "missed while it was not there, and welcome when it came"
     assert all(set(a.maps.held) == {0, 1, 2, 3} - {a.state.me} for a in environment.agents)
-    assert max(e.rmse_m for e in onlooker.connected_errors(environment.agents).values()) < 1.0
+    assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0
 
 
 def test_one_that_leaves_is_noticed_and_what_it_brought_is_kept(undisturbed: list[float]) -> None:
-    environment, onlooker = live(*four(), faulty(leave_s={ODD: 6.0}))
+    environment, evaluator = live(*four(), faulty(leave_s={ODD: 6.0}))
     agents = environment.agents
     assert Trust.SILENT in regards(agents, ODD)
     assert groups_with(environment, HONEST)
     assert any(ODD in agents[a].maps.held for a in HONEST), "its map lives on"
-    assert not any(agents[a].desk.ledger.running() for a in HONEST)
+    assert not any(agents[a].context.ledger.running() for a in HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
-        assert errors(environment, onlooker)[honest].rmse_m <= 1.2 * alone + 0.05
+        assert errors(environment, evaluator)[honest].rmse_m <= 1.2 * alone + 0.05
 
 
 @pytest.mark.parametrize("preset_name", ["default", "maslam"])
@@ -133,13 +133,13 @@ def test_under_loss_the_group_is_found_all_contracts_end_and_it_costs_a_bounded_
     config = preset(preset_name).model_copy(update={"faults": FaultsConfig(loss=loss)})
     manifest, sequences = town(3, 24, spacing_m=9.0, drifting=0.03)
     whole, _ = live(manifest, sequences, preset(preset_name))
-    environment, onlooker = live(manifest, sequences, config)
+    environment, evaluator = live(manifest, sequences, config)
     assert groups_of(environment.agents) == [[0, 1, 2]]
     for agent in environment.agents:
-        assert not agent.desk.ledger.running() and not agent.refused
+        assert not agent.context.ledger.running() and not agent.refused
         assert all(r is Trust.GOOD for r in regards(environment.agents, agent.state.me)), "losses blame nobody"
-    odometry = [onlooker.error_of(a.state.me, odometry_of(a)) for a in environment.agents]
-    after = np.mean([e.rmse_m for e in errors(environment, onlooker)])
+    odometry = [evaluator.error_of(a.state.me, odometry_of(a)) for a in environment.agents]
+    after = np.mean([e.rmse_m for e in errors(environment, evaluator)])
     assert after < np.mean([e.rmse_m for e in odometry if e is not None])
     useful = sum(c.wire_bytes for c in whole.transport.by_operation.values())
     assert sum(c.wire_bytes for c in environment.transport.by_operation.values()) < 6 * useful

@@ -73,7 +73,7 @@ def trade(agents: list[Agent], buyer: int, sellers: list[int]) -> InProcessTrans
     while (message := transport.receive()) is not None:
         for answer in agents[message.recipient].handle(message):
             transport.send(answer, 0)
-    assert not any(a.desk.ledger.running() for a in agents)
+    assert not any(a.context.ledger.running() for a in agents)
     return transport
 
 
@@ -265,7 +265,7 @@ def test_the_newest_version_wins(form: str) -> None:
     old = agents[0].maps.held[2].version
     agents[2].state.accepted.discard(min(agents[2].state.accepted))
     agents[2].state.version += 1
-    agents[2].desk.closing = True
+    agents[2].context.closing = True
     trade(agents, 1, [2])
     trade(agents, 0, [1])
     assert agents[0].maps.held[2].version == old + 1
