@@ -1,20 +1,24 @@
 """One agent: a state machine without I/O. It sees its own key-frames and the messages it gets, and nothing else.
 
-``observe`` takes a key-frame from its sensors, ``handle`` a message, ``tick`` the logical time; the last two return
-what is to be sent. The same code runs in one process and over a network (thesis section 3.8.2).
+``observe`` takes a key-frame from its sensors, ``handle`` a message, ``tick`` and ``remind`` the logical time; the last
+three return the messages to send and the events to log. The same code runs in one process and over a network (thesis
+section 3.8.2). The agent decides nothing about an operation: it passes on what comes in, and what follows from it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from typing import Any
 
 from .config import MasConfig
 from .contracts.call_queue import CallQueue
-from .contracts.context import AgentContext, Event
-from .contracts.contract import Contract, LateMessage, ProtocolError, Repeated
+from .contracts.context import AgentContext
+from .contracts.contract import Contract, ContractState, LateMessage, Repeated
+from .contracts.effects import NOTHING, Change, Effects, MembersMissed
 from .contracts.ledger import Ledger
 from .contracts.operation import Operation, WorkError
 from .contracts.reputation import Trust
+from .errors import ProtocolError
 from .map_exchange.final_round import FinalRound
 from .map_exchange.operation import MapExchange
 from .optimisation.operation import Optimisation
@@ -23,7 +27,7 @@ from .place_recognition.candidates import Candidates
 from .place_recognition.operation import PlaceRecognition
 from .place_recognition.verification import Verification, tell_group
 from .policies.base import Outlook, Policy
-from .protocol.ids import ContractId, MatchId, OperationKind
+from .protocol.ids import REASON_LENGTH, ContractId, MatchId, OperationKind
 from .protocol.messages import (
     Award,
     Begin,
@@ -39,18 +43,9 @@ from .protocol.messages import (
     Result,
 )
 from .protocol.solver_messages import SolverBody
+from .protocol.tasks import Outcome
 from .state.agent_state import AgentState, Profile
 from .state.keyframe import KeyFrame
-
-_REASON_LENGTH = 200
-
-
-@dataclass(frozen=True)
-class Refused:
-    """A message that could not be acted on, and why."""
-
-    sender: int
-    reason: str
 
 
 class Agent:
@@ -65,13 +60,8 @@ class Agent:
         self.places = PlaceRecognition(self.context, self.book, verification)
         self.optimisation = Optimisation(self.context, lambda: policy.peer_to_peer(self.state, self.outlook()))
         self.maps = MapExchange(self.context, policy.worth)
-        self.refused: list[Refused] = []
-        self._operations: dict[OperationKind, Operation] = {
-            OperationKind.DVPR: self.places,
-            OperationKind.RELPOSE: verification,
-            OperationKind.DOPT: self.optimisation,
-            OperationKind.MAPMERGE: self.maps,
-        }
+        operations: tuple[Operation[Any, Any], ...] = (self.places, verification, self.optimisation, self.maps)
+        self._operations = {operation.kind: operation for operation in operations}
         self.pool = CallQueue(self.context, self._operations)
         self._new: list[KeyFrame] = []
         self.news = PendingMatches(self.state)
@@ -86,56 +76,49 @@ class Agent:
         self._new.append(keyframe)
 
     def finish(self) -> None:
-        """The environment's word that all sequences are over: from now on the agent only settles what it knows."""
+        """All sequences are over, as the environment says: from now on the agent only settles what it knows."""
         self.context.close()
 
-    def handle(self, message: Message) -> list[Message]:
-        """Act on a message; one that makes no sense here is refused and remembered, and changes nothing."""
+    def handle(self, message: Message) -> Effects:
+        """Act on a message. One that makes no sense here is refused, which is an event, and changes nothing: that is
+        decided before anything changes. An error of another type is this program's own, and nobody's fault."""
         try:
             if message.recipient != self.state.me or message.sender not in self.state.profile.others:
                 raise ProtocolError(
                     f"message from {message.sender} to {message.recipient} came to agent {self.state.me}"
                 )
-            self.context.reputation.heard(message.sender)
-            self._dispatch(message)
+            self.context.reputation.received(message.sender)
+            effects = self._dispatch(message)
         except Repeated as repeated:
-            self.context.answer_again(repeated.contract, message.body)
+            effects = self.context.answer_again(repeated.contract, message.body)
         except LateMessage:
-            pass
-        except (ProtocolError, WorkError, ValueError) as error:
-            self.refused.append(Refused(message.sender, str(error)))
-            self.context.note("refused", sender=message.sender, reason=str(error))
-        return self._settle()
+            effects = NOTHING
+        except ProtocolError as error:
+            effects = self.context.refuse(message.sender, str(error))
+        return self._settled(effects)
 
-    def tick(self, now_ns: int) -> list[Message]:
+    def tick(self, now_ns: int) -> Effects:
         """Logical time goes on: contracts expire, and the policy is asked what to do next."""
-        self._remind(now_ns)
-        self.maps.tick()
+        effects = self._remind(now_ns) + self.maps.tick()
         for keyframe in self._new:
-            self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
+            effects += self.places.ask(keyframe.index, self.policy.ask(self.state, self.outlook(), keyframe.index))
             if self.state.config.places.own_loops:
-                self.places.close_own_loop(keyframe)
+                effects += self.places.close_own_loop(keyframe)
         if self._new or self.context.closing:
-            self.places.recall(self.policy.recall(self.state, self.outlook(), len(self._new)))
+            effects += self.places.recall(self.policy.recall(self.state, self.outlook(), len(self._new)))
         self._new = []
-        self.places.resume()
-        self.places.verification.resume()
-        self._pursue()
-        return self._settle()
+        effects += self.places.resume() + self.places.verification.resume()
+        return self._settled(effects + self._pursue())
 
-    def remind(self, now_ns: int) -> list[Message]:
-        """Between two ticks: what expires by now, and what is to be said again because nobody answered."""
-        self._remind(now_ns)
-        return self._settle()
+    def remind(self, now_ns: int) -> Effects:
+        """Between two ticks: what expires by now, and what is to be sent again because nobody answered."""
+        return self._settled(self._remind(now_ns))
 
-    def _remind(self, now_ns: int) -> None:
+    def _remind(self, now_ns: int) -> Effects:
         self.context.now_ns = now_ns
-        for contract in self.context.ledger.expired(now_ns):
-            self.context.watch(contract)
-        self._settle_contracts()
-        self.context.remind()
-        self._settle_contracts()
-        self.optimisation.resend()
+        effects = self._wound_up(self.context.ended(self.context.ledger.expired(now_ns)))
+        effects += self._wound_up(self.context.retransmit())
+        return effects + self.optimisation.resend()
 
     # -- what is going on ---------------------------------------------------------------------------------------------
 
@@ -149,11 +132,6 @@ class Agent:
     def waiting(self) -> bool:
         """Whether others owe it an answer: it wants to be reminded."""
         return self.context.retransmitter.owed or self.optimisation.busy or self.pool.waiting
-
-    @property
-    def diary(self) -> list[Event]:
-        """What happened so far, oldest first."""
-        return self.context.diary
 
     def outlook(self) -> Outlook:
         """What the policy may know beside the state."""
@@ -180,108 +158,129 @@ class Agent:
             return set()
         return self.news.matches
 
-    def _pursue(self) -> None:
+    def _pursue(self) -> Effects:
         """First optimise what was learned, then buy maps: thesis section 3.8.2's order of operations."""
         if not self.optimisation.ready:
-            return
+            return NOTHING
         outlook = self.outlook()
         members = self.policy.optimise(self.state, outlook)
         if members:
             self.news.offered(members)
-            self.optimisation.start(members)
-            return
+            return self.optimisation.start(members)
         sellers = self.policy.buy(self.state, outlook)
-        if self.context.closing:
-            sellers = [] if self.context.calling(OperationKind.MAPMERGE) else self.final.choose(sellers)
-        if sellers:
-            self.maps.buy(sellers)
+        if not self.context.closing:
+            return self.maps.buy(sellers) if sellers else NOTHING
+        if self.context.calling(OperationKind.MAPMERGE):
+            return NOTHING
+        chosen = self.final.choose(sellers)
+        return chosen.effects + (self.maps.buy(list(chosen.sellers)) if chosen.sellers else NOTHING)
 
     # -- messages -----------------------------------------------------------------------------------------------------
 
-    def _dispatch(self, message: Message) -> None:
+    def _dispatch(self, message: Message) -> Effects:
+        """What follows from a message; :class:`ProtocolError`, before anything has changed, if it makes no sense."""
         sender, identity, body = message.sender, message.contract, message.body
+        if isinstance(body, GroupNotice | Call):
+            self._check_known(body.members)
         if isinstance(body, GroupNotice):
-            known = set(self.state.group)
-            # Who knows no more than the sender has nothing to pass on: the sender has told them all.
-            if self.state.join(body.members) and not known <= set(body.members):
-                tell_group(self.context)
-        elif isinstance(body, MapNotice):
-            self.maps.hear_of(sender, body.offers)
-        elif isinstance(body, SolverBody):
-            self.optimisation.solver(sender, identity, body)
-        elif isinstance(body, Begin):
-            self.optimisation.begin(sender, identity)
-        elif identity is None:
+            return self._join(body.members, known_by_sender=frozenset(body.members))
+        if isinstance(body, MapNotice):
+            self.maps.note_offers(sender, body.offers)
+            return NOTHING
+        if isinstance(body, SolverBody):
+            return self.optimisation.solver(sender, identity, body)
+        if isinstance(body, Begin):
+            return self.optimisation.begin(sender, identity)
+        if identity is None:
             raise ProtocolError(f"{type(body).__name__} without a contract")
-        elif isinstance(body, Call):
-            self._called(sender, identity, body)
-        else:
-            self._advance(sender, identity, body)
+        if isinstance(body, Call):
+            return self._called(sender, identity, body)
+        return self._advance(sender, identity, body)
 
-    def _called(self, sender: int, identity: ContractId, body: Call) -> None:
+    def _check_known(self, members: tuple[int, ...]) -> None:
+        strangers = set(members) - self.state.profile.everyone
+        if strangers:
+            raise ProtocolError(f"there is no agent {min(strangers)}")
+
+    def _join(self, members: tuple[int, ...], known_by_sender: frozenset[int] = frozenset()) -> Effects:
+        """More agents are joined by matches: the group is told, unless the sender has told it all there is to tell."""
+        known = set(self.state.group)
+        return tell_group(self.context) if self.state.join(members) and not known <= known_by_sender else NOTHING
+
+    def _called(self, sender: int, identity: ContractId, body: Call) -> Effects:
         """A call for proposals: bid or refuse."""
         if body.deadline_ns < self.context.now_ns:
             raise LateMessage(f"call of agent {sender} came after its deadline")
-        contract = self.context.ledger.called(sender, identity, body)
-        superseded, self.context.ledger.superseded = self.context.ledger.superseded, []
-        for old in superseded:
-            self.context.watch(old)
-        self._settle_contracts()
-        if body.members and self.state.join(body.members):
-            tell_group(self.context)
-        self.pool.take(contract, body)
+        taken = self.context.ledger.called(sender, identity, body)
+        effects = self._wound_up(self.context.ended(taken.superseded)) + self._join(body.members)
+        return effects + self.pool.take(taken.contract, body)
 
-    def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> None:
+    def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> Effects:
         """A contract goes on: the ledger allows it or not, then the operation acts."""
-        contract = self.context.ledger.hear(identity, sender, body)
-        self.context.hear(contract)
-        trade = self._operations[contract.operation]
-        if isinstance(body, Bid) and body.ready_ns > contract.deadline_ns:
-            self.context.say(contract, Rejection("ready too late"))
-        elif isinstance(body, Bid):
-            trade.on_bid(contract, body)
-        elif isinstance(body, Award):
-            self._work(trade, contract, body)
-        elif isinstance(body, Confirmation):
-            trade.on_confirmation(contract)
-        elif isinstance(body, Result):
-            trade.on_result(contract, body.outcome)
+        contract = self.context.ledger.receive(identity, sender, body, self._objection)
+        operation, effects = self._operations[contract.operation], self.context.received(contract)
+        if isinstance(body, Bid):
+            if body.ready_ns > contract.deadline_ns:
+                return effects + self.context.send(contract, Rejection("ready too late"))
+            return effects + operation.on_bid(contract, body)
+        if isinstance(body, Award):
+            return effects + self._work(contract, body)
+        if isinstance(body, Confirmation):
+            return effects + operation.on_confirmation(contract)
+        if isinstance(body, Result):
+            if contract.state is ContractState.FAILED:
+                return effects + self.context.refuse(sender, contract.reason)
+            return effects + operation.on_result(contract, body.outcome)
+        return effects
 
-    def _work(self, trade: Operation, contract: Contract, award: Award) -> None:
+    def _objection(self, contract: Contract, outcome: Outcome) -> str:
+        if outcome.belongs_to is not contract.operation:
+            return f"{outcome.kind} is no result of {contract.operation.name.lower()}"
+        return self._operations[contract.operation].objection(contract, outcome)[:REASON_LENGTH]
+
+    def _work(self, contract: Contract, award: Award) -> Effects:
         try:
-            trade.work(contract, award.task)
-        except (WorkError, ValueError) as error:
-            self.context.say(contract, Failure(str(error)[:_REASON_LENGTH]))
+            if award.task.belongs_to is not contract.operation:
+                raise WorkError(f"{award.task.kind} is no task of {contract.operation.name.lower()}")
+            return self._operations[contract.operation].work(contract, award.task)
+        except WorkError as error:
+            return self.context.send(contract, Failure(str(error)[:REASON_LENGTH]))
 
-    def _settle(self) -> list[Message]:
-        """Wind up what ended, take over what an optimisation brought, and hand out the mail."""
-        self._settle_contracts()
-        self.pool.inspect()
-        self._settle_contracts()
-        out, self.context.outbox = self.context.outbox, []
+    # -- what follows -------------------------------------------------------------------------------------------------
+
+    def _settled(self, effects: Effects) -> Effects:
+        """What leaves the agent once everything that follows is done; calls that waited are answered now."""
+        effects = self._wound_up(effects)
+        return effects + self._wound_up(self.pool.inspect())
+
+    def _wound_up(self, effects: Effects) -> Effects:
+        """Wind up what ended, then pass changes on, until nothing follows any more."""
+        out, ended, changes = effects.outward, deque(effects.ended), deque(effects.changes)
+        while ended or changes:
+            more = self._end(ended.popleft()) if ended else self._change(changes.popleft())
+            out += more.outward
+            ended.extend(more.ended)
+            changes.extend(more.changes)
         return out
 
-    def _settle_contracts(self) -> None:
-        while self.context.ended or self.optimisation.adoptions:
-            while self.context.ended:
-                contract = self.context.ended.pop(0)
-                self.context.note_end(contract)
-                self._note_standing()
-                self._operations[contract.operation].on_end(contract)
-            adoptions, self.optimisation.adoptions = self.optimisation.adoptions, []
-            for adoption in adoptions:
-                self.news.used(adoption.matches)
-                self.maps.realign(adoption)
-                self.maps.stale.update(self.state.partners())
-                self.final.searching = True
-            if self.optimisation.attempts.missed and not self.optimisation.busy:
-                self.optimisation.attempts.missed = False
-                self.news.call_again()
+    def _end(self, contract: Contract) -> Effects:
+        closed = self.context.close_account(contract) + self._reassess()
+        return closed + self._operations[contract.operation].on_end(contract)
 
-    def _note_standing(self) -> None:
-        """Who is regarded otherwise since the last contract."""
+    def _change(self, change: Change) -> Effects:
+        """One operation did something that others act on."""
+        if isinstance(change, MembersMissed):
+            self.news.call_again()
+            return NOTHING
+        self.news.used(change.matches)
+        self.final.reopen()
+        return self.maps.realign(change)
+
+    def _reassess(self) -> Effects:
+        """Others that are regarded otherwise since the last contract."""
+        effects = NOTHING
         for other, record in self.context.reputation.changes(self.context.now_ns):
-            self.context.note(
+            effects += self.context.event(
                 "standing",
                 of=other,
                 regard=str(record.regard),
@@ -290,3 +289,4 @@ class Agent:
                 silent=record.unheard,
             )
             self.state.distrust(other, record.regard is Trust.UNTRUSTED)
+        return effects

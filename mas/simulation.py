@@ -16,16 +16,16 @@ from maslam.extensions import name_of
 
 from .agent import Agent
 from .config import AUTO_CODE, MasConfig
+from .contracts.effects import Effects, Event
 from .errors import MasError
 from .evaluation.ground_truth import GroundTruthEvaluator, groups_of
-from .evaluation.summarise import summarise
+from .evaluation.summarise import FinishedRun, summarise
 from .evaluation.summary import Summary, Timing
 from .output.run_folder import Recorder, match_errors
 from .policies.cluster_owners import centres_before
 from .policies.foreign import PolicyLike
 from .policies.presets import policy_of
 from .protocol.accounting import Traffic
-from .protocol.messages import Message
 from .sequence import AgentSequence, Manifest
 from .state.agent_state import Ownership, Profile
 from .state.keyframe import KeyFrame, keyframes_of
@@ -44,7 +44,8 @@ RunProgress = Callable[[int, int], None]
 
 
 class Environment:
-    """Agents side by side in logical time: each gets its next key-frames when its own time has come."""
+    """Agents side by side in logical time: each gets its next key-frames when its own time has come. ``events``: what
+    happened to all of them so far."""
 
     def __init__(
         self, agents: Sequence[Agent], keyframes: Sequence[list[KeyFrame]], transport: Transport, config: MasConfig
@@ -54,6 +55,7 @@ class Environment:
         self.transport = transport
         self.config = config
         self.now_ns = 0
+        self.events: list[Event] = []
         self._next = [0] * len(self.agents)
 
     @property
@@ -77,7 +79,7 @@ class Environment:
             for agent in self.agents:
                 agent.finish()
         for agent in self._there():
-            self._send(agent.tick(self.now_ns))
+            self._act_on(agent.tick(self.now_ns))
         self._deliver()
         if self.config.faults.any:
             self._live_until((number + 1) * self._step_ns)
@@ -89,7 +91,7 @@ class Environment:
             self._advance(self.now_ns + between)
             self._deliver()
             for agent in self._there():
-                self._send(agent.remind(self.now_ns))
+                self._act_on(agent.remind(self.now_ns))
             self._deliver()
 
     def _advance(self, now_ns: int) -> None:
@@ -115,14 +117,16 @@ class Environment:
             agent.observe(keyframes[self._next[me]])
             self._next[me] += 1
 
-    def _send(self, messages: Sequence[Message]) -> None:
-        for message in messages:
+    def _act_on(self, effects: Effects) -> None:
+        """Send an agent's messages, and log its events."""
+        self.events += effects.events
+        for message in effects.messages:
             self.transport.send(message, self.now_ns)
 
     def _deliver(self) -> None:
         delivered = 0
         while (message := self.transport.receive()) is not None:
-            self._send(self.agents[message.recipient].handle(message))
+            self._act_on(self.agents[message.recipient].handle(message))
             delivered += 1
             if delivered > self.config.max_messages_a_step:
                 raise MasError(
@@ -166,11 +170,12 @@ def run(
         steps = _play(environment, evaluator, recorder, progress)
         errors = match_errors(agents, evaluator)
         recorder.settings(config, manifest)
-        recorder.events(event for agent in agents for event in agent.diary)
+        recorder.events(environment.events)
         recorder.matches(agents, errors)
         for agent, sequence in zip(agents, sequences, strict=True):
             recorder.agent(agent, sequence)
-        summary = summarise(agents, sequences, config, evaluator, carrier, errors, steps)
+        finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps)
+        summary = summarise(finished, evaluator, errors)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
         summary = summary.model_copy(update={"duration_s": duration})
         recorder.summary(summary)

@@ -10,7 +10,7 @@ from ..errors import BackendError
 
 _HEADER = struct.Struct("<BBHH")
 # Far from the kinds of the other solvers' messages, so that a stray one is recognised.
-_FIRST_KIND = 0xE0
+FIRST_KIND = 0xE0
 
 
 class Kind(IntEnum):
@@ -38,15 +38,38 @@ class ElectedMessage:
         """All but the header."""
         return len(self.body)
 
+    @property
+    def name(self) -> str:
+        """Its kind in a word."""
+        return self.kind.name.title()
+
+    @property
+    def place(self) -> tuple[int, ...]:
+        """Which of its sender's messages of this kind it is: equal for one that is sent again."""
+        return int(self.kind), self.term
+
+    @property
+    def since(self) -> None:
+        """No rounds: whoever sends it again may lack anything."""
+        return None
+
+    @property
+    def decides(self) -> bool:
+        """Whether it ends something, so that whoever has it needs no answer."""
+        return self.kind is Kind.DECISION
+
+    def check(self) -> None:
+        """Bodies are checked when they are read."""
+
     def encode(self) -> bytes:
         """A header of 6 bytes, then the body."""
-        return _HEADER.pack(_FIRST_KIND + self.kind, self.term, self.sender, self.receiver) + self.body
+        return _HEADER.pack(FIRST_KIND + self.kind, self.term, self.sender, self.receiver) + self.body
 
     @classmethod
     def decode(cls, data: bytes) -> ElectedMessage:
         """Inverse of :meth:`encode`; bytes that are no such message raise :class:`BackendError`."""
         try:
             kind, term, sender, receiver = _HEADER.unpack_from(data)
-            return cls(Kind(kind - _FIRST_KIND), term, sender, receiver, data[_HEADER.size :])
+            return cls(Kind(kind - FIRST_KIND), term, sender, receiver, data[_HEADER.size :])
         except (struct.error, ValueError) as error:
             raise BackendError(f"not an elected solver's message: {len(data)} bytes, {error}") from error

@@ -51,8 +51,34 @@ class Round:
     sweep: int = 0
 
 
+class _SentToOne:
+    """What every message can tell of itself. ``check`` raises :class:`BackendError` where its numbers cannot be."""
+
+    round: Round
+
+    @property
+    def name(self) -> str:
+        """Its kind in a word."""
+        return type(self).__name__
+
+    @property
+    def place(self) -> tuple[int, ...]:
+        """Which of its sender's messages of this kind it is: equal for one that is sent again."""
+        return int(self.round.stage), self.round.step, self.round.sweep
+
+    @property
+    def since(self) -> Round | None:
+        """The round whose messages, and later ones, its sender may lack; None: all of them."""
+        return self.round
+
+    @property
+    def decides(self) -> bool:
+        """Whether it ends something, so that whoever has it needs no answer."""
+        return False
+
+
 @dataclass(frozen=True, eq=False)
-class Values:
+class Values(_SentToOne):
     """One robot's separator values after one sweep, for one neighbour.
 
     ``values`` ``(k, width)``: a row for each of the sender's nodes that share an edge with the receiver, sorted by
@@ -70,9 +96,12 @@ class Values:
         """8 bytes per number of a two-stage sweep, else the bytes transmitted."""
         return np.dtype(number_type(self.round.stage)).itemsize * int(self.values.size)
 
+    def check(self) -> None:
+        _check_rows(self.values, WIDTH[self.round.stage])
+
 
 @dataclass(frozen=True, eq=False)
-class Deltas:
+class Deltas(_SentToOne):
     """Moves of one robot's separators in a sweep, coarse: ``steps`` ``(k, 6)`` int8, translation then turn.
 
     ``scales`` (float32 exactly): a step of translation in metres and of the turn ``R exp(delta)`` in radians. Both
@@ -89,9 +118,15 @@ class Deltas:
     def payload_bytes(self) -> int:
         return 8 + int(self.steps.size)
 
+    def check(self) -> None:
+        if self.round.stage is not SolverStage.DESCENT:
+            raise BackendError("steps of a stage that has none")
+        if not np.isfinite(self.scales).all():
+            raise BackendError("a scale of steps is not finite")
+
 
 @dataclass(frozen=True)
-class Report:
+class Report(_SentToOne):
     """Summary of a round from a robot and those below it in the tree of members, sent up the tree.
 
     ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum over
@@ -109,9 +144,14 @@ class Report:
     def payload_bytes(self) -> int:
         return 16 + 4 * len(self.numbers)
 
+    def check(self) -> None:
+        if np.isnan(self.change) or not np.isfinite(self.cost):
+            raise BackendError("a report of NaN, or an infinite cost")
+        _check_sums(self.numbers)
+
 
 @dataclass(frozen=True)
-class Decision:
+class Decision(_SentToOne):
     """Decision of a round for all members, sent down the tree; the same at every member, so all end at the same sweep.
 
     ``go_on``: one more sweep of this stage, else the next stage; ``cost``: the group's sum; ``numbers``: the method's
@@ -126,12 +166,21 @@ class Decision:
     numbers: tuple[float, ...] = ()
 
     @property
+    def decides(self) -> bool:
+        return True
+
+    @property
     def payload_bytes(self) -> int:
         return 9 + 4 * len(self.numbers)
 
+    def check(self) -> None:
+        if np.isnan(self.cost) or (np.isinf(self.cost) and self.round.stage is not SolverStage.DESCENT):
+            raise BackendError("a decision of an infinite cost or NaN")
+        _check_sums(self.numbers)
+
 
 @dataclass(frozen=True, eq=False)
-class SeparatorState:
+class SeparatorState(_SentToOne):
     """Without rounds: a robot's separators as of its ``version``, whole, so that a later one replaces a lost one.
 
     ``used``: the version of the receiver's that the sender works with, which tells the receiver what has arrived.
@@ -149,6 +198,19 @@ class SeparatorState:
     def payload_bytes(self) -> int:
         return 4 * int(self.values.size)
 
+    @property
+    def place(self) -> tuple[int, ...]:
+        return self.version, self.used
+
+    @property
+    def since(self) -> None:
+        return None
+
+    def check(self) -> None:
+        if self.round != Round(SolverStage.FREE):
+            raise BackendError("separators without rounds, of a round")
+        _check_rows(self.values, WIDTH[SolverStage.FREE])
+
 
 @dataclass(frozen=True)
 class Standing:
@@ -163,7 +225,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Status:
+class Status(_SentToOne):
     """Method without rounds: the latest state of convergence of the sender and those below it, sent up the tree."""
 
     sender: int
@@ -174,6 +236,18 @@ class Status:
     @property
     def payload_bytes(self) -> int:
         return sum(_STANDING.size + _USED.size * len(s.used) for s in self.standings)
+
+    @property
+    def place(self) -> tuple[int, ...]:
+        return tuple(n for s in self.standings for n in (s.robot, s.serial, s.version))
+
+    @property
+    def since(self) -> None:
+        return None
+
+    def check(self) -> None:
+        if self.round != Round(SolverStage.FREE):
+            raise BackendError("standings without rounds, of a round")
 
 
 NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status
@@ -192,6 +266,8 @@ def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
     return tuple(float(np.float32(x)) for x in numbers)
 
 
+# More sums than any method needs are a mistake.
+_MOST_SUMS = 64
 # kind, stage, step, sweep, sender, receiver
 _HEADER = struct.Struct("<BBHHHH")
 _REPORT = struct.Struct("<dd")
@@ -247,6 +323,19 @@ def decode(data: bytes) -> NodeMessage:
     except (struct.error, ValueError) as error:
         raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
     raise BackendError(f"not a solver message: unknown kind {kind}")
+
+
+def _check_rows(values: Array, width: int) -> None:
+    """Rows of this width without infinity; NaN stands for what has no estimate yet."""
+    if values.size and values.shape[1] != width:
+        raise BackendError(f"rows of {values.shape[1]} numbers, not {width}")
+    if np.isinf(values).any():
+        raise BackendError("an infinite value")
+
+
+def _check_sums(numbers: tuple[float, ...]) -> None:
+    if len(numbers) > _MOST_SUMS or not np.isfinite(numbers).all():
+        raise BackendError(f"{len(numbers)} sums: more than {_MOST_SUMS}, or not finite")
 
 
 def _pack(numbers: tuple[float, ...]) -> bytes:

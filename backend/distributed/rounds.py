@@ -189,6 +189,8 @@ class Rounds(ABC):
         reports = [below[c] for c in self._children]
         change = max([self._change, *(r.change for r in reports)])
         cost += sum(r.cost for r in reports)
+        if any(len(r.numbers) != len(numbers) for r in reports):
+            raise BackendError(f"robot {self.share.robot} was sent other sums than it has itself")
         numbers = tuple(sum(column) for column in zip(numbers, *(r.numbers for r in reports), strict=True))
         if self._parent is not None:
             return self._emit([Report(self.share.robot, self._parent, self._round, change, cost, numbers)])

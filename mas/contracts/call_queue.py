@@ -9,18 +9,20 @@ its manager would take it for gone; then it refuses.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from ..protocol.ids import OperationKind
 from ..protocol.messages import Call, Refusal
 from .context import AgentContext
-from .contract import Contract, ContractState, LateMessage
+from .contract import Contract, ContractState
+from .effects import NOTHING, Effects
 from .operation import Operation
 
 
 class CallQueue:
     """Answers calls by the operations' bids, now or when idle; lower managers first, as all agents prefer them."""
 
-    def __init__(self, context: AgentContext, trades: Mapping[OperationKind, Operation]) -> None:
+    def __init__(self, context: AgentContext, trades: Mapping[OperationKind, Operation[Any, Any]]) -> None:
         self.context = context
         self._operations = trades
         self._waiting: list[tuple[Contract, Call, int]] = []
@@ -30,34 +32,38 @@ class CallQueue:
         """Whether calls wait for an answer."""
         return bool(self._waiting)
 
-    def take(self, contract: Contract, call: Call) -> None:
+    def take(self, contract: Contract, call: Call) -> Effects:
         """A new call: answer it, or keep it."""
         if not self.context.serves(contract.manager, contract.operation):
             regard = self.context.reputation.regard(contract.manager)
-            self.context.say(contract, Refusal(f"in bad standing: {regard}"))
-        elif not self._answered(contract, call):
-            patience = self.context.state.config.link.silence_s / 2
-            self._waiting.append((contract, call, self.context.now_ns + round(patience * 1e9)))
-            self._waiting.sort(key=lambda w: w[0].id)
+            return self.context.send(contract, Refusal(f"in bad standing: {regard}"))
+        answer = self._answer(contract, call)
+        if answer is not None:
+            return answer
+        patience = self.context.state.config.link.silence_s / 2
+        self._waiting.append((contract, call, self.context.now_ns + round(patience * 1e9)))
+        self._waiting.sort(key=lambda w: w[0].id)
+        return NOTHING
 
-    def inspect(self) -> None:
+    def inspect(self) -> Effects:
         """Answer what can be answered by now; refuse what waited too long."""
+        effects = NOTHING
         for entry in list(self._waiting):
             contract, call, until_ns = entry
-            if not self._open(contract) or self._answered(contract, call):
+            answer = self._answer(contract, call) if self._open(contract) else NOTHING
+            if answer is not None:
                 self._waiting.remove(entry)
+                effects += answer
             elif self.context.now_ns >= until_ns:
                 self._waiting.remove(entry)
-                self.context.say(contract, Refusal("busy"))
+                effects += self.context.send(contract, Refusal("busy"))
+        return effects
 
     def _open(self, contract: Contract) -> bool:
-        try:
-            return self.context.ledger.get(contract.id, contract.contractor).state is ContractState.CALLED
-        except LateMessage:
-            return False
+        known = self.context.ledger.find(contract.id, contract.contractor)
+        return known is not None and known.state is ContractState.CALLED
 
-    def _answered(self, contract: Contract, call: Call) -> bool:
+    def _answer(self, contract: Contract, call: Call) -> Effects | None:
+        """None: not now."""
         answer = self._operations[contract.operation].bid(contract, call)
-        if answer is not None:
-            self.context.say(contract, answer)
-        return answer is not None
+        return None if answer.body is None else answer.effects + self.context.send(contract, answer.body)

@@ -1,4 +1,4 @@
-"""Where an agent's operations do business: its ledger, its outgoing mail, its diary."""
+"""What the operations of one agent share: its state, its contracts, what it thinks of others, the time."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Body, Call, Cancel, ContractBody, Message
 from ..state.agent_state import AgentState
 from .contract import Contract
+from .effects import NOTHING, Effects, Event, total
 from .ledger import Ledger
 from .reputation import SILENT, ReputationBook, Trust
 from .retransmission import Retransmitter
@@ -21,27 +22,26 @@ _LONGEST = 4.0
 
 
 @dataclass(frozen=True)
-class Event:
-    """A line of ``events.jsonl``: what happened to whom, with its figures."""
+class CallSent:
+    """A call for proposals: its number, the contractors that were called, and the effects."""
 
-    now_ns: int
-    agent: int
-    kind: str
-    fields: dict[str, Any]
+    identity: ContractId
+    contractors: tuple[int, ...]
+    effects: Effects
 
 
 @dataclass
 class AgentContext:
     """Shared by the operations of one agent. ``now_ns``: logical time of the last tick or message; ``closing``: all
-    sequences have ended."""
+    sequences have ended.
+
+    A method that sends or logs changes the contracts at once, and returns the rest as :class:`Effects`.
+    """
 
     state: AgentState
     ledger: Ledger
     now_ns: int = 0
     closing: bool = False
-    outbox: list[Message] = field(default_factory=list)
-    diary: list[Event] = field(default_factory=list)
-    ended: list[Contract] = field(default_factory=list)
     _last_probes: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -52,6 +52,8 @@ class AgentContext:
     def me(self) -> int:
         return self.state.me
 
+    # -- who may be called --------------------------------------------------------------------------------------------
+
     def deadline_ns(self, operation: OperationKind, contractors: Iterable[int] = ()) -> int:
         """When a contract opened now expires. An optimisation has many rounds, each of as many messages one after the
         other as there are members: many of them, or slow answers, make it longer."""
@@ -61,7 +63,7 @@ class AgentContext:
         others = list(contractors)
         slowest = max((self.retransmitter.rtt.wait_ns(c) for c in others), default=0)
         usual = config.optimisation.deadline_s * 1e9
-        # Of few answers even the quickest may have been late, because words were lost on the way.
+        # Of few answers even the quickest may have been late, because messages were lost on the way.
         longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
         return self.now_ns + round(longest * max(1.0, len(others) / 2))
 
@@ -88,82 +90,84 @@ class AgentContext:
         """Whether to work for the other: questions about places always, they let it come back."""
         return operation in (OperationKind.DVPR, OperationKind.RELPOSE) or self.reputation.regard(other) is Trust.GOOD
 
-    def call(
-        self, operation: OperationKind, contractors: Iterable[int], members: tuple[int, ...] = ()
-    ) -> tuple[ContractId, list[int]]:
-        """Call for proposals; returns the contract's id and who was called (not those that still have one of this
-        kind, nor those in bad standing)."""
+    # -- contracts ----------------------------------------------------------------------------------------------------
+
+    def call(self, operation: OperationKind, contractors: Iterable[int], members: tuple[int, ...] = ()) -> CallSent:
+        """Call for proposals those of the contractors that have no contract of this kind running, and are worth it."""
         contractors = sorted(contractors)
         deadline_ns = self.deadline_ns(operation, contractors)
         worth = [c for c in contractors if self.may_call(c, operation)]
         identity, free = self.ledger.call(operation, worth, deadline_ns)
+        effects = NOTHING
         for contract in self.ledger.managed(identity) if free else []:
             self.reputation.called(contract.contractor, self.now_ns)
             self._last_probes.discard(contract.contractor)
-            self._say(contract, contract.contractor, Call(operation, deadline_ns, members))
-        return identity, free
+            effects += self._sent(contract, contract.contractor, Call(operation, deadline_ns, members))
+        return CallSent(identity, tuple(free), effects)
 
-    def say(self, contract: Contract, body: ContractBody) -> Contract:
-        """Say ``body`` to the other side of a contract, if the contract net allows it now."""
-        after = self.ledger.say(self.ledger.get(contract.id, contract.contractor), body)
-        self._say(after, contract.contractor if contract.manager == self.me else contract.manager, body)
-        self.watch(after)
-        return after
+    def send(self, contract: Contract, body: ContractBody) -> Effects:
+        """Send ``body`` to the other side of a contract; :class:`~.ledger.OwnMistake` if the contract net does not
+        allow it now."""
+        after = self.ledger.send(contract, body)
+        other = contract.contractor if contract.manager == self.me else contract.manager
+        return self._sent(after, other, body) + self.ended([after])
 
-    def _say(self, contract: Contract, other: int, body: ContractBody) -> None:
+    def _sent(self, contract: Contract, other: int, body: ContractBody) -> Effects:
         message = Message(self.me, other, contract.id, body)
-        self.retransmitter.said(contract, message, self.now_ns)
-        self.outbox.append(message)
+        self.retransmitter.sent(contract, message, self.now_ns)
+        return Effects(messages=(message,))
 
-    def hear(self, contract: Contract) -> None:
-        """The other side said something in a contract, which is like this now."""
-        self.retransmitter.heard(contract, self.now_ns)
-        self.watch(contract)
+    def received(self, contract: Contract) -> Effects:
+        """The other side has sent something in a contract, which is like this now."""
+        self.retransmitter.received(contract, self.now_ns)
+        return self.ended([contract])
 
-    def answer_again(self, contract: Contract, body: Body) -> None:
-        """A word came that the contract had heard, or that it is too late for: the other side may have missed mine."""
+    def answer_again(self, contract: Contract, body: Body) -> Effects:
+        """A message came that the contract has received already, or that it is too late for: the other side may have
+        missed mine."""
         if not contract.ended:
-            self.retransmitter.heard(contract, self.now_ns)
+            self.retransmitter.received(contract, self.now_ns)
         message = self.retransmitter.answer(contract, body, self.now_ns)
-        if message is not None:
-            self.outbox.append(message)
+        return NOTHING if message is None else Effects(messages=(message,))
 
-    def remind(self) -> None:
-        """Say again what was not answered in time, and give up contractors that have gone silent."""
-        for contract in self.retransmitter.silent(self.now_ns):
-            self.cancel([contract], SILENT)
-        self.outbox += self.retransmitter.due(self.now_ns)
+    def retransmit(self) -> Effects:
+        """Send again what was not answered in time, and give up contractors that have gone silent."""
+        silent = self.cancel(self.retransmitter.silent(self.now_ns), SILENT)
+        return silent + Effects(messages=tuple(self.retransmitter.due(self.now_ns)))
 
-    def watch(self, contract: Contract) -> None:
-        """Remember a contract that has ended, for the agent to wind up once the message at hand is dealt with."""
-        if contract.ended:
-            self.ended.append(contract)
-
-    def cancel(self, contracts: Iterable[Contract], reason: str) -> None:
+    def cancel(self, contracts: Iterable[Contract], reason: str) -> Effects:
         """Withdraw contracts that I manage and that still run."""
-        for contract in contracts:
-            if not contract.ended:
-                self.say(contract, Cancel(reason))
+        return total(self.send(contract, Cancel(reason)) for contract in contracts if not contract.ended)
 
-    def tell(self, recipient: int, identity: ContractId | None, body: Body) -> None:
-        """Put a message into the outgoing mail."""
-        self.outbox.append(Message(self.me, recipient, identity, body))
+    def ended(self, contracts: Iterable[Contract]) -> Effects:
+        """Those of the contracts that are over."""
+        return Effects(ended=tuple(c for c in contracts if c.ended))
 
-    def note(self, kind: str, **fields: Any) -> None:
-        """Write an event into the diary."""
-        self.diary.append(Event(self.now_ns, self.me, kind, fields))
-
-    def note_end(self, contract: Contract) -> None:
-        """How a contract ended, told once: by its manager."""
+    def close_account(self, contract: Contract) -> Effects:
+        """A contract has ended: what that says about the other side, and the event, which its manager logs."""
         if contract.manager != self.me:
             self.reputation.left_waiting(contract)
-        else:
-            self.reputation.ended(contract)
-            self.note(
-                "contract",
-                operation=contract.operation.name.lower(),
-                contract=f"{contract.manager}:{contract.id.number}",
-                contractor=contract.contractor,
-                end=str(contract.state),
-                reason=contract.reason,
-            )
+            return NOTHING
+        self.reputation.ended(contract)
+        return self.event(
+            "contract",
+            operation=contract.operation.name.lower(),
+            contract=f"{contract.manager}:{contract.id.number}",
+            contractor=contract.contractor,
+            end=str(contract.state),
+            reason=contract.reason,
+        )
+
+    # -- beside contracts ---------------------------------------------------------------------------------------------
+
+    def tell(self, recipient: int, identity: ContractId | None, body: Body) -> Effects:
+        """Send a message that is no step of a contract."""
+        return Effects(messages=(Message(self.me, recipient, identity, body),))
+
+    def event(self, kind: str, **fields: Any) -> Effects:
+        """Log an event."""
+        return Effects(events=(Event(self.now_ns, self.me, kind, fields),))
+
+    def refuse(self, sender: int, reason: str) -> Effects:
+        """Log a message that cannot be believed or acted on."""
+        return self.event("refused", sender=sender, reason=reason)

@@ -15,7 +15,8 @@ allowed to go: no award without a bid, no work without an award, and every contr
 
 Where messages get lost, come twice or overtake each other, the copies may differ for a while, never contradict:
 
-* a word that was said already is :class:`Repeated`: it changes nothing, and is answered with one's own last word;
+* a message of a type that was sent already is :class:`Repeated`: it changes nothing, and is answered with one's own
+  last message;
 * a result confirms as well (:data:`RESULT_CONFIRMS`), as its contractor committed itself before;
 * a manager calls anew only when its earlier contract of the kind has ended: the contractor ends its copy of that too;
 * whatever arrives after the end, or after a newer call, is a :class:`LateMessage`.
@@ -26,13 +27,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from ..errors import MasError
+from ..errors import ProtocolError
 from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Award, Bid, Cancel, Confirmation, ContractBody, Failure, Refusal, Rejection, Result
-
-
-class ProtocolError(MasError):
-    """A message that its contract does not allow now, or from this sender."""
 
 
 class LateMessage(ProtocolError):
@@ -40,7 +37,8 @@ class LateMessage(ProtocolError):
 
 
 class Repeated(LateMessage):
-    """A word that its contract has heard already: nothing changes, but the other side may have missed the answer."""
+    """A message that its contract has received already: nothing changes, but the other side may have missed the
+    answer."""
 
     def __init__(self, contract: Contract, text: str) -> None:
         super().__init__(text)
@@ -71,8 +69,8 @@ ENDED = frozenset(
     }
 )
 
-# Who may say what, in which state, and what follows. A call opens a contract and cannot come twice.
-CONTRACTOR_SAYS: dict[tuple[ContractState, type], ContractState] = {
+# Who may send what, in which state, and what follows. A call opens a contract and cannot come twice.
+CONTRACTOR_SENDS: dict[tuple[ContractState, type], ContractState] = {
     (ContractState.CALLED, Bid): ContractState.BID,
     (ContractState.CALLED, Refusal): ContractState.REFUSED,
     (ContractState.AWARDED, Confirmation): ContractState.WORKING,
@@ -80,7 +78,7 @@ CONTRACTOR_SAYS: dict[tuple[ContractState, type], ContractState] = {
     (ContractState.WORKING, Result): ContractState.DONE,
     (ContractState.WORKING, Failure): ContractState.FAILED,
 }
-MANAGER_SAYS: dict[tuple[ContractState, type], ContractState] = {
+MANAGER_SENDS: dict[tuple[ContractState, type], ContractState] = {
     (ContractState.BID, Award): ContractState.AWARDED,
     (ContractState.BID, Rejection): ContractState.REJECTED,
     (ContractState.CALLED, Cancel): ContractState.CANCELLED,
@@ -88,13 +86,14 @@ MANAGER_SAYS: dict[tuple[ContractState, type], ContractState] = {
     (ContractState.AWARDED, Cancel): ContractState.CANCELLED,
     (ContractState.WORKING, Cancel): ContractState.CANCELLED,
 }
-# What a manager takes although it missed the confirmation; no contractor may say it so.
+# What a manager takes although it missed the confirmation; no contractor may send it so.
 RESULT_CONFIRMS: dict[tuple[ContractState, type], ContractState] = {(ContractState.AWARDED, Result): ContractState.DONE}
 
 
 @dataclass(frozen=True)
 class Contract:
-    """One side's copy. ``deadline_ns``: logical time after which it has expired; ``said``: the words so far."""
+    """One side's copy. ``deadline_ns``: logical time after which it has expired; ``exchanged``: the types of
+    the messages so far."""
 
     id: ContractId
     contractor: int
@@ -102,7 +101,7 @@ class Contract:
     deadline_ns: int
     state: ContractState = ContractState.CALLED
     reason: str = ""
-    said: frozenset[type] = frozenset()
+    exchanged: frozenset[type] = frozenset()
 
     @property
     def manager(self) -> int:
@@ -113,22 +112,29 @@ class Contract:
         return self.state in ENDED
 
 
-def advance(contract: Contract, sender: int, body: ContractBody, heard: bool = False) -> Contract:
-    """The contract after ``sender`` said ``body``; :class:`ProtocolError` if it may not, :class:`Repeated` if it had
-    said so before. ``heard``: this is the copy of the one who hears it."""
-    table = {contract.manager: MANAGER_SAYS, contract.contractor: CONTRACTOR_SAYS}.get(sender)
+def advance(contract: Contract, sender: int, body: ContractBody, received: bool = False) -> Contract:
+    """The contract after ``sender`` has sent ``body``; :class:`ProtocolError` if it may not, :class:`Repeated` if it
+    has sent one before. ``received``: this is the copy of the one who receives it."""
+    table = {contract.manager: MANAGER_SENDS, contract.contractor: CONTRACTOR_SENDS}.get(sender)
     key = (contract.state, type(body))
     state = table.get(key) if table else None
-    if state is None and heard and sender == contract.contractor:
+    if state is None and received and sender == contract.contractor:
         state = RESULT_CONFIRMS.get(key)
     if state is None:
-        said = type(body).__name__
+        name = type(body).__name__
         text = (
             f"contract {contract.id.manager}:{contract.id.number} with {contract.contractor}: "
-            f"agent {sender} may not say {said} when it is {contract.state}"
+            f"agent {sender} may not send {name} when it is {contract.state}"
         )
-        raise Repeated(contract, text) if table and type(body) in contract.said else ProtocolError(text)
-    return replace(contract, state=state, reason=getattr(body, "reason", ""), said=contract.said | {type(body)})
+        raise Repeated(contract, text) if table and type(body) in contract.exchanged else ProtocolError(text)
+    return replace(
+        contract, state=state, reason=getattr(body, "reason", ""), exchanged=contract.exchanged | {type(body)}
+    )
+
+
+def failed(contract: Contract, reason: str) -> Contract:
+    """The contract after a result that cannot be believed."""
+    return replace(contract, state=ContractState.FAILED, reason=reason)
 
 
 def expire(contract: Contract, now_ns: int) -> Contract:

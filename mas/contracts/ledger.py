@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
+from ..errors import ProtocolError
 from ..protocol.ids import ContractId, OperationKind
-from ..protocol.messages import Call, Cancel, ContractBody, Rejection
-from .contract import Contract, ContractState, LateMessage, ProtocolError, Repeated, advance, expire
+from ..protocol.messages import Call, Cancel, ContractBody, Rejection, Result
+from ..protocol.tasks import Outcome
+from .contract import Contract, ContractState, LateMessage, Repeated, advance, expire, failed
 
 # Ended contracts an agent remembers, to tell a late message from a wrong one.
 _REMEMBERED = 10_000
+
+
+class OwnMistake(RuntimeError):
+    """This agent was about to send what the contract net does not allow: an error of the program, not of a peer."""
+
+
+@dataclass(frozen=True)
+class CallTaken:
+    """A call as its contractor enters it; ``superseded``: the contracts of its kind that it ends."""
+
+    contract: Contract
+    superseded: tuple[Contract, ...] = ()
 
 
 class Ledger:
@@ -18,10 +32,9 @@ class Ledger:
 
     def __init__(self, me: int) -> None:
         self.me = me
-        self.superseded: list[Contract] = []
         self._number = 0
         self._running: dict[tuple[ContractId, int], Contract] = {}
-        self._heard: dict[tuple[int, OperationKind], int] = {}
+        self._newest_call: dict[tuple[int, OperationKind], int] = {}
         self._ended: dict[tuple[ContractId, int], Contract | None] = {}
 
     def call(
@@ -38,27 +51,33 @@ class Ledger:
             self._running[identity, contractor] = Contract(identity, contractor, operation, deadline_ns)
         return identity, free
 
-    def called(self, sender: int, identity: ContractId, call: Call) -> Contract:
-        """Open the contractor's side; it ends an earlier one of the kind, whose end at the manager was missed: that
-        goes to ``superseded``. A call that was heard before is :class:`Repeated`; one older than the newest of its
-        kind, or withdrawn before it came, is a :class:`LateMessage`."""
+    def called(self, sender: int, identity: ContractId, call: Call) -> CallTaken:
+        """Open the contractor's side; it ends an earlier one of the kind, whose end at the manager was missed. A call
+        that was received before is :class:`Repeated`; one older than the newest of its kind, or withdrawn before it
+        came, is a :class:`LateMessage`."""
         if identity.manager != sender or sender == self.me:
             raise ProtocolError(f"agent {sender} calls in the name of agent {identity.manager}")
         key = (identity, self.me)
         known = self._running.get(key) or self._ended.get(key)
         if known is not None:
             raise Repeated(known, f"call {sender}:{identity.number} came twice")
-        if key in self._ended or identity.number <= self._heard.get((sender, call.operation), -1):
+        if key in self._ended or identity.number <= self._newest_call.get((sender, call.operation), -1):
             raise LateMessage(f"call {sender}:{identity.number} came too late")
-        self._heard[sender, call.operation] = identity.number
-        for old in self.running(call.operation):
-            if old.manager == sender and old.contractor == self.me:
-                over = replace(old, state=ContractState.CANCELLED, reason="its manager calls anew")
-                self._keep(over)
-                self.superseded.append(over)
+        self._newest_call[sender, call.operation] = identity.number
+        superseded = tuple(
+            replace(old, state=ContractState.CANCELLED, reason="its manager calls anew")
+            for old in self.running(call.operation)
+            if old.manager == sender and old.contractor == self.me
+        )
+        for old in superseded:
+            self._keep(old)
         contract = Contract(identity, self.me, call.operation, call.deadline_ns)
         self._running[key] = contract
-        return contract
+        return CallTaken(contract, superseded)
+
+    def find(self, identity: ContractId, contractor: int) -> Contract | None:
+        """The contract if it runs."""
+        return self._running.get((identity, contractor))
 
     def get(self, identity: ContractId, contractor: int) -> Contract:
         """The running contract; :class:`LateMessage` if it has ended, :class:`ProtocolError` if there never was one."""
@@ -74,20 +93,34 @@ class Ledger:
             raise LateMessage(f"contract {name} was withdrawn before it began")
         raise ProtocolError(f"no running contract {name}")
 
-    def say(self, contract: Contract, body: ContractBody) -> Contract:
-        """Advance a contract by what I say, and keep the result while it runs."""
-        after = advance(contract, self.me, body)
+    def send(self, contract: Contract, body: ContractBody) -> Contract:
+        """Advance a contract by what I send, and keep it while it runs; :class:`OwnMistake` if I may not."""
+        try:
+            after = advance(self.get(contract.id, contract.contractor), self.me, body)
+        except ProtocolError as error:
+            raise OwnMistake(str(error)) from error
         self._keep(after)
         return after
 
-    def hear(self, identity: ContractId, sender: int, body: ContractBody) -> Contract:
-        """Advance a contract by what the other side said."""
+    def receive(
+        self,
+        identity: ContractId,
+        sender: int,
+        body: ContractBody,
+        objection: Callable[[Contract, Outcome], str] = lambda contract, outcome: "",
+    ) -> Contract:
+        """Advance a contract by what the other side has sent. A result to which there is an ``objection`` ends it as
+        failed, with that reason."""
         contractor = sender if identity.manager == self.me else self.me
         key = (identity, contractor)
         fresh = key not in self._running and key not in self._ended
         if fresh and identity.manager == sender and isinstance(body, Cancel | Rejection):
             self._forget(key, None)  # it overtook its call, or that was lost
-        after = advance(self.get(identity, contractor), sender, body, heard=True)
+        before = self.get(identity, contractor)
+        after = advance(before, sender, body, received=True)
+        if isinstance(body, Result):
+            reason = objection(before, body.outcome)
+            after = failed(after, reason) if reason else after
         self._keep(after)
         return after
 

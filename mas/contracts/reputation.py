@@ -17,7 +17,7 @@ from enum import StrEnum
 
 from ..config import StandingConfig
 from ..protocol.ids import OperationKind
-from ..protocol.messages import Award, Bid, Confirmation
+from ..protocol.messages import Award, Bid, Confirmation, Result
 from .contract import Contract, ContractState
 
 # What a contract that ended without its result counts as: not done, said so, or stuck among several members.
@@ -87,8 +87,8 @@ class ReputationBook:
         self._touched.add(other)
         return self.of(other)
 
-    def heard(self, other: int) -> None:
-        """A word of the other, whatever it is: it is there."""
+    def received(self, other: int) -> None:
+        """A message of the other, whatever it is: it is there."""
         self._touch(other).unheard = 0
 
     def ended(self, contract: Contract) -> None:
@@ -99,13 +99,14 @@ class ReputationBook:
             self._count(record, good=1.0)
         elif contract.state is ContractState.FAILED:
             record.failed += 1
-            self._count(record, poor=_FAILED)
+            # Who says that it cannot do the work is more reliable than who sends a result that is none.
+            self._count(record, poor=_NOT_DELIVERED if Result in contract.exchanged else _FAILED)
         elif contract.state is ContractState.EXPIRED or contract.reason == SILENT:
             record.expired += 1
-            if Award in contract.said:
+            if Award in contract.exchanged:
                 stuck = contract.operation is OperationKind.DOPT and contract.reason != SILENT
                 self._count(record, poor=_STUCK if stuck else _NOT_DELIVERED)
-            elif Bid not in contract.said:
+            elif Bid not in contract.exchanged:
                 record.unheard += 1
 
     def left_waiting(self, contract: Contract) -> None:
@@ -113,7 +114,7 @@ class ReputationBook:
         if (
             contract.operation is OperationKind.DOPT
             and contract.state is ContractState.EXPIRED
-            and Confirmation in contract.said
+            and Confirmation in contract.exchanged
         ):
             self._count(self._touch(contract.manager), poor=_STUCK)
 

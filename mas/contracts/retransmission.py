@@ -1,9 +1,9 @@
-"""What was said last in each contract, and when it is time to say it again: nothing travels reliably.
+"""Retransmission of the last message of each contract: nothing travels reliably.
 
 Only a manager repeats itself unasked, after ``repeat_s``, then after twice that, and so on up to ``repeat_max_s``, and
-always with its call, the shortest word there is. A contractor answers a word that it knows with its own last one: the
-bid, by which the manager learns that the award was lost and says it again; the confirmation; the result. So each
-exchange needs one timer, and no award or result travels twice that came the first time. Who has not said anything for
+always with its call, the shortest message there is. A contractor answers a message that it knows with its own last one:
+the bid, by which the manager learns that the award was lost and sends it again; the confirmation; the result. So each
+exchange needs one timer, and no award or result travels twice that came the first time. Who has not sent anything for
 ``silence_s`` (longer where answers take long) is taken to be gone.
 """
 
@@ -19,10 +19,10 @@ from .contract import Contract, ContractState
 from .rtt import RttEstimator
 
 Key = tuple[ContractId, int]
-_CONTRACTORS = Bid | Refusal | Confirmation | Result | Failure
+_FROM_CONTRACTOR = Bid | Refusal | Confirmation | Result | Failure
 # In these states the other side owes the manager an answer.
 _OWED = (ContractState.CALLED, ContractState.AWARDED, ContractState.WORKING)
-# A last word worth repeating after the end: the other side may not know that it ended.
+# A last message worth repeating after the end: the other side may not know that it ended.
 _CONTRACTOR_ENDS = (ContractState.DONE, ContractState.FAILED, ContractState.REFUSED)
 _MANAGER_ENDS = (ContractState.REJECTED, ContractState.CANCELLED)
 # So many waits in vain until a contractor is given up, where answers are slow.
@@ -31,22 +31,22 @@ _TRIES = 20
 
 @dataclass
 class _Last:
-    """``call``: the manager's call; ``word``: what I said last, first at ``first_ns`` and last at ``word_ns``;
-    ``since_ns``: since when the other side is silent; ``said_ns``: when I said anything last; ``tries``: repeats since
-    the other side was heard."""
+    """``call``: the manager's call; ``message``: what I sent last, first at ``first_ns`` and last at ``message_ns``;
+    ``since_ns``: since when the other side is silent; ``sent_ns``: when I sent anything last; ``tries``: repeats since
+    the other side sent something."""
 
     contract: Contract
-    word: Message
+    message: Message
     call: Message | None
     since_ns: int
-    said_ns: int
+    sent_ns: int
     first_ns: int
-    word_ns: int
+    message_ns: int
     tries: int = 0
 
 
 class Retransmitter:
-    """Last words of one agent's contracts, kept until their deadlines. ``repeated``: how many were said again."""
+    """Last messages of one agent's contracts, kept until their deadlines. ``repeated``: how many were sent again."""
 
     def __init__(self, me: int, config: LinkConfig) -> None:
         self.me = me
@@ -57,8 +57,8 @@ class Retransmitter:
         self._owed: set[Key] = set()
         self._deadlines: list[tuple[int, Key]] = []
 
-    def said(self, contract: Contract, message: Message, now_ns: int) -> None:
-        """Remember what I said in a contract, as it is after that."""
+    def sent(self, contract: Contract, message: Message, now_ns: int) -> None:
+        """Remember what I sent in a contract, as it is after that."""
         key = (contract.id, contract.contractor)
         known = self._last.get(key)
         call = message if isinstance(message.body, Call) else known.call if known else None
@@ -67,8 +67,8 @@ class Retransmitter:
             heapq.heappush(self._deadlines, (contract.deadline_ns, key))
         self._note_owed(key, contract)
 
-    def heard(self, contract: Contract, now_ns: int) -> None:
-        """The other side said something, new or not: it is there."""
+    def received(self, contract: Contract, now_ns: int) -> None:
+        """The other side has sent something, new or not: it is there."""
         last = self._last.get((contract.id, contract.contractor))
         if last is not None:
             before = last.contract.state
@@ -82,14 +82,14 @@ class Retransmitter:
             self._note_owed((contract.id, contract.contractor), contract)
 
     def due(self, now_ns: int) -> list[Message]:
-        """The manager's words that it is time to say again; contracts past their deadline are forgotten."""
+        """The manager's calls that it is time to send again; contracts past their deadline are forgotten."""
         while self._deadlines and self._deadlines[0][0] < now_ns:
             _, key = heapq.heappop(self._deadlines)
             self._last.pop(key, None)
             self._owed.discard(key)
         out = []
         for last in self._open():
-            if last.call is not None and now_ns - last.said_ns >= self._wait_ns(last):
+            if last.call is not None and now_ns - last.sent_ns >= self._wait_ns(last):
                 out.append(self._again(last, last.call, now_ns))
         return out
 
@@ -105,21 +105,21 @@ class Retransmitter:
         return times * max(shortest, _TRIES * self.rtt.wait_ns(self._other(contract)))
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
-        """What a repeated word, or one that came after the end, is answered with; None: nothing. ``contract``: my
+        """What a repeated message, or one that came after the end, is answered with; None: nothing. ``contract``: my
         copy."""
         last = self._last.get((contract.id, contract.contractor))
-        if last is None or now_ns - last.word_ns < self.rtt.wait_ns(self._other(contract)) // 2:
+        if last is None or now_ns - last.message_ns < self.rtt.wait_ns(self._other(contract)) // 2:
             return None
         if contract.manager == self.me:
             missed = contract.state in _MANAGER_ENDS and isinstance(body, Bid | Confirmation)
             missed |= contract.state is ContractState.AWARDED and isinstance(body, Bid)
         else:
             missed = isinstance(body, Call | Award) and (not contract.ended or contract.state in _CONTRACTOR_ENDS)
-            missed &= isinstance(last.word.body, _CONTRACTORS)
+            missed &= isinstance(last.message.body, _FROM_CONTRACTOR)
         if not missed:
             return None
-        last.word_ns = now_ns
-        return self._again(last, last.word, now_ns)
+        last.message_ns = now_ns
+        return self._again(last, last.message, now_ns)
 
     @property
     def owed(self) -> bool:
@@ -135,11 +135,11 @@ class Retransmitter:
         else:
             self._owed.discard(key)
 
-    def _again(self, last: _Last, word: Message, now_ns: int) -> Message:
-        last.said_ns = now_ns
+    def _again(self, last: _Last, message: Message, now_ns: int) -> Message:
+        last.sent_ns = now_ns
         last.tries += 1
         self.repeated += 1
-        return word
+        return message
 
     def _wait_ns(self, last: _Last) -> int:
         return self.rtt.wait_ns(self._other(last.contract), last.tries)

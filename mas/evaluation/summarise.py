@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -12,6 +13,7 @@ from maslam.backend.trajectory_error import TrajectoryError
 
 from ..agent import Agent
 from ..config import MasConfig
+from ..contracts.effects import Event
 from ..protocol.ids import MatchId
 from ..sequence import AgentSequence
 from ..state.place_match import Fate
@@ -23,16 +25,21 @@ from .reputation_figures import fault_figures, standings
 from .summary import Errors, MatchFigures, OptimisationFigures, Summary, TrafficFigures
 
 
-def summarise(
-    agents: Sequence[Agent],
-    sequences: Sequence[AgentSequence],
-    config: MasConfig,
-    evaluator: GroundTruthEvaluator,
-    transport: Transport,
-    errors: dict[MatchId, MatchError],
-    steps: int,
-) -> Summary:
+@dataclass(frozen=True)
+class FinishedRun:
+    """What there is at the end of a run: agents with their sequences, what was transmitted, what happened."""
+
+    agents: Sequence[Agent]
+    sequences: Sequence[AgentSequence]
+    config: MasConfig
+    transport: Transport
+    events: Sequence[Event]
+    steps: int
+
+
+def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[MatchId, MatchError]) -> Summary:
     """All figures but the wall times, which are 0."""
+    agents, sequences, config, transport = run.agents, run.sequences, run.config, run.transport
     own = [evaluator.error_of(a.state.me, frame_trajectory(a.state, s)) for a, s in zip(agents, sequences, strict=True)]
     odometry = [evaluator.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
     maps = [evaluator.map_error(a) for a in agents]
@@ -51,7 +58,7 @@ def summarise(
         keyframes=sum(len(a.state.keyframes) for a in agents),
         keyframes_placed=[len(a.state.placed()) for a in agents],
         duration_s=0.0,
-        steps=steps,
+        steps=run.steps,
         groups=groups_of(agents),
         ate_rmse_m=_errors(columns, "rmse_m"),
         ate_mean_m=_errors(columns, "mean_m"),
@@ -61,9 +68,9 @@ def summarise(
         exploration_percent=[evaluator.exploration_percent(a) for a in agents],
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
-        optimisations=_optimisations(agents),
+        optimisations=_optimisations(run.events),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
-        refused_messages=len(transport.refused) + sum(len(a.refused) for a in agents),
+        refused_messages=len(transport.refused) + sum(e.kind == "refused" for e in run.events),
         standing=standings(agents),
         faults=fault_figures(agents, transport),
     )
@@ -103,8 +110,9 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
     )
 
 
-def _optimisations(agents: Sequence[Agent]) -> OptimisationFigures:
-    done = [e.fields for a in agents for e in a.diary if e.kind == "optimised"]
+def _optimisations(events: Sequence[Event]) -> OptimisationFigures:
+    in_order = sorted(events, key=lambda e: e.agent)  # sums of floating-point numbers depend on it
+    done = [e.fields for e in in_order if e.kind == "optimised"]
     return OptimisationFigures(
         count=len(done),
         iterations=sum(d["sweeps"] for d in done),

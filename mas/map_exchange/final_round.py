@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from ..contracts.context import AgentContext
+from ..contracts.effects import NOTHING, Effects
 from ..protocol.ids import OperationKind
-from ..protocol.messages import MapNotice
 from .operation import MapExchange
 
 # An agent that lacks maps of its group asks for them after so many looks without anything new, and then waits no more.
 _ASKS_AFTER = (4, 8, 16)
+
+
+@dataclass(frozen=True)
+class Purchase:
+    """Agents to buy maps from now, and the effects of choosing them."""
+
+    sellers: tuple[int, ...]
+    effects: Effects
 
 
 class FinalRound:
@@ -20,14 +30,14 @@ class FinalRound:
 
     def __init__(self, context: AgentContext, maps: MapExchange) -> None:
         self.context, self.maps = context, maps
-        self.searching = True
+        self._searching = True
         self._rounds = 0
         self._idle = 0
 
     @property
     def over(self) -> bool:
         """Whether there is nothing to buy, as far as the agent knows."""
-        return not self.searching and not self.maps.stale.intersection(self._open(self.context.state.partners()))
+        return not self._searching and not self.maps.stale.intersection(self._open(self.context.state.partners()))
 
     def _open(self, sellers: list[int]) -> list[int]:
         """Those of them from whom it may still buy."""
@@ -35,27 +45,21 @@ class FinalRound:
         allowed = config.enabled and self._rounds < config.closing_rounds
         return [a for a in sellers if self.context.may_call(a, OperationKind.MAPMERGE)] if allowed else []
 
-    def choose(self, sellers: list[int]) -> list[int]:
-        """Whom of these to buy from now."""
+    def reopen(self) -> None:
+        """An optimisation was adopted: others may have newer maps."""
+        self._searching = True
+
+    def choose(self, sellers: list[int]) -> Purchase:
+        """Whom of these to buy from now, and what others are told."""
         sellers = self._open(sellers)
         wanted = [a for a in sellers if self._rounds == 0 or a in self.maps.stale]
         lacking = bool(self.context.state.group - {self.context.me} - self.maps.held.keys() - self.maps.refused_owners)
         self._idle = 0 if wanted else self._idle + 1
         if lacking and self._idle in _ASKS_AFTER:
             wanted = sellers
-        self.searching = bool(wanted) or (bool(sellers) and lacking and self._idle < _ASKS_AFTER[-1])
-        if self._rounds:
-            self._announce(sellers)
+        self._searching = bool(wanted) or (bool(sellers) and lacking and self._idle < _ASKS_AFTER[-1])
+        effects = self.maps.announce(sellers) if self._rounds else NOTHING
         self._rounds += 1
-        if not self.searching:
-            self.maps.final_round()
-        return wanted
-
-    def _announce(self, partners: list[int]) -> None:
-        """Tell them what they do not know to be here."""
-        offers = self.maps.shop.offers(self.maps.held, self.context.closing)
-        for partner in partners:
-            news = self.maps.announcements.news(partner, offers)
-            if news:
-                self.maps.announcements.told(partner, news)
-                self.context.tell(partner, None, MapNotice(news))
+        if not self._searching:
+            effects += self.maps.check_at_end()
+        return Purchase(tuple(wanted), effects)

@@ -15,14 +15,14 @@ from maslam.backend.geometry import Sim3
 
 from ..contracts.context import AgentContext
 from ..contracts.contract import Contract, ContractState
-from ..contracts.operation import Operation, WorkError
+from ..contracts.effects import NOTHING, Effects, total
+from ..contracts.operation import Answer, Operation
 from ..contracts.retries import RetryBudget
 from ..policies.utility import Worth, orders, utility
-from ..protocol.ids import ContractId, MatchId, OperationKind
-from ..protocol.map_messages import MapDelivery, MapOrder, Parcel
-from ..protocol.messages import Award, Bid, Call, Confirmation, Offer, Refusal, Rejection, Result
-from ..protocol.tasks import Outcome, Task
-from ..protocol.tensors import unpack_sim3
+from ..protocol.ids import ContractId, FrameId, MatchId, OperationKind
+from ..protocol.map_messages import MapDelivery, MapOrder, Parcel, SubMap
+from ..protocol.messages import Award, Bid, Call, Confirmation, MapNotice, Offer, Refusal, Rejection, Result
+from ..protocol.tensors import MessageError, unpack_sim3
 from ..state.pose_graph import Adoption
 from .admission import admit, recheck, seller_frame
 from .announcements import Announcements
@@ -41,8 +41,20 @@ class MapTender:
     bids: dict[int, Bid] = field(default_factory=dict)
 
 
-class MapExchange(Operation):
+@dataclass(frozen=True, eq=False)
+class SellerFrame:
+    """A seller's coordinates ``frame``: ``T_mine_seller``, and the match that tells it (None: they are shared)."""
+
+    seller: int
+    frame: FrameId
+    T_mine_seller: Sim3
+    placed_by: MatchId | None
+
+
+class MapExchange(Operation[MapOrder, MapDelivery]):
     """Manager: the buyer; contractor: the seller."""
+
+    kind = OperationKind.MAPMERGE
 
     def __init__(self, context: AgentContext, worth: Worth = utility) -> None:
         super().__init__(context)
@@ -60,17 +72,18 @@ class MapExchange(Operation):
 
     # -- buyer --------------------------------------------------------------------------------------------------------
 
-    def buy(self, sellers: list[int]) -> None:
+    def buy(self, sellers: list[int]) -> Effects:
         """Call for the maps of these agents."""
-        identity, called = self.context.call(OperationKind.MAPMERGE, sellers)
-        if called:
-            self._tenders[identity] = MapTender(self.context.now_ns, set(called))
-        for seller in called:
+        call = self.context.call(OperationKind.MAPMERGE, sellers)
+        if call.contractors:
+            self._tenders[call.identity] = MapTender(self.context.now_ns, set(call.contractors))
+        for seller in call.contractors:
             self.stale.discard(seller)
             self.last_bought[seller] = len(self.state.keyframes)
+        return call.effects
 
-    def hear_of(self, seller: int, offers: tuple[Offer, ...]) -> None:
-        """Somebody tells what is new at its place."""
+    def note_offers(self, seller: int, offers: tuple[Offer, ...]) -> None:
+        """Somebody tells which maps are new there."""
         self.announcements.told(seller, offers)
         if any(self._wants(seller, offer) for offer in offers):
             self.stale.add(seller)
@@ -80,43 +93,45 @@ class MapExchange(Operation):
         """Agents of whose maps one was not kept."""
         return {owner for _, owner, _ in self._rejected}
 
-    def on_bid(self, contract: Contract, bid: Bid) -> None:
+    def on_bid(self, contract: Contract, bid: Bid) -> Effects:
         tender = self._tenders.get(contract.id)
         if tender is None:
-            self.context.say(contract, Rejection("no longer wanted"))
-            return
+            return self.context.send(contract, Rejection("no longer wanted"))
         tender.bids[contract.contractor] = bid
         self.announcements.told(contract.contractor, bid.offers)
-        self._answered(contract)
+        return self._answered(contract)
 
-    def on_end(self, contract: Contract) -> None:
+    def on_end(self, contract: Contract) -> Effects:
         """A sale that came to nothing is still wanted."""
         if contract.manager != self.state.me:
-            return
-        self._answered(contract)
+            return NOTHING
+        effects = self._answered(contract)
         if self._again.wanted(contract, OperationKind.MAPMERGE):
             self.stale.add(contract.contractor)
             self.last_bought.pop(contract.contractor, None)
+        return effects
 
-    def tick(self) -> None:
+    def tick(self) -> Effects:
         """Half of a contract's time is enough to wait for those who do not answer; the others' bids would expire with
         them."""
         patience = round(0.5e9 * self.state.config.deadline_s)
+        effects = NOTHING
         for identity, tender in sorted(self._tenders.items()):
             if self.context.now_ns - tender.called_ns >= patience:
                 silent = [c for c in self.context.ledger.managed(identity) if c.contractor in tender.pending]
-                self.context.cancel(silent, "no answer")
+                effects += self.context.cancel(silent, "no answer")
                 tender.pending.clear()
-                self._award(identity)
+                effects += self._award(identity)
+        return effects
 
-    def _answered(self, contract: Contract) -> None:
+    def _answered(self, contract: Contract) -> Effects:
         tender = self._tenders.get(contract.id)
-        if tender is not None:
-            tender.pending.discard(contract.contractor)
-            if not tender.pending:
-                self._award(contract.id)
+        if tender is None:
+            return NOTHING
+        tender.pending.discard(contract.contractor)
+        return NOTHING if tender.pending else self._award(contract.id)
 
-    def _award(self, identity: ContractId) -> None:
+    def _award(self, identity: ContractId) -> Effects:
         """Once all have answered each wanted map is ordered from the one whose bid is worth most."""
         tender = self._tenders.pop(identity)
         for seller, bid in sorted(tender.bids.items()):
@@ -126,18 +141,17 @@ class MapExchange(Operation):
         standing = {seller: self.context.reputation.of(seller).value for seller in tender.bids}
         deadline_ns = max((c.deadline_ns for c in contracts), default=0)
         wanted = orders(tender.bids, standing, self._wants, deadline_ns, self._worth)
-        for one in contracts:
-            if one.state is ContractState.BID:
-                self._order(one, wanted.get(one.contractor, ()))
+        bids = [c for c in contracts if c.state is ContractState.BID]
+        return total(self._order(c, wanted.get(c.contractor, ())) for c in bids)
 
-    def _order(self, contract: Contract, owners: tuple[int, ...]) -> None:
+    def _order(self, contract: Contract, owners: tuple[int, ...]) -> Effects:
         if not owners:
-            self.context.say(contract, Rejection("nothing new"))
-            return
+            return self.context.send(contract, Rejection("nothing new"))
         copies = [None if o in self._spoilt else self.held.get(o) for o in owners]
         editions = tuple(0 if c is None or c.stock is None else c.version for c in copies)
         known = tuple(() if c is None or c.stock is not None else runs_of(c.keyframes) for c in copies)
-        self.context.say(contract, Award(MapOrder(owners, editions, self.state.frame, known if any(known) else ())))
+        order = MapOrder(owners, editions, self.state.frame, known if any(known) else ())
+        return self.context.send(contract, Award(order))
 
     def _wants(self, seller: int, offer: Offer) -> bool:
         """Newer than what I hold. The owner's own word counts more than another's: a copy that is newer than the
@@ -159,66 +173,63 @@ class MapExchange(Operation):
             placement = Sim3(np.eye(3), np.zeros(3), held.stock.map.unit)
             self.held[owner] = replace(held, placement=placement)
 
-    def on_result(self, contract: Contract, outcome: Outcome) -> None:
-        if not isinstance(outcome, MapDelivery):
-            raise WorkError("not a delivery of maps")
+    def on_result(self, contract: Contract, outcome: MapDelivery) -> Effects:
         seller = contract.contractor
         found = seller_frame(self.state, seller, outcome)
         if found is None:
-            self.context.note("map_refused", seller=seller, reason="no common place to align it by")
-            return
-        T_mine_seller, placed_by = found
-        now = self.context.now_ns
-        for submap in outcome.maps:
-            try:
-                whole = completed(submap, self.held.get(submap.owner))
-            except ValueError as error:
-                self._misfit(seller, submap.owner, submap.version, bool(submap.known), str(error))
-                continue
-            self._spoilt.discard(submap.owner)
-            self._take(held_of_submap(whole, outcome.frame, T_mine_seller, seller, now), placed_by)
-        for parcel in outcome.parcels:
-            self._unpack(parcel, T_mine_seller, seller, placed_by)
+            return self.context.event("map_refused", seller=seller, reason="no common place to align it by")
+        place = SellerFrame(seller, outcome.frame, *found)
+        submaps = total(self._take_submap(submap, place) for submap in outcome.maps)
+        return submaps + total(self._unpack(parcel, place) for parcel in outcome.parcels)
 
-    def _misfit(self, seller: int, owner: int, version: int, partial: bool, reason: str) -> None:
+    def _take_submap(self, submap: SubMap, place: SellerFrame) -> Effects:
+        """A copy in the thesis's form."""
+        try:
+            whole = completed(submap, self.held.get(submap.owner))
+        except MessageError as error:
+            return self._misfit(place.seller, submap.owner, submap.version, bool(submap.known), str(error))
+        self._spoilt.discard(submap.owner)
+        copy = held_of_submap(whole, place.frame, place.T_mine_seller, place.seller, self.context.now_ns)
+        return self._take(copy, place.placed_by)
+
+    def _unpack(self, parcel: Parcel, place: SellerFrame) -> Effects:
+        """A copy made of patches."""
+        held, patches = self.held.get(parcel.owner), parcel.patches
+        try:
+            stock = stock_of(parcel.owner, None if held is None else held.stock, patches)
+        except MessageError as error:
+            return self._misfit(place.seller, parcel.owner, patches[-1].edition, bool(patches[0].base), str(error))
+        self._spoilt.discard(parcel.owner)
+        placement, placed_by = Sim3(np.eye(3), np.zeros(3), stock.map.unit), place.placed_by
+        if stock.map.frame == self.state.frame:
+            placed_by = None  # as the owner has it, whatever the seller has moved it by
+        else:
+            sent = placement if parcel.placement is None else unpack_sim3(parcel.placement)
+            placement = place.T_mine_seller @ sent
+        route = (*parcel.route, place.seller)
+        return self._take(held_of_stock(stock, placement, route, self.context.now_ns), placed_by)
+
+    def _misfit(self, seller: int, owner: int, version: int, partial: bool, reason: str) -> Effects:
         """What came makes no map: where it was only what is new, the whole is ordered next time."""
         if partial:
             self._spoilt.add(owner)
             self.stale.add(seller)
         else:
             self._rejected.add((seller, owner, version))
-        self.context.note("map_refused", seller=seller, owner=owner, reason=reason)
+        return self.context.event("map_refused", seller=seller, owner=owner, reason=reason)
 
-    def _unpack(self, parcel: Parcel, T_mine_seller: Sim3, seller: int, placed_by: MatchId | None) -> None:
-        """A copy made of patches."""
-        held, patches = self.held.get(parcel.owner), parcel.patches
-        try:
-            stock = stock_of(parcel.owner, None if held is None else held.stock, patches)
-        except ValueError as error:
-            self._misfit(seller, parcel.owner, patches[-1].edition, bool(patches[0].base), str(error))
-            return
-        self._spoilt.discard(parcel.owner)
-        placement = Sim3(np.eye(3), np.zeros(3), stock.map.unit)
-        if stock.map.frame == self.state.frame:
-            placed_by = None  # the owner's own word, whatever the seller has moved it by
-        else:
-            placement = T_mine_seller @ (placement if parcel.placement is None else unpack_sim3(parcel.placement))
-        route = (*parcel.route, seller)
-        self._take(held_of_stock(stock, placement, route, self.context.now_ns), placed_by)
-
-    def _take(self, new: MapCopy, placed_by: MatchId | None) -> None:
+    def _take(self, new: MapCopy, placed_by: MatchId | None) -> Effects:
         """Algorithm 1: update the copy or append a new one, if it passes the checks."""
         seller, owner, version = new.route[-1], new.owner, new.version
         if not self._wants(seller, Offer(owner, version, len(new.keyframes))):
-            return
+            return NOTHING
         old = self.held.get(owner)
         verdict = admit(new, old, self.state, self.held, placed_by)
         if verdict.held is None:
-            self._refuse(new, verdict.reason)
-            return
+            return self._refuse(new, verdict.reason)
         self.held[owner] = verdict.held
         known = 0 if old is None else len(old.keyframes)
-        self.context.note(
+        return self.context.event(
             "map_bought",
             seller=seller,
             owner=owner,
@@ -232,43 +243,49 @@ class MapExchange(Operation):
 
     # -- holder -------------------------------------------------------------------------------------------------------
 
-    def realign(self, adoption: Adoption) -> None:
+    def realign(self, adoption: Adoption) -> Effects:
         """Move held maps along with the agent's own correction (3.9.3, map alignment), by the key-frame that was
-        matched with the map's owner last, else with its seller, else the agent's last one; then check them."""
+        matched with the map's owner last, else with its seller, else the agent's last one; then check them. Whoever it
+        has met may have a newer map since."""
         for owner in sorted(self.held):
             held = self.held[owner]
             index = self._anchor(held, adoption)
             self.held[owner] = held.moved(self.state.pose(index) @ adoption.before[index].inverse())
-        for owner in sorted(self.held):
-            self._check(owner)
+        checked = total(self._check(owner) for owner in sorted(self.held))
+        self.stale.update(self.state.partners())
+        return checked
 
-    def final_round(self) -> None:
+    def check_at_end(self) -> Effects:
         """The last consistency check: every copy that changed since it was last told of."""
+        effects = NOTHING
         for owner in sorted(self.held):
             state = (self.held[owner].version, self.state.version)
             if self._checked.get(owner) != state:
-                self._check(owner, final=True)
+                effects += self._check(owner, final=True)
                 self._checked[owner] = state
+        return effects
 
-    def _check(self, owner: int, final: bool = False) -> None:
+    def _check(self, owner: int, final: bool = False) -> Effects:
         """The checks of 3.9.3 for a map that is held: matches that came since it was bought may tell that it is wrong.
         Told where it is given up or moved, and at the end in any case."""
         held = self.held[owner]
         verdict = recheck(held, self.state, self.held)
         if verdict.held is None:
             del self.held[owner]
-            self._refuse(held, verdict.reason)
-            return
+            return self._refuse(held, verdict.reason)
         self.held[owner] = verdict.held
-        if verdict.standing is not None and (verdict.aligned_by is not None or final):
-            self.context.note("map_checked", owner=owner, version=held.version, final=final, **verdict.remarks())
+        if verdict.standing is None or not (verdict.aligned_by is not None or final):
+            return NOTHING
+        figures = verdict.remarks()
+        return self.context.event("map_checked", owner=owner, version=held.version, final=final, **figures)
 
-    def _refuse(self, held: MapCopy, reason: str) -> None:
+    def _refuse(self, held: MapCopy, reason: str) -> Effects:
         """Not kept, and not bought again from this seller."""
         self._rejected.add((held.seller, held.owner, held.version))
         if held.seller == held.owner:
             self.context.reputation.blame(held.seller)
-        self.context.note("map_refused", seller=held.seller, owner=held.owner, version=held.version, reason=reason)
+        names = {"seller": held.seller, "owner": held.owner, "version": held.version}
+        return self.context.event("map_refused", **names, reason=reason)
 
     def _anchor(self, held: MapCopy, adoption: Adoption) -> int:
         me = self.state.me
@@ -281,16 +298,24 @@ class MapExchange(Operation):
 
     # -- seller -------------------------------------------------------------------------------------------------------
 
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
+    def announce(self, partners: list[int]) -> Effects:
+        """Tell these agents which of the maps here they do not know of."""
+        offers, effects = self.shop.offers(self.held, self.context.closing), NOTHING
+        for partner in partners:
+            new = self.announcements.news(partner, offers)
+            if new:
+                self.announcements.told(partner, new)
+                effects += self.context.tell(partner, None, MapNotice(new))
+        return effects
+
+    def bid(self, contract: Contract, call: Call) -> Answer:
         offers = self.shop.offers(self.held, self.context.closing)
         if not offers:
-            return Refusal("nothing to sell yet")
+            return Answer(Refusal("nothing to sell yet"))
         self.announcements.told(contract.manager, offers)
-        return Bid(cost_bytes=self.shop.estimate(offers, self.held), ready_ns=self.context.now_ns, offers=offers)
+        cost = self.shop.estimate(offers, self.held)
+        return Answer(Bid(cost_bytes=cost, ready_ns=self.context.now_ns, offers=offers))
 
-    def work(self, contract: Contract, task: Task) -> None:
-        if not isinstance(task, MapOrder):
-            raise WorkError("not an order for maps")
+    def work(self, contract: Contract, task: MapOrder) -> Effects:
         delivery = self.shop.delivery(contract.manager, task, self.held, self.context.closing)
-        self.context.say(contract, Confirmation())
-        self.context.say(contract, Result(delivery))
+        return self.context.send(contract, Confirmation()) + self.context.send(contract, Result(delivery))

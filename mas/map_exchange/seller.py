@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..contracts.operation import WorkError
 from ..protocol.map_messages import MapDelivery, MapOrder, Parcel, Runs, SubMap
 from ..protocol.messages import Offer
 from ..protocol.tensors import pack_sim3, pack_sim3s
@@ -69,10 +70,10 @@ class Seller:
 
     def delivery(self, buyer: int, order: MapOrder, held: Mapping[int, MapCopy], closing: bool) -> MapDelivery:
         """What was ordered, in the agent's coordinates; where the buyer has others, with what to place it by.
-        ValueError where something ordered is not here."""
+        :class:`WorkError` where something ordered is not here."""
         for owner in order.owners:
             if owner not in held and not (owner == self.state.me and self.state.placed()):
-                raise ValueError(f"no map of agent {owner} here")
+                raise WorkError(f"no map of agent {owner} here")
         maps: list[SubMap] = []
         parcels: list[Parcel] = []
         editions = order.held or (0,) * len(order.owners)

@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from ..protocol.map_messages import MapPatch
-from ..protocol.tensors import Tensor
+from ..protocol.tensors import MessageError, Tensor
 from .coding.map_delta import decode, encode
 from .coding.pose_corrections import Bound
 from .coding.quantised_map import LatticeMap
 
 
-class StaleBase(ValueError):
+class StaleBase(MessageError):
     """Patches that do not fit the copy they came for: the whole map is needed."""
 
 
@@ -42,7 +42,7 @@ class MapVersion:
 
 
 def stock_of(owner: int, known: MapVersion | None, patches: tuple[MapPatch, ...]) -> MapVersion:
-    """The stock that patches make of what was known; ValueError where they make none."""
+    """The stock that patches make of what was known; MessageError where they make none."""
     stock = known
     for patch in patches:
         stock = _applied(stock, owner, patch)
@@ -62,7 +62,7 @@ def _applied(stock: MapVersion | None, owner: int, patch: MapPatch) -> MapVersio
         new = patch.descriptors.array()
         known = np.zeros((0, 32), dtype=np.uint8) if old is None else old
         if len(known) + len(new) != len(made.depths):
-            raise ValueError(f"{len(new)} descriptors for {len(made.depths) - len(known)} points")
+            raise MessageError(f"{len(new)} descriptors for {len(made.depths) - len(known)} points")
         made = replace(made, descriptors=np.concatenate([known, new]))
     if checksum(made) != patch.check:
         raise StaleBase(f"edition {patch.edition} of agent {owner}'s map is not what its owner made")

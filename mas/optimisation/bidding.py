@@ -31,7 +31,7 @@ class BidEstimator:
             self._made = ((state.version, peer), replace(bid, cost_bytes=cost))
         return replace(self._made[1], ready_ns=now_ns + self._took_ns)
 
-    def paid(self, session: OptimisationSession) -> None:
+    def ended(self, session: OptimisationSession) -> None:
         """An optimisation came to its end."""
         self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
         self._took_ns = self.context.now_ns - session.began_ns

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from ..contracts.context import AgentContext
+from ..contracts.effects import NOTHING, Effects
 from ..protocol.ids import MatchId
 from ..state.match_audit import judged
 
 
-def hold_against(context: AgentContext, contradicted: frozenset[MatchId]) -> None:
+def hold_against(context: AgentContext, contradicted: frozenset[MatchId]) -> Effects:
     """What a whole group's matches contradict is held against who reported it to me, as long as that is so; where it
     may be one of several it is left out and held against nobody."""
     state = context.state
     reporters = sorted({m.match_agent for m in contradicted})
     before = {m.match_agent for m in state.contradicted}
     state.contradicted = contradicted if len(reporters) == 1 else frozenset()
-    if reporters:
-        context.note("contradicted", reported_by=reporters, matches=len(contradicted))
     for reporter in sorted(before | set(reporters)):
         context.reputation.judged(reporter, *judged(state, reporter))
+    if not reporters:
+        return NOTHING
+    return context.event("contradicted", reported_by=reporters, matches=len(contradicted))

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from maslam.backend.config import SolverConfig
 from maslam.backend.distributed.methods import SolverNode, node_for
 from maslam.backend.distributed.share import Share
+from maslam.backend.distributed.wire import SolverMessage
 
 from ..config import LinkConfig
 from ..contracts.contract import Contract
 from ..protocol.ids import ContractId
 from ..protocol.messages import Bid
-from ..protocol.solver_messages import SolverBody
 from ..protocol.tasks import OptimiseTask
 from .solver_retransmission import SolverLink
 
@@ -42,7 +42,7 @@ class OptimisationSession:
     contract: Contract | None = None
     unconfirmed: set[int] = field(default_factory=set)
     begun: bool = False
-    early: list[tuple[int, SolverBody]] = field(default_factory=list)
+    early: list[SolverMessage] = field(default_factory=list)
     sent_bytes: int = 0
     began_ns: int = 0
     link: SolverLink = field(default_factory=SolverLink)
@@ -60,13 +60,11 @@ class SessionHistory(dict[ContractId, OptimisationSession | None]):
 
 
 class Backoff:
-    """How often optimisations failed, and when to call for the next. ``missed``: a member has not adopted the last
-    one, or was not there."""
+    """How often optimisations failed, and when to call for the next."""
 
     def __init__(self, config: LinkConfig) -> None:
         self.config = config
         self.failures = 0
-        self.missed = False
         self.not_before_ns = 0
 
     def failed(self, now_ns: int, me: int) -> None:

@@ -23,7 +23,7 @@ from maslam.frontend.files.trajectory import Trajectory, write_tum
 
 from ..agent import Agent
 from ..config import MasConfig
-from ..contracts.context import Event
+from ..contracts.effects import Event
 from ..errors import MasError
 from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError
 from ..evaluation.summary import Summary, Timing

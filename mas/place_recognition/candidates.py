@@ -108,6 +108,10 @@ class Candidates:
             if self.candidates[match].verified:
                 self.verified.setdefault(match.match_agent, []).append(match.query)
 
+    def recall(self, keyframe: int) -> None:
+        """Others are told of an own key-frame later than it was made."""
+        self.recalled.add(keyframe)
+
     def matched(self, match: MatchId) -> None:
         """An accepted match: from now on the gap to the next verification with the other agent counts."""
         mine, other = match.end_of(self.state.me)

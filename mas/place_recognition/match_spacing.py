@@ -21,7 +21,7 @@ def worth_after(earlier: Match, latest: Match, config: OptimisationConfig) -> fl
     Matches that come as expected make the way about twice as long each time; odometry that drifts makes it shorter.
     """
     before = earlier if earlier.tracks == latest.tracks else earlier.turned()
-    query = latest.T_T_Q[:3, 3]
+    query = latest.query.T_T_C[:3, 3]
     apart = float(np.linalg.norm(before.joins() @ query - latest.joins() @ query))
     noise = latest.depth * float(np.hypot(_noise(earlier, config), _noise(latest, config)))
     return _WORTH * noise / (apart + noise)

@@ -12,30 +12,35 @@ from maslam.descriptors.errors import DescriptorError
 
 from ..contracts.context import AgentContext
 from ..contracts.contract import Contract
-from ..contracts.operation import Operation, WorkError
+from ..contracts.effects import NOTHING, Effects, total
+from ..contracts.operation import Answer, Operation, WorkError
 from ..contracts.retries import RetryBudget
 from ..policies.utility import PLACE_ANSWER_BYTES
 from ..protocol.ids import ContractId, MatchId, OperationKind
-from ..protocol.messages import Award, Bid, Call, Confirmation, Refusal, Rejection, Result
-from ..protocol.tasks import EarlierAnswer, Outcome, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect, Task
+from ..protocol.messages import Award, Bid, Call, Confirmation, Rejection, Result
+from ..protocol.tasks import EarlierAnswer, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
 from ..state.agent_state import Ownership
 from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
 from .candidates import Candidate, Candidates
 from .peer_queries import ClusterIndex, RecentQueries
 from .sent_queries import SentQueries
-from .verification import Verification, kind_of, verify, view_of
+from .verification import Verification, kind_of, match_end, verify, view_of
 
 _FARTHEST = 2.0
 
+Found = PlaceAnswer | EarlierAnswer | PlaceRedirect
 
-class PlaceRecognition(Operation):
+
+class PlaceRecognition(Operation[PlaceQuery, Found]):
     """Manager: sends the vector of one of its key-frames; contractor: answers with its own nearest key-frame and the
     distance. Where clusters of vectors have owners, the owner answers with the nearest key-frame it was asked about,
     whoever's it is.
 
     ``distances``: how near each agent's last answer came, 0 to 2.
     """
+
+    kind = OperationKind.DVPR
 
     def __init__(self, context: AgentContext, book: Candidates, verification: Verification) -> None:
         super().__init__(context)
@@ -58,53 +63,51 @@ class PlaceRecognition(Operation):
         strict = profile.strict_threshold if config.certainty == "strict" else None
         return profile.threshold if strict is None else strict
 
-    def ask(self, keyframe: int, others: Iterable[int]) -> None:
+    def ask(self, keyframe: int, others: Iterable[int]) -> Effects:
         """Ask these agents about a key-frame, after those already waiting for them; the agent itself: where it owns
         the cluster."""
         if not self.state.keyframes[keyframe].textured:
-            return
+            return NOTHING
         asked = set(others)
         self.told.remember(keyframe)
         for other in asked:
             self.told.tell(other, keyframe)
-        if self.state.me in asked:
-            self._ask_own_log(keyframe)
+        effects = self._ask_own_log(keyframe) if self.state.me in asked else NOTHING
         for other in sorted(asked - {self.state.me}):
             self._waiting.setdefault(other, deque()).append(keyframe)
-        self._next(sorted(self._waiting))
+        return effects + self._next(sorted(self._waiting))
 
-    def recall(self, wanted: Mapping[int, int]) -> None:
+    def recall(self, wanted: Mapping[int, int]) -> Effects:
         """Tell these agents of so many earlier key-frames each that they do not know, the oldest first, and only when
         no others wait for them: new ones go first."""
+        effects = NOTHING
         for other, count in sorted(wanted.items()):
             for keyframe in [] if self._waiting.get(other) else self.told.untold(other)[:count]:
-                self.book.recalled.add(keyframe)
-                self.ask(keyframe, [other])
+                self.book.recall(keyframe)
+                effects += self.ask(keyframe, [other])
+        return effects
 
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.context.now_ns)
+    def bid(self, contract: Contract, call: Call) -> Answer:
+        return Answer(Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.context.now_ns))
 
-    def on_bid(self, contract: Contract, bid: Bid) -> None:
+    def on_bid(self, contract: Contract, bid: Bid) -> Effects:
         keyframe = self._asked.get(contract.id)
         if keyframe is None:
-            self.context.say(contract, Rejection("no longer wanted"))
-            return
+            return self.context.send(contract, Rejection("no longer wanted"))
         profile = self.state.profile
         kind = PlaceQuery if profile.ownership is Ownership.NONE else OwnerQuery
         query = kind(keyframe, profile.language, self._coded(keyframe).tobytes())
-        self.context.say(contract, Award(query))
+        return self.context.send(contract, Award(query))
 
-    def work(self, contract: Contract, task: Task) -> None:
-        if not isinstance(task, PlaceQuery):
-            raise WorkError("not a place query")
+    def work(self, contract: Contract, task: PlaceQuery) -> Effects:
         vector = self._decoded(task)
+        effects = NOTHING
         if self.state.profile.ownership is Ownership.DIRECTORY:
             # Others take this agent for the directory: its own key-frames belong there too, and need no message.
-            self.recall({self.state.me: len(self.state.keyframes)})
+            effects = self.recall({self.state.me: len(self.state.keyframes)})
         respond = self._answer_as_owner if isinstance(task, OwnerQuery) else self._answer
-        answer: Outcome = respond(contract.manager, task.keyframe, vector)
-        self.context.say(contract, Confirmation())
-        self.context.say(contract, Result(answer))
+        answer = Result(respond(contract.manager, task.keyframe, vector))
+        return effects + self.context.send(contract, Confirmation()) + self.context.send(contract, answer)
 
     def _answer(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceAnswer | EarlierAnswer:
         found = self._latest.nearest(asker, keyframe, vector)
@@ -132,47 +135,53 @@ class PlaceRecognition(Operation):
         except DescriptorError as error:
             raise WorkError(str(error)) from error
 
-    def on_result(self, contract: Contract, outcome: Outcome) -> None:
-        keyframe = self._asked.get(contract.id)
-        if not isinstance(outcome, PlaceAnswer | EarlierAnswer | PlaceRedirect) or keyframe is None:
-            raise WorkError("not the answer to this query")
+    def objection(self, contract: Contract, outcome: Found) -> str:
+        if contract.id not in self._asked:
+            return "not the answer to a query"
         other = contract.contractor
-        self._consider(keyframe, other, outcome)
+        if isinstance(outcome, EarlierAnswer) and outcome.query not in self.told.to(other):
+            return f"agent {other} was not asked about key-frame {outcome.query}"
+        if isinstance(outcome, PlaceRedirect) and outcome.agent not in (None, *self.state.profile.others):
+            return f"redirected to agent {outcome.agent}, which cannot be asked"
+        return ""
+
+    def on_result(self, contract: Contract, outcome: Found) -> Effects:
+        other = contract.contractor
+        effects = self._consider(self._asked[contract.id], other, outcome)
         self.distances[other] = outcome.distance
         sure = min(self.threshold, self.state.profile.strict_threshold or self.threshold)
         if outcome.distance < sure and self.state.profile.ownership is Ownership.NONE:
-            self._catch_up(other)
+            effects += self._catch_up(other)
+        return effects
 
-    def _catch_up(self, other: int) -> None:
+    def _catch_up(self, other: int) -> Effects:
         """Where one key-frame was recognised for certain, ask about those of the latest that this agent was not asked
         about: one match may fail its verification or find no support (thesis section 4.3)."""
         newest, latest = len(self.state.keyframes) - 1, self.state.config.places.latest_frames
-        if latest > 1:
-            for keyframe in sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self.told.to(other)):
-                self.ask(keyframe, [other])
+        if latest <= 1:
+            return NOTHING
+        unasked = sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self.told.to(other))
+        return total(self.ask(keyframe, [other]) for keyframe in unasked)
 
-    def _consider(self, keyframe: int, other: int, answer: PlaceAnswer | EarlierAnswer | PlaceRedirect) -> None:
+    def _consider(self, keyframe: int, other: int, answer: Found) -> Effects:
         """Have the match that an answer names verified, if it is near enough."""
         if isinstance(answer, EarlierAnswer):
-            if answer.query not in self.told.to(other):
-                raise WorkError(f"agent {other} was not asked about key-frame {answer.query}")
             keyframe = answer.query
         elif isinstance(answer, PlaceRedirect) and answer.agent is not None:
             other = answer.agent
-            if other not in self.state.profile.others:
-                raise WorkError(f"redirected to agent {other}, which cannot be asked")
-        if answer.keyframe is not None and answer.distance < self.threshold:
-            match = MatchId(self.state.me, keyframe, other, answer.keyframe)
-            self.verification.request(Candidate(match, self.context.now_ns, answer.distance))
+        if answer.keyframe is None or answer.distance >= self.threshold:
+            return NOTHING
+        match = MatchId(self.state.me, keyframe, other, answer.keyframe)
+        return self.verification.request(Candidate(match, self.context.now_ns, answer.distance))
 
-    def _ask_own_log(self, keyframe: int) -> None:
+    def _ask_own_log(self, keyframe: int) -> Effects:
         """The agent owns the cluster of its own key-frame: no message needed. It compares what would have travelled."""
         vector = self.state.profile.coder.decode(self._coded(keyframe)[None])[0]
-        self._consider(keyframe, self.state.me, self._answer_as_owner(self.state.me, keyframe, vector))
+        return self._consider(keyframe, self.state.me, self._answer_as_owner(self.state.me, keyframe, vector))
 
-    def on_end(self, contract: Contract) -> None:
+    def on_end(self, contract: Contract) -> Effects:
         if contract.manager != self.state.me:
-            return
+            return NOTHING
         keyframe = self._asked.get(contract.id)
         if keyframe is not None:
             again = self._again.wanted(contract, keyframe)
@@ -181,39 +190,41 @@ class PlaceRecognition(Operation):
                 self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
         if not self.context.ledger.managed(contract.id):
             self._asked.pop(contract.id, None)
-        self._next([contract.contractor])
+        return self._next([contract.contractor])
 
-    def resume(self) -> None:
+    def resume(self) -> Effects:
         """Go on with agents that could not be called for a while."""
-        others = [a for a in sorted(self._waiting) if self._waiting[a]]
-        if others:
-            self._next(others)
+        return self._next([a for a in sorted(self._waiting) if self._waiting[a]])
 
-    def _next(self, others: Iterable[int]) -> None:
+    def _next(self, others: Iterable[int]) -> Effects:
         """Call those who are free: one call for all who are asked about the same key-frame."""
         busy = {c.contractor for c in self.context.ledger.running(OperationKind.DVPR) if c.manager == self.state.me}
         wanted: dict[int, list[int]] = {}
         for other in others:
             if self._waiting.get(other) and other not in busy and self.context.may_call(other):
                 wanted.setdefault(self._waiting[other].popleft(), []).append(other)
+        effects = NOTHING
         for keyframe, agents in sorted(wanted.items()):
-            identity, _ = self.context.call(OperationKind.DVPR, agents)
-            self._asked[identity] = keyframe
+            call = self.context.call(OperationKind.DVPR, agents)
+            self._asked[call.identity] = keyframe
+            effects += call.effects
+        return effects
 
     # -- own loop closures --------------------------------------------------------------------------------------------
 
-    def close_own_loop(self, keyframe: KeyFrame) -> None:
+    def close_own_loop(self, keyframe: KeyFrame) -> Effects:
         """Compare a key-frame with the agent's own much earlier ones, and verify the nearest: no message needed."""
         newest = self._newest_candidate(keyframe)
         if not keyframe.textured or not newest:
-            return
+            return NOTHING
         found = self.book.nearest(keyframe.vector, below=newest)
         if found is None or found[1] >= self.threshold:
-            return
+            return NOTHING
         me = self.state.me
         candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.context.now_ns, found[1])
-        if self.book.propose(candidate):
-            self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
+        if not self.book.propose(candidate):
+            return NOTHING
+        return self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
 
     def _newest_candidate(self, keyframe: KeyFrame) -> int:
         """How many of the first key-frames are loop candidates: those old enough, and all of earlier tracks, which
@@ -225,25 +236,12 @@ class PlaceRecognition(Operation):
         earlier_tracks = self.state.piece_of(keyframe.index).first
         return min(max(by_age, by_count, earlier_tracks), keyframe.index)
 
-    def _verify_own(self, candidate: Candidate, query: KeyFrame, match: KeyFrame) -> None:
+    def _verify_own(self, candidate: Candidate, query: KeyFrame, match: KeyFrame) -> Effects:
         verdict = verify(self.state, candidate.id, view_of(self.state, query), match)
-        reason = verdict.reason
-        good = verdict.accepted and verdict.T_M_Q is not None and verdict.information is not None
-        learned = None
-        if good and verdict.T_M_Q is not None and verdict.information is not None:
-            learned = Match(
-                candidate.id,
-                query.track,
-                match.track,
-                verdict.T_M_Q,
-                verdict.information,
-                verdict.inliers,
-                query.T_T_C,
-                match.T_T_C,
-                self.state.travelled[query.index],
-                self.state.travelled[match.index],
-                match.depth,
-            )
+        reason, learned = verdict.reason, None
+        if verdict.accepted and verdict.T_M_Q is not None and verdict.information is not None:
+            ends, information = (match_end(self.state, query), match_end(self.state, match)), verdict.information
+            learned = Match(candidate.id, *ends, verdict.T_M_Q, information, verdict.inliers, match.depth)
             if not self._plausible(learned):
                 learned, reason = None, "beyond odometry's drift"
         self.book.update(
@@ -256,14 +254,13 @@ class PlaceRecognition(Operation):
             inliers=verdict.inliers,
             rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
         )
-        if learned is not None:
-            self.verification.learn(learned)
+        return NOTHING if learned is None else self.verification.learn(learned)
 
     def _plausible(self, match: Match) -> bool:
         """Within one track the loop may not move the query farther than odometry can have drifted on the way."""
-        if match.query_track != match.match_track:
+        if match.query.track != match.match.track:
             return True
         config = self.state.config.consistency
         way = self.state.travelled[match.id.query] - self.state.travelled[match.id.match]
-        moved = match.joins() @ match.T_T_Q[:3, 3] - match.T_T_Q[:3, 3]
+        moved = match.joins() @ match.query.T_T_C[:3, 3] - match.query.T_T_C[:3, 3]
         return float(np.linalg.norm(moved)) <= config.depth_share * match.depth + config.loop_drift * way

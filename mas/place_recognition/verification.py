@@ -6,17 +6,19 @@ from collections import deque
 
 import numpy as np
 
+from maslam.backend.errors import BackendError
 from maslam.backend.relpose.point_coding import pack_points, unpack_points, worth_sending
 from maslam.backend.relpose.verification import PlaceView, Verdict, joined, promising, relative_pose
 
 from ..contracts.context import AgentContext
 from ..contracts.contract import Contract
-from ..contracts.operation import Operation, WorkError
+from ..contracts.effects import NOTHING, Effects, total
+from ..contracts.operation import Answer, Operation, WorkError
 from ..contracts.retries import RetryBudget
 from ..policies.utility import VERIFY_ANSWER_BYTES
-from ..protocol.ids import ContractId, MatchId, OperationKind
-from ..protocol.messages import Award, Bid, Call, Confirmation, GroupNotice, Refusal, Rejection, Result
-from ..protocol.tasks import Outcome, Task, VerifyAnswer, VerifyTask
+from ..protocol.ids import REASON_LENGTH, ContractId, MatchId, OperationKind
+from ..protocol.messages import Award, Bid, Call, Confirmation, GroupNotice, Rejection, Result
+from ..protocol.tasks import VerifyAnswer, VerifyTask
 from ..protocol.tensors import (
     Tensor,
     pack_information,
@@ -29,16 +31,17 @@ from ..protocol.tensors import (
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
 from ..state.match_audit import judged
-from ..state.place_match import Match
+from ..state.place_match import Match, MatchEnd
 from .candidates import Candidate, Candidates
 
-_REASON_LENGTH = 200
 # Views of which only the first points have come, at most.
 _KEPT = 256
 
 
-class Verification(Operation):
+class Verification(Operation[VerifyTask, VerifyAnswer]):
     """Manager: the agent that asked; contractor: the agent that knew the place."""
+
+    kind = OperationKind.RELPOSE
 
     def __init__(self, context: AgentContext, book: Candidates) -> None:
         super().__init__(context)
@@ -49,74 +52,30 @@ class Verification(Operation):
         self._promising: set[MatchId] = set()
         self._first: dict[MatchId, PlaceView] = {}
 
-    def request(self, candidate: Candidate) -> None:
+    # -- manager ------------------------------------------------------------------------------------------------------
+
+    def request(self, candidate: Candidate) -> Effects:
         """Have a candidate verified by the other agent, after those already waiting for it."""
-        if self.book.propose(candidate):
-            self._waiting.setdefault(candidate.id.match_agent, deque()).append(candidate.id)
-            self._next(candidate.id.match_agent)
+        if not self.book.propose(candidate):
+            return NOTHING
+        self._waiting.setdefault(candidate.id.match_agent, deque()).append(candidate.id)
+        return self._next(candidate.id.match_agent)
 
-    def bid(self, contract: Contract, call: Call) -> Bid | Refusal:
-        return Bid(cost_bytes=VERIFY_ANSWER_BYTES, ready_ns=self.context.now_ns)
-
-    def on_bid(self, contract: Contract, bid: Bid) -> None:
+    def on_bid(self, contract: Contract, bid: Bid) -> Effects:
         match = self._running.get(contract.id)
         if match is None:
-            self.context.say(contract, Rejection("no longer wanted"))
-            return
-        self.context.say(contract, Award(_task(self.state, match, rest=match in self._promising)))
+            return self.context.send(contract, Rejection("no longer wanted"))
+        return self.context.send(contract, Award(_task(self.state, match, rest=match in self._promising)))
 
-    def work(self, contract: Contract, task: Task) -> None:
-        if not isinstance(task, VerifyTask) or task.match.query_agent != contract.manager:
-            raise WorkError("not a verification of the manager's own key-frame")
-        if task.match.match_agent != self.state.me or task.match.match >= len(self.state.keyframes):
-            raise WorkError("no such key-frame")
-        if task.metric != self.state.profile.metric:
-            raise WorkError("one scale is metric, the other arbitrary")
-        query = self._view_of(task)
-        self.context.say(contract, Confirmation())
-        mine = self.state.keyframes[task.match.match]
-        verdict = verify(self.state, task.match, query, mine, bool(task.more))
-        answer = _answer(self.state, task, mine, verdict)
-        if answer.wants_more:
-            self._first[task.match] = query
-        self.context.say(contract, Result(answer))
-        if verdict.accepted:
-            assert verdict.T_M_Q is not None and answer.information is not None
-            # The information as it travels, so that both owners weigh the match alike.
-            match = Match(
-                task.match,
-                task.track,
-                mine.track,
-                verdict.T_M_Q,
-                unpack_information(answer.information),
-                verdict.inliers,
-                unpack_poses(task.T_T_Q.array()),
-                mine.T_T_C,
-                task.way,
-                self.state.travelled[mine.index],
-                mine.depth,
-            )
-            self.learn(match)
+    def objection(self, contract: Contract, outcome: VerifyAnswer) -> str:
+        return "" if outcome.match == self._running.get(contract.id) else "not the answer to this verification"
 
-    def _view_of(self, task: VerifyTask) -> PlaceView:
-        """What has come of the query's view by now; first points that no rest followed are forgotten in the end."""
-        if not task.rest:
-            while len(self._first) >= _KEPT:
-                del self._first[next(iter(self._first))]
-            return _view_of_task(task)
-        first = self._first.pop(task.match, None)
-        if first is None:
-            raise WorkError("the first points of this view are not here")
-        return joined(first, _view_of_task(task))
-
-    def on_result(self, contract: Contract, outcome: Outcome) -> None:
-        match_id = self._running.get(contract.id)
-        if not isinstance(outcome, VerifyAnswer) or match_id is None or outcome.match != match_id:
-            raise WorkError("not the answer to this verification")
+    def on_result(self, contract: Contract, outcome: VerifyAnswer) -> Effects:
+        match_id = outcome.match
         if outcome.wants_more and match_id not in self._promising:
             self._promising.add(match_id)
             self._waiting.setdefault(match_id.match_agent, deque()).appendleft(match_id)
-            return
+            return NOTHING
         transform = None if outcome.T_M_Q is None else unpack_sim3(outcome.T_M_Q)
         self.book.update(
             match_id,
@@ -128,66 +87,117 @@ class Verification(Operation):
             inliers=outcome.inliers,
             rmse=outcome.rmse,
         )
-        if outcome.accepted and transform is not None and outcome.information is not None:
-            mine = self.state.keyframes[match_id.query]
-            match = Match(
-                match_id,
-                mine.track,
-                outcome.track,
-                transform,
-                unpack_information(outcome.information),
-                outcome.inliers,
-                mine.T_T_C,
-                unpack_poses(outcome.T_T_M.array()),
-                self.state.travelled[mine.index],
-                outcome.way,
-                outcome.depth,
-            )
-            self.learn(match)
+        if not outcome.accepted or transform is None or outcome.information is None:
+            return NOTHING
+        query = match_end(self.state, self.state.keyframes[match_id.query])
+        match = MatchEnd(outcome.track, unpack_poses(outcome.T_T_M.array()), outcome.way)
+        information = unpack_information(outcome.information)
+        return self.learn(Match(match_id, query, match, transform, information, outcome.inliers, outcome.depth))
 
-    def on_end(self, contract: Contract) -> None:
+    def on_end(self, contract: Contract) -> Effects:
         match = self._running.pop(contract.id, None) if contract.manager == self.state.me else None
         if match is None:
-            return
+            return NOTHING
         again = match in self._waiting.get(match.match_agent, ())
         if self._again.wanted(contract, match) and not again:
             self._waiting.setdefault(contract.contractor, deque()).append(match)
         elif not again and not self.book.candidates[match].detail:
             self.book.update(match, reason="not verified", detail=f"contract {contract.state}: {contract.reason}")
-        self._next(contract.contractor)
+        return self._next(contract.contractor)
 
-    def learn(self, match: Match) -> None:
-        """Take in a verified match; accepted ones join their agents in a group, and the group hears of it."""
+    def resume(self) -> Effects:
+        """Go on with agents that could not be called for a while."""
+        return total(self._next(other) for other in sorted(self._waiting))
+
+    def _next(self, other: int) -> Effects:
+        waiting = self._waiting.get(other)
+        if not waiting or not self.context.may_call(other):
+            return NOTHING
+        call = self.context.call(OperationKind.RELPOSE, [other])
+        if call.contractors:
+            self._running[call.identity] = waiting.popleft()
+        return call.effects
+
+    # -- contractor ---------------------------------------------------------------------------------------------------
+
+    def bid(self, contract: Contract, call: Call) -> Answer:
+        return Answer(Bid(cost_bytes=VERIFY_ANSWER_BYTES, ready_ns=self.context.now_ns))
+
+    def work(self, contract: Contract, task: VerifyTask) -> Effects:
+        if task.match.query_agent != contract.manager:
+            raise WorkError("not a verification of the manager's own key-frame")
+        if task.match.match_agent != self.state.me or task.match.match >= len(self.state.keyframes):
+            raise WorkError("no such key-frame")
+        if task.metric != self.state.profile.metric:
+            raise WorkError("one scale is metric, the other arbitrary")
+        mine = self.state.keyframes[task.match.match]
+        try:
+            query = self._view_of(task)
+            verdict = verify(self.state, task.match, query, mine, bool(task.more))
+        except BackendError as error:
+            raise WorkError(f"views that cannot be compared: {error}") from error
+        answer = _answer(self.state, task, mine, verdict)
+        self._keep(task, query if answer.wants_more else None)
+        effects = self.context.send(contract, Confirmation()) + self.context.send(contract, Result(answer))
+        if not verdict.accepted or verdict.T_M_Q is None or answer.information is None:
+            return effects
+        asked = MatchEnd(task.track, unpack_poses(task.T_T_Q.array()), task.way)
+        known = match_end(self.state, mine)
+        # The information as it travels, so that both owners weigh the match alike.
+        information = unpack_information(answer.information)
+        match = Match(task.match, asked, known, verdict.T_M_Q, information, verdict.inliers, mine.depth)
+        return effects + self.learn(match)
+
+    def _view_of(self, task: VerifyTask) -> PlaceView:
+        """What has come of the query's view by now."""
+        view = _view_of_task(task)
+        if not task.rest:
+            return view
+        first = self._first.get(task.match)
+        if first is None:
+            raise WorkError("the first points of this view are not here")
+        if _width(first) != _width(view):
+            raise WorkError("the first points of this view were described otherwise")
+        return joined(first, view)
+
+    def _keep(self, task: VerifyTask, first: PlaceView | None) -> None:
+        """First points that no rest followed are forgotten in the end."""
+        if task.rest:
+            self._first.pop(task.match, None)
+        else:
+            while len(self._first) >= _KEPT:
+                del self._first[next(iter(self._first))]
+        if first is not None:
+            self._first[task.match] = first
+
+    # -- both ---------------------------------------------------------------------------------------------------------
+
+    def learn(self, match: Match) -> Effects:
+        """Take in a verified match; accepted ones join their agents in a group, and the group is told of it."""
         accepted_now = self.state.add_match(match)
         for other in set(match.id.agents) - {self.state.me}:
             self.context.reputation.judged(other, *judged(self.state, other))
+        effects = NOTHING
         for accepted in accepted_now:
             self.book.matched(accepted)
-            self.context.note("match", match=str(accepted), inliers=self.state.verified[accepted].inliers)
+            effects += self.context.event("match", match=str(accepted), inliers=self.state.verified[accepted].inliers)
             if self.state.join(accepted.agents):
-                tell_group(self.context)
-
-    def resume(self) -> None:
-        """Go on with agents that could not be called for a while."""
-        for other in sorted(self._waiting):
-            self._next(other)
-
-    def _next(self, other: int) -> None:
-        waiting = self._waiting.get(other)
-        if not waiting or not self.context.may_call(other):
-            return
-        identity, called = self.context.call(OperationKind.RELPOSE, [other])
-        if called:
-            self._running[identity] = waiting.popleft()
+                effects += tell_group(self.context)
+        return effects
 
 
-def tell_group(context: AgentContext) -> None:
-    """Tell the group's other members who is in it, after it grew; they pass it on as far as it is news to them."""
+def tell_group(context: AgentContext) -> Effects:
+    """Tell the group's other members who is in it, after it grew; they pass it on as far as it is new to them."""
     members = tuple(sorted(context.state.group))
-    context.note("group", members=list(members))
-    for member in members:
-        if member != context.me:
-            context.tell(member, None, GroupNotice(members))
+    others = [member for member in members if member != context.me]
+    return context.event("group", members=list(members)) + total(
+        context.tell(member, None, GroupNotice(members)) for member in others
+    )
+
+
+def match_end(state: AgentState, keyframe: KeyFrame) -> MatchEnd:
+    """This agent's end of a match."""
+    return MatchEnd(keyframe.track, keyframe.T_T_C, state.travelled[keyframe.index])
 
 
 def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame, first: bool = False) -> Verdict:
@@ -221,8 +231,8 @@ def _task(state: AgentState, match: MatchId, rest: bool) -> VerifyTask:
     keyframe, places = state.keyframes[match.query], state.config.places
     points = keyframe.points_C.astype(np.float64)
     # No grid holds what lies behind the camera, and no camera saw it there.
-    before = np.flatnonzero(points[:, 2] > 0)
-    rows = before[worth_sending(points[before], keyframe.descriptors[before], places.max_points)]
+    in_front = np.flatnonzero(points[:, 2] > 0)
+    rows = in_front[worth_sending(points[in_front], keyframe.descriptors[in_front], places.max_points)]
     first = min(places.first_points, len(rows)) if places.first_points else len(rows)
     sent = rows[first:] if rest else rows[:first]
     words = places.features == "words"
@@ -254,12 +264,17 @@ def _view_of_task(task: VerifyTask) -> PlaceView:
     return PlaceView(points, descriptors=task.descriptors.array(), metric=task.metric)
 
 
+def _width(view: PlaceView) -> int:
+    """Bytes of a point's descriptor, 0 where it has a word."""
+    return 0 if view.descriptors is None else int(view.descriptors.shape[1])
+
+
 def _answer(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verdict) -> VerifyAnswer:
     good = verdict.accepted
     return VerifyAnswer(
         match=task.match,
         accepted=good,
-        reason=verdict.reason[:_REASON_LENGTH],
+        reason=verdict.reason[:REASON_LENGTH],
         matches=verdict.matches,
         inliers=verdict.inliers,
         rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,

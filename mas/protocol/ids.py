@@ -15,7 +15,8 @@ AgentId = Annotated[int, msgspec.Meta(ge=0, lt=MAX_AGENTS)]
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 Language = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 Stamp = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
-Reason = Annotated[str, msgspec.Meta(max_length=200)]
+REASON_LENGTH = 200
+Reason = Annotated[str, msgspec.Meta(max_length=REASON_LENGTH)]
 Members = Annotated[tuple[AgentId, ...], msgspec.Meta(max_length=MAX_AGENTS)]
 
 

@@ -3,35 +3,37 @@ in."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from .ids import MAX_AGENTS, AgentId, FrameId, Index, MatchId, Members
-from .tensors import MAX_SCALE, Tensor, check, check_points, check_poses, check_sim3, check_sim3s
+from .accounting import Counted
+from .ids import MAX_AGENTS, AgentId, FrameId, Index, MatchId, Members, OperationKind
+from .tensors import MessageError, Tensor, Unit, check, check_points, check_poses, check_sim3, check_sim3s
 
-Unit = Annotated[float, msgspec.Meta(ge=1.0 / MAX_SCALE, le=MAX_SCALE)]
 Runs = Annotated[tuple[Index, ...], msgspec.Meta(max_length=8192)]
 """Ascending key-frame indices, as first and count of each run without a gap."""
 _MOST_KEYFRAMES = 1_000_000
 
 
 def indices_of(runs: Runs) -> NDArray[np.int64]:
-    """The indices that runs stand for; ValueError where they are none."""
+    """The indices that runs stand for; :class:`MessageError` where they are none."""
     pairs = np.array(runs, dtype=np.int64).reshape(-1, 2) if len(runs) % 2 == 0 else None
     if pairs is None or (pairs[:, 1] < 1).any() or (pairs[1:, 0] <= pairs[:-1].sum(axis=1)).any():
-        raise ValueError(f"runs of key-frames: {runs[:6]} are not ascending pairs of first and count")
+        raise MessageError(f"runs of key-frames: {runs[:6]} are not ascending pairs of first and count")
     if pairs[:, 1].sum() > _MOST_KEYFRAMES:
-        raise ValueError(f"runs of key-frames: more than {_MOST_KEYFRAMES} of them")
+        raise MessageError(f"runs of key-frames: more than {_MOST_KEYFRAMES} of them")
     return np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(a, a + n) for a, n in pairs.tolist())])
 
 
-class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
+class MapOrder(Counted, frozen=True, array_like=True, tag=4):
     """Deliver the maps of these owners, as they stood in the bid. ``held``: which edition of each the buyer has, 0 for
     none, so that only what is new need come (empty: none of any); ``frame``: the buyer's coordinates; ``known``: in
     the thesis's form, the key-frames of each map that the buyer has, of whatever version (empty: none of any)."""
+
+    belongs_to: ClassVar[OperationKind | None] = OperationKind.MAPMERGE
 
     owners: Members
     held: Annotated[tuple[Index, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
@@ -40,9 +42,9 @@ class MapOrder(msgspec.Struct, frozen=True, array_like=True, tag=4):
 
     def __post_init__(self) -> None:
         if self.held and len(self.held) != len(self.owners):
-            raise ValueError(f"held: {len(self.held)} editions for {len(self.owners)} owners")
+            raise MessageError(f"held: {len(self.held)} editions for {len(self.owners)} owners")
         if self.known and len(self.known) != len(self.owners):
-            raise ValueError(f"known: key-frames of {len(self.known)} maps for {len(self.owners)} owners")
+            raise MessageError(f"known: key-frames of {len(self.known)} maps for {len(self.owners)} owners")
         for runs in self.known:
             indices_of(runs)
 
@@ -81,18 +83,18 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
         check_points("points", self.points, len(references))
         check("descriptors", self.descriptors, "|u1", (len(references), 32))
         if len(references) and (references.min() < 0 or references.max() >= k):
-            raise ValueError(f"references: a point refers to a key-frame beyond the {k} there are")
+            raise MessageError(f"references: a point refers to a key-frame beyond the {k} there are")
         if k and (np.diff(self.keyframes.array()) <= 0).any():
-            raise ValueError("keyframes: not ascending")
+            raise MessageError("keyframes: not ascending")
         check_sim3s("transforms", self.transforms, len(self.matches))
         self._check_known(references)
 
     def _check_known(self, references: NDArray[Any]) -> None:
         known = np.isin(self.keyframes.array(), indices := indices_of(self.known))
         if known.sum() != len(indices):
-            raise ValueError("known: a key-frame that is not in the map")
+            raise MessageError("known: a key-frame that is not in the map")
         if known[references].any():
-            raise ValueError("known: a key-frame whose points are there")
+            raise MessageError("known: a key-frame whose points are there")
 
     @property
     def payload_bytes(self) -> int:
@@ -124,7 +126,7 @@ class MapPatch(msgspec.Struct, frozen=True, array_like=True):
 
     def __post_init__(self) -> None:
         if self.base >= self.edition:
-            raise ValueError(f"edition {self.edition} made of edition {self.base}")
+            raise MessageError(f"edition {self.edition} made of edition {self.base}")
         if self.descriptors is not None:
             check("descriptors", self.descriptors, "|u1", (None, 32))
 
@@ -153,10 +155,12 @@ class Parcel(msgspec.Struct, frozen=True, array_like=True):
         return sum(p.payload_bytes for p in self.patches) + (self.placement.nbytes if self.placement is not None else 0)
 
 
-class MapDelivery(msgspec.Struct, frozen=True, array_like=True, tag=4):
+class MapDelivery(Counted, frozen=True, array_like=True, tag=4):
     """The maps ordered, all in the seller's coordinates ``frame``; ``ties``: the seller's key-frames that it has
     accepted matches with the buyer for, and ``tie_poses`` ``(n, 8)``: where they stand there, Sim(3), so that a buyer
     with other coordinates can place the maps."""
+
+    belongs_to: ClassVar[OperationKind | None] = OperationKind.MAPMERGE
 
     frame: FrameId
     ties: Annotated[tuple[Index, ...], msgspec.Meta(max_length=100_000)]

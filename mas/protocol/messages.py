@@ -1,4 +1,4 @@
-"""Every word between agents: typed, versioned, bounded, checked when it comes in. Nothing else travels.
+"""Every message between agents: typed, versioned, bounded, checked when it comes in. Nothing else travels.
 
 A :class:`Message` is a header and one body. Bodies are the contract net's (Smith 1980, thesis sections 2.1.6 and 3.8;
 with confirmation: 2.2.5) and, while an optimisation runs, those of the solver in
@@ -8,14 +8,15 @@ outcome): no work exists without its contract.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import msgspec
 
+from .accounting import Counted, Traffic
 from .ids import MAX_AGENTS, AgentId, ContractId, FrameId, Index, MatchId, Members, OperationKind, Reason, Stamp
 from .solver_messages import SolverBody
 from .tasks import Outcome, Task
-from .tensors import MessageError, Tensor, check_sim3s, pack_sim3s
+from .tensors import MessageError, Tensor, Unit, check_sim3s, pack_sim3s
 
 VERSION = 4
 LINK_DTYPE = "<f4"
@@ -42,7 +43,7 @@ class Links(msgspec.Struct, frozen=True, array_like=True):
     def __post_init__(self) -> None:
         n = len(self.matches)
         if not n == len(self.tracks) == len(self.frames) == len(self.query):
-            raise ValueError(f"links: {n} matches with other numbers of tracks, frames and ends")
+            raise MessageError(f"links: {n} matches with other numbers of tracks, frames and ends")
         check_sim3s("poses", self.poses, n, LINK_DTYPE)
         check_sim3s("transforms", self.transforms, sum(self.query), LINK_DTYPE)
 
@@ -52,7 +53,7 @@ class PieceTerms(msgspec.Struct, frozen=True, array_like=True):
 
     track: Index
     frame: FrameId
-    unit: Annotated[float, msgspec.Meta(gt=0)]
+    unit: Unit
 
 
 class Offer(msgspec.Struct, frozen=True, array_like=True):
@@ -66,7 +67,7 @@ class Offer(msgspec.Struct, frozen=True, array_like=True):
 # -- bodies -----------------------------------------------------------------------------------------------------------
 
 
-class Call(msgspec.Struct, frozen=True, array_like=True, tag=1):
+class Call(Counted, frozen=True, array_like=True, tag=1):
     """Call for proposals: manager to possible contractors. ``members``: who is asked, where that matters."""
 
     operation: OperationKind
@@ -74,7 +75,7 @@ class Call(msgspec.Struct, frozen=True, array_like=True, tag=1):
     members: Members = ()
 
 
-class Bid(msgspec.Struct, frozen=True, array_like=True, tag=2):
+class Bid(Counted, frozen=True, array_like=True, tag=2):
     """I can do it: ``cost_bytes`` that the result will take (estimate), by ``ready_ns``; with the state the operation
     needs: ``links`` and ``pieces`` (optimisation), ``offers`` (maps). ``peer_to_peer``: an optimisation of two, with
     the manager alone; the links are those with it."""
@@ -86,58 +87,92 @@ class Bid(msgspec.Struct, frozen=True, array_like=True, tag=2):
     offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
     peer_to_peer: bool = False
 
+    def __post_init__(self) -> None:
+        pieces = {p.track: p.frame for p in self.pieces}
+        links = self.links or Links()
+        if len(pieces) != len(self.pieces):
+            raise MessageError("pieces: a track that comes twice")
+        if any(pieces.get(t) != f for t, f in zip(links.tracks, links.frames, strict=True)):
+            raise MessageError("links: of a track that is no piece, or in other coordinates than it")
 
-class Refusal(msgspec.Struct, frozen=True, array_like=True, tag=3):
+
+class Refusal(Counted, frozen=True, array_like=True, tag=3):
     """I do not bid."""
 
     reason: Reason
 
 
-class Award(msgspec.Struct, frozen=True, array_like=True, tag=4):
+class Award(Counted, frozen=True, array_like=True, tag=4):
     """The bid is taken; here is the task."""
 
     task: Task
 
+    @property
+    def traffic(self) -> Traffic:
+        return self.task.traffic
 
-class Rejection(msgspec.Struct, frozen=True, array_like=True, tag=5):
+    @property
+    def kind(self) -> str:
+        return self.task.kind
+
+    @property
+    def payload_bytes(self) -> int:
+        return self.task.payload_bytes
+
+
+class Rejection(Counted, frozen=True, array_like=True, tag=5):
     """The bid is not taken."""
 
     reason: Reason
 
 
-class Confirmation(msgspec.Struct, frozen=True, array_like=True, tag=6):
+class Confirmation(Counted, frozen=True, array_like=True, tag=6):
     """The contractor commits itself, only now (contract net with confirmation)."""
 
 
-class Result(msgspec.Struct, frozen=True, array_like=True, tag=7):
+class Result(Counted, frozen=True, array_like=True, tag=7):
     """The work is done."""
 
     outcome: Outcome
 
+    @property
+    def traffic(self) -> Traffic:
+        return self.outcome.traffic
 
-class Failure(msgspec.Struct, frozen=True, array_like=True, tag=8):
+    @property
+    def kind(self) -> str:
+        return self.outcome.kind
+
+    @property
+    def payload_bytes(self) -> int:
+        return self.outcome.payload_bytes
+
+
+class Failure(Counted, frozen=True, array_like=True, tag=8):
     """The contractor cannot do the work it was awarded."""
 
     reason: Reason
 
 
-class Cancel(msgspec.Struct, frozen=True, array_like=True, tag=9):
+class Cancel(Counted, frozen=True, array_like=True, tag=9):
     """The manager withdraws the contract."""
 
     reason: Reason
 
 
-class Begin(msgspec.Struct, frozen=True, array_like=True, tag=10):
+class Begin(Counted, frozen=True, array_like=True, tag=10):
     """All members have confirmed: the optimisation starts."""
 
+    belongs_to: ClassVar[OperationKind | None] = OperationKind.DOPT
 
-class GroupNotice(msgspec.Struct, frozen=True, array_like=True, tag=11):
+
+class GroupNotice(Counted, frozen=True, array_like=True, tag=11):
     """These agents are joined by place matches, directly or through others, as far as I know."""
 
     members: Members
 
 
-class MapNotice(msgspec.Struct, frozen=True, array_like=True, tag=12):
+class MapNotice(Counted, frozen=True, array_like=True, tag=12):
     """These maps are new here, and may be bought."""
 
     offers: Annotated[tuple[Offer, ...], msgspec.Meta(max_length=MAX_AGENTS)]
@@ -158,7 +193,7 @@ class Message(msgspec.Struct, frozen=True, array_like=True):
 
     def __post_init__(self) -> None:
         if self.version != VERSION:
-            raise ValueError(f"version {self.version} of the protocol, expected {VERSION}")
+            raise MessageError(f"version {self.version} of the protocol, expected {VERSION}")
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -176,5 +211,8 @@ def decode(data: bytes, max_bytes: int) -> Message:
         raise MessageError(f"message of {len(data)} bytes, at most {max_bytes} are taken")
     try:
         return _decoder.decode(data)
-    except (msgspec.MsgspecError, ValueError, UnicodeDecodeError, OverflowError) as error:
+    except (msgspec.MsgspecError, MessageError, UnicodeDecodeError) as error:
+        # msgspec takes a check's ValueError or TypeError for bad data. Checks raise MessageError: it is our own.
+        if isinstance(error.__cause__, ValueError | TypeError):
+            raise error.__cause__ from None
         raise MessageError(f"message of {len(data)} bytes cannot be read: {error}") from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -17,7 +17,9 @@ Shape = tuple[int | None, ...]
 
 
 class MessageError(MasError):
-    """A message that cannot be believed: too long, of the wrong type, or with values that make no sense."""
+    """A message that cannot be believed: too long, of the wrong type, or with values that make no sense.
+
+    Decoding raises it for a peer's; where an agent makes such a message itself, that is its own mistake."""
 
 
 class Tensor(msgspec.Struct, frozen=True, array_like=True):
@@ -43,22 +45,21 @@ class Tensor(msgspec.Struct, frozen=True, array_like=True):
 
 def check(name: str, tensor: Tensor, dtype: str, shape: Shape, finite: bool = True) -> NDArray[Any]:
     """The array in ``tensor`` if it is what it must be: ``dtype``, ``shape`` (None: any length), as many bytes as that
-    takes, all values finite (unless they need not be). Else ValueError, which decoding turns into a
-    :class:`MessageError`."""
+    takes, all values finite (unless they need not be). Else :class:`MessageError`."""
     if tensor.dtype != dtype:
-        raise ValueError(f"{name}: dtype {tensor.dtype!r}, expected {dtype!r}")
+        raise MessageError(f"{name}: dtype {tensor.dtype!r}, expected {dtype!r}")
     if len(tensor.shape) != len(shape) or any(
         n < 0 or (want is not None and n != want) for n, want in zip(tensor.shape, shape, strict=True)
     ):
-        raise ValueError(f"{name}: shape {tensor.shape}, expected {tuple('n' if s is None else s for s in shape)}")
+        raise MessageError(f"{name}: shape {tensor.shape}, expected {tuple('n' if s is None else s for s in shape)}")
     count = 1
     for n in tensor.shape:
         count *= n
     if count * np.dtype(dtype).itemsize != len(tensor.data):
-        raise ValueError(f"{name}: {len(tensor.data)} bytes do not fill shape {tensor.shape} of {dtype}")
+        raise MessageError(f"{name}: {len(tensor.data)} bytes do not fill shape {tensor.shape} of {dtype}")
     values = tensor.array()
     if finite and dtype[1] == "f" and not np.isfinite(values).all():
-        raise ValueError(f"{name}: NaN or infinity")
+        raise MessageError(f"{name}: NaN or infinity")
     return values
 
 
@@ -66,6 +67,10 @@ POSE_WIDTH = 7
 SIM3_WIDTH = 8
 MAX_TRANSLATION = 1e9
 MAX_SCALE = 1e6
+Unit = Annotated[float, msgspec.Meta(ge=1.0 / MAX_SCALE, le=MAX_SCALE)]
+"""What one unit of length is worth in another."""
+Length = Annotated[float, msgspec.Meta(ge=0, le=MAX_TRANSLATION)]
+Depth = Annotated[float, msgspec.Meta(ge=1.0 / MAX_TRANSLATION, le=MAX_TRANSLATION)]
 
 
 def pack_poses(poses: ArrayLike, dtype: str = "<f8") -> Tensor:
@@ -81,7 +86,7 @@ def unpack_poses(rows: NDArray[Any]) -> NDArray[np.float64]:
     rotations = rotation_from_quat_wxyz(values[..., 3:]) if values.size else np.zeros((*values.shape[:-1], 3, 3))
     poses = se3(rotations, values[..., :3])
     if not is_se3(poses):
-        raise ValueError("a row of poses is not a rigid transform")
+        raise MessageError("a row of poses is not a rigid transform")
     return poses
 
 
@@ -89,7 +94,7 @@ def check_points(name: str, tensor: Tensor, count: int | None) -> int:
     """``(count, 3)`` float32 positions of a size that geometry can bear; returns how many."""
     points = check(name, tensor, "<f4", (count, 3))
     if len(points) and np.abs(points).max() > MAX_TRANSLATION:
-        raise ValueError(f"{name}: a point is farther than {MAX_TRANSLATION:.0e} away")
+        raise MessageError(f"{name}: a point is farther than {MAX_TRANSLATION:.0e} away")
     return len(points)
 
 
@@ -97,9 +102,9 @@ def check_poses(name: str, tensor: Tensor, dtype: str, shape: Shape) -> None:
     """Rows as :func:`pack_poses` makes them: unit quaternions, positions of a size that geometry can bear."""
     rows = check(name, tensor, dtype, (*shape, POSE_WIDTH))
     if rows.size and np.abs(rows).max() > MAX_TRANSLATION:
-        raise ValueError(f"{name}: a position is farther than {MAX_TRANSLATION:.0e} away")
+        raise MessageError(f"{name}: a position is farther than {MAX_TRANSLATION:.0e} away")
     if rows.size and np.abs(np.linalg.norm(rows[..., 3:].astype(np.float64), axis=-1) - 1.0).max() > 1e-3:
-        raise ValueError(f"{name}: a quaternion's length is not 1")
+        raise MessageError(f"{name}: a quaternion's length is not 1")
 
 
 def pack_sim3s(transforms: Sequence[Sim3], dtype: str = "<f8") -> Tensor:
@@ -127,9 +132,9 @@ def check_sim3s(name: str, tensor: Tensor, count: int, dtype: str = "<f8") -> No
     if not count:
         return
     if np.abs(rows).max() > MAX_TRANSLATION or rows[:, 7].max() > MAX_SCALE or rows[:, 7].min() * MAX_SCALE < 1.0:
-        raise ValueError(f"{name}: a scale or position is out of range")
+        raise MessageError(f"{name}: a scale or position is out of range")
     if np.abs(np.linalg.norm(rows[:, 3:7], axis=1) - 1.0).max() > 1e-3:
-        raise ValueError(f"{name}: a quaternion's length is not 1")
+        raise MessageError(f"{name}: a quaternion's length is not 1")
 
 
 def pack_sim3(transform: Sim3) -> Tensor:

@@ -69,6 +69,11 @@ class Profile:
             raise MasError(f"agent {self.me}: centres are for owners of clusters, not for ownership {self.ownership}")
 
     @cached_property
+    def everyone(self) -> frozenset[int]:
+        """The agent and all others."""
+        return frozenset({self.me, *self.others})
+
+    @cached_property
     def language(self) -> int:
         """What goes with every place query for its model and code: 32 bits of a hash of both."""
         return int.from_bytes(hashlib.sha256(f"{self.model} {self.coder.key}".encode()).digest()[:4], "big")

@@ -22,52 +22,51 @@ class Fate(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
+class MatchEnd:
+    """One end of a match: its agent's ``track``, the camera in it by odometry ``T_T_C`` ``(4, 4)``, in that agent's own
+    unit, and ``way``: how far the agent had travelled by then, same unit."""
+
+    track: int
+    T_T_C: Array
+    way: float
+
+
+@dataclass(frozen=True, eq=False)
 class Match:
     """A geometrically verified place match, own loops included (then both agents are the same).
 
-    ``T_M_Q``: query camera in match camera, in M's unit; ``T_T_Q``, ``T_T_M`` ``(4, 4)``: the two cameras by odometry
-    in their tracks, each in its own unit; ``way_Q``, ``way_M``: how far the two agents had
-    travelled by then; ``depth``: median depth at M, M's unit; ``information`` ``(6, 6)`` of
-    ``T_M_Q``.
+    ``T_M_Q``: query camera in match camera, in M's unit; ``information`` ``(6, 6)`` of it; ``inliers`` of the
+    verification; ``depth``: median depth at M, M's unit.
     """
 
     id: MatchId
-    query_track: int
-    match_track: int
+    query: MatchEnd
+    match: MatchEnd
     T_M_Q: Sim3
     information: Array
     inliers: int
-    T_T_Q: Array
-    T_T_M: Array
-    way_Q: float
-    way_M: float
     depth: float
 
     @property
     def tracks(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """``(agent, track)`` of the match and of the query."""
-        return (self.id.match_agent, self.match_track), (self.id.query_agent, self.query_track)
+        return (self.id.match_agent, self.match.track), (self.id.query_agent, self.query.track)
 
     def joins(self) -> Sim3:
         """``T_M-track_Q-track``: how the query's track stands in the match's, by this match and both odometries."""
-        return Sim3.from_se3(self.T_T_M) @ self.T_M_Q @ Sim3.from_se3(self.T_T_Q).inverse()
+        return Sim3.from_se3(self.match.T_T_C) @ self.T_M_Q @ Sim3.from_se3(self.query.T_T_C).inverse()
 
     def turned(self) -> Match:
         """The same place seen from the other side: query and match swapped; depth and information are kept for
         comparing only."""
         i = self.id
         back = self.T_M_Q.inverse()
-        swapped = MatchId(i.match_agent, i.match, i.query_agent, i.query)
         return replace(
             self,
-            id=swapped,
-            query_track=self.match_track,
-            match_track=self.query_track,
+            id=MatchId(i.match_agent, i.match, i.query_agent, i.query),
+            query=self.match,
+            match=self.query,
             T_M_Q=back,
-            T_T_Q=self.T_T_M,
-            T_T_M=self.T_T_Q,
-            way_Q=self.way_M,
-            way_M=self.way_Q,
             depth=self.depth * back.scale,
         )
 
@@ -98,8 +97,8 @@ class Agreement:
         upright = match if match.tracks[0] <= match.tracks[1] else match.turned()
         self.ids.append(match.id)
         self._joins.append(upright.joins())
-        self._queries.append(upright.T_T_Q[:3, 3])
-        self._figures.append((upright.way_M, upright.way_Q, upright.depth))
+        self._queries.append(upright.query.T_T_C[:3, 3])
+        self._figures.append((upright.match.way, upright.query.way, upright.depth))
         n = len(self.ids)
         grown = np.ones((n, n), dtype=bool)
         grown[:-1, :-1] = self._ok

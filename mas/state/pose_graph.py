@@ -11,12 +11,17 @@ from maslam.backend.geometry import Array, Sim3, se3_inverse
 from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
 
 from ..config import OptimisationConfig
+from ..errors import MasError
 from ..protocol.ids import MatchId
 from ..protocol.messages import LINK_DTYPE, Bid, Links, PieceTerms
 from ..protocol.tasks import OptimiseTask
-from ..protocol.tensors import pack_sim3s, unpack_sim3s
+from ..protocol.tensors import MAX_SCALE, MAX_TRANSLATION, pack_sim3s, unpack_sim3s
 from .agent_state import AgentState, Piece, stretched
 from .place_match import Match
+
+
+class UnknownPart(MasError):
+    """A task names a track or match that the agent does not have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +73,11 @@ def _links(state: AgentState, tracks: set[int], matches: list[MatchId]) -> Links
 
 
 def share_of(state: AgentState, task: OptimiseTask) -> Share:
-    """The agent's part of the group's graph, in its own unit of length; ValueError if the task names what it has
-    not."""
+    """The agent's part of the group's graph, in its own unit of length; :class:`UnknownPart` if the task names what it
+    does not have."""
+    strange = set(task.tracks) - {p.track for p in state.pieces}
+    if strange:
+        raise UnknownPart(f"a track it does not have: {min(strange)}")
     placed = dict(zip(task.present, unpack_sim3s(task.placements), strict=True))
     poses: dict[NodeId, Array] = {}
     edges: list[Edge] = []
@@ -83,7 +91,7 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         edges += odometry_edges(state, track)
     missing = [m for m in task.matches if m not in state.verified]
     if missing:
-        raise ValueError(f"a match it does not know: {missing[0]}")
+        raise UnknownPart(f"a match it does not know: {missing[0]}")
     edges += [match_edge(state.verified[m], state.config.optimisation) for m in task.matches]
     members = task.members
     return Share(
@@ -93,6 +101,14 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         edges=tuple(edges),
         arbitrary_scale=frozenset() if state.profile.metric else frozenset(members),
     )
+
+
+def believable(outcome: SolverOutcome) -> bool:
+    """Whether poses and scales are numbers that a map may have: a member's nonsense may have spoilt them."""
+    numbers = np.concatenate([np.asarray(T).ravel() for T in outcome.poses.values()] or [np.zeros(0)])
+    scales = np.array(list(outcome.scales.values()))
+    small = np.isfinite(numbers).all() and np.abs(numbers).max(initial=0.0) <= MAX_TRANSLATION
+    return bool(small and (scales >= 1.0 / MAX_SCALE).all() and (scales <= MAX_SCALE).all())
 
 
 def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adoption:

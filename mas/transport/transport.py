@@ -7,7 +7,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..protocol.accounting import Traffic, account
+from ..errors import MasError
+from ..protocol.accounting import Traffic
 from ..protocol.messages import Message, decode, encode
 from ..protocol.tensors import MessageError
 
@@ -16,7 +17,7 @@ MAX_MESSAGE_BYTES = 64 * 2**20
 
 @dataclass(frozen=True)
 class Sent:
-    """One message on the air, as ``traffic.csv`` lists it."""
+    """One message that was transmitted, as ``traffic.csv`` lists it."""
 
     now_ns: int
     sender: int
@@ -67,14 +68,14 @@ class Transport(ABC):
         """Encode, count and take on the way. A message longer than any recipient would take is an error of the
         sender."""
         data = encode(message)
+        body = message.body
         if len(data) > self.max_message_bytes:
-            kind = account(message)[1]
-            raise MessageError(
-                f"agent {message.sender}: {kind} of {len(data)} bytes, at most {self.max_message_bytes} travel"
+            raise MasError(
+                f"agent {message.sender}: {body.kind} of {len(data)} bytes, at most {self.max_message_bytes} travel"
             )
-        operation, kind, payload = account(message)
-        sent = Sent(now_ns, message.sender, message.recipient, operation, kind, payload, len(data))
-        self.by_operation[operation].add(sent)
+        ends = (now_ns, message.sender, message.recipient)
+        sent = Sent(*ends, body.traffic, body.kind, body.payload_bytes, len(data))
+        self.by_operation[sent.operation].add(sent)
         self.by_pair.setdefault((message.sender, message.recipient), TrafficCount()).add(sent)
         if self._record is not None:
             self._record(sent)

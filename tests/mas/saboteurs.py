@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -11,6 +12,7 @@ import numpy as np
 from maslam.backend.geometry import Sim3, se3, so3_exp
 from maslam.mas.agent import Agent
 from maslam.mas.config import MasConfig
+from maslam.mas.contracts.effects import NOTHING, Effects
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
 from maslam.mas.policies.base import Outlook, Policy
 from maslam.mas.policies.presets import policy_of
@@ -29,14 +31,17 @@ from maslam.mas.transport.transport import Transport
 class Saboteur(Agent):
     """An agent whose every outgoing message passes :meth:`spoil`."""
 
-    def handle(self, message: Message) -> list[Message]:
-        return self.spoil(super().handle(message))
+    def handle(self, message: Message) -> Effects:
+        return self._spoilt(super().handle(message))
 
-    def tick(self, now_ns: int) -> list[Message]:
-        return self.spoil(super().tick(now_ns))
+    def tick(self, now_ns: int) -> Effects:
+        return self._spoilt(super().tick(now_ns))
 
-    def remind(self, now_ns: int) -> list[Message]:
-        return self.spoil(super().remind(now_ns))
+    def remind(self, now_ns: int) -> Effects:
+        return self._spoilt(super().remind(now_ns))
+
+    def _spoilt(self, effects: Effects) -> Effects:
+        return replace(effects, messages=tuple(self.spoil(list(effects.messages))))
 
     def spoil(self, messages: list[Message]) -> list[Message]:
         raise NotImplementedError
@@ -119,8 +124,8 @@ class Sleeper(Saboteur):
     def asleep(self) -> bool:
         return self.ASLEEP_S[0] <= self.context.now_ns / 1e9 < self.ASLEEP_S[1]
 
-    def handle(self, message: Message) -> list[Message]:
-        return [] if self.asleep else super().handle(message)
+    def handle(self, message: Message) -> Effects:
+        return NOTHING if self.asleep else super().handle(message)
 
     def spoil(self, messages: list[Message]) -> list[Message]:
         return [] if self.asleep else messages

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from maslam.backend.distributed.messages import SolverStage
+from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
+from maslam.backend.distributed.messages import (
+    Decision,
+    Deltas,
+    Report,
+    Round,
+    SeparatorState,
+    SolverStage,
+    Standing,
+    Status,
+    Values,
+)
+from maslam.backend.distributed.wire import SolverMessage
 from maslam.backend.geometry import Sim3
 from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, OperationKind
 from maslam.mas.protocol.map_messages import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
@@ -19,18 +31,11 @@ from maslam.mas.protocol.messages import (
     MapNotice,
     Message,
     Offer,
+    PieceTerms,
     Refusal,
     Result,
 )
-from maslam.mas.protocol.solver_messages import (
-    SolverParcel,
-    SolverReport,
-    SolverStanding,
-    SolverState,
-    SolverStatus,
-    SolverSteps,
-    SolverValues,
-)
+from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.protocol.tasks import (
     EarlierAnswer,
     OptimiseAnswer,
@@ -88,6 +93,22 @@ def parcel(**changes: object) -> Parcel:
     return Parcel(4, pack_sim3(Sim3.identity()), (4, 2), (MapPatch(**{**fields, **changes}),))  # type: ignore[arg-type]
 
 
+def solver_messages() -> list[SolverMessage]:
+    """One of each kind from agent 0 to agent 1."""
+    descent, free = Round(SolverStage.DESCENT, 1, 2), Round(SolverStage.FREE)
+    steps = np.arange(-6, 6, dtype=np.int8).reshape(2, 6)
+    return [
+        Values(0, 1, Round(SolverStage.POSE, 0, 2), np.full((2, 6), np.nan)),
+        Report(0, 1, Round(SolverStage.ROTATION, 0, 1), float("inf"), 3.0),
+        Report(0, 1, descent, 0.5, 3.0, (0.5, 0.25)),
+        Decision(0, 1, descent, True, 3.0, (0.5,)),
+        Deltas(0, 1, descent, (0.5, 0.25), steps),
+        SeparatorState(0, 1, free, 3, 2, np.zeros((2, 6))),
+        Status(0, 1, free, (Standing(1, 2, 3, True, ((0, 4),)),)),
+        ElectedMessage(Kind.CONTRIBUTION, 0, 0, 1, b"whatever its kind lays out"),
+    ]
+
+
 def examples() -> list[Message]:
     contract = ContractId(0, 7)
     vector = bytes(range(16))
@@ -95,7 +116,7 @@ def examples() -> list[Message]:
     links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), rows, rows)
     bodies = [
         Call(OperationKind.DOPT, 5_000_000_000, (0, 1)),
-        Bid(100, 0, links),
+        Bid(100, 0, links, (PieceTerms(0, FrameId(0, 0), 1.0),)),
         Refusal("busy"),
         Award(PlaceQuery(3, 0xAB12CD34, vector)),
         Award(OwnerQuery(3, 0xAB12CD34, vector)),
@@ -117,13 +138,7 @@ def examples() -> list[Message]:
         Result(OptimiseAnswer(True, 2.0, 1.0, 30)),
         Award(MapOrder((1, 4), (0, 2), FrameId(0, 0))),
         Result(MapDelivery(FrameId(0, 0), (), pack_sim3s([]), (submap(),), (parcel(),))),
-        SolverValues(3, 0, 2, Tensor.of(np.full((2, 6), np.nan), "<f8")),
-        SolverReport(2, 0, 1, float("inf"), 3.0),
-        SolverReport(4, 0, 1, 0.5, 3.0, Tensor.of([0.5, 0.25], "<f4")),
-        SolverSteps(int(SolverStage.DESCENT), 1, 2, 0.5, 0.25, Tensor.of(np.arange(12).reshape(2, 6), "|u1")),
-        SolverState(3, 2, Tensor.of(np.zeros((2, 6)), "<f4")),
-        SolverStatus((SolverStanding(1, 2, 3, True, ((0, 4),)),)),
-        SolverParcel(1, 0, b"whatever its kind lays out"),
+        *(SolverBody.of(message) for message in solver_messages()),
     ]
     notices = [GroupNotice((0, 1, 2)), MapNotice((Offer(0, 7, 40), Offer(2, 3, 20)))]
     return [*(Message(0, 1, contract, b) for b in bodies), *(Message(0, 1, None, b) for b in notices)]

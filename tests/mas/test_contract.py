@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from maslam.mas.contracts.contract import (
-    CONTRACTOR_SAYS,
+    CONTRACTOR_SENDS,
     ENDED,
-    MANAGER_SAYS,
+    MANAGER_SENDS,
     RESULT_CONFIRMS,
     Contract,
     ContractState,
@@ -78,7 +78,7 @@ def test_every_contract_ends(said: list) -> None:  # type: ignore[type-arg]
 
 
 def test_every_state_can_be_reached_and_left_by_the_table() -> None:
-    table = {**CONTRACTOR_SAYS, **MANAGER_SAYS}
+    table = {**CONTRACTOR_SENDS, **MANAGER_SENDS}
     reached = {ContractState.CALLED, ContractState.EXPIRED, *table.values()}
     assert reached == set(ContractState)
     assert {state for state, _ in table} == set(ContractState) - ENDED
@@ -92,8 +92,8 @@ def test_both_sides_keep_the_same_state() -> None:
     steps = [(CONTRACTOR, BODIES[0]), (MANAGER, BODIES[2]), (CONTRACTOR, BODIES[4]), (CONTRACTOR, BODIES[5])]
     for sender, body in steps:
         speaker, listener = (manager, contractor) if sender == MANAGER else (contractor, manager)
-        said = speaker.say(speaker.get(identity, CONTRACTOR), body)
-        states = {said.state, listener.hear(identity, sender, body).state}
+        said = speaker.send(speaker.get(identity, CONTRACTOR), body)
+        states = {said.state, listener.receive(identity, sender, body).state}
         assert len(states) == 1
     assert states == {ContractState.DONE}
     assert not manager.running() and not contractor.running()
@@ -120,16 +120,17 @@ def test_a_call_that_comes_twice_is_refused() -> None:
 def test_a_newer_call_ends_the_contractors_copy_of_an_older_one() -> None:
     """The manager calls anew only after its own copy has ended: that end was lost on the way."""
     ledger = Ledger(CONTRACTOR)
+    over = []
     for number, operation in ((0, OperationKind.DVPR), (1, OperationKind.DOPT), (2, OperationKind.DVPR)):
-        ledger.called(MANAGER, ContractId(MANAGER, number), Call(operation, 10))
+        over += ledger.called(MANAGER, ContractId(MANAGER, number), Call(operation, 10)).superseded
     assert [c.id.number for c in ledger.running()] == [1, 2]
-    assert [(c.id.number, c.state) for c in ledger.superseded] == [(0, ContractState.CANCELLED)]
+    assert [(c.id.number, c.state) for c in over] == [(0, ContractState.CANCELLED)]
 
 
 def test_a_call_that_its_withdrawal_overtook_opens_nothing() -> None:
     ledger = Ledger(CONTRACTOR)
     with pytest.raises(LateMessage):
-        ledger.hear(ContractId(MANAGER, 0), MANAGER, Cancel("no longer wanted"))
+        ledger.receive(ContractId(MANAGER, 0), MANAGER, Cancel("no longer wanted"))
     with pytest.raises(LateMessage):
         ledger.called(MANAGER, ContractId(MANAGER, 0), Call(OperationKind.DVPR, 10))
     assert ledger.running() == []
@@ -140,7 +141,7 @@ def test_a_result_confirms_too_but_nobody_may_leave_the_confirmation_out() -> No
     for sender, body in ((CONTRACTOR, BODIES[0]), (MANAGER, BODIES[2])):
         awarded = advance(awarded, sender, body)
     result = Result(PlaceAnswer(None, 2.0))
-    assert advance(awarded, CONTRACTOR, result, heard=True).state is ContractState.DONE
+    assert advance(awarded, CONTRACTOR, result, received=True).state is ContractState.DONE
     with pytest.raises(ProtocolError):
         advance(awarded, CONTRACTOR, result)
     assert set(RESULT_CONFIRMS) == {(ContractState.AWARDED, Result)}

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maslam.mas.contracts.contract import Contract, ContractState, ProtocolError
-from maslam.mas.contracts.ledger import Ledger
+from maslam.mas.contracts.contract import Contract, ContractState
+from maslam.mas.contracts.ledger import Ledger, OwnMistake
+from maslam.mas.errors import ProtocolError
 from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import (
     Award,
@@ -88,8 +89,8 @@ class World:
             return
         contract = running[number % len(running)]
         try:
-            after = self.ledgers[agent].say(contract, body)
-        except ProtocolError:
+            after = self.ledgers[agent].send(contract, body)
+        except OwnMistake:
             return
         other = contract.contractor if contract.manager == agent else contract.manager
         self.said.add((agent, contract.id, contract.contractor, type(body)))
@@ -101,14 +102,11 @@ class World:
         contractor = recipient if identity.manager == sender else sender
         try:
             if isinstance(body, Call):
-                ledger.called(sender, identity, body)
+                self.note(recipient, list(ledger.called(sender, identity, body).superseded))
             else:
-                self.note(recipient, [ledger.hear(identity, sender, body)])
+                self.note(recipient, [ledger.receive(identity, sender, body)])
         except ProtocolError:
             return
-        finally:
-            self.note(recipient, ledger.superseded)
-            ledger.superseded = []
         self.heard.add((recipient, identity, contractor, type(body)))
 
     def note(self, agent: int, contracts: list[Contract]) -> None:

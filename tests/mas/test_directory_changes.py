@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from by_hand import happened
 from factory import town
 from saboteurs import Sleeper, live
 from test_autonomous import outlook
@@ -49,8 +50,7 @@ def play(
     manifest, sequences = town(4, keyframes, spacing_m=spacing_m, drifting=0.03)
     environment, evaluator = live(manifest, sequences, config, odd, listen=listen)
     assert not [e for e in match_errors(environment.agents, evaluator).values() if e.false]
-    for agent in environment.agents:
-        assert not agent.refused
+    assert not happened(environment, "refused")
     return environment, evaluator, told
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_hand import happened
 from factory import town
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -13,16 +14,17 @@ from saboteurs import live
 from sample_messages import examples
 from test_transport import TransportContract
 
-from maslam.backend.distributed.elected_messages import Kind
-from maslam.backend.distributed.messages import SolverStage
+from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
+from maslam.backend.distributed.messages import Decision, SolverStage
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
+from maslam.mas.contracts.effects import NOTHING, Effects
 from maslam.mas.errors import MasError
 from maslam.mas.evaluation.ground_truth import groups_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import ContractId
 from maslam.mas.protocol.messages import Message
-from maslam.mas.protocol.solver_messages import SolverDecision, SolverParcel
+from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.simulation import run
 from maslam.mas.transport.faults import FaultyTransport
 from maslam.mas.transport.transport import InProcessTransport, Transport
@@ -133,8 +135,8 @@ def test_agents_end_in_peace_whatever_the_air_is_like(
     config = faulty(seed, loss=loss, duplicate=duplicate, reorder=reorder, jitter_s=jitter)
     environment, _ = live(manifest, sequences, config)
     assert not environment.transport.refused
+    assert not happened(environment, "refused"), "a message out of place"
     for agent in environment.agents:
-        assert not agent.refused, "a word out of place"
         assert not agent.context.ledger.running(), "a contract without end"
 
 
@@ -143,13 +145,14 @@ class Deaf(Agent):
 
     missed: ContractId | None = None
 
-    def handle(self, message: Message) -> list[Message]:
+    def handle(self, message: Message) -> Effects:
         body = message.body
-        last = isinstance(body, SolverDecision) and SolverStage(body.stage) is SolverStage.COST
-        if last or (isinstance(body, SolverParcel) and body.kind == Kind.DECISION):
+        said = body.read(message.sender, message.recipient) if isinstance(body, SolverBody) else None
+        last = isinstance(said, Decision) and said.round.stage is SolverStage.COST
+        if last or (isinstance(said, ElectedMessage) and said.kind is Kind.DECISION):
             self.missed = self.missed or message.contract
             if message.contract == self.missed:
-                return []
+                return NOTHING
         return super().handle(message)
 
 
@@ -163,7 +166,7 @@ def test_who_misses_the_end_of_an_optimisation_stays_where_it_was_and_is_called_
     config = CONFIG.model_copy(update={"optimisation": optimisation})
     environment, evaluator = live(manifest, sequences, config, {deaf: Deaf}, watch=frames_are_true)
     agent = environment.agents[deaf]
-    optimised = [e for a in environment.agents for e in a.diary if e.kind == "optimised"]
+    optimised = happened(environment, "optimised")
     assert isinstance(agent, Deaf)
     if method == "sor":
         assert (agent.missed is None) == (deaf == 0), "the lowest member decides: it hears of no decision"

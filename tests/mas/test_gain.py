@@ -16,7 +16,7 @@ from maslam.mas.place_recognition.match_spacing import worth_after
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
 from maslam.mas.simulation import run
-from maslam.mas.state.place_match import Match
+from maslam.mas.state.place_match import Match, MatchEnd
 
 CONFIG = OptimisationConfig(match_sigma_depth=0.005)
 DEPTH = 10.0
@@ -29,7 +29,8 @@ def straight(way: float, off: float = 0.0, unit: float = 1.0) -> Match:
     pose[2, 3] = way / unit
     T_M_Q = Sim3(np.eye(3), np.array([(2.0 + off) / unit, 0.0, 0.0]))
     sure = 1e8 * np.eye(6)
-    return Match(MatchId(1, round(way), 0, round(way)), 0, 0, T_M_Q, sure, 50, pose, pose, way, way, DEPTH / unit)
+    end = MatchEnd(0, pose, way)
+    return Match(MatchId(1, round(way), 0, round(way)), end, end, T_M_Q, sure, 50, DEPTH / unit)
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.05], ids=["metres", "own unit"])

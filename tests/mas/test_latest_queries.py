@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from by_hand import handled, logged, ticked
 from factory import town
 
 from maslam.mas.agent import Agent
@@ -76,7 +77,7 @@ def answered(agents: list[Agent], mail: list[Message]) -> list[object]:
         message = mail.pop(0)
         if isinstance(message.body, Result):
             outcomes.append(message.body.outcome)
-        mail += agents[message.recipient].handle(message)
+        mail += handled(agents, message)
     return [o for o in outcomes if isinstance(o, PlaceAnswer | EarlierAnswer)]
 
 
@@ -85,15 +86,15 @@ def test_an_earlier_query_is_matched_when_the_other_agent_gets_there() -> None:
     earlier key-frame goes to verification."""
     agents, keyframes = pair()
     agents[1].observe(keyframes[1][0])
-    agents[1].tick(0)
+    ticked(agents[1], 0)
     for k in (8, 9, 10):
         agents[0].observe(_renumbered(keyframes[0][k], len(agents[0].state.keyframes)))
-        (answer,) = answered(agents, agents[0].tick(k))
+        (answer,) = answered(agents, ticked(agents[0], k))
         assert isinstance(answer, PlaceAnswer)
     # Of those, key-frame 1 (it was the ninth) is where agent 1 is now.
     agents[1].observe(_renumbered(keyframes[1][9], 1))
     agents[0].observe(_renumbered(keyframes[0][14], 3))
-    (answer,) = answered(agents, agents[0].tick(11))
+    (answer,) = answered(agents, ticked(agents[0], 11))
     assert isinstance(answer, EarlierAnswer) and (answer.query, answer.keyframe) == (1, 1)
     assert [(c.id.query, c.id.match) for c in agents[0].book.candidates.values()] == [(1, 1)]
 
@@ -102,15 +103,16 @@ def test_an_answer_for_a_key_frame_never_asked_about_is_refused() -> None:
     agents, keyframes = pair()
     for agent, own in zip(agents, keyframes, strict=True):
         agent.observe(own[0])
-    mail = agents[0].tick(0)
+    mail = ticked(agents[0], 0)
     while not (isinstance(mail[0].body, Award) and isinstance(mail[0].body.task, PlaceQuery)):
         message = mail.pop(0)
-        mail += agents[message.recipient].handle(message)
+        mail += handled(agents, message)
     award = mail[0]
-    confirmed, result = agents[1].handle(award)
-    agents[0].handle(confirmed)
-    agents[0].handle(Message(result.sender, result.recipient, result.contract, Result(EarlierAnswer(3, 0, 0.1))))
-    assert [r.reason for r in agents[0].refused] == ["agent 1 was not asked about key-frame 3"]
+    confirmed, result = handled(agents, award)
+    handled(agents, confirmed)
+    false = Result(EarlierAnswer(3, 0, 0.1))
+    handled(agents, Message(result.sender, result.recipient, result.contract, false))
+    assert [e["reason"] for e in logged(agents[0], "refused")] == ["agent 1 was not asked about key-frame 3"]
     assert not agents[0].book.candidates
 
 
@@ -127,7 +129,7 @@ def asked_about(agents: list[Agent], mail: list[Message]) -> list[int]:
         message = mail.pop(0)
         if isinstance(message.body, Award) and isinstance(message.body.task, PlaceQuery):
             keyframes.append(message.body.task.keyframe)
-        mail += agents[message.recipient].handle(message)
+        mail += handled(agents, message)
     return keyframes
 
 
@@ -155,9 +157,9 @@ def test_where_one_frame_is_recognised_the_latest_five_are_asked_about(there: in
     agents[1].observe(_renumbered(keyframes[1][there], 0))
     for keyframe in keyframes[0][:7]:
         agents[0].observe(keyframe)
-    assert asked_about(agents, agents[0].tick(0)) == expected
+    assert asked_about(agents, ticked(agents[0], 0)) == expected
     # Nothing is asked twice.
-    assert asked_about(agents, agents[0].tick(1)) == []
+    assert asked_about(agents, ticked(agents[0], 1)) == []
 
 
 def test_with_one_frame_only_nothing_is_asked_beyond_the_policys_wish() -> None:
@@ -167,4 +169,4 @@ def test_with_one_frame_only_nothing_is_asked_beyond_the_policys_wish() -> None:
     agents[1].observe(keyframes_of(sequences[1])[0])
     for keyframe in keyframes_of(sequences[0])[:7]:
         agents[0].observe(keyframe)
-    assert asked_about(agents, agents[0].tick(0)) == [6]
+    assert asked_about(agents, ticked(agents[0], 0)) == [6]

@@ -18,7 +18,7 @@ from maslam.mas.protocol.ids import FrameId, MatchId
 from maslam.mas.simulation import make_agents
 from maslam.mas.state.agent_state import AgentState
 from maslam.mas.state.keyframe import keyframes_of
-from maslam.mas.state.place_match import Match
+from maslam.mas.state.place_match import Match, MatchEnd
 
 WORLD = make_world(3, points=10_000)
 MOTION = Sim3.from_se3(se3_exp([3.0, 0.5, -2.0, 0.02, 0.3, -0.05]))
@@ -69,7 +69,8 @@ def matched(state: AgentState, own: int, other: int, index: int, T_O_other: Arra
     T_own_other = Sim3.from_se3(se3_inverse(state.poses[own]) @ T_O_other)
     identity = MatchId(0, own, other, index) if asked else MatchId(other, index, 0, own)
     T_M_Q = T_own_other.inverse() if asked else T_own_other
-    state.verified[identity] = Match(identity, 0, 0, T_M_Q, np.eye(6), 50, np.eye(4), np.eye(4), 0.0, 0.0, 10.0)
+    ends = MatchEnd(0, np.eye(4), 0.0), MatchEnd(0, np.eye(4), 0.0)
+    state.verified[identity] = Match(identity, *ends, T_M_Q, np.eye(6), 50, 10.0)
     state.accepted.add(identity)
     return identity
 

@@ -15,7 +15,7 @@ from maslam.mas.optimisation.planning import plan
 from maslam.mas.protocol.ids import FrameId, MatchId
 from maslam.mas.protocol.messages import LINK_DTYPE, Bid, Links, PieceTerms
 from maslam.mas.protocol.tensors import pack_sim3s, unpack_sim3s
-from maslam.mas.state.place_match import Agreement, Match
+from maslam.mas.state.place_match import Agreement, Match, MatchEnd
 
 CONFIG = ConsistencyConfig()
 
@@ -34,8 +34,8 @@ def matches_between(count: int, seed: int = 0, unit_M: float = 1.0, unit_Q: floa
         T_T_M[:3, 3] /= unit_M
         T_T_Q[:3, 3] /= unit_Q
         sim = Sim3(T_M_Q[:3, :3], T_M_Q[:3, 3] / unit_M, unit_Q / unit_M)
-        args = (np.eye(6), 50, T_T_Q, T_T_M, ways[q] / unit_Q, ways[m] / unit_M, 10.0 / unit_M)
-        out.append(Match(MatchId(1, q, 0, m), 0, 0, sim, *args))
+        ends = MatchEnd(0, T_T_Q, ways[q] / unit_Q), MatchEnd(0, T_T_M, ways[m] / unit_M)
+        out.append(Match(MatchId(1, q, 0, m), *ends, sim, np.eye(6), 50, 10.0 / unit_M))
     return out
 
 

@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_messages import examples, parcel, submap, verify_task
 
+from maslam.backend.distributed.messages import Deltas, Report, Round, SolverStage, Values
 from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.protocol.ids import ContractId, FrameId, MatchId
 from maslam.mas.protocol.map_messages import MapOrder
-from maslam.mas.protocol.messages import VERSION, Award, Links, Message, Result, decode, encode
-from maslam.mas.protocol.solver_messages import SolverReport
+from maslam.mas.protocol.messages import VERSION, Award, Bid, Links, Message, PieceTerms, Result, decode, encode
+from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.protocol.tasks import PlaceAnswer, PlaceQuery, PlaceRedirect
 from maslam.mas.protocol.tensors import MessageError, Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 
@@ -87,14 +88,22 @@ BAD_VALUES = {
         (MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (False,), Tensor.of([[0, 0, 0, 1, 0, 0, 0, 0]], "<f4")
     ),
     "links without poses": lambda: Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (False,)),
-    "infinite cost": lambda: SolverReport(0, 0, 0, 0.0, float("inf")),
-    "unknown stage": lambda: SolverReport(99, 0, 0, 0.0, 0.0),
+    "infinite cost": lambda: SolverBody.of(Report(0, 1, Round(SolverStage.POSE), 0.0, float("inf"))),
+    "an infinite pose": lambda: SolverBody.of(Values(0, 1, Round(SolverStage.POSE), np.full((1, 6), np.inf))),
+    "steps where there are none": lambda: SolverBody.of(
+        Deltas(0, 1, Round(SolverStage.POSE), (0.5, 0.5), np.zeros((1, 6), dtype=np.int8))
+    ),
+    "no solver's bytes": lambda: SolverBody(b"\x07" * 12),
+    "links of another track": lambda: Bid(
+        1, 0, Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (False,), pack_sim3s([Sim3.identity()], "<f4"))
+    ),
+    "a track twice": lambda: Bid(1, 0, pieces=(PieceTerms(0, FrameId(0, 0), 1.0), PieceTerms(0, FrameId(1, 0), 1.0))),
 }
 
 
 @pytest.mark.parametrize("name", BAD_VALUES)
 def test_values_that_make_no_sense_are_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=r".+"):
+    with pytest.raises(MessageError, match=r".+"):
         BAD_VALUES[name]()
 
 

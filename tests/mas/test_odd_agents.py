@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from by_hand import happened
 from factory import circuit, make_sequence, make_world, manifest_of
 from saboteurs import Idler, Liar, live
 from test_wrong_map import LyingPublisher
@@ -69,7 +70,7 @@ def play(
     assert any(set(honest(odd)) <= set(group) for group in groups_of(agents))
     for agent, alone in zip(honest(odd), without(preset_name, odd), strict=True):
         assert error_m(environment, evaluator, agent) <= 1.1 * alone + 0.02
-        assert not agents[agent].context.ledger.running() and not agents[agent].refused
+        assert not agents[agent].context.ledger.running() and not happened(environment, "refused", agent)
         assert all(agents[agent].context.reputation.regard(a) is Trust.GOOD for a in honest(odd)), (
             "nobody else is blamed"
         )
@@ -141,9 +142,10 @@ class WrongSeller(Agent):
 
 @pytest.mark.parametrize("odd", [0, 1, 2])
 def test_one_that_sells_a_wrong_map(odd: int) -> None:
-    agents = play("maslam", odd, WrongSeller).agents
+    environment = play("maslam", odd, WrongSeller)
+    agents = environment.agents
     assert not any(odd in agents[a].maps.held for a in honest(odd))
-    assert any(e.kind == "map_refused" and e.fields["owner"] == odd for a in honest(odd) for e in agents[a].diary)
+    assert any(e["owner"] == odd for a in honest(odd) for e in happened(environment, "map_refused", a))
 
 
 @pytest.mark.parametrize(("name", "odd"), PLACES)

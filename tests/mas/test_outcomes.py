@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_hand import logged, sent
 from factory import DIM, circuit, make_sequence, make_world, manifest_of, town
 from sample_messages import examples, verify_task
 
@@ -175,16 +176,16 @@ def test_an_agent_refuses_what_makes_no_sense_and_lives_on() -> None:
     for message in examples():
         if not isinstance(message.body, Award | Begin | Result) and message.contract is not None:
             continue
-        agent.handle(message)
+        sent(agent, agent.handle(message))
     strange = [
         Message(0, 1, ContractId(0, 0), Award(verify_task())),
         Message(0, 1, ContractId(0, 0), Begin()),
         Message(7, 1, ContractId(7, 0), Award(verify_task())),
         Message(0, 0, None, examples()[-1].body),
     ]
-    before = len(agent.refused)
-    assert all(agent.handle(message) == [] for message in strange)
-    assert len(agent.refused) == before + len(strange)
+    before = len(logged(agent, "refused"))
+    assert all(sent(agent, agent.handle(message)) == [] for message in strange)
+    assert len(logged(agent, "refused")) == before + len(strange)
     assert not agent.state.accepted and not agent.maps.held
 
 
@@ -193,8 +194,8 @@ def test_a_claim_about_a_key_frame_that_is_not_there_fails_politely() -> None:
     agent = make_agents(manifest, sequences, DEFAULT)[1]
     contract = ContractId(0, 0)
     agent.handle(Message(0, 1, contract, Call(OperationKind.RELPOSE, 10**9)))
-    out = agent.handle(Message(0, 1, contract, Award(verify_task(match=MatchId(0, 3, 1, 99)))))
-    assert [type(m.body) for m in out] == [Failure]
+    effects = agent.handle(Message(0, 1, contract, Award(verify_task(match=MatchId(0, 3, 1, 99)))))
+    assert [type(m.body) for m in effects.messages] == [Failure]
     assert not agent.context.ledger.running()
 
 

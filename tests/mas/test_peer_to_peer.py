@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from by_hand import begun, handled, happened, logged
 from factory import circuit, make_sequence, make_world, town
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -93,7 +94,7 @@ def test_a_bid_peer_to_peer_offers_the_matches_with_the_manager_and_own_loops() 
     assert {m.agents for m in offered(whole)} == {(1, 0), (2, 1), (1, 1)} and not whole.peer_to_peer
     assert {m.agents for m in offered(pair)} == {(1, 0), (1, 1)} and pair.peer_to_peer
     assert pair.pieces == whole.pieces
-    made = agents[1].optimisation.terms
+    made = agents[1].optimisation._estimator
     assert offered(made.bid(0)) == offered(pair) and offered(made.bid()) == offered(whole)
     assert made.bid(0).cost_bytes < made.bid().cost_bytes
 
@@ -213,14 +214,13 @@ def optimised(agents: list[Agent], manager: int) -> tuple[int, ...]:
     """Members of an optimisation that the manager calls all three for."""
     transport = InProcessTransport(2**24)
     agents[manager].news.offered([0, 1, 2])
-    agents[manager].optimisation.start([0, 1, 2])
-    for first in agents[manager]._settle():
+    for first in begun(agents[manager], agents[manager].optimisation.start([0, 1, 2])):
         transport.send(first, 0)
     while (message := transport.receive()) is not None:
-        for answer in agents[message.recipient].handle(message):
+        for answer in handled(agents, message):
             transport.send(answer, 0)
     assert not any(a.context.ledger.running() for a in agents)
-    notes = [e.fields["members"] for e in agents[manager].diary if e.kind == "optimised"]
+    notes = [e["members"] for e in logged(agents[manager], "optimised")]
     return tuple(notes[-1])
 
 
@@ -283,5 +283,5 @@ def test_a_town_of_agents_with_logic_comes_together_although_some_bid_peer_to_pe
     config = preset("optimised")
     config = config.model_copy(update={"merge": config.merge.model_copy(update={"enabled": False})})
     environment, _ = live(manifest, sequences, config)
-    assert any(e.kind == "peer_to_peer" for a in environment.agents for e in a.diary)
+    assert happened(environment, "peer_to_peer")
     assert {a.state.frame for a in environment.agents} == {FrameId(0, 0)}

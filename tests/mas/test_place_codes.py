@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_hand import handled, logged, ticked
 from factory import DIM, SHA256, talkative, town
 
 from maslam.descriptors.codebooks import train_codebooks
@@ -43,12 +44,12 @@ def agents_with(code: str) -> list[Agent]:
 
 def asked(agents: list[Agent]) -> Message:
     """Agent 0's award with its first place query, everything before it delivered."""
-    mail = agents[0].tick(0)
+    mail = ticked(agents[0], 0)
     while mail:
         message = mail.pop(0)
         if isinstance(message.body, Award) and isinstance(message.body.task, PlaceQuery):
             return message
-        mail += agents[message.recipient].handle(message)
+        mail += handled(agents, message)
     raise AssertionError("nothing was asked")
 
 
@@ -75,7 +76,7 @@ def test_the_answer_is_the_nearest_to_what_was_sent(code: str) -> None:
     sent = coder.decode(np.frombuffer(query.vector, dtype=np.uint8)[None])[0]
     own = coder.cut(np.array([k.vector for k in agents[1].state.keyframes]))
     apart = np.linalg.norm(own - sent, axis=1)
-    (outcome,) = [m.body.outcome for m in agents[1].handle(award) if isinstance(m.body, Result)]
+    (outcome,) = [m.body.outcome for m in handled(agents, award) if isinstance(m.body, Result)]
     assert outcome.keyframe == int(np.argmin(apart))
     assert outcome.distance == pytest.approx(float(apart.min()), abs=1e-6)
 
@@ -94,9 +95,9 @@ def test_a_query_that_cannot_be_read_fails_with_its_reason(changes: dict[str, ob
     task = award.body.task
     fields = {name: getattr(task, name) for name in task.__struct_fields__} | changes
     changed = Message(award.sender, award.recipient, award.contract, Award(PlaceQuery(**fields)))
-    (said,) = [m.body for m in agents[1].handle(changed) if isinstance(m.body, Failure | Result)]
+    (said,) = [m.body for m in handled(agents, changed) if isinstance(m.body, Failure | Result)]
     assert isinstance(said, Failure) and reason in said.reason
-    assert not agents[1].refused
+    assert not logged(agents[1], "refused")
 
 
 def test_another_model_or_code_is_another_language() -> None:

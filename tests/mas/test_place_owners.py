@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_hand import handled, logged, ticked
 from factory import DIM, MODEL, SHA256, town
 
 from maslam.descriptors.container import PlaceVectors
@@ -41,11 +42,11 @@ def play(agents: list[Agent], keyframes: int) -> list[Message]:
     for k in range(keyframes):
         for agent, sequence in zip(agents, sequences, strict=True):
             agent.observe(keyframes_of(sequence)[k])
-            mail = agent.tick(k * 10**9)
+            mail = ticked(agent, k * 10**9)
             while mail:
                 message = mail.pop(0)
                 said.append(message)
-                mail += agents[message.recipient].handle(message)
+                mail += handled(agents, message)
     return said
 
 
@@ -99,7 +100,7 @@ def test_a_redirected_match_is_verified_with_the_agent_that_has_the_key_frame() 
     book = [c for a in agents for c in a.book.candidates.values()]
     third = [c for c in book if c.verified and owner_of_candidate(agents, c.id) not in c.id.agents]
     assert third and {c.id.match_agent for c in third} <= wanted
-    assert not any(a.refused for a in agents)
+    assert not any(logged(a, "refused") for a in agents)
 
 
 def owner_of_candidate(agents: list[Agent], match: object) -> int:
@@ -128,12 +129,12 @@ def first_award(agents: list[Agent]) -> Message:
     for agent, sequence in zip(agents, sequences, strict=True):
         for keyframe in keyframes_of(sequence):
             agent.observe(keyframe)
-    mail = [m for agent in agents for m in agent.tick(0)]
+    mail = [m for agent in agents for m in ticked(agent, 0)]
     while mail:
         message = mail.pop(0)
         if isinstance(message.body, Award) and isinstance(message.body.task, OwnerQuery):
             return message
-        mail += agents[message.recipient].handle(message)
+        mail += handled(agents, message)
     raise AssertionError("nothing was asked")
 
 
@@ -142,9 +143,9 @@ def test_a_redirect_to_nobody_who_can_be_asked_is_refused() -> None:
     award = first_award(agents)
     asker = agents[award.sender]
     for body in (Confirmation(), Result(PlaceRedirect(7, 0, 0.1))):
-        mail = asker.handle(Message(award.recipient, award.sender, award.contract, body))
+        mail = handled(agents, Message(award.recipient, award.sender, award.contract, body))
         assert not any(isinstance(m.body, Call) and m.body.operation is OperationKind.RELPOSE for m in mail)
-    assert [r.reason for r in asker.refused] == ["redirected to agent 7, which cannot be asked"]
+    assert [e["reason"] for e in logged(asker, "refused")] == ["redirected to agent 7, which cannot be asked"]
 
 
 def test_a_log_leaves_the_askers_own_key_frames_out() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from by_hand import happened
 from factory import circuit, make_sequence, make_world, manifest_of, talkative, town
 from saboteurs import Idler, Liar, Swindler, live
 
@@ -108,7 +109,7 @@ def test_one_with_a_wrong_map_does_not_spoil_the_others(undisturbed: list[float]
 def test_one_that_comes_late_is_taken_in() -> None:
     environment, evaluator = live(*four(), faulty(late_s={ODD: 8.0}))
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
-    seen = [e.fields["regard"] for e in environment.agents[0].diary if e.kind == "standing" and e.fields["of"] == ODD]
+    seen = [e["regard"] for e in happened(environment, "standing", 0) if e["of"] == ODD]
     assert seen == ["silent", "good"], "missed while it was not there, and welcome when it came"
     assert all(set(a.maps.held) == {0, 1, 2, 3} - {a.state.me} for a in environment.agents)
     assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0
@@ -136,7 +137,7 @@ def test_under_loss_the_group_is_found_all_contracts_end_and_it_costs_a_bounded_
     environment, evaluator = live(manifest, sequences, config)
     assert groups_of(environment.agents) == [[0, 1, 2]]
     for agent in environment.agents:
-        assert not agent.context.ledger.running() and not agent.refused
+        assert not agent.context.ledger.running() and not happened(environment, "refused")
         assert all(r is Trust.GOOD for r in regards(environment.agents, agent.state.me)), "losses blame nobody"
     odometry = [evaluator.error_of(a.state.me, odometry_of(a)) for a in environment.agents]
     after = np.mean([e.rmse_m for e in errors(environment, evaluator)])

@@ -29,7 +29,7 @@ CALL = Contract(ContractId(0, 0), 1, OperationKind.DVPR, 10)
 def ended(
     state: ContractState, *said: type, reason: str = "", operation: OperationKind = OperationKind.DVPR
 ) -> Contract:
-    return replace(CALL, state=state, said=frozenset(said), reason=reason, operation=operation)
+    return replace(CALL, state=state, exchanged=frozenset(said), reason=reason, operation=operation)
 
 
 DONE = ended(ContractState.DONE, Bid, Award, Confirmation, Result)
@@ -81,13 +81,13 @@ def test_who_vanished_is_probed_now_and_then_and_welcome_when_it_comes_back() ->
             standing.called(1, now_s * SECOND)
             probes.append(now_s)
     assert probes == [10, 20, 30, 40]
-    standing.heard(1)
+    standing.received(1)
     assert standing.regard(1) is Trust.GOOD and standing.may_call(1, 45 * SECOND)
 
 
 def test_one_silence_is_bad_luck() -> None:
     standing = standing_after(UNHEARD)
-    standing.heard(1)
+    standing.received(1)
     standing.ended(UNHEARD)
     assert standing.regard(1) is Trust.GOOD
 
@@ -205,7 +205,7 @@ def lie_about(match, k):  # type: ignore[no-untyped-def]
 
     turned = match.turned()
     beside = Sim3.from_se3(se3([[1, 0, 0], [0, 1, 0], [0, 0, 1]], [15.0, 0.0, 0.0]))
-    T_T_M = Sim3.from_se3(turned.T_T_M)
+    T_T_M = Sim3.from_se3(turned.match.T_T_C)
     wrong = T_T_M.inverse() @ beside @ T_T_M @ turned.T_M_Q
     return replace(turned, id=MatchId(1, turned.id.query, 2, 40 + k), T_M_Q=wrong)
 

@@ -7,12 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from by_hand import begun, handled, logged, ticked
 from factory import circuit, make_sequence, make_world, manifest_of
 from map_driver import same_map
 from scipy.spatial import cKDTree
 
 from maslam.backend.geometry import Sim3, se3_exp, transform_points
 from maslam.mas.agent import Agent
+from maslam.mas.contracts.operation import WorkError
 from maslam.mas.map_exchange.versions import MapVersion
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.accounting import Traffic
@@ -21,7 +23,7 @@ from maslam.mas.protocol.map_messages import MapOrder, MapPatch, Parcel
 from maslam.mas.simulation import make_agents
 from maslam.mas.state.agent_state import stretched
 from maslam.mas.state.keyframe import KeyFrame, keyframes_of
-from maslam.mas.state.place_match import Match
+from maslam.mas.state.place_match import Match, MatchEnd
 from maslam.mas.state.pose_graph import Adoption
 from maslam.mas.transport.transport import InProcessTransport
 
@@ -60,18 +62,17 @@ def agents_with_more_to_see(**merge: object) -> tuple[list[Agent], list[list[Key
 def _true_match(paths: list, frames: list, a: int, b: int, k: int) -> Match:  # type: ignore[type-arg]
     match, query = frames[a][k + 4], frames[b][k]
     T_M_Q = Sim3.from_se3(np.linalg.inv(paths[a][3 * (k + 4)]) @ paths[b][3 * k])
-    poses = (query.T_T_C, match.T_T_C, 1.5 * k, 1.5 * (k + 4), 10.0)
-    return Match(MatchId(b, k, a, k + 4), 0, 0, T_M_Q, 1e4 * np.eye(6), 80, *poses)
+    ends = MatchEnd(0, query.T_T_C, 1.5 * k), MatchEnd(0, match.T_T_C, 1.5 * (k + 4))
+    return Match(MatchId(b, k, a, k + 4), *ends, T_M_Q, 1e4 * np.eye(6), 80, 10.0)
 
 
 def trade(agents: list[Agent], buyer: int, sellers: list[int]) -> InProcessTransport:
     """One purchase, with all messages until none is on the way."""
     transport = InProcessTransport(2**24)
-    agents[buyer].maps.buy(sellers)
-    for message in agents[buyer]._settle():
+    for message in begun(agents[buyer], agents[buyer].maps.buy(sellers)):
         transport.send(message, 0)
     while (message := transport.receive()) is not None:
-        for answer in agents[message.recipient].handle(message):
+        for answer in handled(agents, message):
             transport.send(answer, 0)
     assert not any(a.context.ledger.running() for a in agents)
     return transport
@@ -136,32 +137,31 @@ def test_a_map_that_two_sell_is_ordered_once_and_from_its_owner(form: str) -> No
     sent = trade(agents, 0, [1, 2])
     assert sent.by_operation[Traffic.MAPMERGE].messages == 4, "an order and a delivery from each"
     assert agents[0].maps.held[1].seller == 1
-    refused = [e.fields["seller"] for e in agents[0].diary if e.kind == "map_refused"]
+    refused = [e["seller"] for e in logged(agents[0], "map_refused")]
     assert refused == [2], "agent 2 sold its own, which agent 0 cannot place without a match"
 
 
 def test_a_seller_that_does_not_answer_keeps_nobody_waiting() -> None:
     agents = agents_in_a_row()
     transport = InProcessTransport(2**24)
-    agents[0].maps.buy([1, 2])
-    out = agents[0]._settle()
+    out = begun(agents[0], agents[0].maps.buy([1, 2]))
     for seconds in (1.0, 2.5):
         for message in out:
             transport.send(message, 0)
         while (message := transport.receive()) is not None:
             if message.recipient != 2:
-                for answer in agents[message.recipient].handle(message):
+                for answer in handled(agents, message):
                     transport.send(answer, 0)
         assert not agents[0].maps.held
-        out = agents[0].tick(round(seconds * 1e9))
+        out = ticked(agents[0], round(seconds * 1e9))
     for message in out:
         transport.send(message, 0)
     while (message := transport.receive()) is not None:
         if message.recipient != 2:
-            for answer in agents[message.recipient].handle(message):
+            for answer in handled(agents, message):
                 transport.send(answer, 0)
     assert sorted(agents[0].maps.held) == [1]
-    ends = {e.fields["contractor"]: e.fields["reason"] for e in agents[0].diary if e.kind == "contract"}
+    ends = {e["contractor"]: e["reason"] for e in logged(agents[0], "contract")}
     assert ends[2] == "no answer"
 
 
@@ -188,7 +188,7 @@ def test_a_copy_that_went_bad_is_bought_whole_again() -> None:
     agents[0].maps.held[1] = replace(held, stock=bad)
     agents[1].state.observe(frames[1][6])
     trade(agents, 0, [1])
-    refused = [e.fields["reason"] for e in agents[0].diary if e.kind == "map_refused"]
+    refused = [e["reason"] for e in logged(agents[0], "map_refused")]
     assert refused == ["edition 2 of agent 1's map is not what its owner made"]
     trade(agents, 0, [1])
     stock, publisher = agents[0].maps.held[1].stock, agents[1].maps.shop._publisher
@@ -209,7 +209,7 @@ def test_a_whole_map_that_is_none_is_not_bought_again() -> None:
     agents[1].maps.shop._own = noise  # type: ignore[method-assign]
     assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 2
     assert agents[0].maps.held == {}
-    assert [e.fields["owner"] for e in agents[0].diary if e.kind == "map_refused"] == [1]
+    assert [e["owner"] for e in logged(agents[0], "map_refused")] == [1]
     assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 0
 
 
@@ -221,7 +221,7 @@ def test_a_wrong_map_is_rejected_with_a_reason_and_not_bought_again(form: str) -
     liar.version += 1
     trade(agents, 0, [1])
     assert agents[0].maps.held == {}
-    (refusal,) = [e.fields for e in agents[0].diary if e.kind == "map_refused"]
+    (refusal,) = logged(agents[0], "map_refused")
     assert refusal["seller"] == refusal["owner"] == 1
     assert refusal["reason"].startswith("no place match agrees: 1 of them")
     assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 0
@@ -253,7 +253,7 @@ def test_a_copy_newer_than_its_owners_own_map_is_given_up() -> None:
 
 def test_an_order_for_what_is_not_there_fails() -> None:
     agents = agents_in_a_row()
-    with pytest.raises(ValueError, match="no map of agent 2 here"):
+    with pytest.raises(WorkError, match="no map of agent 2 here"):
         agents[1].maps.shop.delivery(0, MapOrder((2,)), {}, False)
 
 
@@ -277,7 +277,7 @@ def test_a_stranger_without_a_match_is_not_placed() -> None:
     agents = agents_in_a_row()
     trade(agents, 0, [2])
     assert agents[0].maps.held == {}
-    assert [e.kind for e in agents[0].diary if e.kind == "map_refused"] == ["map_refused"]
+    assert len(logged(agents[0], "map_refused")) == 1
 
 
 def test_held_maps_move_along_with_the_agents_own_correction() -> None:
@@ -294,5 +294,5 @@ def test_held_maps_move_along_with_the_agents_own_correction() -> None:
 def test_a_purchase_is_one_contract_that_ends() -> None:
     agents = agents_in_a_row()
     trade(agents, 0, [1])
-    ends = [e.fields for e in agents[0].diary if e.kind == "contract"]
+    ends = logged(agents[0], "contract")
     assert [(e["operation"], e["end"]) for e in ends] == [(OperationKind.MAPMERGE.name.lower(), "done")]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from sample_messages import examples, submap, verify_task
 
-from maslam.mas.protocol.accounting import Traffic, account
-from maslam.mas.protocol.ids import ContractId
-from maslam.mas.protocol.messages import Award, Bid, Message, Result, encode
-from maslam.mas.protocol.solver_messages import SolverValues
+from maslam.backend.distributed.messages import Round, SolverStage, Values
+from maslam.mas.protocol.accounting import Traffic
+from maslam.mas.protocol.messages import Award, Bid, Result, encode
+from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.protocol.tasks import EarlierAnswer, MapDelivery, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
 from maslam.mas.protocol.tensors import Tensor
 from maslam.mas.transport.transport import InProcessTransport
@@ -29,7 +29,6 @@ class TestInProcess:
 
 def test_payload_is_counted_as_the_published_tables_do() -> None:
     """Expected figures worked out by hand from the table of byte accounting."""
-    contract = ContractId(0, 0)
     vector = bytes(4 * 128)
     words = verify_task(descriptors=None, words=Tensor.of(np.zeros(4), "<u2"))
     cases = [
@@ -41,12 +40,11 @@ def test_payload_is_counted_as_the_published_tables_do() -> None:
         (Result(PlaceRedirect(2, 1, 0.1)), Traffic.DVPR, 8 + 4 + 1),
         (Award(verify_task()), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (32 + 12)),
         (Award(words), Traffic.RELPOSE, 1 + 4 + 4 + 4 * (2 + 12)),
-        (SolverValues(2, 0, 0, Tensor.of(np.zeros((3, 9)), "<f8")), Traffic.DOPT, 3 * 9 * 8),
+        (SolverBody.of(Values(0, 1, Round(SolverStage.ROTATION), np.zeros((3, 9)))), Traffic.DOPT, 3 * 9 * 8),
         (Bid(0, 0), Traffic.NEGOTIATION, 0),
     ]
     for body, operation, payload in cases:
-        found = account(Message(0, 1, contract, body))
-        assert (found[0], found[2]) == (operation, payload)
+        assert (body.traffic, body.payload_bytes) == (operation, payload)
 
 
 def test_a_map_counts_its_numbers() -> None:
@@ -54,4 +52,4 @@ def test_a_map_counts_its_numbers() -> None:
 
     delivery = MapDelivery(FrameId(0, 0), (), submap().transforms, (submap(),))
     poses, points = 2 * (7 * 8 + 8 + 4), 3 * (12 + 32 + 4)
-    assert account(Message(0, 1, ContractId(1, 0), Result(delivery)))[2] == poses + points
+    assert Result(delivery).payload_bytes == poses + points

@@ -41,7 +41,7 @@ def test_a_wrong_map_is_kept_by_nobody_and_the_reason_is_on_record(tmp_path: Pat
             if number >= environment.steps and environment.over:
                 break
         assert environment.over
-        recorder.events(event for agent in agents for event in agent.diary)
+        recorder.events(environment.events)
     assert [sorted(a.maps.held) for a in agents] == [[2], [0, 2], [0]]
     events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
     refused = [e for e in events if e["event"] == "map_refused"]

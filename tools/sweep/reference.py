@@ -25,7 +25,7 @@ from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_pose
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
-from maslam.mas.place_recognition.verification import verify, view_of
+from maslam.mas.place_recognition.verification import match_end, verify, view_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
 from maslam.mas.sequence import AgentSequence, Manifest, load_sequences
@@ -155,19 +155,8 @@ def _verify(states: Sequence[AgentState], pair: MatchId) -> None:
     verdict = verify(asked, pair, view_of(asking, query), match)
     if not verdict.accepted or verdict.T_M_Q is None or verdict.information is None:
         return
-    found = Match(
-        pair,
-        query.track,
-        match.track,
-        verdict.T_M_Q,
-        verdict.information,
-        verdict.inliers,
-        query.T_T_C,
-        match.T_T_C,
-        asking.travelled[query.index],
-        asked.travelled[match.index],
-        match.depth,
-    )
+    ends = match_end(asking, query), match_end(asked, match)
+    found = Match(pair, *ends, verdict.T_M_Q, verdict.information, verdict.inliers, match.depth)
     asked.add_match(found)
     if asking is not asked:
         asking.add_match(found)

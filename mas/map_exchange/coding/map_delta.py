@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...protocol.ids import MAX_AGENTS, MAX_POINTS, FrameId
 from ...protocol.tensors import MAX_SCALE
 from .pose_corrections import Bound, anchors_for, interpolated
-from .quantised_map import Ints, LatticeMap, Steps, empty_map, size
+from .quantised_map import Ints, LatticeMap, Steps, StepsError, empty_map, size
 from .rice import BitReader, BitsError, BitWriter
 
 MAX_KEYFRAMES = 1_000_000
@@ -141,14 +141,17 @@ def _write_matches(out: BitWriter, base: LatticeMap | None, made: LatticeMap) ->
 
 
 def decode(owner: int, edition: int, frame: FrameId, unit: float, base: LatticeMap | None, data: bytes) -> LatticeMap:
-    """The edition that the bits make of a base; :class:`~maslam.mas.map_exchange.coding.rice.BitsError` (a ValueError)
+    """The edition that the bits make of a base; :class:`~maslam.mas.map_exchange.coding.rice.BitsError`
     where they make none.
 
     Descriptors are none: they travel beside.
     """
     bits = BitReader(data)
     if base is None:
-        steps = Steps(*(int(n) for n in bits.get_signed(_HEAD, 4)))
+        try:
+            steps = Steps(*(int(n) for n in bits.get_signed(_HEAD, 4)))
+        except StepsError as error:
+            raise BitsError(str(error)) from error
         base = empty_map(owner, frame, steps)
     old = len(base.keyframes)
     fresh, mode = bits.one(_HEAD, MAX_KEYFRAMES - old), bits.one(_HEAD, ANEW)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from maslam.backend.geometry import Array, Sim3, se3, so3_exp, so3_log
 
+from ...errors import MasError
 from ...protocol.ids import FrameId, MatchId
 
 Ints = NDArray[np.int64]
@@ -24,6 +25,10 @@ _STEPS_AN_OCTAVE = 8
 _LEAST_STEP, _MOST_STEP = -240, 240
 # e^20 units away: beyond any camera.
 _MOST_LOG_DEPTH = 20.0
+
+
+class StepsError(MasError):
+    """Steps out of range."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Steps:
     def __post_init__(self) -> None:
         for name in ("position", "rotation", "direction", "depth"):
             if not _LEAST_STEP <= getattr(self, name) <= _MOST_STEP:
-                raise ValueError(f"{name}: step 2^({getattr(self, name)}/8) is out of range")
+                raise StepsError(f"{name}: step 2^({getattr(self, name)}/8) is out of range")
 
     @classmethod
     def of(cls, point_error: float, pose_error: float, depth: float) -> Steps:

@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from ...protocol.tensors import MessageError
+
 CONTEXTS = 32
 # A unary part of this length announces a number in 32 plain bits.
 _ESCAPE = 20
@@ -21,7 +23,7 @@ _MEMORY = 48
 _START = 8
 
 
-class BitsError(ValueError):
+class BitsError(MessageError):
     """Bits that end too early or hold numbers that cannot be."""
 
 
