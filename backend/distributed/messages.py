@@ -51,7 +51,7 @@ class Round:
     sweep: int = 0
 
 
-class _SentToOne:
+class _SolverMessage:
     """What every message can tell of itself. ``check`` raises :class:`BackendError` where its numbers cannot be."""
 
     round: Round
@@ -78,7 +78,7 @@ class _SentToOne:
 
 
 @dataclass(frozen=True, eq=False)
-class Values(_SentToOne):
+class Values(_SolverMessage):
     """One robot's separator values after one sweep, for one neighbour.
 
     ``values`` ``(k, width)``: a row for each of the sender's nodes that share an edge with the receiver, sorted by
@@ -101,7 +101,7 @@ class Values(_SentToOne):
 
 
 @dataclass(frozen=True, eq=False)
-class Deltas(_SentToOne):
+class Deltas(_SolverMessage):
     """Moves of one robot's separators in a sweep, coarse: ``steps`` ``(k, 6)`` int8, translation then turn.
 
     ``scales`` (float32 exactly): a step of translation in metres and of the turn ``R exp(delta)`` in radians. Both
@@ -126,7 +126,7 @@ class Deltas(_SentToOne):
 
 
 @dataclass(frozen=True)
-class Report(_SentToOne):
+class Report(_SolverMessage):
     """Summary of a round from a robot and those below it in the tree of members, sent up the tree.
 
     ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum over
@@ -151,7 +151,7 @@ class Report(_SentToOne):
 
 
 @dataclass(frozen=True)
-class Decision(_SentToOne):
+class Decision(_SolverMessage):
     """Decision of a round for all members, sent down the tree; the same at every member, so all end at the same sweep.
 
     ``go_on``: one more sweep of this stage, else the next stage; ``cost``: the group's sum; ``numbers``: the method's
@@ -180,7 +180,7 @@ class Decision(_SentToOne):
 
 
 @dataclass(frozen=True, eq=False)
-class SeparatorState(_SentToOne):
+class SeparatorState(_SolverMessage):
     """Without rounds: a robot's separators as of its ``version``, whole, so that a later one replaces a lost one.
 
     ``used``: the version of the receiver's that the sender works with, which tells the receiver what has arrived.
@@ -225,7 +225,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Status(_SentToOne):
+class Status(_SolverMessage):
     """Method without rounds: the latest state of convergence of the sender and those below it, sent up the tree."""
 
     sender: int
