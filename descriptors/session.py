@@ -3,6 +3,7 @@ runs."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,21 @@ _TYPES = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32}
 _UNIT = 1e-3  # a vector off unit length by more than this is scaled to it
 
 
-def available_providers() -> tuple[str, ...]:
-    """Execution providers of this installation of onnxruntime, the default first: ``CPUExecutionProvider``, ..."""
+def load_onnxruntime() -> Any:
+    """The library that runs models, with its telemetry off: the one place where it is imported.
+
+    By default its builds write an identifier of this machine below the home directory and report to their maker. The
+    variable must stand before the first import; a value that the user has set stays.
+    """
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime
 
-    return tuple(sorted(onnxruntime.get_available_providers(), key=lambda name: (name != CPU, name)))
+    return onnxruntime
+
+
+def available_providers() -> tuple[str, ...]:
+    """Execution providers of this installation of onnxruntime, the default first: ``CPUExecutionProvider``, ..."""
+    return tuple(sorted(load_onnxruntime().get_available_providers(), key=lambda name: (name != CPU, name)))
 
 
 def find_provider(wanted: str) -> str:
@@ -76,8 +87,7 @@ class ModelSession:
 
 def open_graph(path: Path, threads: int = 1, provider: str = CPU) -> Any:
     """An onnxruntime session of any graph; ``DescriptorError`` where it cannot be loaded, or ``provider`` not start."""
-    import onnxruntime
-
+    onnxruntime = load_onnxruntime()
     name = find_provider(provider)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1

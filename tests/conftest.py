@@ -19,6 +19,8 @@ except ImportError:  # Windows: run the tests in one process there
 if TYPE_CHECKING:
     from maslam.tools.worlds.config import RenderConfig
 
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # tests import onnxruntime on their own, too
+
 Rendered = Callable[[str, "RenderConfig"], Path]
 
 

@@ -3,7 +3,11 @@ one."""
 
 from __future__ import annotations
 
+import ast
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +21,8 @@ from maslam.descriptors.errors import DescriptorError
 from maslam.descriptors.inference import NetVlad
 from maslam.descriptors.session import available_providers, find_provider
 from tests.descriptors.conftest import textured_image, tiny_model
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def _one_colour(blue: int, green: int, red: int, size: tuple[int, int] = (40, 60)) -> NDArray[np.uint8]:
@@ -125,3 +131,52 @@ def test_providers_are_found_by_either_name_and_unknown_ones_said_with_what_ther
         NetVlad.load(provider="Abacus")
     with pytest.raises(DescriptorError, match="at least 1 image in a batch, got 0"):
         NetVlad.load(batch=0)
+
+
+def _written_at_home(code: str, home: Path, **environment: str) -> list[str]:
+    """Files below the home directory after ``code`` ran in a process of its own."""
+    home.mkdir(exist_ok=True)
+    unset = ("ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME")
+    kept = {name: value for name, value in os.environ.items() if name not in unset}
+    paths = {"HOME": str(home), "TMPDIR": str(home), "PYTHONPATH": str(ROOT), "MPLCONFIGDIR": str(home.parent)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**kept, **paths, **environment}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return sorted(str(path.relative_to(home)) for path in home.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from maslam.descriptors.inference import NetVlad; NetVlad.load('default')",
+        "from maslam.tools.cli import main; assert main(['doctor']) == 0",
+    ],
+)
+def test_onnxruntime_reports_nothing_about_its_user(code: str, tmp_path: Path) -> None:
+    """With its telemetry on it would write an identifier of the machine and a data base of events there."""
+    assert _written_at_home(code, tmp_path / "home") == []
+
+
+def test_who_has_set_telemetry_keeps_it() -> None:
+    code = (
+        "import os; from maslam.descriptors.session import load_onnxruntime as load; load(); print(os.environ[{0!r}])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code.format("ORT_DISABLE_TELEMETRY")],
+        env={**os.environ, "ORT_DISABLE_TELEMETRY": "true", "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "true"
+
+
+def test_onnxruntime_is_imported_in_one_place() -> None:
+    places = [
+        str(path.relative_to(ROOT))
+        for package in ("backend", "frontend", "descriptors", "mas", "tools")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if (isinstance(node, ast.Import) and any(name.name.startswith("onnxruntime") for name in node.names))
+        or (isinstance(node, ast.ImportFrom) and (node.module or "").startswith("onnxruntime"))
+    ]
+    assert places == ["descriptors/session.py"]

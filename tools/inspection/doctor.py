@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 
+from maslam.descriptors.session import load_onnxruntime
+
 from ..common.errors import describe
 from ..common.memory import resident_mb
 
@@ -116,7 +118,10 @@ def model_checks() -> list[Check]:
 
 def _import_check(name: str, needed: bool) -> Check:
     def tried() -> str:
-        importlib.import_module(IMPORT_NAMES.get(name, name).replace("-", "_"))
+        if name == "onnxruntime":
+            load_onnxruntime()  # with its telemetry off
+        else:
+            importlib.import_module(IMPORT_NAMES.get(name, name).replace("-", "_"))
         return version(name)
 
     return _tried(name, tried, needed)
