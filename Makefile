@@ -7,10 +7,11 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 CORE := $(VENV)/.core-installed
+WORLDS := $(VENV)/.worlds-installed
 DEV := $(VENV)/.dev-installed
 
 .PHONY: demo test lint docs coverage lock resolve clean
-demo: $(CORE)
+demo: $(WORLDS)
 	$(BIN)/maslam demo --out $(OUT)
 
 test: lint
@@ -27,15 +28,19 @@ docs: $(DEV)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the documents: build/site/index.html"
 
-$(CORE): requirements/core.txt pyproject.toml requirements/system-libraries.sh
+$(CORE): requirements/core.txt pyproject.toml
 	@test -n "$(PYTHON)" || { echo "maslam needs Python 3.11 or newer; none found as python3.11 or python3 (PYTHON=… names another)"; exit 1; }
-	@bash requirements/system-libraries.sh
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) install --quiet -r requirements/core.txt
 	$(PIP) install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(DEV): $(CORE) requirements/dev.txt
+$(WORLDS): $(CORE) requirements/worlds.txt requirements/system-libraries.sh
+	@bash requirements/system-libraries.sh
+	$(PIP) install --quiet -r requirements/worlds.txt
+	@touch $@
+
+$(DEV): $(WORLDS) requirements/dev.txt
 	$(PIP) install --quiet -r requirements/dev.txt
 	@touch $@
 

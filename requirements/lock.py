@@ -1,8 +1,8 @@
 """Rewrite the lock files from what is installed: ``make lock`` in an environment where everything passes.
 
-``core.txt`` is the closure of the project's dependencies (what ``make demo`` installs); ``dev.txt`` adds the extras
-that the tests and the training of models use. Versions only, no addresses: the packages come from wherever the user's
-pip is told to look.
+``core.txt`` is the closure of the project's dependencies and of what builds it; ``worlds.txt`` adds what renders
+(``make demo`` installs both), ``dev.txt`` the extras that the tests and the training of models use. Versions only, no
+addresses: the packages come from wherever the user's pip is told to look.
 """
 
 from __future__ import annotations
@@ -44,18 +44,25 @@ def closure(requirements: list[str]) -> dict[str, str]:
 
 
 def main() -> None:
-    """Write both files."""
-    project = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = [text for extra in DEV_EXTRAS for text in project["optional-dependencies"][extra]]
-    core = closure(project["dependencies"])
-    dev = {name: version for name, version in closure(extras).items() if name not in core}
-    write(HERE / "core.txt", "What maslam needs to run: the lock file of `make demo`.", core, "")
-    write(HERE / "dev.txt", "What tests, training, documents need besides: for `make test`.", dev, "-r core.txt\n")
+    """Write the files, each with what the ones before it do not hold."""
+    settings = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    project, extras = settings["project"], settings["project"]["optional-dependencies"]
+    core = closure([*project["dependencies"], *settings["build-system"]["requires"]])
+    worlds = besides(core, extras["worlds"])
+    dev = besides(core | worlds, [text for extra in DEV_EXTRAS for text in extras[extra]])
+    write("core.txt", "What maslam needs to run.", core, "")
+    write("worlds.txt", "What rendering needs besides: the lock file of `make demo`.", worlds, "-r core.txt\n")
+    write("dev.txt", "What tests, training, documents need besides: for `make test`.", dev, "-r worlds.txt\n")
 
 
-def write(path: Path, title: str, pins: dict[str, str], head: str) -> None:
-    lines = "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))
-    path.write_text(f"# {title} Made by `make lock`.\n{head}{lines}", encoding="utf-8")
+def besides(known: dict[str, str], requirements: list[str]) -> dict[str, str]:
+    """The closure of ``requirements`` without what is ``known``."""
+    return {name: version for name, version in closure(requirements).items() if name not in known}
+
+
+def write(name: str, title: str, pins: dict[str, str], head: str) -> None:
+    lines = "".join(f"{package}=={version}\n" for package, version in sorted(pins.items()))
+    (HERE / name).write_text(f"# {title} Made by `make lock`.\n{head}{lines}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -29,10 +29,13 @@ DEBIAN_PACKAGE = {
     "libX11.so": "libx11-6",
 }
 PURPOSE = {
+    "worlds": "rendering synthetic images (`maslam demo`, `render`, `sweep`)",
     "train": "training and exporting the place descriptor",
     "rerun": "recordings for the rerun viewer (`maslam report RUN --rrd`)",
     "evo": "comparing trajectories with evo",
 }
+
+LINKED_TO_THE_SYSTEM = ("worlds",)
 
 
 @dataclass(frozen=True)
@@ -86,13 +89,15 @@ def library_checks() -> list[Check]:
 
 
 def extra_checks() -> list[Check]:
-    """The optional parts, by what they are for."""
+    """The optional parts, by what they are for; those that need libraries of the system are imported for real."""
     checks = []
     for extra, purpose in PURPOSE.items():
         names = [_name(text) for text in requires("maslam") or [] if re.search(rf"extra == ['\"]{extra}['\"]", text)]
         missing = [name for name in names if not _installed(name)]
         detail = purpose if not missing else f"{purpose}: pip install 'maslam[{extra}]'"
         checks.append(Check(f"extra: {extra}", not missing, detail, needed=False))
+        if extra in LINKED_TO_THE_SYSTEM:
+            checks += [_import_check(name, needed=False) for name in names if name not in missing]
     return checks
 
 

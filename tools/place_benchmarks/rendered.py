@@ -76,7 +76,11 @@ class Visit:
 
 
 def build_world(kind: str, seed: int) -> World:
-    """A town or an indoor floor, with coarser ground than for driving: thumbnails do not show the difference."""
+    """A town or an indoor floor, with coarser ground than for driving: thumbnails do not show the difference.
+    ``RenderError`` at once where it could not be rendered."""
+    from ..worlds.rendering.renderer import load_open3d
+
+    load_open3d()
     if kind == "town":
         from ..worlds.town.town import build_town
 

@@ -20,7 +20,7 @@ from ..common.parallel import core_count, each_finished
 from .config import RenderConfig
 from .errors import RenderError
 from .rendering.light import Light
-from .rendering.renderer import Renderer, View
+from .rendering.renderer import Renderer, View, load_open3d
 from .rendering.sensor import DEPTH_UNIT_M, depth_map, develop
 from .scenario import AgentPlan, Scenario, plan_scenario
 
@@ -46,6 +46,8 @@ def render_dataset(
     if _finished(out, settings):
         log.info("%s: rendered already with these settings", out)
         return
+    load_open3d()
+    _mark_begun(out, settings)
     scenario = plan_scenario(config)
     camera = config.camera()
     for k, plan in enumerate(scenario.agents):
@@ -77,7 +79,7 @@ class _Job:
 
 
 def _finished(out: Path, settings: dict[str, object]) -> bool:
-    """Whether ``out`` is complete; otherwise it is marked as being worked on with these settings."""
+    """Whether ``out`` is complete; ``RenderError`` where it holds anything but this rendering, or a part of it."""
     done, begun = out / "world.json", out / "unfinished.json"
     if done.exists():
         found = json.loads(done.read_text(encoding="utf-8"))
@@ -94,9 +96,12 @@ def _finished(out: Path, settings: dict[str, object]) -> bool:
         return False
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RenderError(f"{out}: exists and is not a rendering; choose an empty or new folder")
-    out.mkdir(parents=True, exist_ok=True)
-    write_atomically(begun, json.dumps(settings, indent=2) + "\n")
     return False
+
+
+def _mark_begun(out: Path, settings: dict[str, object]) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    write_atomically(out / "unfinished.json", json.dumps(settings, indent=2) + "\n")
 
 
 def _write_agent(folder: Path, plan: AgentPlan, config: RenderConfig, camera: PinholeCamera) -> None:

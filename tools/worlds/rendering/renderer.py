@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from maslam.frontend.cameras.models import PinholeCamera
 
+from ..errors import RenderError
 from ..scene.mesh import Mesh
 from ..scene.world import World
 from .light import Light
@@ -30,14 +31,22 @@ class View:
     depth_m: NDArray[np.float64]
 
 
+def load_open3d() -> Any:
+    """The library that casts the rays; ``RenderError`` where it is not installed. What renders calls this before long
+    work: everything else of maslam does without open3d."""
+    try:
+        import open3d
+    except ModuleNotFoundError as error:
+        raise RenderError("rendering needs open3d: pip install 'maslam[worlds]'") from error
+    return open3d
+
+
 class Renderer:
     """Ray casting of one world. Construction loads open3d and sorts the triangles; ``render`` may be called from
     several threads."""
 
     def __init__(self, world: World) -> None:
-        import open3d as o3d
-
-        self._o3d = o3d
+        self._o3d = load_open3d()
         self.world = world
         self._layers = [self._layer(world.mesh)]
 
