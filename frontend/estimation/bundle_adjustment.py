@@ -1,6 +1,6 @@
 """Window bundle adjustment: key-frame poses, points and the stereo rig's residual calibration, by a Schur complement.
 
-Compiled kernels, arrays in, arrays out. ``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. A measured ``(u, v,
+Arrays in, arrays out. ``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. A measured ``(u, v,
 disparity)`` is modelled as the ideal one plus ``basis @ calib``: what the rig's residual calibration
 (:mod:`maslam.frontend.estimation.self_calibration`) does at that place of the image.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .depth_alignment import add_alignment, alignment_cost
+from .depth_alignment import DepthAlignment
 from .linear_algebra import solve_symmetric, weighted_gram
 from .pose_refinement import exp_update
 from .schur import Array, Ints, assemble, back_substitute, reduce_points, robust_weights
@@ -70,6 +70,39 @@ def _take_out(uv: Array, disparity: Array, basis: Array, calib: Array) -> tuple[
 
 
 @njit(cache=True, nogil=True)
+def _residuals_and_cost(
+    poses: Array,
+    points: Array,
+    calib: Array,
+    kf: Ints,
+    pt: Ints,
+    uv: Array,
+    disparity: Array,
+    sigma: Array,
+    sigma_d: Array,
+    cam: Array,
+    basis: Array,
+    mean: Array,
+    info: Array,
+) -> tuple[Array, float]:
+    uv, disparity = _take_out(uv, disparity, basis, calib)
+    r = window_residuals(poses, points, kf, pt, uv, disparity, cam)
+    return r, _cost(r, sigma, sigma_d, calib, mean, info)
+
+
+@njit(cache=True, nogil=True)
+def _updated(poses: Array, slot: Ints, delta: Array) -> Array:
+    """The free poses after a left update by their six numbers of ``delta`` each."""
+    out = poses.copy()
+    for k in range(len(poses)):
+        if slot[k] >= 0:
+            T = exp_update(delta[6 * slot[k] : 6 * slot[k] + 6], poses[k])
+            for i in range(3):
+                for j in range(4):
+                    out[k, i, j] = T[i, j]
+    return out
+
+
 def adjust_window(
     poses: Array,
     slot: Ints,
@@ -86,11 +119,7 @@ def adjust_window(
     calib: Array,
     calib_mean: Array,
     calib_info: Array,
-    pairs: Ints,
-    T_A_B: Array,
-    pair_info: Array,
-    pair_gradient: Array,
-    pair_cost: Array,
+    aligned: DepthAlignment,
     iterations: int,
 ) -> tuple[Array, Array, Array, Array, float, float]:
     """Levenberg-Marquardt on robust reprojection and disparity errors.
@@ -98,65 +127,34 @@ def adjust_window(
     ``poses`` ``(K, 4, 4)``; ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``points`` ``(P, 3)``; the N
     observations are sorted by point, those of point j are ``start[j]:start[j + 1]``; ``kf``, ``pt`` ``(N,)`` indices,
     ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration:
-    ``basis`` ``(N, 3, C)``, start and prior mean ``(C,)``, prior information ``(C, C)``; C = 0 keeps it out. Pairs of
-    poses: the arrays of a :class:`maslam.frontend.estimation.depth_alignment.DepthAlignment`. Returns poses, points,
-    calibration, the calibration's information, cost before and after; the cost never rises.
+    ``basis`` ``(N, 3, C)``, start and prior mean ``(C,)``, prior information ``(C, C)``; C = 0 keeps it out.
+    ``aligned``: pairs of poses by their depth images. Returns poses, points, calibration, the calibration's
+    information, cost before and after; the cost never rises.
+
+    Python between compiled kernels: a compiled loop would contain all of them and take ten seconds to compile.
     """
+    basis = np.ascontiguousarray(basis)
+    seen, prior = (kf, pt, uv, disparity, sigma, sigma_d, cam, basis), (calib_mean, calib_info)
+    free, n_c = int(slot.max()) + 1, basis.shape[2]
+    m, n, n_points = 6 * free + n_c, len(kf), len(points)
+    U, b_c, S = np.empty((m, m)), np.empty(m), np.zeros((m, m))
+    V, b_p, V_inv = np.empty((n_points, 3, 3)), np.empty((n_points, 3)), np.empty((n_points, 3, 3))
+    W, Wc = np.empty((n, 6, 3)), np.empty((n_points, n_c, 3))
     poses, points, calib = poses.copy(), points.copy(), calib.copy()
-    free = slot.max() + 1
-    n_c = basis.shape[2]
-    m = 6 * free + n_c
-    n_points, n = len(points), len(kf)
-    r = window_residuals(poses, points, kf, pt, *_take_out(uv, disparity, basis, calib), cam)
-    cost = _cost(r, sigma, sigma_d, calib, calib_mean, calib_info)
-    cost += alignment_cost(poses, pairs, T_A_B, pair_info, pair_gradient, pair_cost)
-    first = cost
-    damping = 1e-4
-    W = np.zeros((n, 6, 3))
-    Wc = np.zeros((n_points, n_c, 3))
-    V, b_p, V_inv = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3)), np.zeros((n_points, 3, 3))
-    relinearise = True
-    S = np.zeros((m, m))
-    U, b_c = np.zeros((m, m)), np.zeros(m)
+    r, cost = _residuals_and_cost(poses, points, calib, *seen, *prior)
+    cost += aligned.cost_at(poses)
+    first, damping, relinearise = cost, 1e-4, True
     for _ in range(iterations):
         if relinearise:
-            assemble(
-                poses,
-                slot,
-                points,
-                start,
-                kf,
-                disparity,
-                sigma,
-                sigma_d,
-                cam,
-                r,
-                basis,
-                free,
-                U,
-                b_c,
-                V,
-                b_p,
-                W,
-                Wc,
-            )
-            for a in range(n_c):
-                for c in range(n_c):
-                    U[6 * free + a, 6 * free + c] += calib_info[a, c]
-                    b_c[6 * free + a] += calib_info[a, c] * (calib[c] - calib_mean[c])
-            add_alignment(poses, slot, pairs, T_A_B, pair_info, pair_gradient, U, b_c)
+            given = (kf, disparity, sigma, sigma_d, cam, r, basis, free, calib, *prior)
+            assemble(poses, slot, points, start, *given, U, b_c, V, b_p, W, Wc)
+            aligned.add_to(U, b_c, poses, slot)
         S, rhs = reduce_points(slot, start, kf, n_c, free, U, b_c, V, b_p, W, Wc, V_inv, damping)
-        delta = solve_symmetric(S, -rhs.reshape(m, 1))[:, 0]
-        new_poses, new_points, new_calib = poses.copy(), points.copy(), calib.copy()
-        for k in range(len(poses)):
-            if slot[k] >= 0:
-                new_poses[k] = exp_update(delta[6 * slot[k] : 6 * slot[k] + 6], poses[k])
-        for k in range(n_c):
-            new_calib[k] += delta[6 * free + k]
+        delta = solve_symmetric(S, -rhs.reshape(m, 1)).reshape(m)
+        new_poses, new_points, new_calib = _updated(poses, slot, delta), points.copy(), calib + delta[6 * free :]
         back_substitute(slot, start, kf, n_c, free, delta, b_p, W, Wc, V_inv, new_points)
-        new_r = window_residuals(new_poses, new_points, kf, pt, *_take_out(uv, disparity, basis, new_calib), cam)
-        new_cost = _cost(new_r, sigma, sigma_d, new_calib, calib_mean, calib_info)
-        new_cost += alignment_cost(new_poses, pairs, T_A_B, pair_info, pair_gradient, pair_cost)
+        new_r, new_cost = _residuals_and_cost(new_poses, new_points, new_calib, *seen, *prior)
+        new_cost += aligned.cost_at(new_poses)
         if new_cost < cost:
             gain = (cost - new_cost) / cost
             poses, points, calib, r, cost = new_poses, new_points, new_calib, new_r, new_cost
@@ -172,11 +170,10 @@ def adjust_window(
     return poses, points, calib, _marginal(S, 6 * free), first, cost
 
 
-@njit(cache=True, nogil=True)
 def _marginal(S: Array, first: int) -> Array:
     """Information of the unknowns from ``first`` on when all others are left free."""
     if first == 0 or first == len(S):
         return S[first:, first:].copy()
     across = S[:first, first:].copy()
     solved = solve_symmetric(S[:first, :first].copy(), across)
-    return S[first:, first:] - weighted_gram(across, np.ones(first), solved)
+    return np.asarray(S[first:, first:] - weighted_gram(across, np.ones(first), solved))

@@ -69,6 +69,17 @@ class DepthAlignment:
         nothing = np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros((0, 6)), np.zeros(0)
         return cls(np.zeros((0, 2), dtype=np.int64), *nothing)
 
+    def cost_at(self, poses: Array) -> float:
+        """Of the linearised pairs at ``poses`` ``(K, 4, 4)``."""
+        if not len(self.pairs):  # without depth images the kernels are not even compiled
+            return 0.0
+        return float(_alignment_cost(poses, self.pairs, self.T_A_B, self.information, self.gradient, self.cost))
+
+    def add_to(self, U: Array, b_c: Array, poses: Array, slot: Ints) -> None:
+        """Add the pairs to the poses' normal equations ``U``, ``b_c`` (6 unknowns for each ``slot`` >= 0)."""
+        if len(self.pairs):
+            _add_alignment(poses, slot, self.pairs, self.T_A_B, self.information, self.gradient, U, b_c)
+
 
 def surface(depth_m: Depth, cam: Array, max_depth_m: float, columns: int) -> Surface:
     """Of a depth image ``(H, W)``, metres, 0 = unknown; about ``columns`` blocks wide."""
@@ -198,12 +209,12 @@ def _moved(T_A: Array, T_B: Array, T_A_B: Array) -> tuple[Array, Array]:
     """The relative pose now, ``(4, 4)``, and its left update ``(6,)`` since ``T_A_B``, to second order."""
     R = times3_transposed(T_A, T_B)
     E = times3_transposed(R, T_A_B)
-    t, s = T_A[:3, 3].copy(), np.zeros(3)
+    now, s, x = np.zeros((4, 4)), np.zeros(3), np.zeros(6)
+    now[3, 3] = 1.0
     for i in range(3):
-        t[i] -= R[i, 0] * T_B[0, 3] + R[i, 1] * T_B[1, 3] + R[i, 2] * T_B[2, 3]
-        s[i] = t[i] - (E[i, 0] * T_A_B[0, 3] + E[i, 1] * T_A_B[1, 3] + E[i, 2] * T_A_B[2, 3])
-    now, x = np.eye(4), np.zeros(6)
-    now[:3, :3], now[:3, 3] = R, t
+        t = T_A[i, 3] - (R[i, 0] * T_B[0, 3] + R[i, 1] * T_B[1, 3] + R[i, 2] * T_B[2, 3])
+        s[i] = t - (E[i, 0] * T_A_B[0, 3] + E[i, 1] * T_A_B[1, 3] + E[i, 2] * T_A_B[2, 3])
+        now[i, 0], now[i, 1], now[i, 2], now[i, 3] = R[i, 0], R[i, 1], R[i, 2], t
     x[3], x[4], x[5] = 0.5 * (E[2, 1] - E[1, 2]), 0.5 * (E[0, 2] - E[2, 0]), 0.5 * (E[1, 0] - E[0, 1])
     x[0] = s[0] - 0.5 * (x[4] * s[2] - x[5] * s[1])
     x[1] = s[1] - 0.5 * (x[5] * s[0] - x[3] * s[2])
@@ -222,8 +233,7 @@ def _quadratic(H: Array, g: Array, x: Array) -> float:
 
 
 @njit(cache=True, nogil=True)
-def alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array, cost: Array) -> float:
-    """Of the linearised pairs (:class:`DepthAlignment`) at ``poses``."""
+def _alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array, cost: Array) -> float:
     total = 0.0
     for k in range(len(pairs)):
         _, x = _moved(poses[pairs[k, 0]], poses[pairs[k, 1]], T_A_B[k])
@@ -232,34 +242,36 @@ def alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array, 
 
 
 @njit(cache=True, nogil=True)
-def add_alignment(
+def _add_alignment(
     poses: Array, slot: Ints, pairs: Ints, T_A_B: Array, H: Array, g: Array, U: Array, b_c: Array
 ) -> None:
-    """Add the linearised pairs to the poses' normal equations ``U``, ``b_c`` (6 unknowns for each ``slot``)."""
-    ones = np.ones(6)
+    ones, across = np.ones(6), np.zeros((3, 3))
     for k in range(len(pairs)):
-        a, b = slot[pairs[k, 0]], slot[pairs[k, 1]]
         now, x = _moved(poses[pairs[k, 0]], poses[pairs[k, 1]], T_A_B[k])
-        t = now[:3, 3]
-        across = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-        R, info = now[:3, :3], H[k]
+        across[0, 1], across[0, 2], across[1, 2] = -now[2, 3], now[1, 3], -now[0, 3]
+        across[1, 0], across[2, 0], across[2, 1] = now[2, 3], -now[1, 3], now[0, 3]
+        turned = times3(across, now)
         B = np.zeros((6, 6))  # what the update of B does to the pair's: -Ad(T_A_B)
-        B[:3, :3], B[3:, 3:], B[:3, 3:] = -R, -R, -times3(across, now)
+        for r in range(3):
+            for c in range(3):
+                B[r, c], B[3 + r, 3 + c], B[r, 3 + c] = -now[r, c], -now[r, c], -turned[r, c]
         e, HB = g[k].copy(), np.zeros((6, 6))
         for r in range(6):
             for c in range(6):
-                e[r] += info[r, c] * x[c]
+                e[r] += H[k, r, c] * x[c]
                 for q in range(6):
-                    HB[r, c] += info[r, q] * B[q, c]
-        i, j = 6 * a, 6 * b
-        if a >= 0:
-            U[i : i + 6, i : i + 6] += info
-            b_c[i : i + 6] += e
-        if b >= 0:
-            U[j : j + 6, j : j + 6] += weighted_gram(B, ones, HB)
-            for r in range(6):
-                for c in range(6):
+                    HB[r, c] += H[k, r, q] * B[q, c]
+        BHB = weighted_gram(B, ones, HB)
+        i, j = 6 * slot[pairs[k, 0]], 6 * slot[pairs[k, 1]]
+        for r in range(6):
+            if i >= 0:
+                b_c[i + r] += e[r]
+            for c in range(6):
+                if i >= 0:
+                    U[i + r, i + c] += H[k, r, c]
+                if j >= 0:
+                    U[j + r, j + c] += BHB[r, c]
                     b_c[j + r] += B[c, r] * e[c]
-        if a >= 0 and b >= 0:
-            U[i : i + 6, j : j + 6] += HB
-            U[j : j + 6, i : i + 6] += HB.T
+                if i >= 0 and j >= 0:
+                    U[i + r, j + c] += HB[r, c]
+                    U[j + r, i + c] += HB[c, r]

@@ -81,6 +81,9 @@ def assemble(
     r: Array,
     basis: Array,
     free: int,
+    calib: Array,
+    calib_mean: Array,
+    calib_info: Array,
     U: Array,
     b_c: Array,
     V: Array,
@@ -89,7 +92,7 @@ def assemble(
     Wc: Array,
 ) -> None:
     """Blocks of the normal equations: cameras U, points V, coupling W (pose) and Wc (calibration); gradients b. Of
-    what is symmetric only the upper half is made, and mirrored at the end."""
+    what is symmetric only the upper half is made, and mirrored at the end, where the calibration's prior joins."""
     U[:] = 0.0
     b_c[:] = 0.0
     V[:] = 0.0
@@ -138,6 +141,10 @@ def assemble(
     for a in range(len(U)):
         for c in range(a):
             U[a, c] = U[c, a]
+    for a in range(n_c):
+        for c in range(n_c):
+            U[base + a, base + c] += calib_info[a, c]
+            b_c[base + a] += calib_info[a, c] * (calib[c] - calib_mean[c])
 
 
 @njit(cache=True, nogil=True)

@@ -76,11 +76,7 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
         ranging.calib[:count],
         mean,
         prior,
-        aligned.pairs,
-        aligned.T_A_B,
-        aligned.information,
-        aligned.gradient,
-        aligned.cost,
+        aligned,
         settings.iterations,
     )
     if not (np.isfinite(poses).all() and np.isfinite(points).all()):

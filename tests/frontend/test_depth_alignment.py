@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from maslam.backend.geometry import se3_exp
-from maslam.frontend.estimation.depth_alignment import add_alignment, align_surfaces, alignment_cost, surface
+from maslam.frontend.estimation.depth_alignment import align_surfaces, surface
 
 CAM = np.array([260.0, 260.0, 160.0, 120.0, 20.0])
 CORNER = [([0.0, 0.0, 1.0], 3.0), ([0.8, 0.0, 0.6], 2.3), ([0.0, 0.8, 0.6], 2.2)]
@@ -59,15 +59,14 @@ def test_the_normal_equations_are_the_derivatives_of_the_cost() -> None:
     base[1] = truth @ base[0]
     off = np.stack([base[0], se3_exp(rng.normal(0, 1e-2, 6)) @ base[1]])
     found = align_surfaces(pair(CORNER, truth), off, [(0, 1)], CAM, 0.0015, 1.0)
-    args = found.pairs, found.T_A_B, found.information, found.gradient
     U, b = np.zeros((12, 12)), np.zeros(12)
-    add_alignment(off, np.array([0, 1]), *args, U, b)
+    found.add_to(U, b, off, np.array([0, 1]))
     step = 1e-5
     for k in range(12):
         ends = []
         for sign in (-step, step):
             x = np.zeros((2, 6))
             x.flat[k] = sign
-            ends.append(alignment_cost(np.stack([se3_exp(x[i]) @ off[i] for i in range(2)]), *args, found.cost))
+            ends.append(found.cost_at(np.stack([se3_exp(x[i]) @ off[i] for i in range(2)])))
         np.testing.assert_allclose((ends[1] - ends[0]) / (2 * step), 2.0 * b[k], rtol=1e-3, atol=1e-4 * np.abs(b).max())
     np.testing.assert_allclose(U, U.T, rtol=1e-12, atol=1e-9 * np.abs(U).max())

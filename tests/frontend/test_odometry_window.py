@@ -50,7 +50,7 @@ class Problem:
         self.start_points = self.points + rng.normal(0, 0.1, self.points.shape)
 
     def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> tuple:
-        n, c, none = len(self.kf), 3 if estimate_calib else 0, DepthAlignment.none()
+        n, c = len(self.kf), 3 if estimate_calib else 0
         return adjust_window(
             self.start_poses,
             self.slot,
@@ -67,11 +67,7 @@ class Problem:
             np.zeros(c),
             np.zeros(c),
             np.eye(c) * prior_px**-2.0,
-            none.pairs,
-            none.T_A_B,
-            none.information,
-            none.gradient,
-            none.cost,
+            DepthAlignment.none(),
             iterations,
         )
 
