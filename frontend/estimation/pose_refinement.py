@@ -28,15 +28,23 @@ def exp_update(delta: Array, T: Array) -> Array:
     else:
         a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
         c = (1.0 - a) / angle2
-    K = np.array([[0.0, -p2, p1], [p2, 0.0, -p0], [-p1, p0, 0.0]])
+    K, R, V, out = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((4, 4))
+    K[0, 1], K[0, 2], K[1, 2] = -p2, p1, -p0
+    K[1, 0], K[2, 0], K[2, 1] = p2, -p1, p0
     K2 = times3(K, K)
-    R = np.eye(3) + a * K + b * K2
-    V = np.eye(3) + b * K + c * K2
-    out = np.eye(4)
-    turned = times3(R, T)
+    for i in range(3):
+        for k in range(3):
+            one = 1.0 if i == k else 0.0
+            R[i, k] = one + a * K[i, k] + b * K2[i, k]
+            V[i, k] = one + b * K[i, k] + c * K2[i, k]
     # One Newton step to the nearest rotation: velocities are made with transposes for inverses, and there rounding
     # errors would grow sixfold from frame to frame.
-    out[:3, :3] = 1.5 * turned - 0.5 * times3(times3_transposed(turned, turned), turned)
+    turned = times3(R, T)
+    cubed = times3(times3_transposed(turned, turned), turned)
+    out[3, 3] = 1.0
+    for i in range(3):
+        for k in range(3):
+            out[i, k] = 1.5 * turned[i, k] - 0.5 * cubed[i, k]
     for i in range(3):
         for k in range(3):
             out[i, 3] += R[i, k] * T[k, 3] + V[i, k] * delta[k]
@@ -88,9 +96,12 @@ def refine_pose(
             H, b = _normal_equations(pose, points, uv, disparity, sigma, sigma_d, cam, inlier, scale)
             for k in range(6):
                 H[k, k] += 1e-6 * H[k, k] + 1e-9
-            delta = solve_symmetric(H, -b.reshape(6, 1))[:, 0]
+            delta = solve_symmetric(H, -b.reshape(6, 1)).reshape(6)
             pose = exp_update(delta, pose)
-            if np.abs(delta).max() < 1e-7:
+            settled = True
+            for k in range(6):
+                settled &= abs(delta[k]) < 1e-7
+            if settled:
                 break
         r = residuals(pose, points, uv, disparity, cam)
         for i in range(n):

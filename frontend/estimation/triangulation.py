@@ -40,18 +40,18 @@ def triangulate(poses: Array, start: NDArray[np.int64], kf: NDArray[np.int64], r
                     A[a, c] += m
                     b[a, 0] += m * centre[c]
             if i == start[j]:
-                first[:] = d
+                first[0], first[1], first[2] = d[0], d[1], d[2]
             else:
                 least = min(least, first[0] * d[0] + first[1] * d[1] + first[2] * d[2])
         parallax[j] = np.arccos(max(min(least, 1.0), -1.0))
         if start[j + 1] - start[j] < 2 or parallax[j] < 1e-4:
             continue
-        p = solve_symmetric(A, b)[:, 0]
+        p = solve_symmetric(A, b).reshape(3)
         ahead = True
         for i in range(start[j], start[j + 1]):
             T = poses[kf[i]]
             if T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3] <= 0:
                 ahead = False
         if ahead:
-            points[j] = p
+            points[j, 0], points[j, 1], points[j, 2] = p[0], p[1], p[2]
     return points, parallax
