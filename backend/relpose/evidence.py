@@ -105,7 +105,7 @@ def weigh(
     # An inverse distance in the query's unit is larger by the scale; both views' noise enters a difference.
     sigma_M, sigma_Q = np.sqrt(2.0) * sigma, np.sqrt(2.0) * sigma * T_M_Q.scale
     query = _side(T_M_Q @ points_Q, points_M, distances, np.radians(angle_deg), alike, sigma_M)
-    match = _side(T_M_Q.inverse() @ points_M, points_Q, distances.T, np.radians(angle_deg), alike, sigma_Q)
+    match = _side(T_M_Q.inverse() @ points_M, points_Q, distances, np.radians(angle_deg), alike, sigma_Q, True)
     return Evidence(query, match)
 
 
@@ -115,12 +115,22 @@ def _field(points: Array) -> Array:
     return np.concatenate([plane.min(axis=0), plane.max(axis=0)])
 
 
-def _side(predicted: Array, own: Array, distances: Distances, radius: float, alike: int, sigma: float) -> Side:
-    """Counts of ``predicted`` ``(n, 3)`` among the ``own`` ``(m, 3)`` points of the camera that they are in."""
+def _side(
+    predicted: Array,
+    own: Array,
+    distances: Distances,
+    radius: float,
+    alike: int,
+    sigma: float,
+    transposed: bool = False,
+) -> Side:
+    """Counts of ``predicted`` ``(n, 3)`` among the ``own`` ``(m, 3)`` points of the camera that they are in;
+    ``transposed``: ``distances`` are ``(m, n)``."""
     counts = _count(
         np.ascontiguousarray(predicted),
         np.ascontiguousarray(own),
         distances,
+        transposed,
         _field(own),
         np.cos(radius),
         np.cos(0.5 * radius),
@@ -136,18 +146,19 @@ def _side(predicted: Array, own: Array, distances: Distances, radius: float, ali
 
 @njit(cache=True, nogil=True)
 def _count(  # type: ignore[no-untyped-def]
-    predicted, own, distances, field, cos_same, cos_close, alike, cos_surface, enough, same, apart, share
+    predicted, own, distances, transposed, field, cos_same, cos_close, alike, cos_surface, enough, same, apart, share
 ):
     n, m = len(predicted), len(own)
     out = np.zeros(7, dtype=np.int64)
     rays, inverse = np.empty((m, 3)), np.empty(m)
     for j in range(m):
-        inverse[j] = 1.0 / max(np.sqrt((own[j] ** 2).sum()), 1e-9)
-        rays[j] = own[j] * inverse[j]
+        inverse[j] = 1.0 / max(np.sqrt(own[j, 0] ** 2 + own[j, 1] ** 2 + own[j, 2] ** 2), 1e-9)
+        for c in range(3):
+            rays[j, c] = own[j, c] * inverse[j]
     seen, similar = np.empty((n, 3)), np.zeros(n, dtype=np.bool_)
     v = 0
     for i in range(n):
-        x, y, z = predicted[i]
+        x, y, z = predicted[i, 0], predicted[i, 1], predicted[i, 2]
         if z <= 1e-6 or not (field[0] < x / z < field[2] and field[1] < y / z < field[3]):
             continue
         own_inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
@@ -162,7 +173,7 @@ def _count(  # type: ignore[no-untyped-def]
             if cos >= cos_same and abs(inverse[j] - own_inverse) < same:
                 met = True
                 close |= cos >= cos_close
-                same_look |= distances[i, j] <= alike
+                same_look |= (distances[j, i] if transposed else distances[i, j]) <= alike
         if around >= enough:
             out[1] += 1
             out[2] += own_inverse > nearest * (1.0 + share) + apart
@@ -174,24 +185,28 @@ def _count(  # type: ignore[no-untyped-def]
         seen[v, 0], seen[v, 1], seen[v, 2], similar[v] = x, y, z, same_look
         v += 1
     out[0] = v
-    out[5] = _deserted(seen[:v], similar[:v])
+    out[5] = _deserted(seen, similar, out[0])
     return out
 
 
 @njit(cache=True, nogil=True)
-def _deserted(rays, similar):  # type: ignore[no-untyped-def]
-    """Number of the rays ``(v, 3)`` without a similar one among as many neighbours as should have three."""
-    alike = rays[similar]
-    if not len(alike):
-        return len(rays)
-    neighbours = int(np.ceil(3.0 * len(rays) / len(alike)))
+def _deserted(rays, similar, count):  # type: ignore[no-untyped-def]
+    """Number of the first ``count`` rays without a similar one among as many neighbours as should have three."""
+    alike, n_alike = np.empty((count, 3)), 0
+    for i in range(count):
+        if similar[i]:
+            alike[n_alike, 0], alike[n_alike, 1], alike[n_alike, 2] = rays[i, 0], rays[i, 1], rays[i, 2]
+            n_alike += 1
+    if n_alike == 0:
+        return count
+    neighbours = int(np.ceil(3.0 * count / n_alike))
     deserted = 0
-    for i in range(len(rays)):
+    for i in range(count):
         best = -1.0
-        for j in range(len(alike)):
+        for j in range(n_alike):
             best = max(best, rays[i, 0] * alike[j, 0] + rays[i, 1] * alike[j, 1] + rays[i, 2] * alike[j, 2])
         nearer = 0
-        for j in range(len(rays)):
+        for j in range(count):
             nearer += rays[i, 0] * rays[j, 0] + rays[i, 1] * rays[j, 1] + rays[i, 2] * rays[j, 2] > best
             if nearer >= neighbours:
                 deserted += 1

@@ -15,7 +15,8 @@ FAR = np.int16(257)
 
 def hamming_distances(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> Distances:
     """All distances ``(n, m)`` in bits between descriptors ``(n, w)`` and ``(m, w)``; ``w`` a multiple of 8 bytes."""
-    words_a, words_b = (np.ascontiguousarray(x).view(np.uint64) for x in (a, b))
+    # Writeable copies of what messages hold: one kind of array, so that the kernel is compiled once.
+    words_a, words_b = (np.require(x, requirements=("C", "W")).view(np.uint64) for x in (a, b))
     return np.asarray(_hamming(words_a, words_b))
 
 

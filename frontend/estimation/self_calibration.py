@@ -117,7 +117,8 @@ def prior_information(width: int, height: int, cam: Array, shift_px: float, dist
     grid = np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
     uv = np.stack([grid[0].ravel(), grid[1].ravel()], axis=1)
     rows = basis(uv, np.zeros(len(uv)), cam, count).reshape(-1, count)
-    rigid = rows[:, [N_LENS + RIGHT.index(name) for name in ("cx", "cy", "wz") if count > N_LENS]]
+    shifts = [N_LENS + RIGHT.index(name) for name in ("cx", "cy", "wz") if count > N_LENS]
+    rigid = np.ascontiguousarray(rows[:, shifts])
     one = np.ones(len(rows))
     beyond = rows
     if rigid.size:

@@ -303,6 +303,7 @@ def align(
     ``warp`` ``(n, 2, 2)``: how a step in the image they were cut from shows in ``target``; ``guess`` ``(n, 2)``. Found:
     no farther than ``reach_px`` from the guess, with a correlation of at least ``min_score``.
     """
+    warp = np.require(warp, requirements=("C", "W"))  # one kind of array: the kernel is compiled once
     at, last = guess, len(target) - 1
     for level in range(last, 0, -1):
         factor = 0.5**level
