@@ -65,6 +65,7 @@ def agreeing(
             transforms.scales,
             np.ascontiguousarray(points_M),
             np.ascontiguousarray(points_Q),
+            *(np.sqrt((points**2).sum(axis=1)) for points in (points_M, points_Q)),
             np.cos(np.radians(angle_deg)),
             depth_ratio,
         )
@@ -72,9 +73,10 @@ def agreeing(
 
 
 @njit(cache=True, nogil=True)
-def _agreeing(rotations, translations, scales, points_M, points_Q, cos, ratio):  # type: ignore[no-untyped-def]
+def _agreeing(  # type: ignore[no-untyped-def]
+    rotations, translations, scales, points_M, points_Q, range_M, range_Q, cos, ratio
+):
     out = np.zeros((len(rotations), len(points_M)), dtype=np.bool_)
-    range_M, range_Q = np.sqrt((points_M**2).sum(axis=1)), np.sqrt((points_Q**2).sum(axis=1))
     for h in range(len(rotations)):
         R, t, s = rotations[h], translations[h], scales[h]
         for k in range(len(points_M)):
@@ -124,8 +126,8 @@ def _unlikeness(points_M, points_Q, triples, with_scale):  # type: ignore[no-unt
             continue
         for a in range(3):
             ratios[a] = np.log(sides[0, a] / sides[1, a])
-        common = ratios.mean() if with_scale else 0.0
-        out[h] = np.abs(ratios - common).max()
+        common = (ratios[0] + ratios[1] + ratios[2]) / 3.0 if with_scale else 0.0
+        out[h] = max(abs(ratios[0] - common), abs(ratios[1] - common), abs(ratios[2] - common))
     return out
 
 

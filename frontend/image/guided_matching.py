@@ -24,22 +24,22 @@ def _guided(
     level_b: NDArray[np.int8],
     words_b: NDArray[np.uint64],
     radius: NDArray[np.float64],
+    downwards: NDArray[np.int64],
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
     level_slack: float,
     max_distance: int,
     ratio: float,
 ) -> NDArray[np.int64]:
+    """``downwards``: the key-points b from the top of the image to its foot; ``first``, ``last`` ``(n,)``: where in it
+    the rows within the radius of each point a begin and end."""
     out = np.full(len(uv_a), -1, dtype=np.int64)
     distance_of = np.full(len(uv_b), 257, dtype=np.int64)
     owner = np.full(len(uv_b), -1, dtype=np.int64)
-    # From the top of the image to its foot: only the rows within the radius are looked through.
-    downwards = np.argsort(uv_b[:, 1])
-    rows = uv_b[downwards, 1]
     for i in range(len(uv_a)):
         best, second, index = np.int64(257), np.int64(257), np.int64(-1)
         r2 = radius[i] * radius[i]
-        first = np.searchsorted(rows, uv_a[i, 1] - radius[i])
-        last = np.searchsorted(rows, uv_a[i, 1] + radius[i], side="right")
-        for place in range(first, last):
+        for place in range(first[i], last[i]):
             j = downwards[place]
             dx, dy = uv_a[i, 0] - uv_b[j, 0], uv_a[i, 1] - uv_b[j, 1]
             if dx * dx + dy * dy > r2 or abs(level_a[i] - level_b[j]) > level_slack:
@@ -79,4 +79,9 @@ def guided_match(
         return np.full(len(uv_a), -1, dtype=np.int64)
     words_a = np.ascontiguousarray(descriptors_a).view(np.uint64)
     words_b = np.ascontiguousarray(descriptors_b).view(np.uint64)
-    return _guided(uv_a, level_a, words_a, uv_b, level_b, words_b, radius, level_slack, max_distance, ratio)
+    downwards = np.argsort(uv_b[:, 1])
+    rows = uv_b[downwards, 1]
+    first = np.searchsorted(rows, uv_a[:, 1] - radius)
+    last = np.searchsorted(rows, uv_a[:, 1] + radius, side="right")
+    points_a, points_b = (uv_a, level_a, words_a), (uv_b, level_b, words_b)
+    return _guided(*points_a, *points_b, radius, downwards, first, last, level_slack, max_distance, ratio)

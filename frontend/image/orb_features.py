@@ -115,7 +115,7 @@ class Detector:
                     found_strength.append(np.array([k.response for k in corners]))
         xy, strength = np.concatenate(found_xy), np.concatenate(found_strength)
         cell = max(float(np.sqrt(2.0 * (width - 2 * EDGE_PX) * (height - 2 * EDGE_PX) / quota)), 12.0)
-        keep = _spread(xy, strength, taken, width, height, cell, 2, 4.0)
+        keep = _spread(xy, np.argsort(-strength, kind="stable"), taken, width, height, cell, 2, 4.0)
         return xy[keep], strength[keep]
 
     def _detect_tile(self, tile: NDArray[np.uint8], key: tuple[int, int, int], want: int) -> Sequence[cv2.KeyPoint]:
@@ -138,7 +138,7 @@ class Detector:
 @njit(cache=True, nogil=True)
 def _spread(
     xy: NDArray[np.float64],
-    strength: NDArray[np.float64],
+    order: NDArray[np.int64],
     taken: NDArray[np.float64],
     width: int,
     height: int,
@@ -146,7 +146,8 @@ def _spread(
     per_cell: int,
     distance: float,
 ) -> NDArray[np.int64]:
-    """Indices of the strongest points, at most ``per_cell`` a cell (taken ones count), at least ``distance`` apart."""
+    """Indices of the first points in ``order``, at most ``per_cell`` a cell (taken ones count), at least ``distance``
+    apart."""
     columns, rows = int(np.ceil(width / cell)), int(np.ceil(height / cell))
     used = np.zeros((rows, columns), dtype=np.int64)
     blocked = np.zeros((height, width), dtype=np.bool_)
@@ -160,7 +161,7 @@ def _spread(
                     blocked[yy, xx] = True
     kept = np.zeros(len(xy), dtype=np.int64)
     n = 0
-    for i in np.argsort(-strength, kind="mergesort"):
+    for i in order:
         x, y = int(xy[i, 0]), int(xy[i, 1])
         row, column = int(y / cell), int(x / cell)
         if blocked[y, x] or used[row, column] >= per_cell:
@@ -180,8 +181,7 @@ def spread_cells(
     """Indices of ``uv`` ``(n, 2)``, given in order of merit, that fill the cells ``taken`` leaves empty; ``count``
     cells in all."""
     cell = float(np.sqrt(width * height / count))
-    merit = np.arange(len(uv), 0, -1).astype(np.float64)
-    return _spread(uv, merit, taken, width, height, cell, 1, 6.0)
+    return _spread(uv, np.arange(len(uv)), taken, width, height, cell, 1, 6.0)
 
 
 @njit(cache=True, nogil=True)
