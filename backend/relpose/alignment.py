@@ -77,47 +77,110 @@ def _gauss_newton(points_M, points_Q, R, t, s, size, unit, loss_scale, iteration
     hessian = np.zeros((7, 7))
     for iteration in range(iterations):
         hessian, gradient, ratios = _normal_equations(points_M, points_Q, R, t, s, angle, depth, loss_scale)
-        # A trace of damping keeps degenerate sets from flying off; it is far below any real information.
-        damped = hessian[:size, :size].copy()
-        for i in range(size):
-            damped[i, i] += 1e-9 * damped[i, i] + 1e-12
-        step = np.zeros(7)
-        step[:size] = -np.linalg.solve(damped, gradient[:size])
-        t = t + R @ step[:3]
-        R = R @ _rotation(step[3:6])
+        step = _damped_step(hessian, gradient, size)
+        turn, R_before = _rotation(step[3], step[4], step[5]), R
+        R, t = np.empty((3, 3)), t.copy()
+        for a in range(3):
+            for b in range(3):
+                t[a] += R_before[a, b] * step[b]
+                R[a, b] = R_before[a, 0] * turn[0, b] + R_before[a, 1] * turn[1, b] + R_before[a, 2] * turn[2, b]
         s = s * np.exp(min(max(step[6], -1.0), 1.0))
+        settled = True
+        for i in range(7):
+            settled &= abs(step[i]) < 1e-10
         if iteration < ITERATIONS // 2:
             # The noise at which the typical residual is as large as its covariance says.
-            across = MAD_TO_SIGMA * 0.5 * (np.median(ratios[:, 0]) + np.median(ratios[:, 1]))
+            across = MAD_TO_SIGMA * 0.5 * (_median(ratios[0]) + _median(ratios[1]))
             angle = max(angle * across, MIN_ANGLE_SIGMA)
-            depth = min(max(depth * MAD_TO_SIGMA * np.median(ratios[:, 2]), MIN_DEPTH_SIGMA * unit), unit)
-        elif np.abs(step).max() < 1e-10:
+            depth = min(max(depth * MAD_TO_SIGMA * _median(ratios[2]), MIN_DEPTH_SIGMA * unit), unit)
+        elif settled:
             break
     return R, t, s, hessian, angle, depth
 
 
 @njit(cache=True, nogil=True)
-def _rotation(phi):  # type: ignore[no-untyped-def]
+def _damped_step(hessian, gradient, size):  # type: ignore[no-untyped-def]
+    """Minus the solution ``(7,)`` of the first ``size`` normal equations, 0 beyond, by ``U^T D U`` without pivoting.
+
+    Spelled out: the same sums on every machine, and numba takes seconds to compile a call of LAPACK. A pivot lost to
+    rounding is replaced by a share of its diagonal element.
+    """
+    A, step = hessian.copy(), np.zeros(7)
+    for k in range(size):
+        # A trace of damping keeps degenerate sets from flying off; it is far below any real information.
+        A[k, k] += 1e-9 * A[k, k] + 1e-12
+        step[k] = -gradient[k]
+    for k in range(size):
+        A[k, k] = max(A[k, k], 1e-14 * hessian[k, k], 1e-300)
+        for i in range(k + 1, size):
+            share = A[k, i] / A[k, k]
+            for j in range(i, size):
+                A[i, j] -= share * A[k, j]
+            step[i] -= share * step[k]
+    for k in range(size - 1, -1, -1):
+        for j in range(k + 1, size):
+            step[k] -= A[k, j] * step[j]
+        step[k] /= A[k, k]
+    return step
+
+
+@njit(cache=True, nogil=True)
+def _median(values):  # type: ignore[no-untyped-def]
+    """Of ``(n,)`` numbers, n >= 1, which are brought into another order (Hoare's quickselect)."""
+    n = len(values)
+    low, high, middle = 0, n - 1, n // 2
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            break
+    if n % 2:
+        return values[middle]
+    below = values[0]
+    for i in range(1, middle):
+        below = max(below, values[i])
+    return 0.5 * (below + values[middle])
+
+
+@njit(cache=True, nogil=True)
+def _rotation(x, y, z):  # type: ignore[no-untyped-def]
     """:func:`maslam.backend.geometry.so3_exp` of one vector, for compiled loops."""
-    square = (phi**2).sum()
+    square = x * x + y * y + z * z
     angle = np.sqrt(square)
     small = angle < 1e-5
     a = 1.0 - square / 6.0 if small else np.sin(angle) / angle
     b = 0.5 - square / 24.0 if small else (1.0 - np.cos(angle)) / square
-    k = np.array([[0.0, -phi[2], phi[1]], [phi[2], 0.0, -phi[0]], [-phi[1], phi[0], 0.0]])
-    return np.eye(3) + a * k + b * (k @ k)
+    K, R = np.zeros((3, 3)), np.empty((3, 3))
+    K[0, 1], K[0, 2], K[1, 2] = -z, y, -x
+    K[1, 0], K[2, 0], K[2, 1] = z, -y, x
+    for i in range(3):
+        for j in range(3):
+            twice = K[i, 0] * K[0, j] + K[i, 1] * K[1, j] + K[i, 2] * K[2, j]
+            R[i, j] = (1.0 if i == j else 0.0) + a * K[i, j] + b * twice
+    return R
 
 
 @njit(cache=True, nogil=True)
 def _normal_equations(points_M, points_Q, R, t, s, angle_sigma, depth_sigma, loss_scale):  # type: ignore[no-untyped-def]
-    """Hessian ``(7, 7)``, gradient ``(7,)`` and ``|residual| / sigma`` ``(k, 3)`` around
+    """Hessian ``(7, 7)``, gradient ``(7,)`` and ``|residual| / sigma`` ``(3, k)`` around
     ``p = s R exp(phi) q + t + R rho``.
 
     The unknowns are (rho, phi, log scale). A residual's covariance is the match's own noise plus the query's, carried
     over. Small sums are spelled out: calls for 3-vectors would cost more than the arithmetic.
     """
     hessian, gradient = np.zeros((7, 7)), np.zeros(7)
-    ratios = np.empty((len(points_M), 3))
+    ratios = np.empty((3, len(points_M)))
     frame, to_point, jacobian = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 7))
     p, turned, residual, ray, weighed = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     cov = np.empty((3, 3))
@@ -148,7 +211,7 @@ def _normal_equations(points_M, points_Q, R, t, s, angle_sigma, depth_sigma, los
                     to_point[a, 0] * to_point[b, 0] + to_point[a, 1] * to_point[b, 1] + to_point[a, 2] * to_point[b, 2]
                 )
             cov[a, a] += own[a]
-            ratios[k, a] = abs(residual[a]) / np.sqrt(cov[a, a])
+            ratios[a, k] = abs(residual[a]) / np.sqrt(cov[a, a])
         # Columns: rho; phi, which moves p by s R (e_a x q); log scale.
         for a in range(3):
             for b in range(3):
@@ -180,7 +243,7 @@ def _frame_of(point, frame):  # type: ignore[no-untyped-def]
     distance = np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
     for a in range(3):
         frame[2, a] = point[a] / distance
-    x, y, z = frame[2]
+    x, y, z = frame[2, 0], frame[2, 1], frame[2, 2]
     # Across: the point's direction times the axis it is least along of x and y.
     if abs(x) <= abs(y):
         norm = np.sqrt(y * y + z * z)

@@ -7,6 +7,7 @@ from scenes import LOOK_ALIKES, Noise, look_alikes, observe, pair, random_descri
 from maslam.backend.config import RelPoseConfig
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import rotation_angle_deg, se3_exp, se3_inverse, se3_log
+from maslam.backend.relpose.alignment import _damped_step, _median
 from maslam.backend.relpose.matching import hamming_distances, mutual_matches, unique_word_matches
 from maslam.backend.relpose.verification import PlaceView, relative_pose
 
@@ -190,3 +191,25 @@ def test_the_scale_brings_its_own_uncertainty():
     assert 0.15 < np.mean(squared) < 1.8
     metric = judge(*pair(np.random.default_rng(0))[:2])
     assert metric.scale_sigma == 0.0 and not metric.full_information[6].any()
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 101])
+def test_medians_are_numpys(n: int) -> None:
+    rng = np.random.default_rng(n)
+    for values in (rng.normal(size=n), rng.integers(0, 3, n).astype(float), np.ones(n), np.arange(n, 0.0, -1.0)):
+        assert _median(values.copy()) == np.median(values)
+
+
+@pytest.mark.parametrize("size", [6, 7])
+def test_steps_solve_the_normal_equations(size: int) -> None:
+    rng = np.random.default_rng(size)
+    A, gradient = rng.normal(size=(20, 7)), rng.normal(size=7)
+    hessian = A.T @ A
+    step = _damped_step(hessian, gradient, size)
+    np.testing.assert_allclose(step[:size], -np.linalg.solve(hessian[:size, :size], gradient[:size]), rtol=1e-7)
+    assert not step[size:].any()
+
+
+def test_steps_in_a_direction_that_nothing_tells_are_finite() -> None:
+    row = np.array([1.0, 2.0, 0.0, -1.0, 0.5, 0.0, 0.0])
+    assert np.isfinite(_damped_step(np.outer(row, row), row, 7)).all()
