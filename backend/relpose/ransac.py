@@ -72,7 +72,7 @@ def agreeing(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _agreeing(  # type: ignore[no-untyped-def]
     rotations, translations, scales, points_M, points_Q, range_M, range_Q, cos, ratio
 ):
@@ -108,7 +108,7 @@ def _alike_triples(
     return triples[alike[order]]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _unlikeness(points_M, points_Q, triples, with_scale):  # type: ignore[no-untyped-def]
     """Largest log ratio ``(h,)`` of the sides of two triangles, after their common factor where there may be one;
     infinite for triangles that say little."""
@@ -131,7 +131,7 @@ def _unlikeness(points_M, points_Q, triples, with_scale):  # type: ignore[no-unt
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _flatness(sides):  # type: ignore[no-untyped-def]
     """Height over longest side of a triangle given by its sides ``(3,)``; 0 for a point."""
     a, b, c = sides

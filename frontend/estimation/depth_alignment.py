@@ -115,7 +115,7 @@ def align_surfaces(
     return DepthAlignment(np.array(places, dtype=np.int64), np.stack(T), np.stack(H), np.stack(g), np.array(cost))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _average(depth: Depth, cam: Array, block: int, max_depth: float, out: Depth) -> None:
     """The mean of what lies on the same surface as a block's middle."""
     for y in range(out.shape[0]):
@@ -135,7 +135,7 @@ def _average(depth: Depth, cam: Array, block: int, max_depth: float, out: Depth)
                 out[y, x, 2] = z
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _normals(places: Depth) -> None:
     """From the neighbours of each place, written into columns 3 to 5; NaN on edges."""
     k = _REACH
@@ -155,7 +155,7 @@ def _normals(places: Depth) -> None:
             p[3], p[4], p[5] = n0 / length, n1 / length, n2 / length
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _point_to_plane(
     one: Depth, other: Depth, T: Array, cam: Array, block: int, sigma_m: float
 ) -> tuple[Array, Array, float, int, int]:
@@ -204,7 +204,7 @@ def _point_to_plane(
     return H, g, cost, hits, tried
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _moved(T_A: Array, T_B: Array, T_A_B: Array) -> tuple[Array, Array]:
     """The relative pose now, ``(4, 4)``, and its left update ``(6,)`` since ``T_A_B``, to second order."""
     R = times3_transposed(T_A, T_B)
@@ -222,7 +222,7 @@ def _moved(T_A: Array, T_B: Array, T_A_B: Array) -> tuple[Array, Array]:
     return now, x
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _quadratic(H: Array, g: Array, x: Array) -> float:
     total = 0.0
     for a in range(6):
@@ -232,7 +232,7 @@ def _quadratic(H: Array, g: Array, x: Array) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array, cost: Array) -> float:
     total = 0.0
     for k in range(len(pairs)):
@@ -241,7 +241,7 @@ def _alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array,
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _add_alignment(
     poses: Array, slot: Ints, pairs: Ints, T_A_B: Array, H: Array, g: Array, U: Array, b_c: Array
 ) -> None:

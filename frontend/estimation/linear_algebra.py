@@ -15,7 +15,7 @@ _SMALLEST_PIVOT = 1e-14
 """Share of its diagonal element below which a pivot counts as rounding error: the unknown then hardly moves."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def solve_symmetric(A: Array, B: Array) -> Array:
     """``X (n, m)`` with ``A @ X = B`` for a symmetric positive definite ``A (n, n)`` and ``B (n, m)``.
 
@@ -41,7 +41,7 @@ def solve_symmetric(A: Array, B: Array) -> Array:
     return X
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def times3(A: Array, B: Array) -> Array:
     """``A @ B`` of the upper left ``(3, 3)`` blocks."""
     out = np.empty((3, 3))
@@ -51,7 +51,7 @@ def times3(A: Array, B: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def times3_transposed(A: Array, B: Array) -> Array:
     """``A @ B.T`` of the upper left ``(3, 3)`` blocks."""
     out = np.empty((3, 3))
@@ -61,7 +61,7 @@ def times3_transposed(A: Array, B: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def weighted_gram(rows: Array, weight: Array, columns: Array) -> Array:
     """``rows.T @ diag(weight) @ columns`` ``(a, b)`` of ``(n, a)``, ``(n,)`` and ``(n, b)``."""
     out = np.zeros((rows.shape[1], columns.shape[1]))

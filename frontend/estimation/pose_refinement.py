@@ -17,7 +17,7 @@ HUBER_UV = 2.0
 HUBER_D = 1.5
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def exp_update(delta: Array, T: Array) -> Array:
     """``exp(delta) @ T`` for a tangent vector ``(6,)``, translation first."""
     p0, p1, p2 = delta[3], delta[4], delta[5]
@@ -51,7 +51,7 @@ def exp_update(delta: Array, T: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) -> Array:
     """``(n, 3)`` pixels: predicted minus measured u, v, disparity; disparity 0 where unknown; NaN behind the camera."""
     out = np.empty((len(points), 3))
@@ -68,7 +68,7 @@ def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) 
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def refine_pose(
     T: Array,
     points: Array,
@@ -111,7 +111,7 @@ def refine_pose(
     return pose, inlier, H
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _normal_equations(
     T: Array,
     points: Array,

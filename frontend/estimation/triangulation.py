@@ -11,7 +11,7 @@ from .linear_algebra import solve_symmetric
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def triangulate(poses: Array, start: NDArray[np.int64], kf: NDArray[np.int64], rays: Array) -> tuple[Array, Array]:
     """Point nearest to all its rays, and the widest angle between them.
 

@@ -183,7 +183,7 @@ def popcount(typing_context: Any, bits: Any) -> Any:
     return types.uint64(types.uint64), codegen
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def hamming(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> np.int64:
     """Differing bits of row i of ``a`` ``(n, 4)`` and row j of ``b`` ``(m, 4)``."""
     total = np.int64(0)
@@ -192,7 +192,7 @@ def hamming(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> np.
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _descend(
     rows: NDArray[np.uint64],
     begin: NDArray[np.int32],

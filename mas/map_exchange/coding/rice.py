@@ -102,7 +102,7 @@ def _fresh() -> NDArray[np.int64]:
     return state
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _parameter(state, c):  # type: ignore[no-untyped-def]
     k = 0
     while (state[c, 1] << k) < state[c, 0] and k < 31:
@@ -110,7 +110,7 @@ def _parameter(state, c):  # type: ignore[no-untyped-def]
     return k
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _learn(state, c, v):  # type: ignore[no-untyped-def]
     state[c, 0] += v
     state[c, 1] += 1
@@ -119,7 +119,7 @@ def _learn(state, c, v):  # type: ignore[no-untyped-def]
         state[c, 1] >>= 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _encode(values, contexts, state, bits):  # type: ignore[no-untyped-def]
     """Fill ``bits`` (one a byte), return how many."""
     at = turn = 0
@@ -140,7 +140,7 @@ def _encode(values, contexts, state, bits):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _decode(bits, at, contexts, state, out):  # type: ignore[no-untyped-def]
     """Fill ``out``, return where reading stopped; -1 where the bits end too early or make no number."""
     turn = 0

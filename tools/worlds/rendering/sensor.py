@@ -80,7 +80,7 @@ def _tone(x: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
     return np.clip(y / y[-1], 0, 1) ** (1 / gamma)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy")
 def _develop(
     radiance: NDArray,
     noise: NDArray,

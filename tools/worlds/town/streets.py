@@ -211,7 +211,7 @@ def _fixed(points: NDArray, origin: object, cell_m: float) -> NDArray[np.int32]:
     return np.rint((np.asarray(points) - np.asarray(origin)) / cell_m * 16).astype(np.int32)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
 def _compose(
     distance: NDArray,
     ratio: float,
