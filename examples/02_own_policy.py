@@ -27,15 +27,15 @@ class AskTheLikeliest(maslam.Policy):
         return [likeliest]
 
     def optimise(self, state: maslam.AgentState, outlook: maslam.Outlook) -> list[int]:
-        due = outlook.news >= 3 or (outlook.news > 0 and outlook.closing)
+        due = outlook.pending_matches >= 3 or (outlook.pending_matches > 0 and outlook.closing)
         return sorted(state.group) if due else []
 
     def buy(self, state: maslam.AgentState, outlook: maslam.Outlook) -> list[int]:
         return state.partners() if outlook.closing else []
 
-    def worth(self, standing: float, benefit: float, bid: maslam.Bid, deadline_ns: int) -> float:
+    def worth(self, reputation: float, benefit: float, bid: maslam.Bid, deadline_ns: int) -> float:
         """Who does not deliver is hardly worth a cheap price."""
-        return standing**2 * benefit / max(bid.cost_bytes, 1) if bid.ready_ns <= deadline_ns else 0.0
+        return reputation**2 * benefit / max(bid.cost_bytes, 1) if bid.ready_ns <= deadline_ns else 0.0
 
 
 def main(sequences: str, out: str) -> None:

@@ -49,30 +49,30 @@ from .state.keyframe import KeyFrame
 
 
 class Agent:
-    """``state``, ``book``, ``maps`` are read by the recorder after the run, never by another agent."""
+    """``state``, ``candidates``, ``maps`` are read by the recorder after the run, never by another agent."""
 
     def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
         self.state = AgentState(profile, config)
         self.policy = policy
         self.context = AgentContext(self.state, Ledger(profile.me))
-        self.book = Candidates(self.state)
-        verification = Verification(self.context, self.book)
-        self.places = PlaceRecognition(self.context, self.book, verification)
+        self.candidates = Candidates(self.state)
+        verification = Verification(self.context, self.candidates)
+        self.places = PlaceRecognition(self.context, self.candidates, verification)
         self.optimisation = Optimisation(self.context, lambda: policy.peer_to_peer(self.state, self.outlook()))
         self.maps = MapExchange(self.context, policy.worth)
         operations: tuple[Operation[Any, Any], ...] = (self.places, verification, self.optimisation, self.maps)
         self._operations = {operation.kind: operation for operation in operations}
-        self.pool = CallQueue(self.context, self._operations)
+        self.call_queue = CallQueue(self.context, self._operations)
         self._new: list[KeyFrame] = []
-        self.news = PendingMatches(self.state)
-        self.final = FinalRound(self.context, self.maps)
+        self.pending = PendingMatches(self.state)
+        self.final_round = FinalRound(self.context, self.maps)
 
     # -- what comes in ------------------------------------------------------------------------------------------------
 
     def observe(self, keyframe: KeyFrame) -> None:
         """The sensors' next key-frame."""
         self.state.observe(keyframe)
-        self.book.remember(keyframe)
+        self.candidates.remember(keyframe)
         self._new.append(keyframe)
 
     def finish(self) -> None:
@@ -126,37 +126,39 @@ class Agent:
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
         busy = self.optimisation.busy or bool(self.context.ledger.running()) or bool(self._new)
-        return self.context.closing and not busy and not self._news() and self.final.over and not self._behind()
+        return (
+            self.context.closing and not busy and not self._pending() and self.final_round.over and not self._behind()
+        )
 
     @property
     def waiting(self) -> bool:
         """Whether others owe it an answer: it wants to be reminded."""
-        return self.context.retransmitter.owed or self.optimisation.busy or self.pool.waiting
+        return self.context.retransmitter.owed or self.optimisation.busy or self.call_queue.waiting
 
     def outlook(self) -> Outlook:
         """What the policy may know beside the state."""
         count = len(self.state.keyframes)
         return Outlook(
-            news=len(self._news()),
-            since_optimised=count - self.news.optimised_at,
+            pending_matches=len(self._pending()),
+            since_optimised=count - self.pending.optimised_at,
             since_bought={a: count - at for a, at in sorted(self.maps.last_bought.items())},
-            since_matched={a: count - 1 - at for a, at in sorted(self.book.last_matched.items())},
+            since_matched={a: count - 1 - at for a, at in sorted(self.candidates.last_matched.items())},
             stale=frozenset(self.maps.stale),
             distances=dict(self.places.distances),
             reachable=frozenset(a for a in self.state.profile.others if self.context.may_call(a)),
             closing=self.context.closing,
-            delivered=dict(self.places.told.delivered),
+            delivered=dict(self.places.sent_queries.delivered),
         )
 
     def _behind(self) -> bool:
         """Whether others wait to be told of earlier key-frames."""
-        return any(self.places.told.untold(a) for a in self.policy.recall(self.state, self.outlook(), 0))
+        return any(self.places.sent_queries.untold(a) for a in self.policy.recall(self.state, self.outlook(), 0))
 
-    def _news(self) -> set[MatchId]:
+    def _pending(self) -> set[MatchId]:
         """Matches accepted or withdrawn since the last optimisation; none when it failed too often at the end."""
         if self.context.closing and self.optimisation.attempts.hopeless:
             return set()
-        return self.news.matches
+        return self.pending.matches
 
     def _pursue(self) -> Effects:
         """First optimise what was learned, then buy maps: thesis section 3.8.2's order of operations."""
@@ -165,14 +167,14 @@ class Agent:
         outlook = self.outlook()
         members = self.policy.optimise(self.state, outlook)
         if members:
-            self.news.offered(members)
+            self.pending.offered(members)
             return self.optimisation.start(members)
         sellers = self.policy.buy(self.state, outlook)
         if not self.context.closing:
             return self.maps.buy(sellers) if sellers else NOTHING
         if self.context.calling(OperationKind.MAPMERGE):
             return NOTHING
-        chosen = self.final.choose(sellers)
+        chosen = self.final_round.choose(sellers)
         return chosen.effects + (self.maps.buy(list(chosen.sellers)) if chosen.sellers else NOTHING)
 
     # -- messages -----------------------------------------------------------------------------------------------------
@@ -213,7 +215,7 @@ class Agent:
             raise LateMessage(f"call of agent {sender} came after its deadline")
         taken = self.context.ledger.called(sender, identity, body)
         effects = self._wound_up(self.context.ended(taken.superseded)) + self._join(body.members)
-        return effects + self.pool.take(taken.contract, body)
+        return effects + self.call_queue.take(taken.contract, body)
 
     def _advance(self, sender: int, identity: ContractId, body: ContractBody) -> Effects:
         """A contract goes on: the ledger allows it or not, then the operation acts."""
@@ -251,7 +253,7 @@ class Agent:
     def _settled(self, effects: Effects) -> Effects:
         """What leaves the agent once everything that follows is done; calls that waited are answered now."""
         effects = self._wound_up(effects)
-        return effects + self._wound_up(self.pool.inspect())
+        return effects + self._wound_up(self.call_queue.inspect())
 
     def _wound_up(self, effects: Effects) -> Effects:
         """Wind up what ended, then pass changes on, until nothing follows any more."""
@@ -270,23 +272,23 @@ class Agent:
     def _change(self, change: Change) -> Effects:
         """One operation did something that others act on."""
         if isinstance(change, MembersMissed):
-            self.news.call_again()
+            self.pending.call_again()
             return NOTHING
-        self.news.used(change.matches)
-        self.final.reopen()
+        self.pending.used(change.matches)
+        self.final_round.reopen()
         return self.maps.realign(change)
 
     def _reassess(self) -> Effects:
-        """Others that are regarded otherwise since the last contract."""
+        """Log whose trust has changed since the last contract."""
         effects = NOTHING
         for other, record in self.context.reputation.changes(self.context.now_ns):
             effects += self.context.event(
-                "standing",
+                "reputation",
                 of=other,
-                regard=str(record.regard),
+                trust=str(record.trust),
                 reliability=round(record.reliability, 4),
-                honesty=round(record.honesty, 4),
-                silent=record.unheard,
+                consistency=round(record.consistency, 4),
+                silent=record.unanswered,
             )
-            self.state.distrust(other, record.regard is Trust.UNTRUSTED)
+            self.state.distrust(other, record.trust is Trust.UNTRUSTED)
         return effects

@@ -126,7 +126,9 @@ class MergeConfig(_Section):
     enabled: bool = Field(True, description="agents buy each other's maps")
     period_keyframes: int = Field(10, ge=1, description="own key-frames between purchases from one agent")
     form: Literal["full", "compact"] = Field(
-        "full", description="maps travel whole, as numbers with descriptors (thesis), or as patches on a lattice"
+        "full",
+        description="full: floating-point numbers with descriptors (thesis); compact: a quantised map, sent as changes "
+        "between versions",
     )
     max_points: int = Field(2000, ge=0, description="map points sold with each key-frame, at most")
     descriptors: bool = Field(False, description="compact maps carry the points' descriptors, 32 bytes each")
@@ -134,15 +136,18 @@ class MergeConfig(_Section):
         0.005, gt=0, le=0.1, description="median error of a point of a compact map, as a share of its distance"
     )
     pose_error: float = Field(
-        0.001, gt=0, le=0.1, description="a held pose is off the owner's by at most this share of the median depth"
+        0.001,
+        gt=0,
+        le=0.1,
+        description="a pose of a map copy is off the owner's by at most this share of the median depth",
     )
-    edition_keyframes: int = Field(
-        10, ge=1, description="new key-frames that make a new edition of a compact map on the way"
+    version_keyframes: int = Field(
+        10, ge=1, description="new key-frames that make a new version of a compact map during the run"
     )
     consistency_m: float | None = Field(
         None,
         gt=0,
-        description="a held map that a place match puts this far off is laid on the match (3.3, 3.4), metres "
+        description="a map copy that a place match puts this far off is laid on the match (3.3, 3.4), metres "
         "(monocular: tenths of a median depth); the thesis's is 100; null: never",
     )
     redundancy_m: float | None = Field(
@@ -170,23 +175,34 @@ class MergeConfig(_Section):
 
 
 class LinkConfig(_Section):
-    """What is done about messages that get lost. Where none are, none of it happens."""
+    """Retransmission of messages that get lost. Where none are, none of it happens."""
 
     repeat_s: float = Field(
-        0.01, gt=0, description="a word without an answer is said again after this, seconds; then after twice that, ..."
+        0.01,
+        gt=0,
+        description="a message without an answer is sent again after this, seconds; then after twice that, ...",
     )
-    repeat_max_s: float = Field(0.64, gt=0, description="but at least so often, seconds")
+    repeat_max_s: float = Field(0.64, gt=0, description="longest wait between two such repeats, seconds")
     silence_s: float = Field(3.0, gt=0, description="a contractor that owes an answer for so long is given up, seconds")
     retries: int = Field(2, ge=0, description="how often work that was not delivered is called for again")
 
 
-class StandingConfig(_Section):
-    """What an agent thinks of others (:mod:`maslam.mas.contracts.reputation`)."""
+class ReputationConfig(_Section):
+    """Which agents are trusted (:mod:`maslam.mas.contracts.reputation`)."""
 
-    reliability: float = Field(0.3, ge=0, le=1, description="an agent is not called when its reliability is below this")
-    honesty: float = Field(0.45, ge=0, le=1, description="nor when its honesty is below this")
-    forgetting: float = Field(0.95, gt=0, le=1, description="what an earlier contract still counts after a later one")
-    probe_s: float = Field(10.0, gt=0, description="but who is not called is tried again so often, seconds")
+    reliability: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="an agent is not called below this reliability: its share of delivered contracts",
+    )
+    consistency: float = Field(
+        0.45, ge=0, le=1, description="nor when the consistency of its results with others is below this"
+    )
+    forgetting: float = Field(
+        0.95, gt=0, le=1, description="weight of an earlier contract after each later one, 0 to 1"
+    )
+    probe_s: float = Field(10.0, gt=0, description="an agent that is not called is probed again after this, seconds")
 
 
 class FaultsConfig(_Section):
@@ -240,5 +256,5 @@ class MasConfig(_Section):
     optimisation: OptimisationConfig = OptimisationConfig()
     merge: MergeConfig = MergeConfig()
     link: LinkConfig = LinkConfig()
-    standing: StandingConfig = StandingConfig()
+    reputation: ReputationConfig = ReputationConfig()
     faults: FaultsConfig = FaultsConfig()

@@ -165,7 +165,7 @@ def test_a_run_holds_what_its_files_say(run: maslam.Run) -> None:
         assert error.rmse_m == pytest.approx(said["ate_rmse_m"]["agents"][agent.index], rel=1e-3)
     with open(run.folder / "matches.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [m.outcome for m in run.matches] == [row["fate"] for row in rows]
+    assert [m.outcome for m in run.matches] == [row["outcome"] for row in rows]
     assert sum(match.accepted for match in run.matches) == said["matches"]["accepted"] > 0
     accepted = next(match for match in run.matches if match.accepted)
     assert accepted.T_M_Q is not None and accepted.false is False

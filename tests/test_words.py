@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("backend", "descriptors", "frontend", "tools")
-NOT_YET = ("mas", "docs", "frontend/estimation")
+FOLDERS = ("backend", "descriptors", "frontend", "mas", "tools")
+NOT_YET = ("docs", "frontend/estimation")
 """Folders that still have words of their own: move each to ``FOLDERS``, or out of here, once it is done."""
 SUFFIXES = (".py", ".css", ".md")
 FILES = [

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from svg_drawing import BLUE, FAINT, GREEN, INK, ORANGE, PAPER, RED, Drawing, SequenceDrawing
 
-from maslam.mas.contracts.contract import CONTRACTOR_SAYS, ENDED, MANAGER_SAYS, ContractState
+from maslam.mas.contracts.contract import CONTRACTOR_SENDS, ENDED, MANAGER_SENDS, ContractState
 
 PICTURES = Path(__file__).resolve().parent.parent / "pictures"
 MANAGER, CONTRACTOR = BLUE, ORANGE
@@ -31,9 +31,9 @@ PLACES = {
 def contract_states() -> Drawing:
     """The state machine of one contract."""
     sheet = Drawing(970, 350, "State machine of a contract between a manager and a contractor")
-    for (state, message), after in {**CONTRACTOR_SAYS, **MANAGER_SAYS}.items():
+    for (state, message), after in {**CONTRACTOR_SENDS, **MANAGER_SENDS}.items():
         if after is not ContractState.CANCELLED:
-            colour = MANAGER if (state, message) in MANAGER_SAYS else CONTRACTOR
+            colour = MANAGER if (state, message) in MANAGER_SENDS else CONTRACTOR
             _transition(sheet, state.value, after.value, message.__name__, colour)
     _from_any_running_state(sheet)
     for state in ContractState:

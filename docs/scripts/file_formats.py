@@ -24,7 +24,7 @@ MATCHES = {
     "match_keyframe": "the key-frame recognised",
     "match_stamp_ns": "its time stamp, nanoseconds",
     "distance": "Euclidean distance of the place vectors, 0 to 2",
-    "fate": "outcome: `accepted` or `rejected`",
+    "outcome": "`accepted` or `rejected`",
     "reason": "why, in one of a few fixed wordings; `summary.json` counts by it",
     "detail": "the same with the figures of this candidate",
     "matches": "tentative point matches of the verification",
@@ -74,7 +74,7 @@ EVENTS = {
     "map_checked": "a held copy was compared with place matches: `owner`, `version`, `final`, matches and distances",
     "map_refused": "a copy was rejected: `seller`, `owner`, `version`, `reason`",
     "contradicted": "matches contradicted by the other matches of a group: `reported_by`, `matches`",
-    "standing": "the reputation of another agent changed: `of`, `regard`, `reliability`, `honesty`, `silent`",
+    "reputation": "the reputation of another agent changed: `of`, `trust`, `reliability`, `consistency`, `silent`",
     "refused": "a message was refused: `sender`, `reason`",
 }
 VO_FILES = {

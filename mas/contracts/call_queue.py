@@ -35,8 +35,8 @@ class CallQueue:
     def take(self, contract: Contract, call: Call) -> Effects:
         """A new call: answer it, or keep it."""
         if not self.context.serves(contract.manager, contract.operation):
-            regard = self.context.reputation.regard(contract.manager)
-            return self.context.send(contract, Refusal(f"in bad standing: {regard}"))
+            trust = self.context.reputation.trust(contract.manager)
+            return self.context.send(contract, Refusal(f"reputation: {trust}"))
         answer = self._answer(contract, call)
         if answer is not None:
             return answer

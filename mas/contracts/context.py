@@ -46,7 +46,7 @@ class AgentContext:
 
     def __post_init__(self) -> None:
         self.retransmitter = Retransmitter(self.me, self.state.config.link)
-        self.reputation = ReputationBook(self.state.config.standing)
+        self.reputation = ReputationBook(self.state.config.reputation)
 
     @property
     def me(self) -> int:
@@ -72,11 +72,11 @@ class AgentContext:
         return any(c.manager == self.me for c in self.ledger.running(operation))
 
     def may_call(self, other: int, operation: OperationKind = OperationKind.DVPR) -> bool:
-        """Whether a call to the other is worth its bytes. Probes of who is in bad standing are small questions, never
-        a part in an optimisation or a sale, and end with the sequences."""
+        """Whether a call to the other is worth its bytes. Probes of agents that are not trusted are small questions,
+        never a part in an optimisation or a sale, and end with the sequences."""
         small = operation not in (OperationKind.DOPT, OperationKind.MAPMERGE)
         if self.closing or not small:
-            return self.reputation.regard(other) is Trust.GOOD or (small and other in self._last_probes)
+            return self.reputation.trust(other) is Trust.GOOD or (small and other in self._last_probes)
         return self.reputation.may_call(other, self.now_ns)
 
     def close(self) -> None:
@@ -84,11 +84,11 @@ class AgentContext:
         if not self.closing:
             self.closing = True
             others = self.state.profile.others
-            self._last_probes = {a for a in others if self.reputation.regard(a) is Trust.SILENT}
+            self._last_probes = {a for a in others if self.reputation.trust(a) is Trust.SILENT}
 
     def serves(self, other: int, operation: OperationKind) -> bool:
         """Whether to work for the other: questions about places always, they let it come back."""
-        return operation in (OperationKind.DVPR, OperationKind.RELPOSE) or self.reputation.regard(other) is Trust.GOOD
+        return operation in (OperationKind.DVPR, OperationKind.RELPOSE) or self.reputation.trust(other) is Trust.GOOD
 
     # -- contracts ----------------------------------------------------------------------------------------------------
 

@@ -1,13 +1,13 @@
-"""What an agent thinks of each other agent, from what came of its own contracts with it (the citizen approach, thesis
-section 2.2.5). Nobody is asked about anybody else: nobody can be talked down.
+"""Reputation of each other agent, from the outcome of an agent's own contracts with it (the citizen approach, thesis
+section 2.2.5). No agent is asked about another one: reports cannot lower a third agent's reputation.
 
-Standing is reliability times honesty, each the mean of a Beta posterior:
+Reputation is reliability times consistency, each the mean of a Beta posterior:
 
     reliability = (g + 1) / (g + p + 1.25)      g: delivered, p: not delivered, older ones forgotten by ``forgetting``
-    honesty     = (t + 3) / (t + f + 3.5)       t: results that others bear out, f: those that they contradict
+    consistency = (t + 3) / (t + f + 3.5)       t: results that others bear out, f: those that they contradict
 
-Who did not say a word in two contracts running, or fell below the limit of either, is not called any more but for a
-probe every ``probe_s``: so who comes back, or was wronged, is taken in again.
+An agent that sent nothing in two contracts running, or fell below the limit of either, is not called any more but for a
+probe every ``probe_s``: one that comes back, or was judged wrongly, is taken in again.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ..config import StandingConfig
+from ..config import ReputationConfig
 from ..protocol.ids import OperationKind
 from ..protocol.messages import Award, Bid, Confirmation, Result
 from .contract import Contract, ContractState
 
-# What a contract that ended without its result counts as: not done, said so, or stuck among several members.
+# Weight of a contract that ended without its result: not delivered, declared failed, or stuck among several members.
 _NOT_DELIVERED, _FAILED, _STUCK = 1.0, 0.25, 0.5
-# Contracts without a single word that make an agent silent.
+# Contracts without a single message that make an agent silent.
 _SILENT_AFTER = 2
 SILENT = "silent"
 
 
 class Trust(StrEnum):
-    """How an agent is dealt with."""
+    """Trust in an agent, which decides whether it is called."""
 
     GOOD = "good"
     SILENT = "silent"
@@ -48,28 +48,28 @@ class Reputation:
     t: float = 0.0
     f: float = 0.0
     blamed: float = 0.0
-    unheard: int = 0
+    unanswered: int = 0
     probe_ns: int = 0
-    regard: Trust = Trust.GOOD
+    trust: Trust = Trust.GOOD
 
     @property
     def reliability(self) -> float:
         return (self.g + 1.0) / (self.g + self.p + 1.25)
 
     @property
-    def honesty(self) -> float:
+    def consistency(self) -> float:
         return (self.t + 3.0) / (self.t + self.f + self.blamed + 3.5)
 
     @property
     def value(self) -> float:
         """Reputation, 0 to 1."""
-        return self.reliability * self.honesty
+        return self.reliability * self.consistency
 
 
 class ReputationBook:
     """The records of one agent about the others."""
 
-    def __init__(self, config: StandingConfig) -> None:
+    def __init__(self, config: ReputationConfig) -> None:
         self.config = config
         self.records: dict[int, Reputation] = {}
         # Whose figures may have changed since :meth:`changes` looked last.
@@ -89,7 +89,7 @@ class ReputationBook:
 
     def received(self, other: int) -> None:
         """A message of the other, whatever it is: it is there."""
-        self._touch(other).unheard = 0
+        self._touch(other).unanswered = 0
 
     def ended(self, contract: Contract) -> None:
         """A contract that I managed has ended. What I ended myself, or never awarded, is not held against anybody."""
@@ -107,7 +107,7 @@ class ReputationBook:
                 stuck = contract.operation is OperationKind.DOPT and contract.reason != SILENT
                 self._count(record, poor=_STUCK if stuck else _NOT_DELIVERED)
             elif Bid not in contract.exchanged:
-                record.unheard += 1
+                record.unanswered += 1
 
     def left_waiting(self, contract: Contract) -> None:
         """An optimisation that I took part in never ended: its manager answers for that."""
@@ -129,33 +129,33 @@ class ReputationBook:
 
     def may_call(self, other: int, now_ns: int) -> bool:
         """Whether a call is worth its bytes now."""
-        return self.regard(other) is Trust.GOOD or now_ns >= self.of(other).probe_ns
+        return self.trust(other) is Trust.GOOD or now_ns >= self.of(other).probe_ns
 
     def called(self, other: int, now_ns: int) -> None:
-        """A call went out: to one in bad standing that was the probe."""
+        """A call went out: to one that is not trusted that was the probe."""
         record = self.of(other)
-        if self.regard(other) is not Trust.GOOD and now_ns >= record.probe_ns:
+        if self.trust(other) is not Trust.GOOD and now_ns >= record.probe_ns:
             record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
 
-    def regard(self, other: int) -> Trust:
-        """How to deal with the other now."""
+    def trust(self, other: int) -> Trust:
+        """Trust in the other now."""
         record = self.of(other)
-        if record.honesty < self.config.honesty:
+        if record.consistency < self.config.consistency:
             return Trust.UNTRUSTED
-        if record.unheard >= _SILENT_AFTER:
+        if record.unanswered >= _SILENT_AFTER:
             return Trust.SILENT
         return Trust.UNDELIVERING if record.reliability < self.config.reliability else Trust.GOOD
 
     def changes(self, now_ns: int) -> list[tuple[int, Reputation]]:
-        """Agents that are regarded otherwise than when this was asked last; the first probe waits its time."""
+        """Agents whose trust is another than when this was asked last; the first probe waits its time."""
         out = []
         touched, self._touched = self._touched, set()
         for other in sorted(touched):
-            record, regard = self.of(other), self.regard(other)
-            if regard is not record.regard:
-                if record.regard is Trust.GOOD:
+            record, trust = self.of(other), self.trust(other)
+            if trust is not record.trust:
+                if record.trust is Trust.GOOD:
                     record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
-                record.regard = regard
+                record.trust = trust
                 out.append((other, record))
         return out
 

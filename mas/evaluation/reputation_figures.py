@@ -10,21 +10,21 @@ from ..agent import Agent
 from ..contracts.reputation import Reputation, Trust
 from ..transport.faults import FaultyTransport
 from ..transport.transport import Transport
-from .summary import FaultFigures, StandingFigures
+from .summary import FaultFigures, ReputationFigures
 
 
-def standings(agents: Sequence[Agent]) -> list[StandingFigures]:
+def reputations(agents: Sequence[Agent]) -> list[ReputationFigures]:
     """For each agent, what the others think of it."""
     return [_of(agent.state.me, agents) for agent in agents]
 
 
-def _of(me: int, agents: Sequence[Agent]) -> StandingFigures:
+def _of(me: int, agents: Sequence[Agent]) -> ReputationFigures:
     views: dict[int, Reputation] = {}
     for other in agents:
         if me in other.context.reputation.records:
             views[other.state.me] = other.context.reputation.records[me]
     values = [r.value for r in views.values()]
-    return StandingFigures(
+    return ReputationFigures(
         agent=me,
         delivered=sum(r.delivered for r in views.values()),
         failed=sum(r.failed for r in views.values()),
@@ -32,7 +32,7 @@ def _of(me: int, agents: Sequence[Agent]) -> StandingFigures:
         contradicted=int(sum(r.f for r in views.values())),
         mean=float(np.mean(values)) if values else None,
         lowest=min(values) if values else None,
-        shunned_by=sorted(a for a, r in views.items() if r.regard is not Trust.GOOD),
+        not_called_by=sorted(a for a, r in views.items() if r.trust is not Trust.GOOD),
     )
 
 

@@ -16,12 +16,12 @@ from ..config import MasConfig
 from ..contracts.effects import Event
 from ..protocol.ids import MatchId
 from ..sequence import AgentSequence
-from ..state.place_match import Fate
+from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
 from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames
 from .map_copies import map_copies
-from .reputation_figures import fault_figures, standings
+from .reputation_figures import fault_figures, reputations
 from .summary import Errors, MatchFigures, OptimisationFigures, Summary, TrafficFigures
 
 
@@ -71,7 +71,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         optimisations=_optimisations(run.events),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
         refused_messages=len(transport.refused) + sum(e.kind == "refused" for e in run.events),
-        standing=standings(agents),
+        reputation=reputations(agents),
         faults=fault_figures(agents, transport),
     )
 
@@ -95,13 +95,13 @@ def _traffic(counts: Sequence[TrafficCount]) -> TrafficFigures:
 
 
 def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: bool) -> MatchFigures:
-    fates = [(agent, c, agent.book.fate(c)) for agent in agents for c in agent.book.candidates.values()]
-    accepted = [c.id for _, c, (fate, _) in fates if fate is Fate.ACCEPTED]
-    rejected = Counter(reason for _, _, (fate, reason) in fates if fate is Fate.REJECTED)
+    outcomes = [(agent, c, agent.candidates.outcome_of(c)) for agent in agents for c in agent.candidates.by_id.values()]
+    accepted = [c.id for _, c, (outcome, _) in outcomes if outcome is MatchOutcome.ACCEPTED]
+    rejected = Counter(reason for _, _, (outcome, reason) in outcomes if outcome is MatchOutcome.REJECTED)
     own = sum(m.query_agent == m.match_agent for m in accepted)
     return MatchFigures(
-        candidates=len(fates),
-        verified=sum(c.verified for _, c, _ in fates),
+        candidates=len(outcomes),
+        verified=sum(c.verified for _, c, _ in outcomes),
         accepted=len(accepted),
         rejected=dict(sorted(rejected.items())),
         own_loops=own,

@@ -1,8 +1,8 @@
-"""``summary.json``: all figures of a run (thesis Table 3.2 and more)."""
+"""``summary.json``: all figures of a run (thesis Table 3.2 and more). Names of version 0.1 are read as well."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 
 class _Figures(BaseModel):
@@ -66,12 +66,12 @@ class MapCopyFigures(_Figures):
     points_off_m: float | None
 
 
-class StandingFigures(_Figures):
-    """What the other agents came to think of one agent, by their own contracts with it.
+class ReputationFigures(_Figures):
+    """Reputation of one agent with the others, by their own contracts with it.
 
     ``delivered``, ``failed``, ``expired``: contracts it had with them as contractor; ``contradicted``: matches it
-    verified that others contradict; ``mean``, ``lowest``: its standing with them, 0 to 1; ``shunned_by``: who does not
-    call it any more.
+    verified that others contradict; ``mean``, ``lowest``: its reputation with them, 0 to 1; ``not_called_by``: agents
+    that do not call it any more.
     """
 
     agent: int
@@ -81,12 +81,12 @@ class StandingFigures(_Figures):
     contradicted: int
     mean: float | None
     lowest: float | None
-    shunned_by: list[int]
+    not_called_by: list[int] = Field(validation_alias=AliasChoices("not_called_by", "shunned_by"))
 
 
 class FaultFigures(_Figures):
-    """Faults made on purpose, and what the agents did about them: ``repeated``: words of contracts and messages of
-    solvers that were said again."""
+    """Faults made on purpose, and what the agents did about them: ``repeated``: messages of contracts and of solvers
+    that were sent again."""
 
     lost: int
     doubled: int
@@ -129,5 +129,7 @@ class Summary(_Figures):
     optimisations: OptimisationFigures
     map_copies: list[MapCopyFigures]
     refused_messages: int
-    standing: list[StandingFigures] = Field([], description="of each agent with the others")
+    reputation: list[ReputationFigures] = Field(
+        [], validation_alias=AliasChoices("reputation", "standing"), description="of each agent with the others"
+    )
     faults: FaultFigures | None = Field(None, description="None: none were made")

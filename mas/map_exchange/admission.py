@@ -19,24 +19,24 @@ from ..protocol.ids import MatchId
 from ..protocol.map_messages import MapDelivery
 from ..protocol.tensors import unpack_sim3s
 from ..state.agent_state import AgentState
-from .evidence_checks import EvidenceStatistics, Witness, best_motion, standing, tolerance, witnesses
+from .evidence_checks import EvidenceStatistics, Witness, best_motion, evidence_of, tolerance, witnesses
 from .map_copy import MapCopy, with_new_keyframes
 
 
 @dataclass(frozen=True, eq=False)
 class Admission:
-    """``held``: the map as it is kept, None if it is rejected, with the ``reason``; ``standing``: how it stands to the
-    place matches then; ``aligned_by``: the match it was laid on, ``redundant``: only new key-frames were taken."""
+    """``held``: the map as it is kept, None if it is rejected, with the ``reason``; ``evidence``: how far it is off
+    the place matches then; ``aligned_by``: the match it was laid on, ``redundant``: only new key-frames were taken."""
 
     held: MapCopy | None
-    standing: EvidenceStatistics | None
+    evidence: EvidenceStatistics | None
     reason: str = ""
     aligned_by: MatchId | None = None
     redundant: bool = False
 
     def remarks(self) -> dict[str, Any]:
         """For events: how many place matches, how far off, and what was done."""
-        out: dict[str, Any] = {"matches": 0} if self.standing is None else dict(self.standing.figures())
+        out: dict[str, Any] = {"matches": 0} if self.evidence is None else dict(self.evidence.figures())
         if self.aligned_by is not None:
             out["aligned_by"] = str(self.aligned_by)
         if self.redundant:
@@ -56,7 +56,7 @@ def admit(
     verdict = _judged(new, witnesses(new, state, others), state, placed_by)
     same = tolerance(state.config.merge.redundancy_m, state)
     if verdict.held is not None and old is not None and same is not None:
-        before = standing(witnesses(old, state, others))
+        before = evidence_of(witnesses(old, state, others))
         if before is not None and before.worst_m <= same:
             return Admission(with_new_keyframes(old, verdict.held), before, redundant=True)
     return verdict
@@ -75,7 +75,7 @@ def _judged(held: MapCopy, found: list[Witness], state: AgentState, placed_by: M
     held, found, aligned_by = aligned(held, found, state)
     limit = tolerance(state.config.merge.accuracy_m, state)
     judges = _judges(found, state, {placed_by, aligned_by})
-    how = standing(judges) if limit is not None else None
+    how = evidence_of(judges) if limit is not None else None
     if how is not None and limit is not None:
         agree = sum(w.metres <= limit for w in judges)
         off = f"{how.matches} of them, off by {how.least_m:.2f} to {how.worst_m:.2f}"
@@ -83,7 +83,7 @@ def _judged(held: MapCopy, found: list[Witness], state: AgentState, placed_by: M
             return Admission(None, how, f"no place match agrees: {off}")
         if agree < state.config.merge.accuracy_share * len(judges):
             return Admission(None, how, f"few place matches agree: {agree} of {off}")
-    return Admission(held, standing(found), aligned_by=aligned_by)
+    return Admission(held, evidence_of(found), aligned_by=aligned_by)
 
 
 def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None]) -> list[Witness]:
@@ -102,7 +102,7 @@ def aligned(held: MapCopy, found: list[Witness], state: AgentState) -> tuple[Map
     limit = tolerance(state.config.merge.consistency_m, state)
     if held.frame == state.frame and not any(state.me in w.match.agents for w in found):
         limit = None  # it stands where its owner has it; another copy, perhaps an older one, does not know better
-    how = standing(found) if limit is not None else None
+    how = evidence_of(found) if limit is not None else None
     if how is None or limit is None or how.median_m <= limit:
         return held, found, None
     motion, match = best_motion(found)

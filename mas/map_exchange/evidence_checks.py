@@ -134,7 +134,7 @@ def _some(matches: list[MatchId]) -> list[MatchId]:
     return [matches[i] for i in np.linspace(0, len(matches) - 1, ENOUGH).astype(int)]
 
 
-def standing(found: Iterable[Witness]) -> EvidenceStatistics | None:
+def evidence_of(found: Iterable[Witness]) -> EvidenceStatistics | None:
     """None without witnesses."""
     rows = list(found)
     if not rows:

@@ -138,9 +138,9 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
             for offer in bid.offers:
                 self._confirm(seller, offer)
         contracts = self.context.ledger.managed(identity)
-        standing = {seller: self.context.reputation.of(seller).value for seller in tender.bids}
+        reputation = {seller: self.context.reputation.of(seller).value for seller in tender.bids}
         deadline_ns = max((c.deadline_ns for c in contracts), default=0)
-        wanted = orders(tender.bids, standing, self._wants, deadline_ns, self._worth)
+        wanted = orders(tender.bids, reputation, self._wants, deadline_ns, self._worth)
         bids = [c for c in contracts if c.state is ContractState.BID]
         return total(self._order(c, wanted.get(c.contractor, ())) for c in bids)
 
@@ -274,7 +274,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
             del self.held[owner]
             return self._refuse(held, verdict.reason)
         self.held[owner] = verdict.held
-        if verdict.standing is None or not (verdict.aligned_by is not None or final):
+        if verdict.evidence is None or not (verdict.aligned_by is not None or final):
             return NOTHING
         figures = verdict.remarks()
         return self.context.event("map_checked", owner=owner, version=held.version, final=final, **figures)

@@ -34,7 +34,7 @@ class Publisher:
         return self.state.config.merge
 
     def edition(self, closing: bool) -> MapVersion | None:
-        """The map to sell now, None while there is none. On the way a new edition waits for ``edition_keyframes`` new
+        """The map to sell now, None while there is none. On the way a new edition waits for ``version_keyframes`` new
         key-frames or new coordinates; at the end any change makes one."""
         if self.stock is not None and self._at_version == self.state.version:
             return self.stock
@@ -42,7 +42,7 @@ class Publisher:
         if not placed:
             return None
         base = None if self.stock is None else self.stock.map
-        few = base is not None and len(placed) < len(base.keyframes) + self._config.edition_keyframes
+        few = base is not None and len(placed) < len(base.keyframes) + self._config.version_keyframes
         if base is not None and few and not closing and self._same_coordinates(base):
             return self.stock
         self._at_version = self.state.version

@@ -1,4 +1,4 @@
-"""Which accepted matches are news: not yet used by an optimisation, or used by one that did not reach all members."""
+"""Pending matches: accepted and not yet used by an optimisation, or used by one that did not reach all members."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PendingMatches:
         self.optimised_at = len(self.state.keyframes)
 
     def call_again(self) -> None:
-        """Some member missed the optimisation or its end: what was used is news once more, a few times."""
+        """Some member missed the optimisation or its end: what was used is pending once more, a few times."""
         if self._called_again < self.state.config.link.retries:
             self._called_again += 1
             self._used = set()

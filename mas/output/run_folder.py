@@ -31,7 +31,7 @@ from ..map_exchange.full_map import own_map
 from ..protocol.accounting import Traffic
 from ..protocol.ids import MatchId
 from ..sequence import GROUNDTRUTH, MANIFEST, AgentSequence, CameraEntry, Manifest
-from ..state.place_match import Fate
+from ..state.place_match import MatchOutcome
 from ..state.pose_graph import own_graph
 from ..state.trajectories import frame_trajectory, keyframe_trajectory
 from ..transport.transport import Sent
@@ -52,7 +52,7 @@ _MATCH_COLUMNS = [
     "match_keyframe",
     "match_stamp_ns",
     "distance",
-    "fate",
+    "outcome",
     "reason",
     "detail",
     "matches",
@@ -157,20 +157,20 @@ class Recorder:
                 out.write(json.dumps(line) + "\n")
 
     def matches(self, agents: Sequence[Agent], errors: dict[MatchId, MatchError]) -> None:
-        """``matches.csv``: each candidate, its fate and why; against the truth where that is known."""
+        """``matches.csv``: each candidate, its outcome and why; against the truth where that is known."""
         table = self._csv("matches.csv")
         table.writerow(_MATCH_COLUMNS)
         for agent in agents:
-            for c in agent.book.candidates.values():
-                fate, reason = agent.book.fate(c)
+            for c in agent.candidates.by_id.values():
+                outcome, reason = agent.candidates.outcome_of(c)
                 i, error = c.id, errors.get(c.id)
                 stamps = [
                     agents[a].state.keyframes[k].stamp_ns
                     for a, k in ((i.query_agent, i.query), (i.match_agent, i.match))
                 ]
                 head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
-                said = [figure(c.distance), fate.value, reason, c.detail, c.matches, c.inliers, figure(c.rmse)]
-                wrong = int(error.false) if error is not None and fate is Fate.ACCEPTED else ""
+                said = [figure(c.distance), outcome.value, reason, c.detail, c.matches, c.inliers, figure(c.rmse)]
+                wrong = int(error.false) if error is not None and outcome is MatchOutcome.ACCEPTED else ""
                 truth = [figure(error.metres), figure(error.degrees), wrong] if error is not None else ["", "", ""]
                 table.writerow([*head, *said, *_transform(c.T_M_Q), *truth])
 

@@ -1,4 +1,4 @@
-"""An agent's memory of places: vectors of its key-frames, candidate matches and what became of them."""
+"""Match candidates of an agent: vectors of its key-frames, candidate matches and their outcomes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from maslam.descriptors.search import NearestIndex
 from ..protocol.ids import MatchId
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
-from ..state.place_match import Fate
+from ..state.place_match import MatchOutcome
 from .match_spacing import worth_after
 
 
@@ -37,8 +37,8 @@ class Candidate:
 
 @dataclass
 class Candidates:
-    """Candidates of the agent's own queries, and when it was last matched with whom. ``gaps``: own key-frames until a
-    next match with that agent is worth it.
+    """Candidates of the agent's own queries, and when it was last matched with whom. ``by_id``: all candidates;
+    ``gaps``: own key-frames until a next match with that agent is worth it.
 
     ``recalled``: own key-frames that others were told of later than they were made.
 
@@ -49,7 +49,7 @@ class Candidates:
     state: AgentState
     whole: NearestIndex = field(default_factory=NearestIndex)
     kept: NearestIndex = field(default_factory=NearestIndex)
-    candidates: dict[MatchId, Candidate] = field(default_factory=dict)
+    by_id: dict[MatchId, Candidate] = field(default_factory=dict)
     last_matched: dict[int, int] = field(default_factory=dict)
     gaps: dict[int, int] = field(default_factory=dict)
     verified: dict[int, list[int]] = field(default_factory=dict)
@@ -94,18 +94,18 @@ class Candidates:
         return min(self.state.profile.coder.restored(distance), 2.0)
 
     def propose(self, candidate: Candidate) -> bool:
-        """Enter a candidate; whether it is worth a verification. If not, the reason stands in the book."""
-        if candidate.id in self.candidates:
+        """Enter a candidate; whether it is worth a verification. If not, its reason says why."""
+        if candidate.id in self.by_id:
             return False
         reason = self._why_not(candidate.id)
-        self.candidates[candidate.id] = replace(candidate, reason=reason)
+        self.by_id[candidate.id] = replace(candidate, reason=reason)
         return not reason
 
     def update(self, match: MatchId, **changes: Any) -> None:
-        """Change a candidate of mine; matches found by others are not in my book."""
-        if match in self.candidates:
-            self.candidates[match] = replace(self.candidates[match], **changes)
-            if self.candidates[match].verified:
+        """Change a candidate of the agent's own queries; a match that others found is none, and is left out."""
+        if match in self.by_id:
+            self.by_id[match] = replace(self.by_id[match], **changes)
+            if self.by_id[match].verified:
                 self.verified.setdefault(match.match_agent, []).append(match.query)
 
     def recall(self, keyframe: int) -> None:
@@ -134,17 +134,17 @@ class Candidates:
         gap = round(way * worth_after(last, latest, self.state.config.optimisation))
         return min(max(gap, config.gap_keyframes), config.gap_most_keyframes)
 
-    def fate(self, candidate: Candidate) -> tuple[Fate, str]:
-        """What became of a candidate, and why, as it stands now."""
+    def outcome_of(self, candidate: Candidate) -> tuple[MatchOutcome, str]:
+        """The outcome of a candidate, and why, as it stands now."""
         if candidate.id in self.state.accepted:
-            return Fate.ACCEPTED, "accepted"
+            return MatchOutcome.ACCEPTED, "accepted"
         if candidate.verified:
-            return Fate.REJECTED, "no agreeing match"
-        return Fate.REJECTED, candidate.reason or "not verified"
+            return MatchOutcome.REJECTED, "no agreeing match"
+        return MatchOutcome.REJECTED, candidate.reason or "not verified"
 
     def _why_not(self, match: MatchId) -> str:
         turned = MatchId(match.match_agent, match.match, match.query_agent, match.query)
-        if turned in self.state.verified or turned in self.candidates:
+        if turned in self.state.verified or turned in self.by_id:
             return "known already"
         config = self.state.config.places
         # On both sides: an earlier key-frame may be asked about later.

@@ -42,15 +42,15 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
 
     kind = OperationKind.DVPR
 
-    def __init__(self, context: AgentContext, book: Candidates, verification: Verification) -> None:
+    def __init__(self, context: AgentContext, candidates: Candidates, verification: Verification) -> None:
         super().__init__(context)
-        self.book = book
+        self.candidates = candidates
         self.verification = verification
         self._waiting: dict[int, deque[int]] = {}
         self._asked: dict[ContractId, int] = {}
         self._cluster = ClusterIndex()
-        self._latest = RecentQueries(book, context.state.config.places.latest_frames)
-        self.told = SentQueries()
+        self._latest = RecentQueries(candidates, context.state.config.places.latest_frames)
+        self.sent_queries = SentQueries()
         self.distances: dict[int, float] = {}
         self._again = RetryBudget(context.state.config.link.retries)
 
@@ -69,9 +69,9 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         if not self.state.keyframes[keyframe].textured:
             return NOTHING
         asked = set(others)
-        self.told.remember(keyframe)
+        self.sent_queries.remember(keyframe)
         for other in asked:
-            self.told.tell(other, keyframe)
+            self.sent_queries.tell(other, keyframe)
         effects = self._ask_own_log(keyframe) if self.state.me in asked else NOTHING
         for other in sorted(asked - {self.state.me}):
             self._waiting.setdefault(other, deque()).append(keyframe)
@@ -82,8 +82,8 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         no others wait for them: new ones go first."""
         effects = NOTHING
         for other, count in sorted(wanted.items()):
-            for keyframe in [] if self._waiting.get(other) else self.told.untold(other)[:count]:
-                self.book.recall(keyframe)
+            for keyframe in [] if self._waiting.get(other) else self.sent_queries.untold(other)[:count]:
+                self.candidates.recall(keyframe)
                 effects += self.ask(keyframe, [other])
         return effects
 
@@ -120,7 +120,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         self._cluster.remember(asker, keyframe, vector)
         if found is None:
             return PlaceRedirect(None, None, _FARTHEST)
-        return PlaceRedirect(found[0], found[1], self.book.restored(found[2]))
+        return PlaceRedirect(found[0], found[1], self.candidates.restored(found[2]))
 
     def _coded(self, keyframe: int) -> NDArray[np.uint8]:
         return self.state.profile.coder.encode(self.state.keyframes[keyframe].vector[None])[0]
@@ -139,7 +139,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         if contract.id not in self._asked:
             return "not the answer to a query"
         other = contract.contractor
-        if isinstance(outcome, EarlierAnswer) and outcome.query not in self.told.to(other):
+        if isinstance(outcome, EarlierAnswer) and outcome.query not in self.sent_queries.to(other):
             return f"agent {other} was not asked about key-frame {outcome.query}"
         if isinstance(outcome, PlaceRedirect) and outcome.agent not in (None, *self.state.profile.others):
             return f"redirected to agent {outcome.agent}, which cannot be asked"
@@ -160,7 +160,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         newest, latest = len(self.state.keyframes) - 1, self.state.config.places.latest_frames
         if latest <= 1:
             return NOTHING
-        unasked = sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self.told.to(other))
+        unasked = sorted(set(range(max(newest - latest + 1, 0), newest + 1)) - self.sent_queries.to(other))
         return total(self.ask(keyframe, [other]) for keyframe in unasked)
 
     def _consider(self, keyframe: int, other: int, answer: Found) -> Effects:
@@ -185,7 +185,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         keyframe = self._asked.get(contract.id)
         if keyframe is not None:
             again = self._again.wanted(contract, keyframe)
-            self.told.ended(contract, keyframe, again)
+            self.sent_queries.ended(contract, keyframe, again)
             if again:
                 self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
         if not self.context.ledger.managed(contract.id):
@@ -217,12 +217,12 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         newest = self._newest_candidate(keyframe)
         if not keyframe.textured or not newest:
             return NOTHING
-        found = self.book.nearest(keyframe.vector, below=newest)
+        found = self.candidates.nearest(keyframe.vector, below=newest)
         if found is None or found[1] >= self.threshold:
             return NOTHING
         me = self.state.me
         candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.context.now_ns, found[1])
-        if not self.book.propose(candidate):
+        if not self.candidates.propose(candidate):
             return NOTHING
         return self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
 
@@ -244,7 +244,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
             learned = Match(candidate.id, *ends, verdict.T_M_Q, information, verdict.inliers, match.depth)
             if not self._plausible(learned):
                 learned, reason = None, "beyond odometry's drift"
-        self.book.update(
+        self.candidates.update(
             candidate.id,
             verified=learned is not None,
             reason=kind_of(reason),

@@ -75,23 +75,23 @@ class RecentQueries:
     earlier ones with those that came since.
     """
 
-    book: Candidates
+    candidates: Candidates
     latest: int
     _queries: dict[int, deque[_Earlier]] = field(default_factory=dict)
 
     def nearest(self, asker: int, keyframe: int, vector: Vector) -> tuple[int, int, float] | None:
         """The asker's key-frame (this or an earlier one), the own one nearest to it and their distance; this one of
         equals; None where there is nothing to compare with."""
-        found = self.book.nearest_to_decoded(vector)
+        found = self.candidates.nearest_to_decoded(vector)
         best = None if found is None else (keyframe, *found)
         queries = self._queries.setdefault(asker, deque(maxlen=self.latest))
         if self.latest > 1:
-            count = len(self.book.state.keyframes)
+            count = len(self.candidates.state.keyframes)
             for repeated in [q for q in queries if q.keyframe == keyframe]:
                 queries.remove(repeated)
             queries.append(_Earlier(keyframe, vector, count))
             for earlier in queries:
-                new = self.book.nearest_of_new(earlier.vector, earlier.compared)
+                new = self.candidates.nearest_of_new(earlier.vector, earlier.compared)
                 earlier.compared = count
                 if new is not None and (best is None or new[1] < best[2]):
                     best = (earlier.keyframe, *new)

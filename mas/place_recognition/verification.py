@@ -43,9 +43,9 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
 
     kind = OperationKind.RELPOSE
 
-    def __init__(self, context: AgentContext, book: Candidates) -> None:
+    def __init__(self, context: AgentContext, candidates: Candidates) -> None:
         super().__init__(context)
-        self.book = book
+        self.candidates = candidates
         self._waiting: dict[int, deque[MatchId]] = {}
         self._running: dict[ContractId, MatchId] = {}
         self._again = RetryBudget(context.state.config.link.retries)
@@ -56,7 +56,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
 
     def request(self, candidate: Candidate) -> Effects:
         """Have a candidate verified by the other agent, after those already waiting for it."""
-        if not self.book.propose(candidate):
+        if not self.candidates.propose(candidate):
             return NOTHING
         self._waiting.setdefault(candidate.id.match_agent, deque()).append(candidate.id)
         return self._next(candidate.id.match_agent)
@@ -77,7 +77,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
             self._waiting.setdefault(match_id.match_agent, deque()).appendleft(match_id)
             return NOTHING
         transform = None if outcome.T_M_Q is None else unpack_sim3(outcome.T_M_Q)
-        self.book.update(
+        self.candidates.update(
             match_id,
             verified=outcome.accepted,
             reason=kind_of(outcome.reason),
@@ -101,8 +101,8 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         again = match in self._waiting.get(match.match_agent, ())
         if self._again.wanted(contract, match) and not again:
             self._waiting.setdefault(contract.contractor, deque()).append(match)
-        elif not again and not self.book.candidates[match].detail:
-            self.book.update(match, reason="not verified", detail=f"contract {contract.state}: {contract.reason}")
+        elif not again and not self.candidates.by_id[match].detail:
+            self.candidates.update(match, reason="not verified", detail=f"contract {contract.state}: {contract.reason}")
         return self._next(contract.contractor)
 
     def resume(self) -> Effects:
@@ -179,7 +179,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
             self.context.reputation.judged(other, *judged(self.state, other))
         effects = NOTHING
         for accepted in accepted_now:
-            self.book.matched(accepted)
+            self.candidates.matched(accepted)
             effects += self.context.event("match", match=str(accepted), inliers=self.state.verified[accepted].inliers)
             if self.state.join(accepted.agents):
                 effects += tell_group(self.context)

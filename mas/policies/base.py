@@ -20,7 +20,7 @@ from .utility import utility
 class Outlook:
     """What a policy may know beside the state.
 
-    ``news``: accepted matches that no optimisation has used yet; ``since_optimised``, ``since_bought``: own
+    ``pending_matches``: accepted matches that no optimisation has used yet; ``since_optimised``, ``since_bought``: own
     key-frames since the last optimisation, and since the last purchase from each agent (absent: never);
     ``since_matched``: likewise since the last accepted match; ``stale``: agents whose maps should be newer since the
     last purchase (a match or an optimisation came between); ``distances``: how near each agent's last answer to a place
@@ -28,7 +28,7 @@ class Outlook:
     ``delivered``: place queries that each agent answered since the last that it did not.
     """
 
-    news: int
+    pending_matches: int
     since_optimised: int
     since_bought: dict[int, int]
     since_matched: dict[int, int]
@@ -71,10 +71,11 @@ class Policy(ABC):
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         """Agents to buy maps from; empty: not now."""
 
-    def worth(self, standing: float, benefit: float, bid: Bid, deadline_ns: int) -> float:
+    def worth(self, reputation: float, benefit: float, bid: Bid, deadline_ns: int) -> float:
         """Worth of a bid for a map: of several sellers the one whose bid is worth most is awarded, and none whose bid
-        is worth nothing. ``standing``: of the bidder with this agent, 0 to 1; ``benefit``: key-frames that are new."""
-        return utility(standing, benefit, bid, deadline_ns)
+        is worth nothing. ``reputation``: of the bidder with this agent, 0 to 1; ``benefit``: new
+        key-frames."""
+        return utility(reputation, benefit, bid, deadline_ns)
 
 
 def optimisation_due(state: AgentState, outlook: Outlook) -> bool:
@@ -84,7 +85,7 @@ def optimisation_due(state: AgentState, outlook: Outlook) -> bool:
     rank = sorted(state.group).index(state.me)
     wait = config.period_keyframes + min(rank, config.period_keyframes)
     due = (outlook.closing and config.closing) or outlook.since_optimised >= wait
-    return bool(outlook.news) and due
+    return bool(outlook.pending_matches) and due
 
 
 def default_sellers(state: AgentState, outlook: Outlook) -> list[int]:

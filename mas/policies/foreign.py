@@ -58,8 +58,8 @@ class CheckedPolicy(Policy):
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         return self._agents("buy", self.inner.buy(state, outlook), set(state.profile.others))
 
-    def worth(self, standing: float, benefit: float, bid: Bid, deadline_ns: int) -> float:
-        value = float(self.inner.worth(standing, benefit, bid, deadline_ns))
+    def worth(self, reputation: float, benefit: float, bid: Bid, deadline_ns: int) -> float:
+        value = float(self.inner.worth(reputation, benefit, bid, deadline_ns))
         if not math.isfinite(value):
             raise MasError(f"policy {self.name}: worth() gave {value}; a finite number is meant")
         return value

@@ -22,7 +22,7 @@ class Predecessor(Policy):
         return [owner_of(profile.coder.cut(state.keyframes[keyframe].vector[None])[0], profile.centres)]
 
     def optimise(self, state: AgentState, outlook: Outlook) -> list[int]:
-        return sorted(state.group) if outlook.news else []
+        return sorted(state.group) if outlook.pending_matches else []
 
     def buy(self, state: AgentState, outlook: Outlook) -> list[int]:
         return []

@@ -1,6 +1,6 @@
 """What a bid is worth to the agent that called: "evaluates all the bids and decides the best" (thesis section 3.8.2).
 
-    utility = standing * benefit / cost_bytes, and nothing for a bid that would be ready after the deadline
+    utility = reputation * benefit / cost_bytes, and nothing for a bid that would be ready after the deadline
 
 Benefit is counted in what the operation is for, so only bids to one call are compared. Where bids are rivals (several
 sellers of one map), the best is awarded; where they complement each other (each agent knows its own places; all whom
@@ -21,20 +21,20 @@ VERIFY_ANSWER_BYTES = 260
 SOLVER_BYTES_A_ROW = 1200.0
 
 
-def utility(standing: float, benefit: float, bid: Bid, deadline_ns: int) -> float:
+def utility(reputation: float, benefit: float, bid: Bid, deadline_ns: int) -> float:
     """Expected benefit for each byte; 0 for what comes too late."""
     if bid.ready_ns > deadline_ns:
         return 0.0
-    return standing * benefit / max(bid.cost_bytes, 1)
+    return reputation * benefit / max(bid.cost_bytes, 1)
 
 
 Worth = Callable[[float, float, Bid, int], float]
-"""Of a bid, from standing, benefit, the bid and the deadline, as :func:`utility`."""
+"""Of a bid, from reputation, benefit, the bid and the deadline, as :func:`utility`."""
 
 
 def orders(
     bids: Mapping[int, Bid],
-    standing: Mapping[int, float],
+    reputation: Mapping[int, float],
     wants: Callable[[int, Offer], bool],
     deadline_ns: int,
     worth_of: Worth = utility,
@@ -48,7 +48,7 @@ def orders(
     best: dict[int, tuple[bool, int, float, int]] = {}
     for seller, bid in sorted(bids.items()):
         wanted = [offer for offer in bid.offers if wants(seller, offer)]
-        worth = worth_of(standing[seller], sum(o.keyframes for o in wanted), bid, deadline_ns)
+        worth = worth_of(reputation[seller], sum(o.keyframes for o in wanted), bid, deadline_ns)
         for offer in wanted if worth > 0 else []:
             key = (offer.owner == seller, offer.version, worth, -seller)
             if offer.owner not in best or key > best[offer.owner]:

@@ -14,8 +14,8 @@ from ..config import ConsistencyConfig
 from ..protocol.ids import MatchId
 
 
-class Fate(StrEnum):
-    """What became of a candidate match."""
+class MatchOutcome(StrEnum):
+    """Outcome of a candidate match."""
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"

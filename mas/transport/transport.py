@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..errors import MasError
 from ..protocol.accounting import Traffic
 from ..protocol.messages import Message, decode, encode
 from ..protocol.tensors import MessageError
@@ -70,7 +69,7 @@ class Transport(ABC):
         data = encode(message)
         body = message.body
         if len(data) > self.max_message_bytes:
-            raise MasError(
+            raise MessageError(
                 f"agent {message.sender}: {body.kind} of {len(data)} bytes, at most {self.max_message_bytes} travel"
             )
         ends = (now_ns, message.sender, message.recipient)

@@ -218,7 +218,7 @@ def _match(row: dict[str, str]) -> MatchResult:
         match_agent=int(row["match_agent"]),
         match=int(row["match_keyframe"]),
         distance=float(row["distance"]),
-        outcome=row["fate"],
+        outcome=row["outcome"],
         reason=row["reason"],
         T_M_Q=_transform(row),
         error_m=float(row["error_m"]) if row["error_m"] else None,

@@ -19,7 +19,7 @@ import maslam
 from maslam.backend.config import RelPoseConfig, SolverConfig
 from maslam.frontend.config import OdometryConfig
 from maslam.mas.config import MasConfig
-from maslam.mas.contracts.contract import CONTRACTOR_SAYS, MANAGER_SAYS, ContractState
+from maslam.mas.contracts.contract import CONTRACTOR_SENDS, MANAGER_SENDS, ContractState
 from maslam.mas.evaluation.summary import Summary, Timing
 from maslam.mas.output.run_folder import Recorder
 from maslam.mas.protocol.accounting import Traffic
@@ -98,7 +98,7 @@ def test_every_column_of_a_run_has_a_meaning(tmp_path: Path) -> None:
 def test_every_event_has_a_meaning() -> None:
     kinds: set[str] = set()
     for path in (ROOT / "mas").rglob("*.py"):
-        kinds |= set(re.findall(r"\bnote\(\s*\"(\w+)\"", path.read_text(encoding="utf-8")))
+        kinds |= set(re.findall(r"\bevent\(\s*\"(\w+)\"", path.read_text(encoding="utf-8")))
     assert kinds == set(file_formats.EVENTS)
 
 
@@ -127,5 +127,5 @@ def test_the_diagrams_are_what_the_script_draws(name: str) -> None:
 
 def test_the_state_machine_shows_every_state_and_message() -> None:
     drawn = diagrams.contract_states().svg()
-    words = {message.__name__ for _, message in {**CONTRACTOR_SAYS, **MANAGER_SAYS}} | {str(s) for s in ContractState}
+    words = {message.__name__ for _, message in {**CONTRACTOR_SENDS, **MANAGER_SENDS}} | {str(s) for s in ContractState}
     assert [word for word in words if f">{word}<" not in drawn] == []

@@ -28,7 +28,7 @@ def outlook(**changes: Any) -> maslam.Outlook:
     """What an agent may know in the middle of a run."""
     others = frozenset(range(1, AGENTS))
     fields: dict[str, Any] = {
-        "news": 2, "since_optimised": 100, "since_bought": {}, "since_matched": {1: 3}, "stale": others,
+        "pending_matches": 2, "since_optimised": 100, "since_bought": {}, "since_matched": {1: 3}, "stale": others,
         "distances": {1: 0.4, 2: 0.9}, "reachable": others, "closing": False, "delivered": {1: 4},
     }  # fmt: skip
     return maslam.Outlook(**{**fields, **changes})
@@ -37,7 +37,7 @@ def outlook(**changes: Any) -> maslam.Outlook:
 SITUATIONS = (
     outlook(),
     outlook(closing=True),
-    outlook(news=0, stale=frozenset(), distances={}, delivered={}),
+    outlook(pending_matches=0, stale=frozenset(), distances={}, delivered={}),
     outlook(reachable=frozenset(), closing=True),
 )
 

@@ -49,12 +49,12 @@ class Absent(Quiet):
 
 
 class Dizzy(Directory):
-    def worth(self, standing: float, benefit: float, bid: maslam.Bid, deadline_ns: int) -> float:
+    def worth(self, reputation: float, benefit: float, bid: maslam.Bid, deadline_ns: int) -> float:
         return float("nan")
 
 
 class Miser(Directory):
-    def worth(self, standing: float, benefit: float, bid: maslam.Bid, deadline_ns: int) -> float:
+    def worth(self, reputation: float, benefit: float, bid: maslam.Bid, deadline_ns: int) -> float:
         return 0.0
 
 

@@ -21,7 +21,7 @@ def driver(keyframes: int = 40, **merge: object) -> tuple[AgentState, list[KeyFr
     """An agent that has seen nothing yet, and the key-frames that it will see."""
     sequence, frames = _drive(keyframes)
     config = preset("maslam")
-    config = config.model_copy(update={"merge": config.merge.model_copy(update={"edition_keyframes": 1, **merge})})
+    config = config.model_copy(update={"merge": config.merge.model_copy(update={"version_keyframes": 1, **merge})})
     agent = make_agents(manifest_of([sequence]), [sequence], config)[0]
     return agent.state, frames
 

@@ -17,7 +17,7 @@ from maslam.mas.state.agent_state import AgentState
 
 def outlook(**changes: object) -> Outlook:
     fields: dict[str, object] = {
-        "news": 0,
+        "pending_matches": 0,
         "since_optimised": 100,
         "since_bought": {},
         "since_matched": {},
@@ -60,10 +60,10 @@ def test_all_of_the_group_optimise_what_is_new() -> None:
     match(state, 2)
     match(state, 5)
     policy.ask(state, outlook(), 0)
-    assert policy.optimise(state, outlook(news=2)) == [0, 2, 5]
+    assert policy.optimise(state, outlook(pending_matches=2)) == [0, 2, 5]
     assert policy.optimise(state, outlook()) == []
-    assert policy.optimise(state, outlook(news=2, since_optimised=0)) == []
-    assert policy.optimise(state, outlook(news=2, since_optimised=0, closing=True)) == [0, 2, 5]
+    assert policy.optimise(state, outlook(pending_matches=2, since_optimised=0)) == []
+    assert policy.optimise(state, outlook(pending_matches=2, since_optimised=0, closing=True)) == [0, 2, 5]
 
 
 def test_the_number_of_agents_limits_who_optimises_partners_first() -> None:
@@ -71,7 +71,7 @@ def test_the_number_of_agents_limits_who_optimises_partners_first() -> None:
     match(state, 5)
     policy.ask(state, outlook(), 0)  # a group of one other: two optimise
     state.group.update({1, 2})
-    assert policy.optimise(state, outlook(news=1)) == [0, 5]
+    assert policy.optimise(state, outlook(pending_matches=1)) == [0, 5]
 
 
 def test_maps_are_bought_once_after_places_were_gained() -> None:
@@ -141,4 +141,4 @@ def test_an_agent_without_others_decides_nothing() -> None:
     manifest, sequences = town(1, 2)
     agent: Agent = make_agents(manifest, sequences, preset("selection"))[0]
     assert agent.policy.ask(agent.state, outlook(), 0) == []
-    assert agent.policy.optimise(agent.state, outlook(news=1)) == [0]
+    assert agent.policy.optimise(agent.state, outlook(pending_matches=1)) == [0]

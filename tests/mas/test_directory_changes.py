@@ -103,7 +103,7 @@ def test_a_directory_that_comes_back_is_told_only_what_it_missed_and_the_other_o
     """Two silences of 3 s make it silent after 9 s; probed 2 s later it is back. Meanwhile each new key-frame that its
     successor took in earned it one earlier one."""
     config = faulty(delay_s=0.001)
-    config = config.model_copy(update={"standing": config.standing.model_copy(update={"probe_s": 2.0})})
+    config = config.model_copy(update={"standing": config.reputation.model_copy(update={"probe_s": 2.0})})
     environment, evaluator, told = play(config, 60, 40.0, {0: Dozer})
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
     assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0
@@ -167,14 +167,14 @@ def test_earlier_key_frames_wait_until_the_directory_has_proved_itself() -> None
 def test_an_earlier_key_frame_is_not_verified_again_around_an_accepted_match() -> None:
     agent = agent_of(2, 30)
     agent.state.accepted |= {MatchId(2, 10, 1, 3), MatchId(3, 5, 2, 24)}
-    agent.book.last_matched = {1: 10, 3: 24}
+    agent.candidates.last_matched = {1: 10, 3: 24}
     gap = preset("maslam").places.gap_keyframes
-    agent.book.recalled = {10 - gap - 1, 10 - gap, 10 + gap, 17}
+    agent.candidates.recalled = {10 - gap - 1, 10 - gap, 10 + gap, 17}
     reasons = {}
     for keyframe, other in ((10 - gap - 1, 1), (10 - gap, 1), (10 + gap, 1), (17, 1), (17, 3)):
         match = MatchId(2, keyframe, other, 3)
-        agent.book.propose(Candidate(match, 0, 0.1))
-        reasons[keyframe, other] = agent.book.candidates[match].reason
+        agent.candidates.propose(Candidate(match, 0, 0.1))
+        reasons[keyframe, other] = agent.candidates.by_id[match].reason
     assert reasons == {
         (10 - gap - 1, 1): "",
         (10 - gap, 1): "near an accepted match",
@@ -183,4 +183,4 @@ def test_an_earlier_key_frame_is_not_verified_again_around_an_accepted_match() -
         (17, 3): "",
     }
     # One that was told in its turn may still support the match before it.
-    assert agent.book.propose(Candidate(MatchId(2, 9, 1, 3), 0, 0.1))
+    assert agent.candidates.propose(Candidate(MatchId(2, 9, 1, 3), 0, 0.1))

@@ -51,7 +51,7 @@ def back(award: Message, body: ContractBody) -> Message:
     return Message(award.recipient, award.sender, award.contract, body)
 
 
-def standing_after(body: ContractBody) -> float:
+def reputation_after(body: ContractBody) -> float:
     """What agent 0 thinks of agent 1's reliability once it was answered with this."""
     agents, award = awarded()
     handled(agents, back(award, Confirmation()))
@@ -65,21 +65,21 @@ def standing_after(body: ContractBody) -> float:
 def test_a_result_of_another_operation_ends_the_contract_as_failed_and_costs_its_sender() -> None:
     agents, award = awarded()
     handled(agents, back(award, Confirmation()))
-    candidates = dict(agents[0].book.candidates)
+    candidates = dict(agents[0].candidates.by_id)
     handled(agents, back(award, Result(OptimiseAnswer(True, 2.0, 1.0, 3))))
     (end,) = logged(agents[0], "contract")
     assert (end["end"], end["reason"]) == ("failed", "OptimiseAnswer is no result of dvpr")
     assert [e["reason"] for e in logged(agents[0], "refused")] == ["OptimiseAnswer is no result of dvpr"]
-    assert agents[0].book.candidates == candidates
+    assert agents[0].candidates.by_id == candidates
     record = agents[0].context.reputation.of(1)
     assert (record.delivered, record.failed) == (0, 1)
     assert not [c for c in agents[0].context.ledger.running() if c.id == award.contract]
 
 
 def test_a_wrong_result_costs_more_than_to_say_that_one_cannot() -> None:
-    good = standing_after(Result(PlaceAnswer(0, 0.5)))
-    honest = standing_after(Failure("no such thing here"))
-    wrong = standing_after(Result(OptimiseAnswer(True, 2.0, 1.0, 3)))
+    good = reputation_after(Result(PlaceAnswer(0, 0.5)))
+    honest = reputation_after(Failure("no such thing here"))
+    wrong = reputation_after(Result(OptimiseAnswer(True, 2.0, 1.0, 3)))
     assert wrong < honest < good
 
 
@@ -128,7 +128,7 @@ def test_a_programming_error_at_work_escapes_and_is_no_failure(
     def broken(*_: object) -> None:
         raise error("a mistake of ours")
 
-    monkeypatch.setattr(agents[1].book, "nearest_to_decoded", broken)
+    monkeypatch.setattr(agents[1].candidates, "nearest_to_decoded", broken)
     with pytest.raises(error, match="a mistake of ours"):
         agents[1].handle(award)
 
@@ -208,9 +208,17 @@ MUTATORS |= {"setdefault", "difference_update", "intersection_update", "sort"}
 
 def mutable_attributes(agent: Agent) -> set[str]:
     """Names of the lists, sets and dictionaries that the parts of an agent show."""
-    final, context = agent.final, agent.context
-    parts = [agent.places, agent.places.verification, agent.optimisation, agent.maps, agent.book, agent.news, final]
-    parts += [context, context.ledger, context.retransmitter, context.reputation, agent.pool]
+    final, context = agent.final_round, agent.context
+    parts = [
+        agent.places,
+        agent.places.verification,
+        agent.optimisation,
+        agent.maps,
+        agent.candidates,
+        agent.pending,
+        final,
+    ]
+    parts += [context, context.ledger, context.retransmitter, context.reputation, agent.call_queue]
     shown = [(name, value) for part in parts for name, value in vars(part).items() if not name.startswith("_")]
     return {name for name, value in shown if hasattr(value, "clear") or isinstance(value, bool)}
 
@@ -241,7 +249,7 @@ def changes_from_outside(tree: ast.AST, names: set[str]) -> Iterator[int]:
 
 def test_what_a_part_of_an_agent_shows_is_changed_by_that_part_alone() -> None:
     names = mutable_attributes(pair()[0])
-    assert {"held", "stale", "last_bought", "distances", "candidates"} <= names, "the test looks at what it should"
+    assert {"held", "stale", "last_bought", "distances", "by_id"} <= names, "the test looks at what it should"
     folder = Path(maslam.mas.__file__).parent
     found = []
     for path in sorted(folder.rglob("*.py")):

@@ -23,7 +23,9 @@ def played(config: MasConfig, folder: Path) -> Summary:
     manifest, sequences = town(AGENTS, 22, spacing_m=21.0)
     summary = run(manifest, sequences, config, folder)
     with open(folder / "matches.csv", newline="") as file:
-        met = {(int(r["query_agent"]), int(r["match_agent"])) for r in csv.DictReader(file) if r["fate"] == "accepted"}
+        met = {
+            (int(r["query_agent"]), int(r["match_agent"])) for r in csv.DictReader(file) if r["outcome"] == "accepted"
+        }
     assert all((a - b) % AGENTS in (1, AGENTS - 1) for a, b in met)
     assert summary.groups == [list(range(AGENTS))]
     return summary

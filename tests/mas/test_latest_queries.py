@@ -27,7 +27,7 @@ def pair(seed: int = 0) -> tuple[list[Agent], list[list[KeyFrame]]]:
 def test_the_answer_is_the_nearest_of_all_pairs_not_compared_before() -> None:
     """The agent that is asked sees key-frames between the queries, by a fixed plan; brute force over all pairs."""
     agents, keyframes = pair()
-    log = RecentQueries(agents[1].book, 5)
+    log = RecentQueries(agents[1].candidates, 5)
     compared: set[tuple[int, int]] = set()
     earlier = 0
     for query, seen in enumerate([0, 1, 2, 2, 5, 9, 9, 10, 12, 13, 13, 16]):
@@ -49,7 +49,7 @@ def test_the_answer_is_the_nearest_of_all_pairs_not_compared_before() -> None:
 
 def test_askers_are_kept_apart_and_one_frame_only_means_no_memory() -> None:
     agents, keyframes = pair()
-    five, one = RecentQueries(agents[1].book, 5), RecentQueries(agents[1].book, 1)
+    five, one = RecentQueries(agents[1].candidates, 5), RecentQueries(agents[1].candidates, 1)
     place, elsewhere = keyframes[0][12].vector, keyframes[0][0].vector
     assert five.nearest(0, 0, place) is None and one.nearest(0, 0, place) is None
     for keyframe in keyframes[1]:
@@ -61,7 +61,7 @@ def test_askers_are_kept_apart_and_one_frame_only_means_no_memory() -> None:
 
 def test_a_query_said_again_is_answered_again_and_kept_once() -> None:
     agents, keyframes = pair()
-    log = RecentQueries(agents[1].book, 2)
+    log = RecentQueries(agents[1].candidates, 2)
     agents[1].observe(keyframes[1][0])
     first = log.nearest(0, 0, keyframes[0][0].vector)
     log.nearest(0, 1, keyframes[0][14].vector)
@@ -96,7 +96,7 @@ def test_an_earlier_query_is_matched_when_the_other_agent_gets_there() -> None:
     agents[0].observe(_renumbered(keyframes[0][14], 3))
     (answer,) = answered(agents, ticked(agents[0], 11))
     assert isinstance(answer, EarlierAnswer) and (answer.query, answer.keyframe) == (1, 1)
-    assert [(c.id.query, c.id.match) for c in agents[0].book.candidates.values()] == [(1, 1)]
+    assert [(c.id.query, c.id.match) for c in agents[0].candidates.by_id.values()] == [(1, 1)]
 
 
 def test_an_answer_for_a_key_frame_never_asked_about_is_refused() -> None:
@@ -113,7 +113,7 @@ def test_an_answer_for_a_key_frame_never_asked_about_is_refused() -> None:
     false = Result(EarlierAnswer(3, 0, 0.1))
     handled(agents, Message(result.sender, result.recipient, result.contract, false))
     assert [e["reason"] for e in logged(agents[0], "refused")] == ["agent 1 was not asked about key-frame 3"]
-    assert not agents[0].book.candidates
+    assert not agents[0].candidates.by_id
 
 
 def _renumbered(keyframe: KeyFrame, index: int) -> KeyFrame:

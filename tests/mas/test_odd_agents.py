@@ -71,7 +71,7 @@ def play(
     for agent, alone in zip(honest(odd), without(preset_name, odd), strict=True):
         assert error_m(environment, evaluator, agent) <= 1.1 * alone + 0.02
         assert not agents[agent].context.ledger.running() and not happened(environment, "refused", agent)
-        assert all(agents[agent].context.reputation.regard(a) is Trust.GOOD for a in honest(odd)), (
+        assert all(agents[agent].context.reputation.trust(a) is Trust.GOOD for a in honest(odd)), (
             "nobody else is blamed"
         )
         for owner in set(agents[agent].maps.held) - {odd}:
@@ -95,7 +95,7 @@ def map_off_m(environment: Environment, evaluator: GroundTruthEvaluator, holder:
 @pytest.mark.parametrize(("name", "odd"), PLACES)
 def test_one_that_bids_and_never_delivers(name: str, odd: int) -> None:
     agents = play(name, odd, Idler).agents
-    assert {agents[a].context.reputation.regard(odd) for a in honest(odd)} == {Trust.UNDELIVERING}
+    assert {agents[a].context.reputation.trust(odd) for a in honest(odd)} == {Trust.UNDELIVERING}
     assert not any(odd in agents[a].maps.held for a in honest(odd))
 
 
@@ -161,6 +161,6 @@ def test_one_that_comes_late(name: str, odd: int) -> None:
 @pytest.mark.parametrize(("name", "odd"), PLACES)
 def test_one_that_leaves(name: str, odd: int) -> None:
     agents = play(name, odd, leave_s={odd: 5.0}).agents
-    assert Trust.SILENT in {agents[a].context.reputation.regard(odd) for a in honest(odd)}
+    assert Trust.SILENT in {agents[a].context.reputation.trust(odd) for a in honest(odd)}
     for agent in honest(odd):
         assert set(agents[agent].maps.held) >= (set(honest(odd)) - {agent} if name == "maslam" else set())

@@ -50,15 +50,15 @@ def test_a_manager_allowed_two_calls_whom_it_was_matched_with_last() -> None:
     match(state, 5)
     policy.ask(state, outlook(), 0)
     match(state, 2)
-    assert policy.optimise(state, outlook(news=2, since_matched={5: 9, 2: 0})) == [0, 2]
-    assert policy.optimise(state, outlook(news=2, since_matched={5: 0, 2: 9})) == [0, 5]
+    assert policy.optimise(state, outlook(pending_matches=2, since_matched={5: 9, 2: 0})) == [0, 2]
+    assert policy.optimise(state, outlook(pending_matches=2, since_matched={5: 0, 2: 9})) == [0, 5]
 
 
 def test_who_met_the_first_other_since_it_decided_optimises_with_it_and_not_alone() -> None:
     state, policy = state_of(6), Autonomous()
     policy.ask(state, outlook(), 0)
     match(state, 3)
-    assert policy.optimise(state, outlook(news=1, since_matched={3: 0})) == [0, 3]
+    assert policy.optimise(state, outlook(pending_matches=1, since_matched={3: 0})) == [0, 3]
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -75,10 +75,10 @@ def test_matches_with_agents_that_were_not_called_stay_news() -> None:
     state = state_of(6)
     match(state, 5)
     match(state, 2)
-    news = PendingMatches(state)
-    news.offered([0, 2])
-    news.used(frozenset())
-    assert news.matches == {m for m in state.accepted if 5 in m.agents}
+    pending = PendingMatches(state)
+    pending.offered([0, 2])
+    pending.used(frozenset())
+    assert pending.matches == {m for m in state.accepted if 5 in m.agents}
 
 
 # -- what is offered --------------------------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ def chain(pairing: set[int]) -> list[Agent]:
 def optimised(agents: list[Agent], manager: int) -> tuple[int, ...]:
     """Members of an optimisation that the manager calls all three for."""
     transport = InProcessTransport(2**24)
-    agents[manager].news.offered([0, 1, 2])
+    agents[manager].pending.offered([0, 1, 2])
     for first in begun(agents[manager], agents[manager].optimisation.start([0, 1, 2])):
         transport.send(first, 0)
     while (message := transport.receive()) is not None:
@@ -245,9 +245,9 @@ def test_who_bids_peer_to_peer_is_joined_to_the_manager_alone(
         inside = agent.state.me in members
         assert agent.state.frame == (frame if inside else FrameId(agent.state.me, 0))
         theirs = {m for m in agent.state.accepted if set(m.agents) <= set(members)}
-        assert not inside or agent.news.matches & theirs == set()
+        assert not inside or agent.pending.matches & theirs == set()
         unused = agent.state.accepted - theirs
-        assert agent.state.me == manager or agent.news.matches >= unused, "what was not used is news still"
+        assert agent.state.me == manager or agent.pending.matches >= unused, "what was not used is pending still"
 
 
 def test_frames_that_come_later_are_carried_over_and_the_group_comes_together_in_the_end() -> None:

@@ -28,7 +28,7 @@ def with_code(code: str) -> MasConfig:
 
 def candidates(run_folder: Path) -> list[tuple[str, ...]]:
     with open(run_folder / "matches.csv", newline="") as file:
-        names = ("query_agent", "query_keyframe", "match_agent", "match_keyframe", "fate")
+        names = ("query_agent", "query_keyframe", "match_agent", "match_keyframe", "outcome")
         return [tuple(row[n] for n in names) for row in csv.DictReader(file)]
 
 

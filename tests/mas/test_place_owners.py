@@ -97,7 +97,7 @@ def test_a_redirected_match_is_verified_with_the_agent_that_has_the_key_frame() 
     agents = agents_of(4, 8)
     said = play(agents, 8)
     wanted = {m.recipient for m in said if isinstance(m.body, Call) and m.body.operation is OperationKind.RELPOSE}
-    book = [c for a in agents for c in a.book.candidates.values()]
+    book = [c for a in agents for c in a.candidates.by_id.values()]
     third = [c for c in book if c.verified and owner_of_candidate(agents, c.id) not in c.id.agents]
     assert third and {c.id.match_agent for c in third} <= wanted
     assert not any(logged(a, "refused") for a in agents)

@@ -38,7 +38,7 @@ def errors(environment: Environment, evaluator: GroundTruthEvaluator) -> list[Tr
 
 
 def regards(agents: list[Agent], of: int) -> list[Trust]:
-    return [a.context.reputation.regard(of) for a in agents if a.state.me != of]
+    return [a.context.reputation.trust(of) for a in agents if a.state.me != of]
 
 
 def groups_with(environment: Environment, agents: tuple[int, ...]) -> bool:
@@ -71,7 +71,7 @@ def test_one_that_lies_about_matches_is_found_out_and_its_matches_are_not_used(u
     liar = agents[ODD]
     assert isinstance(liar, Liar) and liar.lies >= 6
     told = [a for a in HONEST if any(reported_by_liar(m) for m in agents[a].state.verified)]
-    assert told and all(agents[a].context.reputation.regard(ODD) is Trust.UNTRUSTED for a in told)
+    assert told and all(agents[a].context.reputation.trust(ODD) is Trust.UNTRUSTED for a in told)
     assert not [m for a in HONEST for m in agents[a].state.accepted if reported_by_liar(m)]
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
@@ -84,7 +84,7 @@ def test_one_whose_lies_agree_is_told_by_the_way_round_over_third_agents(undistu
     agents = environment.agents
     assert isinstance(agents[ODD], Swindler) and agents[ODD].lies >= 6
     accusers = [a for a in HONEST if agents[a].context.reputation.of(ODD).f > 0]
-    regards = [agents[b].context.reputation.regard(a) for a in HONEST for b in HONEST if a != b]
+    regards = [agents[b].context.reputation.trust(a) for a in HONEST for b in HONEST if a != b]
     assert accusers and Trust.UNTRUSTED not in regards
     assert groups_with(environment, HONEST)
     connected = evaluator.connected_errors(environment.agents)
@@ -109,7 +109,7 @@ def test_one_with_a_wrong_map_does_not_spoil_the_others(undisturbed: list[float]
 def test_one_that_comes_late_is_taken_in() -> None:
     environment, evaluator = live(*four(), faulty(late_s={ODD: 8.0}))
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
-    seen = [e["regard"] for e in happened(environment, "standing", 0) if e["of"] == ODD]
+    seen = [e["trust"] for e in happened(environment, "reputation", 0) if e["of"] == ODD]
     assert seen == ["silent", "good"], "missed while it was not there, and welcome when it came"
     assert all(set(a.maps.held) == {0, 1, 2, 3} - {a.state.me} for a in environment.agents)
     assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0

@@ -166,7 +166,7 @@ def test_a_seller_that_does_not_answer_keeps_nobody_waiting() -> None:
 
 
 def test_a_second_purchase_brings_only_what_is_new() -> None:
-    agents, frames = agents_with_more_to_see(form="compact", edition_keyframes=1)
+    agents, frames = agents_with_more_to_see(form="compact", version_keyframes=1)
     first = trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].wire_bytes
     for keyframe in frames[1][6:8]:
         agents[1].state.observe(keyframe)
@@ -180,7 +180,7 @@ def test_a_second_purchase_brings_only_what_is_new() -> None:
 
 
 def test_a_copy_that_went_bad_is_bought_whole_again() -> None:
-    agents, frames = agents_with_more_to_see(form="compact", edition_keyframes=1)
+    agents, frames = agents_with_more_to_see(form="compact", version_keyframes=1)
     trade(agents, 0, [1])
     held = agents[0].maps.held[1]
     assert held.stock is not None

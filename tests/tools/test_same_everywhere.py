@@ -76,7 +76,7 @@ def load() -> Iterator[None]:
 
 def accepted(run: Path) -> list[tuple[str, ...]]:
     with open(run / "matches.csv", newline="") as file:
-        ends = ("query_agent", "query_keyframe", "match_agent", "match_keyframe", "fate")
+        ends = ("query_agent", "query_keyframe", "match_agent", "match_keyframe", "outcome")
         rows = [tuple(row[name] for name in ends) for row in csv.DictReader(file)]
     return [row for row in rows if row[-1] == "accepted"]
 

@@ -37,6 +37,9 @@ Fate = Renamed | Removed
 SETTINGS_OF_0_1: dict[str, Fate] = {
     "odometry.features.min_distance_px": Removed("it had no effect"),
     "odometry.seed": Removed("it had no effect"),
+    "merge.edition_keyframes": Renamed("merge.version_keyframes"),
+    "standing": Renamed("reputation"),
+    "standing.honesty": Renamed("reputation.consistency"),
 }
 """By the whole name in a file, ``relpose.min_inliers``; the name of a section stands for all settings below it that
 have no entry of their own."""

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from saboteurs import live
 
-from maslam.mas.config import FaultsConfig, StandingConfig
+from maslam.mas.config import FaultsConfig, ReputationConfig
 from maslam.mas.contracts.contract import Contract, ContractState
 from maslam.mas.contracts.reputation import SILENT, ReputationBook, Trust
 from maslam.mas.contracts.retries import RetryBudget
@@ -21,7 +21,7 @@ from maslam.mas.protocol.messages import Award, Bid, Confirmation, Message, Offe
 from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.state.match_audit import judged
 
-CONFIG = StandingConfig()
+CONFIG = ReputationConfig()
 SECOND = 1_000_000_000
 CALL = Contract(ContractId(0, 0), 1, OperationKind.DVPR, 10)
 
@@ -37,27 +37,27 @@ NOT_DELIVERED = ended(ContractState.EXPIRED, Bid, Award, Confirmation)
 UNHEARD = ended(ContractState.CANCELLED, reason=SILENT)
 
 
-def standing_after(*contracts: Contract) -> ReputationBook:
-    standing = ReputationBook(CONFIG)
+def reputation_after(*contracts: Contract) -> ReputationBook:
+    reputation = ReputationBook(CONFIG)
     for contract in contracts:
-        standing.ended(contract)
-    return standing
+        reputation.ended(contract)
+    return reputation
 
 
 def test_standing_is_the_mean_of_what_was_seen() -> None:
     """By hand: prior (1, 0.25); one delivery, then one failure to deliver, older ones at 0.95."""
-    record = standing_after(DONE, NOT_DELIVERED).of(1)
+    record = reputation_after(DONE, NOT_DELIVERED).of(1)
     assert record.reliability == pytest.approx((0.95 + 1) / (0.95 + 1 + 1.25))
     record.t, record.f = 4, 2
-    assert record.honesty == pytest.approx((4 + 3) / (4 + 2 + 3.5))
-    assert record.value == pytest.approx(record.reliability * record.honesty)
+    assert record.consistency == pytest.approx((4 + 3) / (4 + 2 + 3.5))
+    assert record.value == pytest.approx(record.reliability * record.consistency)
 
 
 def test_a_few_losses_ruin_nobody_and_nothing_delivered_does() -> None:
-    good = standing_after(*[DONE] * 10, NOT_DELIVERED, DONE, NOT_DELIVERED)
-    assert good.regard(1) is Trust.GOOD
-    idle = standing_after(*[NOT_DELIVERED] * 3)
-    assert idle.regard(1) is Trust.UNDELIVERING
+    good = reputation_after(*[DONE] * 10, NOT_DELIVERED, DONE, NOT_DELIVERED)
+    assert good.trust(1) is Trust.GOOD
+    idle = reputation_after(*[NOT_DELIVERED] * 3)
+    assert idle.trust(1) is Trust.UNDELIVERING
 
 
 def test_what_a_manager_did_itself_is_held_against_nobody() -> None:
@@ -68,43 +68,43 @@ def test_what_a_manager_did_itself_is_held_against_nobody() -> None:
         ended(ContractState.REFUSED),
         ended(ContractState.EXPIRED, Bid),
     ]
-    assert standing_after(*mine * 5).of(1).value == ReputationBook(CONFIG).of(1).value
+    assert reputation_after(*mine * 5).of(1).value == ReputationBook(CONFIG).of(1).value
 
 
 def test_who_vanished_is_probed_now_and_then_and_welcome_when_it_comes_back() -> None:
-    standing = standing_after(UNHEARD, UNHEARD)
-    assert [other for other, _ in standing.changes(0)] == [1]
-    assert standing.regard(1) is Trust.SILENT
+    reputation = reputation_after(UNHEARD, UNHEARD)
+    assert [other for other, _ in reputation.changes(0)] == [1]
+    assert reputation.trust(1) is Trust.SILENT
     probes = []
     for now_s in range(45):
-        if standing.may_call(1, now_s * SECOND):
-            standing.called(1, now_s * SECOND)
+        if reputation.may_call(1, now_s * SECOND):
+            reputation.called(1, now_s * SECOND)
             probes.append(now_s)
     assert probes == [10, 20, 30, 40]
-    standing.received(1)
-    assert standing.regard(1) is Trust.GOOD and standing.may_call(1, 45 * SECOND)
+    reputation.received(1)
+    assert reputation.trust(1) is Trust.GOOD and reputation.may_call(1, 45 * SECOND)
 
 
 def test_one_silence_is_bad_luck() -> None:
-    standing = standing_after(UNHEARD)
-    standing.received(1)
-    standing.ended(UNHEARD)
-    assert standing.regard(1) is Trust.GOOD
+    reputation = reputation_after(UNHEARD)
+    reputation.received(1)
+    reputation.ended(UNHEARD)
+    assert reputation.trust(1) is Trust.GOOD
 
 
 def test_who_is_contradicted_more_than_borne_out_is_not_trusted_until_that_changes() -> None:
-    standing = ReputationBook(CONFIG)
+    reputation = ReputationBook(CONFIG)
     for borne_out, contradicted, trusted in ((0, 3, True), (0, 4, False), (10, 4, True), (2, 6, False)):
-        standing.judged(1, borne_out, contradicted)
-        assert (standing.regard(1) is not Trust.UNTRUSTED) is trusted
+        reputation.judged(1, borne_out, contradicted)
+        assert (reputation.trust(1) is not Trust.UNTRUSTED) is trusted
 
 
 @given(st.lists(st.sampled_from([DONE, NOT_DELIVERED, UNHEARD, ended(ContractState.FAILED, Bid, Award)]), max_size=60))
 def test_standing_stays_between_nought_and_one(contracts: list[Contract]) -> None:
-    record = standing_after(*contracts).of(1)
+    record = reputation_after(*contracts).of(1)
     assert 0.0 < record.value <= 1.0
     before = record.reliability
-    more = standing_after(*contracts, DONE)
+    more = reputation_after(*contracts, DONE)
     assert more.of(1).reliability >= before, "a delivery never harms"
 
 

@@ -11,7 +11,7 @@ from factory import circuit, heading, make_sequence, make_world, manifest_of
 
 from maslam.backend.geometry import Array, Sim3, se3_exp, se3_inverse
 from maslam.mas.map_exchange.admission import admit, aligned, recheck
-from maslam.mas.map_exchange.evidence_checks import best_motion, standing, tolerance, witnesses
+from maslam.mas.map_exchange.evidence_checks import best_motion, evidence_of, tolerance, witnesses
 from maslam.mas.map_exchange.map_copy import MapCopy, with_new_keyframes
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import FrameId, MatchId
@@ -79,7 +79,7 @@ def matched(state: AgentState, own: int, other: int, index: int, T_O_other: Arra
 def test_a_map_in_its_place_agrees_with_matches_although_the_cameras_stand_apart(asked: bool) -> None:
     state = holder()
     matched(state, 2, 1, 5, ROAD[5], asked)
-    how = standing(witnesses(held(1, ROAD), state, {}))
+    how = evidence_of(witnesses(held(1, ROAD), state, {}))
     assert how is not None and how.matches == 1
     assert how.worst_m < 1e-9 and how.worst_deg < 1e-5
     assert np.linalg.norm(state.poses[2][:3, 3] - ROAD[5][:3, 3]) > 3.0, "the thesis's 3.3 would see this distance"
@@ -137,9 +137,9 @@ def test_a_map_is_checked_against_other_maps_by_matches_that_came_with_either() 
     match = (MatchId(2, 2, 1, 6), T_M_Q)
     for first, second in (((match,), ()), ((), (match,))):
         one, two = held(1, ROAD, matches=first), held(2, further, matches=second)
-        how = standing(witnesses(two, state, {1: one, 2: two}))
+        how = evidence_of(witnesses(two, state, {1: one, 2: two}))
         assert how is not None and how.worst_m < 1e-9
-        how = standing(witnesses(two.moved(MOTION), state, {1: one}))
+        how = evidence_of(witnesses(two.moved(MOTION), state, {1: one}))
         assert how is not None and how.worst_m == pytest.approx(
             np.linalg.norm(MOTION @ further[2][:3, 3] - further[2][:3, 3])
         )
