@@ -151,8 +151,8 @@ class Agent:
         )
 
     def _behind(self) -> bool:
-        """Whether others wait to be told of earlier key-frames."""
-        return any(self.places.sent_queries.untold(a) for a in self.policy.recall(self.state, self.outlook(), 0))
+        """Whether others lack earlier key-frames, and wait for them."""
+        return any(self.places.sent_queries.unsent(a) for a in self.policy.recall(self.state, self.outlook(), 0))
 
     def _pending(self) -> set[MatchId]:
         """Matches accepted or withdrawn since the last optimisation; none when it failed too often at the end."""
@@ -205,7 +205,7 @@ class Agent:
             raise ProtocolError(f"there is no agent {min(strangers)}")
 
     def _join(self, members: tuple[int, ...], known_by_sender: frozenset[int] = frozenset()) -> Effects:
-        """More agents are joined by matches: the group is told, unless the sender has told it all there is to tell."""
+        """More agents are joined by matches: the group gets a notice, unless the sender knows as much."""
         known = set(self.state.group)
         return tell_group(self.context) if self.state.join(members) and not known <= known_by_sender else NOTHING
 

@@ -89,15 +89,15 @@ class ConsistencyConfig(_Section):
         1, ge=0, description="other matches between the same two tracks that must agree with a match"
     )
     depth_share: float = Field(0.05, gt=0, description="positions agree within this share of the match's median depth")
-    drift: float = Field(0.04, ge=0, description="plus this share of the ways driven between the matches")
+    drift: float = Field(0.04, ge=0, description="plus this share of the paths between the matches")
     loop_drift: float = Field(
         0.15,
         ge=0,
-        description="an own loop may correct odometry by this share of the way driven between, plus depth_share",
+        description="an own loop may correct odometry by this share of the path between, plus depth_share",
     )
     angle_deg: float = Field(2.0, gt=0, description="and rotations within this, degrees")
     angle_deg_per_depth: float = Field(
-        0.6, ge=0, description="plus this for each median depth of way driven between the matches, degrees"
+        0.6, ge=0, description="plus this for each median depth of path between the matches, degrees"
     )
 
 

@@ -51,9 +51,11 @@ WORDS = {
     r"<other than frame": "unlike",
 }
 """Pattern, ``<`` and ``>`` for where a word begins and ends (an underscore ends one too), to the words to use."""
+EARLIER = "tools/common/earlier_settings.py"  # names of 0.1
 REAL_THINGS = {
-    "<(desk|diary|diaries)>": "tools/worlds/indoor",  # furniture
-    "<(held[ _]maps?|shops?|stock|edition)>": "tools/worlds/town",  # houses
+    "<(desk|diary|diaries)>": ("tools/worlds/indoor",),  # furniture
+    "<(held[ _]maps?|shops?|stock|edition)>": ("tools/worlds/town", EARLIER),  # houses
+    "<(honest|honesty|citizens?)>": (EARLIER,),
 }
 
 

@@ -1,4 +1,4 @@
-"""Reputation of each other agent, from the outcome of an agent's own contracts with it (the citizen approach, thesis
+"""Reputation of each other agent, from the outcome of an agent's own contracts with it (thesis
 section 2.2.5). No agent is asked about another one: reports cannot lower a third agent's reputation.
 
 Reputation is reliability times consistency, each the mean of a Beta posterior:

@@ -116,7 +116,7 @@ class GroundTruthEvaluator:
         """
         if not self._all_frames:
             return 0.0
-        times = {o: self._times(h) for o, h in sorted(agent.maps.held.items())}
+        times = {o: self._times(h) for o, h in sorted(agent.maps.copies.items())}
         times[agent.state.me] = np.array([k.time_ns for k in agent.state.keyframes], dtype=np.int64)
         seen: set[tuple[str, int]] = set()
         for owner, stamps in times.items():
@@ -175,8 +175,8 @@ class GroundTruthEvaluator:
     def _map_pairs(self, agent: Agent) -> dict[int, _Pair]:
         """Own key-frames and map copies, by owner, as far as there is truth."""
         pairs = {agent.state.me: self._own_pair(agent)}
-        for owner, held in sorted(agent.maps.held.items()):
-            pairs[owner] = self._copy_pair(agent.state.me, held)
+        for owner, copy in sorted(agent.maps.copies.items()):
+            pairs[owner] = self._copy_pair(agent.state.me, copy)
         return {a: p for a, p in pairs.items() if p is not None and len(p[0])}
 
     def _own_pair(self, agent: Agent) -> _Pair | None:
@@ -188,16 +188,16 @@ class GroundTruthEvaluator:
             self._own_pairs[state.me] = state, state.version, pair
         return pair
 
-    def _copy_pair(self, holder: int, held: MapCopy) -> _Pair | None:
-        known, pair = self._copy_pairs.get((holder, held.owner), (None, None))
-        if known is not held:
-            pair = self._paired(held.owner, self._times(held), held.poses[:, :3, 3])
-            self._copy_pairs[holder, held.owner] = held, pair
+    def _copy_pair(self, holder: int, copy: MapCopy) -> _Pair | None:
+        known, pair = self._copy_pairs.get((holder, copy.owner), (None, None))
+        if known is not copy:
+            pair = self._paired(copy.owner, self._times(copy), copy.poses[:, :3, 3])
+            self._copy_pairs[holder, copy.owner] = copy, pair
         return pair
 
-    def _times(self, held: MapCopy) -> NDArray[np.int64]:
-        stamps: NDArray[np.int64] = held.stamps_ns.astype(np.int64)
-        return stamps - self.sequences[held.owner].start_ns
+    def _times(self, copy: MapCopy) -> NDArray[np.int64]:
+        stamps: NDArray[np.int64] = copy.stamps_ns.astype(np.int64)
+        return stamps - self.sequences[copy.owner].start_ns
 
     def _paired(self, agent: int, times_ns: NDArray[np.int64], centres: Array) -> _Pair | None:
         truth = self.sequences[agent].groundtruth

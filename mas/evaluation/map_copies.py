@@ -26,15 +26,15 @@ def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, TrajectoryErr
         MapCopyFigures(
             holder=agent.state.me,
             owner=owner,
-            version=held.version,
-            keyframes=len(held.poses),
-            points=len(held.references),
+            version=copy.version,
+            keyframes=len(copy.poses),
+            points=len(copy.references),
             ate_rmse_m=each[owner].rmse_m if owner in each else None,
             ate_mean_m=each[owner].mean_m if owner in each else None,
-            points_off_m=originals[owner].off(held, agent.state),
+            points_off_m=originals[owner].off(copy, agent.state),
         )
         for agent, each in zip(agents, errors, strict=True)
-        for owner, held in sorted(agent.maps.held.items())
+        for owner, copy in sorted(agent.maps.copies.items())
     ]
 
 
@@ -45,7 +45,7 @@ class Original:
         self.owner = owner
         self._trees: dict[int, cKDTree] = {}
 
-    def off(self, held: MapCopy, holder: AgentState) -> float | None:
+    def off(self, copy: MapCopy, holder: AgentState) -> float | None:
         """Median distance of a copy's points from where their owner has them, in the unit of their frame; None where
         the two are in different coordinates, or the copy has no points.
 
@@ -54,12 +54,12 @@ class Original:
         if holder.frame != self.owner.frame:
             return None
         apart: list[Array] = []
-        rows = np.linspace(0, len(held.keyframes) - 1, min(_SAMPLE, len(held.keyframes))).astype(int)
+        rows = np.linspace(0, len(copy.keyframes) - 1, min(_SAMPLE, len(copy.keyframes))).astype(int)
         for row in rows.tolist():
-            copied, tree = held.points_C[held.references == row], self._points(int(held.keyframes[row]))
+            copied, tree = copy.points_C[copy.references == row], self._points(int(copy.keyframes[row]))
             if len(copied) and tree.n:
-                own = self.owner.pose(int(held.keyframes[row])) @ tree.data[tree.query(copied)[1]]
-                apart.append(np.linalg.norm(held.pose(row) @ copied - own, axis=1))
+                own = self.owner.pose(int(copy.keyframes[row])) @ tree.data[tree.query(copied)[1]]
+                apart.append(np.linalg.norm(copy.pose(row) @ copied - own, axis=1))
         return float(np.median(np.concatenate(apart))) if apart else None
 
     def _points(self, index: int) -> cKDTree:

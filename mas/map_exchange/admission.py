@@ -25,10 +25,10 @@ from .map_copy import MapCopy, with_new_keyframes
 
 @dataclass(frozen=True, eq=False)
 class Admission:
-    """``held``: the map as it is kept, None if it is rejected, with the ``reason``; ``evidence``: how far it is off
+    """``copy``: the map as it is kept, None if it is rejected, with the ``reason``; ``evidence``: how far it is off
     the place matches then; ``aligned_by``: the match it was laid on, ``redundant``: only new key-frames were taken."""
 
-    held: MapCopy | None
+    copy: MapCopy | None
     evidence: EvidenceStatistics | None
     reason: str = ""
     aligned_by: MatchId | None = None
@@ -51,28 +51,28 @@ def admit(
     others: Mapping[int, MapCopy],
     placed_by: MatchId | None = None,
 ) -> Admission:
-    """Judge a map that came in. ``placed_by``: the match that told where it stands, which can therefore not judge
+    """Judge a map that came in. ``placed_by``: the match by which it was placed, which can therefore not judge
     it."""
     verdict = _judged(new, witnesses(new, state, others), state, placed_by)
     same = tolerance(state.config.merge.redundancy_m, state)
-    if verdict.held is not None and old is not None and same is not None:
+    if verdict.copy is not None and old is not None and same is not None:
         before = evidence_of(witnesses(old, state, others))
         if before is not None and before.worst_m <= same:
-            return Admission(with_new_keyframes(old, verdict.held), before, redundant=True)
+            return Admission(with_new_keyframes(old, verdict.copy), before, redundant=True)
     return verdict
 
 
-def recheck(held: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> Admission:
+def recheck(copy: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> Admission:
     """Judge a map that is held. It may have been laid on any of its matches, so the one that agrees best says nothing
     where there are others."""
-    found = witnesses(held, state, others)
+    found = witnesses(copy, state, others)
     best = min(found, key=lambda w: w.metres).match if len(found) > 1 else None
-    return _judged(held, found, state, best)
+    return _judged(copy, found, state, best)
 
 
-def _judged(held: MapCopy, found: list[Witness], state: AgentState, placed_by: MatchId | None) -> Admission:
+def _judged(copy: MapCopy, found: list[Witness], state: AgentState, placed_by: MatchId | None) -> Admission:
     """Consistency, then accuracy."""
-    held, found, aligned_by = aligned(held, found, state)
+    copy, found, aligned_by = aligned(copy, found, state)
     limit = tolerance(state.config.merge.accuracy_m, state)
     judges = _judges(found, state, {placed_by, aligned_by})
     how = evidence_of(judges) if limit is not None else None
@@ -83,7 +83,7 @@ def _judged(held: MapCopy, found: list[Witness], state: AgentState, placed_by: M
             return Admission(None, how, f"no place match agrees: {off}")
         if agree < state.config.merge.accuracy_share * len(judges):
             return Admission(None, how, f"few place matches agree: {agree} of {off}")
-    return Admission(held, evidence_of(found), aligned_by=aligned_by)
+    return Admission(copy, evidence_of(found), aligned_by=aligned_by)
 
 
 def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None]) -> list[Witness]:
@@ -96,17 +96,17 @@ def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None
     return [w for w in judges if not any(np.array_equal(w.found.translation, p) for p in there)] or judges
 
 
-def aligned(held: MapCopy, found: list[Witness], state: AgentState) -> tuple[MapCopy, list[Witness], MatchId | None]:
+def aligned(copy: MapCopy, found: list[Witness], state: AgentState) -> tuple[MapCopy, list[Witness], MatchId | None]:
     """The consistency check: the map, laid on a match where its witnesses say that it stands too far off; the witnesses
     then, and that match."""
     limit = tolerance(state.config.merge.consistency_m, state)
-    if held.frame == state.frame and not any(state.me in w.match.agents for w in found):
+    if copy.frame == state.frame and not any(state.me in w.match.agents for w in found):
         limit = None  # it stands where its owner has it; another copy, perhaps an older one, does not know better
     how = evidence_of(found) if limit is not None else None
     if how is None or limit is None or how.median_m <= limit:
-        return held, found, None
+        return copy, found, None
     motion, match = best_motion(found)
-    return held.moved(motion), [w.after(motion) for w in found], match
+    return copy.moved(motion), [w.after(motion) for w in found], match
 
 
 def seller_frame(state: AgentState, seller: int, delivery: MapDelivery) -> tuple[Sim3, MatchId | None] | None:

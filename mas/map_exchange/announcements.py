@@ -1,4 +1,4 @@
-"""Who knows that what is for sale here: so that at the end news of maps is told once, and nobody has to ask for it.
+"""Offers that each other agent knows of: at the end a new map is announced once, and no agent has to ask for it.
 
 Smith's contract net has announcements of idle nodes beside those of tasks (1980, section "node available"); this is one
 of who has something to sell.
@@ -17,13 +17,13 @@ class Announcements:
     def __init__(self) -> None:
         self._known: dict[int, dict[int, int]] = {}
 
-    def told(self, other: int, offers: Iterable[Offer]) -> None:
-        """The other knows of these maps: it was told, or told me."""
+    def known_to(self, other: int, offers: Iterable[Offer]) -> None:
+        """The other knows of these maps: it has got or made an offer of them."""
         known = self._known.setdefault(other, {})
         for offer in offers:
             known[offer.owner] = max(offer.version, known.get(offer.owner, 0))
 
-    def news(self, other: int, offers: Iterable[Offer]) -> tuple[Offer, ...]:
+    def new_for(self, other: int, offers: Iterable[Offer]) -> tuple[Offer, ...]:
         """What of these the other does not know of; never its own map."""
         known = self._known.get(other, {})
         return tuple(o for o in offers if o.owner != other and o.version > known.get(o.owner, 0))

@@ -1,4 +1,4 @@
-"""Does a held map stand where place matches say? (thesis section 3.9.3, equations 3.1 to 3.6)
+"""Does a map copy stand where place matches say? (thesis section 3.9.3, equations 3.1 to 3.6)
 
 The thesis compares the centres of the two matched cameras (3.3), although those may stand metres apart. Here, as
 ``T_M_Q`` maps the query camera into the match camera, ``T_O_M @ T_M_Q`` is compared with ``T_O_Q``; and equation 3.4,
@@ -75,57 +75,57 @@ class EvidenceStatistics:
         }
 
 
-def witnesses(held: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> list[Witness]:
+def witnesses(copy: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> list[Witness]:
     """The accepted matches between the map and the agent itself; where there are none, those that came with maps
-    between it and other held ones. In order of id; of many, :data:`ENOUGH` spread evenly.
+    between it and other copies. In order of id; of many, :data:`ENOUGH` spread evenly.
 
     Own matches come first because they were verified here; another map may be wrong itself. Where a share of the
     witnesses must agree, several own matches that were verified and not accepted count as well: that they contradict
     each other is what a bent map looks like.
     """
-    own = _between(state.accepted, state.me, held.owner)
+    own = _between(state.accepted, state.me, copy.owner)
     if not own and state.config.merge.accuracy_share:
-        verified = _between(state.verified, state.me, held.owner)
+        verified = _between(state.verified, state.me, copy.owner)
         own = verified if len(verified) >= _SEVERAL else []
-    found = _own(held, state, _some(sorted(own)))
-    return found or _bought(held, others)
+    found = _own(copy, state, _some(sorted(own)))
+    return found or _bought(copy, others)
 
 
 def _between(matches: Iterable[MatchId], one: int, other: int) -> list[MatchId]:
     return [i for i in matches if one in i.agents and other in i.agents]
 
 
-def _own(held: MapCopy, state: AgentState, matches: list[MatchId]) -> list[Witness]:
+def _own(copy: MapCopy, state: AgentState, matches: list[MatchId]) -> list[Witness]:
     frame, out = state.frame, []
     for match in matches:
         mine = match.query if match.query_agent == state.me else match.match
         if state.piece_of(mine).frame == frame:
-            out.append(_witness(held, match, state.verified[match].T_M_Q, state.pose(mine)))
+            out.append(_witness(copy, match, state.verified[match].T_M_Q, state.pose(mine)))
     return [w for w in out if w is not None]
 
 
-def _bought(held: MapCopy, others: Mapping[int, MapCopy]) -> list[Witness]:
+def _bought(copy: MapCopy, others: Mapping[int, MapCopy]) -> list[Witness]:
     known: dict[MatchId, Sim3] = {}
-    for other in sorted(set(others) - {held.owner}):
-        for match, T_M_Q in (*held.matches_with.get(other, ()), *others[other].matches_with.get(held.owner, ())):
+    for other in sorted(set(others) - {copy.owner}):
+        for match, T_M_Q in (*copy.matches_with.get(other, ()), *others[other].matches_with.get(copy.owner, ())):
             known.setdefault(match, T_M_Q)
     out = []
     for match in _some(sorted(known)):
-        queried = match.query_agent == held.owner
+        queried = match.query_agent == copy.owner
         other, index = (match.match_agent, match.match) if queried else (match.query_agent, match.query)
         row = others[other].rows.get(index)
         if row is not None:
-            out.append(_witness(held, match, known[match], others[other].pose(row)))
+            out.append(_witness(copy, match, known[match], others[other].pose(row)))
     return [w for w in out if w is not None]
 
 
-def _witness(held: MapCopy, match: MatchId, T_M_Q: Sim3, camera: Sim3) -> Witness | None:
+def _witness(copy: MapCopy, match: MatchId, T_M_Q: Sim3, camera: Sim3) -> Witness | None:
     """What a match from a known camera, ``T_O_C``, says about a key-frame of the map; None if that is not in it."""
-    queried = match.query_agent == held.owner
-    row = held.rows.get(match.query if queried else match.match)
+    queried = match.query_agent == copy.owner
+    row = copy.rows.get(match.query if queried else match.match)
     if row is None:
         return None
-    return Witness(match, camera @ T_M_Q if queried else camera @ T_M_Q.inverse(), held.pose(row))
+    return Witness(match, camera @ T_M_Q if queried else camera @ T_M_Q.inverse(), copy.pose(row))
 
 
 def _some(matches: list[MatchId]) -> list[MatchId]:

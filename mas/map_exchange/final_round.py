@@ -1,4 +1,4 @@
-"""The end of a run: maps change hands until nobody knows of anything new (final purchases, thesis section 4.3)."""
+"""The end of a run: maps are exchanged until no agent knows of anything new (final purchases, thesis section 4.3)."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Purchase:
 
 
 class FinalRound:
-    """Each agent asks its partners once, then tells them what else it gets, and buys from who tells it something new:
-    a map travels on through all who have met, however long the chain, and who has everything is not asked again.
+    """Each agent asks its partners once, then announces to them what else it gets, and buys from those that announce
+    something new: a map is passed on along any chain of partners, and an agent that has everything is not asked again.
 
     A notice may get lost: who lacks the map of a member of its group for long asks again.
     """
@@ -50,10 +50,12 @@ class FinalRound:
         self._searching = True
 
     def choose(self, sellers: list[int]) -> Purchase:
-        """Whom of these to buy from now, and what others are told."""
+        """Agents of these to buy from now, and announcements to the others."""
         sellers = self._open(sellers)
         wanted = [a for a in sellers if self._rounds == 0 or a in self.maps.stale]
-        lacking = bool(self.context.state.group - {self.context.me} - self.maps.held.keys() - self.maps.refused_owners)
+        lacking = bool(
+            self.context.state.group - {self.context.me} - self.maps.copies.keys() - self.maps.refused_owners
+        )
         self._idle = 0 if wanted else self._idle + 1
         if lacking and self._idle in _ASKS_AFTER:
             wanted = sellers

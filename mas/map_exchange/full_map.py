@@ -11,7 +11,7 @@ from ..protocol.map_messages import SubMap
 from ..protocol.tensors import Tensor, pack_poses, pack_sim3s
 from ..state.agent_state import AgentState, thinned
 from ..state.keyframe import KeyFrame
-from .map_copy import MapCopy, held_of_submap
+from .map_copy import MapCopy, copy_of_submap
 
 
 def own_submap(state: AgentState, max_points: int) -> SubMap:
@@ -45,6 +45,6 @@ def fresh_rows(keyframe: KeyFrame, max_points: int) -> NDArray[np.int64]:
 
 
 def own_map(state: AgentState) -> MapCopy:
-    """The agent's own map with all its points, seen like a held one: for export."""
+    """The agent's own map with all its points, seen like a copy: for export."""
     limit = max((len(k.points_C) for k in state.keyframes), default=0)
-    return held_of_submap(own_submap(state, limit), state.frame, Sim3.identity(), state.me, 0)
+    return copy_of_submap(own_submap(state, limit), state.frame, Sim3.identity(), state.me, 0)

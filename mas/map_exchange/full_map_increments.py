@@ -31,10 +31,10 @@ def runs_of(indices: Iterable[int]) -> Runs:
     return tuple(n for run in np.split(values, breaks) if len(run) for n in (int(run[0]), len(run)))
 
 
-def without(submap: SubMap, held: Runs) -> SubMap:
+def without(submap: SubMap, runs: Runs) -> SubMap:
     """What a buyer who holds these key-frames lacks of the map."""
     keyframes, references = submap.keyframes.array(), submap.references.array()
-    known = np.isin(keyframes, indices_of(held))
+    known = np.isin(keyframes, indices_of(runs))
     if not known.any():
         return submap
     order, counts = _sorted(references, len(keyframes))
@@ -50,21 +50,21 @@ def without(submap: SubMap, held: Runs) -> SubMap:
     )
 
 
-def completed(submap: SubMap, held: MapCopy | None) -> SubMap:
+def completed(submap: SubMap, copy: MapCopy | None) -> SubMap:
     """The whole map, with the points of the copy where the seller left them out; :class:`StaleBase` where the copy
     lacks some, or is not what the seller has."""
     if not submap.known:
         return submap
     keyframes = submap.keyframes.array()
     known = set(indices_of(submap.known).tolist())
-    if held is None or held.descriptors is None or not known <= held.rows.keys():
+    if copy is None or copy.descriptors is None or not known <= copy.rows.keys():
         raise StaleBase(f"points of agent {submap.owner}'s map were left out that are not here")
     row_of = {int(k): row for row, k in enumerate(keyframes) if int(k) in known}
-    rows = np.array([row_of.get(int(k), -1) for k in held.keyframes], dtype=np.int64)[held.references]
+    rows = np.array([row_of.get(int(k), -1) for k in copy.keyframes], dtype=np.int64)[copy.references]
     kept = rows >= 0
     references = np.concatenate([rows[kept], submap.references.array()])
-    points = np.concatenate([held.points_C[kept].astype(np.float32), submap.points.array()])
-    descriptors = np.concatenate([held.descriptors[kept], submap.descriptors.array()])
+    points = np.concatenate([copy.points_C[kept].astype(np.float32), submap.points.array()])
+    descriptors = np.concatenate([copy.descriptors[kept], submap.descriptors.array()])
     order, counts = _sorted(references, len(keyframes))
     if _checksum(counts, points[order], descriptors[order]) != submap.check:
         raise StaleBase(f"the copy of agent {submap.owner}'s map has other points than the seller's")

@@ -20,13 +20,13 @@ from .versions import MapVersion
 
 @dataclass(frozen=True, eq=False)
 class MapCopy:
-    """``version`` (edition) of ``owner``'s map, bought from ``seller`` at ``now_ns``; ``route``: through whose hands
+    """``version`` (version) of ``owner``'s map, bought from ``seller`` at ``now_ns``; ``route``: through whose hands
     it came, the owner first, the seller last.
 
     ``placement``: ``T_mine_map``; the map's own coordinates are ``frame`` in the owner's unit. ``keyframes``,
     ``stamps_ns`` ``(K,)``; ``map_poses`` ``(K, 4, 4)``; ``references`` ``(P,)``: row of each point's key-frame;
     ``points_C`` ``(P, 3)`` in that camera; ``descriptors`` ``(P, 32)`` or None; ``matches``: the owner's accepted ones
-    with ``T_M_Q``. ``stock``: the editions to sell on, None in the thesis's form.
+    with ``T_M_Q``. ``map_version``: the versions to sell on, None in the thesis's form.
     """
 
     owner: int
@@ -43,7 +43,7 @@ class MapCopy:
     points_C: Array
     descriptors: NDArray[np.uint8] | None
     matches: tuple[tuple[MatchId, Sim3], ...]
-    stock: MapVersion | None = None
+    map_version: MapVersion | None = None
 
     @cached_property
     def poses(self) -> Array:
@@ -83,12 +83,12 @@ class MapCopy:
         return replace(self, placement=motion @ self.placement)
 
 
-def held_of_stock(stock: MapVersion, placement: Sim3, route: tuple[int, ...], now_ns: int) -> MapCopy:
-    """A held map of an edition that was bought."""
-    m = stock.map
+def copy_of_version(map_version: MapVersion, placement: Sim3, route: tuple[int, ...], now_ns: int) -> MapCopy:
+    """A map copy of a version that was bought."""
+    m = map_version.map
     return MapCopy(
         m.owner,
-        m.edition,
+        m.version,
         route[-1] if route else m.owner,
         now_ns,
         route,
@@ -101,12 +101,12 @@ def held_of_stock(stock: MapVersion, placement: Sim3, route: tuple[int, ...], no
         m.points_C(),
         m.descriptors,
         tuple(m.match_list()),
-        stock,
+        map_version,
     )
 
 
-def held_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int, now_ns: int) -> MapCopy:
-    """A held map in the thesis's form; ``frame``: the seller's coordinates."""
+def copy_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int, now_ns: int) -> MapCopy:
+    """A map copy in the thesis's form; ``frame``: the seller's coordinates."""
     placement = T_mine_seller @ Sim3(np.eye(3), np.zeros(3), submap.unit)
     return MapCopy(
         submap.owner,
@@ -126,22 +126,22 @@ def held_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: 
     )
 
 
-def submap_of(held: MapCopy) -> SubMap:
+def submap_of(copy: MapCopy) -> SubMap:
     """The copy as it is sold on in the thesis's form, in the holder's coordinates."""
-    described = held.descriptors
+    described = copy.descriptors
     return SubMap(
-        owner=held.owner,
-        version=held.version,
-        unit=held.unit,
-        keyframes=Tensor.of(held.keyframes, "<i4"),
-        stamps_ns=Tensor.of(held.stamps_ns, "<i8"),
-        poses=pack_poses(held.poses),
-        references=Tensor.of(held.references, "<i4"),
-        points=Tensor.of(held.points_C, "<f4"),
-        descriptors=Tensor.of(np.zeros((len(held.references), 32)) if described is None else described, "|u1"),
-        matches=tuple(m for m, _ in held.matches),
-        transforms=pack_sim3s([T for _, T in held.matches]),
-        route=held.route,
+        owner=copy.owner,
+        version=copy.version,
+        unit=copy.unit,
+        keyframes=Tensor.of(copy.keyframes, "<i4"),
+        stamps_ns=Tensor.of(copy.stamps_ns, "<i8"),
+        poses=pack_poses(copy.poses),
+        references=Tensor.of(copy.references, "<i4"),
+        points=Tensor.of(copy.points_C, "<f4"),
+        descriptors=Tensor.of(np.zeros((len(copy.references), 32)) if described is None else described, "|u1"),
+        matches=tuple(m for m, _ in copy.matches),
+        transforms=pack_sim3s([T for _, T in copy.matches]),
+        route=copy.route,
     )
 
 

@@ -27,9 +27,9 @@ from ..state.pose_graph import Adoption
 from .admission import admit, recheck, seller_frame
 from .announcements import Announcements
 from .full_map_increments import completed, runs_of
-from .map_copy import MapCopy, held_of_stock, held_of_submap
+from .map_copy import MapCopy, copy_of_submap, copy_of_version
 from .seller import Seller
-from .versions import stock_of
+from .versions import version_of
 
 
 @dataclass
@@ -59,10 +59,10 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
     def __init__(self, context: AgentContext, worth: Worth = utility) -> None:
         super().__init__(context)
         self._worth = worth
-        self.held: dict[int, MapCopy] = {}
+        self.copies: dict[int, MapCopy] = {}
         self.last_bought: dict[int, int] = {}
         self.stale: set[int] = set()
-        self.shop = Seller(context.state)
+        self.seller = Seller(context.state)
         self.announcements = Announcements()
         self._again = RetryBudget(context.state.config.link.retries)
         self._tenders: dict[ContractId, MapTender] = {}
@@ -84,7 +84,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
 
     def note_offers(self, seller: int, offers: tuple[Offer, ...]) -> None:
         """Somebody tells which maps are new there."""
-        self.announcements.told(seller, offers)
+        self.announcements.known_to(seller, offers)
         if any(self._wants(seller, offer) for offer in offers):
             self.stale.add(seller)
 
@@ -98,7 +98,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         if tender is None:
             return self.context.send(contract, Rejection("no longer wanted"))
         tender.bids[contract.contractor] = bid
-        self.announcements.told(contract.contractor, bid.offers)
+        self.announcements.known_to(contract.contractor, bid.offers)
         return self._answered(contract)
 
     def on_end(self, contract: Contract) -> Effects:
@@ -147,31 +147,31 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
     def _order(self, contract: Contract, owners: tuple[int, ...]) -> Effects:
         if not owners:
             return self.context.send(contract, Rejection("nothing new"))
-        copies = [None if o in self._spoilt else self.held.get(o) for o in owners]
-        editions = tuple(0 if c is None or c.stock is None else c.version for c in copies)
-        known = tuple(() if c is None or c.stock is not None else runs_of(c.keyframes) for c in copies)
-        order = MapOrder(owners, editions, self.state.frame, known if any(known) else ())
+        copies = [None if o in self._spoilt else self.copies.get(o) for o in owners]
+        versions = tuple(0 if c is None or c.map_version is None else c.version for c in copies)
+        known = tuple(() if c is None or c.map_version is not None else runs_of(c.keyframes) for c in copies)
+        order = MapOrder(owners, versions, self.state.frame, known if any(known) else ())
         return self.context.send(contract, Award(order))
 
     def _wants(self, seller: int, offer: Offer) -> bool:
-        """Newer than what I hold. The owner's own word counts more than another's: a copy that is newer than the
-        owner's own map is a false one."""
-        held = self.held.get(offer.owner)
+        """Newer than the copy that is here. What the owner itself offers counts more than what another does: a copy
+        that is newer than the owner's own map is a false one."""
+        copy = self.copies.get(offer.owner)
         if offer.owner == self.state.me or (seller, offer.owner, offer.version) in self._rejected:
             return False
-        if held is None or held.version < offer.version:
+        if copy is None or copy.version < offer.version:
             return True
-        return seller == offer.owner and held.version > offer.version
+        return seller == offer.owner and copy.version > offer.version
 
     def _confirm(self, owner: int, offer: Offer) -> None:
-        """At the end an owner that offers the edition I hold says that it has not moved since: in common coordinates
-        the copy then stands where its owner has it, whatever it was moved by meanwhile."""
-        held = self.held.get(owner)
-        if held is None or held.stock is None or not self.context.closing or offer.owner != owner:
+        """At the end an owner that offers the version of this copy says that it has not moved since: in common
+        coordinates the copy then stands where its owner has it, whatever it was moved by meanwhile."""
+        copy = self.copies.get(owner)
+        if copy is None or copy.map_version is None or not self.context.closing or offer.owner != owner:
             return
-        if offer.version == held.version and held.frame == self.state.frame:
-            placement = Sim3(np.eye(3), np.zeros(3), held.stock.map.unit)
-            self.held[owner] = replace(held, placement=placement)
+        if offer.version == copy.version and copy.frame == self.state.frame:
+            placement = Sim3(np.eye(3), np.zeros(3), copy.map_version.map.unit)
+            self.copies[owner] = replace(copy, placement=placement)
 
     def on_result(self, contract: Contract, outcome: MapDelivery) -> Effects:
         seller = contract.contractor
@@ -185,29 +185,29 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
     def _take_submap(self, submap: SubMap, place: SellerFrame) -> Effects:
         """A copy in the thesis's form."""
         try:
-            whole = completed(submap, self.held.get(submap.owner))
+            whole = completed(submap, self.copies.get(submap.owner))
         except MessageError as error:
             return self._misfit(place.seller, submap.owner, submap.version, bool(submap.known), str(error))
         self._spoilt.discard(submap.owner)
-        copy = held_of_submap(whole, place.frame, place.T_mine_seller, place.seller, self.context.now_ns)
+        copy = copy_of_submap(whole, place.frame, place.T_mine_seller, place.seller, self.context.now_ns)
         return self._take(copy, place.placed_by)
 
     def _unpack(self, parcel: Parcel, place: SellerFrame) -> Effects:
         """A copy made of patches."""
-        held, patches = self.held.get(parcel.owner), parcel.patches
+        copy, patches = self.copies.get(parcel.owner), parcel.patches
         try:
-            stock = stock_of(parcel.owner, None if held is None else held.stock, patches)
+            map_version = version_of(parcel.owner, None if copy is None else copy.map_version, patches)
         except MessageError as error:
-            return self._misfit(place.seller, parcel.owner, patches[-1].edition, bool(patches[0].base), str(error))
+            return self._misfit(place.seller, parcel.owner, patches[-1].version, bool(patches[0].base), str(error))
         self._spoilt.discard(parcel.owner)
-        placement, placed_by = Sim3(np.eye(3), np.zeros(3), stock.map.unit), place.placed_by
-        if stock.map.frame == self.state.frame:
+        placement, placed_by = Sim3(np.eye(3), np.zeros(3), map_version.map.unit), place.placed_by
+        if map_version.map.frame == self.state.frame:
             placed_by = None  # as the owner has it, whatever the seller has moved it by
         else:
             sent = placement if parcel.placement is None else unpack_sim3(parcel.placement)
             placement = place.T_mine_seller @ sent
         route = (*parcel.route, place.seller)
-        return self._take(held_of_stock(stock, placement, route, self.context.now_ns), placed_by)
+        return self._take(copy_of_version(map_version, placement, route, self.context.now_ns), placed_by)
 
     def _misfit(self, seller: int, owner: int, version: int, partial: bool, reason: str) -> Effects:
         """What came makes no map: where it was only what is new, the whole is ordered next time."""
@@ -223,11 +223,11 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         seller, owner, version = new.route[-1], new.owner, new.version
         if not self._wants(seller, Offer(owner, version, len(new.keyframes))):
             return NOTHING
-        old = self.held.get(owner)
-        verdict = admit(new, old, self.state, self.held, placed_by)
-        if verdict.held is None:
+        old = self.copies.get(owner)
+        verdict = admit(new, old, self.state, self.copies, placed_by)
+        if verdict.copy is None:
             return self._refuse(new, verdict.reason)
-        self.held[owner] = verdict.held
+        self.copies[owner] = verdict.copy
         known = 0 if old is None else len(old.keyframes)
         return self.context.event(
             "map_bought",
@@ -244,22 +244,22 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
     # -- holder -------------------------------------------------------------------------------------------------------
 
     def realign(self, adoption: Adoption) -> Effects:
-        """Move held maps along with the agent's own correction (3.9.3, map alignment), by the key-frame that was
+        """Move map copies along with the agent's own correction (3.9.3, map alignment), by the key-frame that was
         matched with the map's owner last, else with its seller, else the agent's last one; then check them. Whoever it
         has met may have a newer map since."""
-        for owner in sorted(self.held):
-            held = self.held[owner]
-            index = self._anchor(held, adoption)
-            self.held[owner] = held.moved(self.state.pose(index) @ adoption.before[index].inverse())
-        checked = total(self._check(owner) for owner in sorted(self.held))
+        for owner in sorted(self.copies):
+            copy = self.copies[owner]
+            index = self._anchor(copy, adoption)
+            self.copies[owner] = copy.moved(self.state.pose(index) @ adoption.before[index].inverse())
+        checked = total(self._check(owner) for owner in sorted(self.copies))
         self.stale.update(self.state.partners())
         return checked
 
     def check_at_end(self) -> Effects:
-        """The last consistency check: every copy that changed since it was last told of."""
+        """The last consistency check: every copy that changed since its last event."""
         effects = NOTHING
-        for owner in sorted(self.held):
-            state = (self.held[owner].version, self.state.version)
+        for owner in sorted(self.copies):
+            state = (self.copies[owner].version, self.state.version)
             if self._checked.get(owner) != state:
                 effects += self._check(owner, final=True)
                 self._checked[owner] = state
@@ -267,29 +267,29 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
 
     def _check(self, owner: int, final: bool = False) -> Effects:
         """The checks of 3.9.3 for a map that is held: matches that came since it was bought may tell that it is wrong.
-        Told where it is given up or moved, and at the end in any case."""
-        held = self.held[owner]
-        verdict = recheck(held, self.state, self.held)
-        if verdict.held is None:
-            del self.held[owner]
-            return self._refuse(held, verdict.reason)
-        self.held[owner] = verdict.held
+        Logged where it is given up or moved, and at the end in any case."""
+        copy = self.copies[owner]
+        verdict = recheck(copy, self.state, self.copies)
+        if verdict.copy is None:
+            del self.copies[owner]
+            return self._refuse(copy, verdict.reason)
+        self.copies[owner] = verdict.copy
         if verdict.evidence is None or not (verdict.aligned_by is not None or final):
             return NOTHING
         figures = verdict.remarks()
-        return self.context.event("map_checked", owner=owner, version=held.version, final=final, **figures)
+        return self.context.event("map_checked", owner=owner, version=copy.version, final=final, **figures)
 
-    def _refuse(self, held: MapCopy, reason: str) -> Effects:
+    def _refuse(self, copy: MapCopy, reason: str) -> Effects:
         """Not kept, and not bought again from this seller."""
-        self._rejected.add((held.seller, held.owner, held.version))
-        if held.seller == held.owner:
-            self.context.reputation.blame(held.seller)
-        names = {"seller": held.seller, "owner": held.owner, "version": held.version}
+        self._rejected.add((copy.seller, copy.owner, copy.version))
+        if copy.seller == copy.owner:
+            self.context.reputation.blame(copy.seller)
+        names = {"seller": copy.seller, "owner": copy.owner, "version": copy.version}
         return self.context.event("map_refused", **names, reason=reason)
 
-    def _anchor(self, held: MapCopy, adoption: Adoption) -> int:
+    def _anchor(self, copy: MapCopy, adoption: Adoption) -> int:
         me = self.state.me
-        for other in (held.owner, held.seller):
+        for other in (copy.owner, copy.seller):
             mine = [m.end_of(me)[0] for m in self.state.accepted if set(m.agents) == {me, other}]
             mine = [i for i in mine if i in adoption.before]
             if mine:
@@ -300,22 +300,22 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
 
     def announce(self, partners: list[int]) -> Effects:
         """Tell these agents which of the maps here they do not know of."""
-        offers, effects = self.shop.offers(self.held, self.context.closing), NOTHING
+        offers, effects = self.seller.offers(self.copies, self.context.closing), NOTHING
         for partner in partners:
-            new = self.announcements.news(partner, offers)
+            new = self.announcements.new_for(partner, offers)
             if new:
-                self.announcements.told(partner, new)
+                self.announcements.known_to(partner, new)
                 effects += self.context.tell(partner, None, MapNotice(new))
         return effects
 
     def bid(self, contract: Contract, call: Call) -> Answer:
-        offers = self.shop.offers(self.held, self.context.closing)
+        offers = self.seller.offers(self.copies, self.context.closing)
         if not offers:
             return Answer(Refusal("nothing to sell yet"))
-        self.announcements.told(contract.manager, offers)
-        cost = self.shop.estimate(offers, self.held)
+        self.announcements.known_to(contract.manager, offers)
+        cost = self.seller.estimate(offers, self.copies)
         return Answer(Bid(cost_bytes=cost, ready_ns=self.context.now_ns, offers=offers))
 
     def work(self, contract: Contract, task: MapOrder) -> Effects:
-        delivery = self.shop.delivery(contract.manager, task, self.held, self.context.closing)
+        delivery = self.seller.delivery(contract.manager, task, self.copies, self.context.closing)
         return self.context.send(contract, Confirmation()) + self.context.send(contract, Result(delivery))

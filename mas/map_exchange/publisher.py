@@ -1,4 +1,4 @@
-"""How an owner publishes its map: edition after edition, each with what is new since the one before."""
+"""How an owner publishes its map: version after version, each with what is new since the one before."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..state.place_match import Match
 from .coding.map_delta import encode, is_prefix
 from .coding.point_selection import sellable, well_spread
 from .coding.pose_corrections import Bound
-from .coding.quantised_map import TICK_NS, LatticeMap, Steps, empty_map, match_on_lattice, on_lattice, points_on_lattice
+from .coding.quantised_map import TICK_NS, QuantisedMap, Steps, empty_map, quantised, quantised_match, quantised_points
 from .versions import MapVersion, make_patch
 
 # A change of unit below this is none.
@@ -22,10 +22,10 @@ _SAME_UNIT = 1e-3
 
 @dataclass
 class Publisher:
-    """The owner's side: makes an edition of its own map when there is something to tell."""
+    """The owner's side: makes a version of its own map when there is something to tell."""
 
     state: AgentState
-    stock: MapVersion | None = None
+    published: MapVersion | None = None
     _at_version: int = -1
     _sold: set[int] = field(default_factory=set)
 
@@ -33,37 +33,37 @@ class Publisher:
     def _config(self) -> MergeConfig:
         return self.state.config.merge
 
-    def edition(self, closing: bool) -> MapVersion | None:
-        """The map to sell now, None while there is none. On the way a new edition waits for ``version_keyframes`` new
+    def latest(self, closing: bool) -> MapVersion | None:
+        """The map to sell now, None while there is none. On the way a new version waits for ``version_keyframes`` new
         key-frames or new coordinates; at the end any change makes one."""
-        if self.stock is not None and self._at_version == self.state.version:
-            return self.stock
+        if self.published is not None and self._at_version == self.state.version:
+            return self.published
         placed = self.state.placed()
         if not placed:
             return None
-        base = None if self.stock is None else self.stock.map
+        base = None if self.published is None else self.published.map
         few = base is not None and len(placed) < len(base.keyframes) + self._config.version_keyframes
         if base is not None and few and not closing and self._same_coordinates(base):
-            return self.stock
+            return self.published
         self._at_version = self.state.version
         wanted = self._wanted(placed, base)
         if base is not None and _says_nothing_new(base, wanted):
-            return self.stock
+            return self.published
         continued = base if base is not None and is_prefix(base, wanted) else None
         bits, made = encode(continued, wanted, Bound())
         patch = make_patch(continued, made, bits)
-        known = self.stock.patches if self.stock is not None and continued is not None else ()
-        self.stock = MapVersion(made, (*known, patch) if continued is not None else ())
-        return self.stock
+        known = self.published.patches if self.published is not None and continued is not None else ()
+        self.published = MapVersion(made, (*known, patch) if continued is not None else ())
+        return self.published
 
-    def _same_coordinates(self, base: LatticeMap) -> bool:
+    def _same_coordinates(self, base: QuantisedMap) -> bool:
         unit = self._unit()
         return base.frame == self.state.frame and abs(base.unit - unit) <= _SAME_UNIT * unit
 
     def _unit(self) -> float:
         return next(p for p in self.state.pieces if p.frame == self.state.frame).unit
 
-    def _wanted(self, placed: list[int], base: LatticeMap | None) -> LatticeMap:
+    def _wanted(self, placed: list[int], base: QuantisedMap | None) -> QuantisedMap:
         state, unit, config = self.state, self._unit(), self._config
         keyframes = [state.keyframes[i] for i in placed]
         depth = float(np.median([k.depth for k in keyframes]))
@@ -77,21 +77,21 @@ class Publisher:
         matches = [m for m in state.accepted_matches() if m.id.query_agent == state.me != m.id.match_agent]
         matches = _in_old_order(old, matches)
         names = [(m.id.query, m.id.match_agent, m.id.match) for m in matches]
-        return LatticeMap(
+        return QuantisedMap(
             owner=state.me,
-            edition=1 if self.stock is None else self.stock.map.edition + 1,
+            version=1 if self.published is None else self.published.map.version + 1,
             frame=state.frame,
             unit=unit,
             steps=steps,
             keyframes=np.array(placed, dtype=np.int64),
             ticks=np.array([round(k.stamp_ns / TICK_NS) for k in keyframes], dtype=np.int64),
-            poses=on_lattice(np.array([stretched(state.poses[i], 1.0 / unit) for i in placed]), steps),
+            poses=quantised(np.array([stretched(state.poses[i], 1.0 / unit) for i in placed]), steps),
             counts=np.concatenate([old.counts, np.array([len(p[1]) for p in points], dtype=np.int64)]),
             cells=np.concatenate([old.cells, *(p[0] for p in points)]),
             depths=np.concatenate([old.depths, *(p[1] for p in points)]),
             descriptors=self._descriptors(old, points),
             matches=np.array(names, dtype=np.int64).reshape(-1, 3),
-            transforms=np.array([match_on_lattice(m.T_M_Q, steps) for m in matches], dtype=np.int64).reshape(-1, 7),
+            transforms=np.array([quantised_match(m.T_M_Q, steps) for m in matches], dtype=np.int64).reshape(-1, 7),
         )
 
     def _points(self, index: int, steps: Steps) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
@@ -101,11 +101,11 @@ class Publisher:
         rows = np.flatnonzero(fresh & sellable(keyframe.points_C))
         rows = well_spread(keyframe.points_C, rows, self._config.max_points)
         self._sold.update(keyframe.point_ids[rows].tolist())
-        order, cells, depths = points_on_lattice(keyframe.points_C[rows], steps)
+        order, cells, depths = quantised_points(keyframe.points_C[rows], steps)
         return cells, depths, keyframe.descriptors[rows[order]]
 
     def _descriptors(
-        self, old: LatticeMap, points: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]]
+        self, old: QuantisedMap, points: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]]
     ) -> NDArray[np.uint8] | None:
         if not self._config.descriptors:
             return None
@@ -113,13 +113,13 @@ class Publisher:
         return np.concatenate([first, *(p[2] for p in points)])
 
 
-def _in_old_order(old: LatticeMap, matches: list[Match]) -> list[Match]:
-    """Matches that the last edition had come first, in its order; so that only new ones need travel."""
+def _in_old_order(old: QuantisedMap, matches: list[Match]) -> list[Match]:
+    """Matches that the last version had come first, in its order; so that only new ones need travel."""
     rank = {tuple(row): n for n, row in enumerate(old.matches.tolist())}
     return sorted(matches, key=lambda m: (rank.get((m.id.query, m.id.match_agent, m.id.match), len(rank)), m.id))
 
 
-def _says_nothing_new(base: LatticeMap, wanted: LatticeMap) -> bool:
+def _says_nothing_new(base: QuantisedMap, wanted: QuantisedMap) -> bool:
     same = base.frame == wanted.frame and abs(base.unit - wanted.unit) <= _SAME_UNIT * wanted.unit
     if not same or not np.array_equal(base.keyframes, wanted.keyframes):
         return False

@@ -35,27 +35,31 @@ class Seller:
     def _compact(self) -> bool:
         return self.state.config.merge.form == "compact"
 
-    def offers(self, held: Mapping[int, MapCopy], closing: bool) -> tuple[Offer, ...]:
+    def offers(self, copies: Mapping[int, MapCopy], closing: bool) -> tuple[Offer, ...]:
         """All maps for sale, by owner: flat, so that no buyer has to walk from sub-map to sub-map."""
-        offers = [Offer(h.owner, h.version, len(h.keyframes)) for _, h in sorted(held.items())]
+        offers = [Offer(h.owner, h.version, len(h.keyframes)) for _, h in sorted(copies.items())]
         mine = self._own_offer(closing)
         return tuple(sorted(offers if mine is None else [*offers, mine], key=lambda o: o.owner))
 
     def _own_offer(self, closing: bool) -> Offer | None:
         if self._compact:
-            stock = self._publisher.edition(closing)
-            return None if stock is None else Offer(self.state.me, stock.map.edition, len(stock.map.keyframes))
+            map_version = self._publisher.latest(closing)
+            return (
+                None
+                if map_version is None
+                else Offer(self.state.me, map_version.map.version, len(map_version.map.keyframes))
+            )
         placed = len(self.state.placed())
         return Offer(self.state.me, self.state.version, placed) if placed else None
 
-    def estimate(self, offers: Sequence[Offer], held: Mapping[int, MapCopy]) -> int:
+    def estimate(self, offers: Sequence[Offer], copies: Mapping[int, MapCopy]) -> int:
         """Bytes that all of it would take, roughly, for a buyer who has nothing: a bid does not know what that is."""
         if self._compact:
             each = _POSE_BYTES + _POINT_BYTES * self.state.config.merge.max_points
             return sum(each * o.keyframes for o in offers)
         total = 0
         for offer in offers:
-            copy = held.get(offer.owner)
+            copy = copies.get(offer.owner)
             points = self._own_points() if copy is None else len(copy.references)
             matches = len(self.state.accepted) if copy is None else len(copy.matches)
             total += _FULL_POSE_BYTES * offer.keyframes + _FULL_POINT_BYTES * points
@@ -68,18 +72,18 @@ class Seller:
         self._points += [len(fresh_rows(k, limit)) for k in self.state.keyframes[len(self._points) :]]
         return sum(self._points[i] for i in self.state.placed())
 
-    def delivery(self, buyer: int, order: MapOrder, held: Mapping[int, MapCopy], closing: bool) -> MapDelivery:
+    def delivery(self, buyer: int, order: MapOrder, copies: Mapping[int, MapCopy], closing: bool) -> MapDelivery:
         """What was ordered, in the agent's coordinates; where the buyer has others, with what to place it by.
         :class:`WorkError` where something ordered is not here."""
         for owner in order.owners:
-            if owner not in held and not (owner == self.state.me and self.state.placed()):
+            if owner not in copies and not (owner == self.state.me and self.state.placed()):
                 raise WorkError(f"no map of agent {owner} here")
         maps: list[SubMap] = []
         parcels: list[Parcel] = []
-        editions = order.held or (0,) * len(order.owners)
+        versions = order.versions or (0,) * len(order.owners)
         nothing: tuple[Runs, ...] = ((),) * len(order.owners)
-        for owner, edition, runs in zip(order.owners, editions, order.known or nothing, strict=True):
-            goods = self._own(edition, closing) if owner == self.state.me else self._resold(held[owner], edition)
+        for owner, version, runs in zip(order.owners, versions, order.known or nothing, strict=True):
+            goods = self._own(version, closing) if owner == self.state.me else self._resold(copies[owner], version)
             if isinstance(goods, Parcel):
                 parcels.append(goods)
             else:
@@ -89,27 +93,27 @@ class Seller:
         poses = pack_sim3s([self.state.pose(i) for i in ties])
         return MapDelivery(self.state.frame, ties, poses, tuple(maps), tuple(parcels))
 
-    def _own(self, edition: int, closing: bool) -> SubMap | Parcel:
-        """The agent's own map for a buyer who holds this edition of it (0: none)."""
+    def _own(self, version: int, closing: bool) -> SubMap | Parcel:
+        """The agent's own map for a buyer who has this version of it (0: none)."""
         if self._compact:
-            stock = self._publisher.edition(closing)
-            assert stock is not None
-            return Parcel(self.state.me, None, (), stock.since(edition))
+            map_version = self._publisher.latest(closing)
+            assert map_version is not None
+            return Parcel(self.state.me, None, (), map_version.since(version))
         if self._full is None or self._full.version != self.state.version:
             self._full = own_submap(self.state, self.state.config.merge.max_points)
         return self._full
 
-    def _resold(self, held: MapCopy, edition: int) -> SubMap | Parcel:
-        if held.stock is None:
-            return submap_of(held)
-        placement = None if self._in_place(held) else pack_sim3(held.placement)
-        return Parcel(held.owner, placement, held.route, held.stock.since(edition))
+    def _resold(self, copy: MapCopy, version: int) -> SubMap | Parcel:
+        if copy.map_version is None:
+            return submap_of(copy)
+        placement = None if self._in_place(copy) else pack_sim3(copy.placement)
+        return Parcel(copy.owner, placement, copy.route, copy.map_version.since(version))
 
-    def _in_place(self, held: MapCopy) -> bool:
+    def _in_place(self, copy: MapCopy) -> bool:
         """Whether a copy stands in its owner's coordinates, which are mine, as its owner had it."""
-        p = held.placement
+        p = copy.placement
         unmoved = not p.translation.any() and np.array_equal(p.rotation, np.eye(3))
-        return held.frame == self.state.frame and bool(unmoved)
+        return copy.frame == self.state.frame and bool(unmoved)
 
     def _ties(self, buyer: int) -> tuple[int, ...]:
         """Own key-frames that the buyer can place the maps by."""

@@ -35,10 +35,10 @@ def write_colmap(folder: Path, one: FusedMap, cameras: Mapping[int, CameraEntry]
     firsts = np.cumsum([0, *[len(m.keyframes) for m in one.maps]])
     labels = np.split(one.labels, np.cumsum(sizes)[:-1])
     images, tracks = [], []
-    for held, mine, first in zip(one.maps, labels, firsts, strict=False):
-        order = np.argsort(held.references, kind="stable")
-        images += _images(held, mine[order], order, int(first), cameras[held.owner])
-        rows = held.references[order]
+    for copy, mine, first in zip(one.maps, labels, firsts, strict=False):
+        order = np.argsort(copy.references, kind="stable")
+        images += _images(copy, mine[order], order, int(first), cameras[copy.owner])
+        rows = copy.references[order]
         place = np.arange(len(rows)) - np.searchsorted(rows, rows, side="left")
         tracks.append(np.column_stack([mine[order], first + rows + 1, place]))
     (folder / "images.bin").write_bytes(_table(int(firsts[-1]), images))
@@ -55,21 +55,21 @@ def _camera(owner: int, c: CameraEntry) -> bytes:
 
 
 def _images(
-    held: MapCopy, labels: NDArray[np.intp], order: NDArray[np.intp], first: int, c: CameraEntry
+    copy: MapCopy, labels: NDArray[np.intp], order: NDArray[np.intp], first: int, c: CameraEntry
 ) -> list[bytes]:
-    p = held.points_C[order]
+    p = copy.points_C[order]
     xy = p[:, :2] / p[:, 2:] * [c.fx, c.fy] + np.array([c.cx, c.cy]) + _HALF_PX
     table = np.zeros(len(p), dtype=_POINT2D)
     table["xy"], table["point"] = xy, labels + 1
-    bounds = np.searchsorted(held.references[order], np.arange(len(held.keyframes) + 1))
-    T_C_F = se3_inverse(held.poses)
+    bounds = np.searchsorted(copy.references[order], np.arange(len(copy.keyframes) + 1))
+    T_C_F = se3_inverse(copy.poses)
     poses = np.concatenate([quat_wxyz_from_rotation(T_C_F[:, :3, :3]), T_C_F[:, :3, 3]], axis=1).tolist()
     seen, ends = table.tobytes(), (bounds * table.itemsize).tolist()
     sizes = np.diff(bounds).tolist()
     out = []
-    for row, stamp in enumerate(held.stamps_ns.tolist()):
-        name = f"agent_{held.owner:02d}/{stamp}.png".encode("ascii") + b"\0"
-        head = _IMAGE.pack(first + row + 1, *poses[row], held.owner + 1)
+    for row, stamp in enumerate(copy.stamps_ns.tolist()):
+        name = f"agent_{copy.owner:02d}/{stamp}.png".encode("ascii") + b"\0"
+        head = _IMAGE.pack(first + row + 1, *poses[row], copy.owner + 1)
         out += [head, name, _COUNT.pack(sizes[row]), seen[ends[row] : ends[row + 1]]]
     return out
 

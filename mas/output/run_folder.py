@@ -185,14 +185,14 @@ class Recorder:
         if not agent.state.keyframes:
             return
         write_g2o(folder / "graph.g2o", own_graph(agent.state))
-        copies = [held for _, held in sorted(agent.maps.held.items())]
+        copies = [copy for _, copy in sorted(agent.maps.copies.items())]
         one = fused([own_map(agent.state), *copies])
         write_map(folder / "map.ply", one)
         write_colmap(folder / "maps" / "colmap", one, self._cameras)
-        for held in copies:
-            owner, stamps = held.owner, held.stamps_ns.astype("int64")
-            write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, held.poses))
-            points = held.points()
+        for copy in copies:
+            owner, stamps = copy.owner, copy.stamps_ns.astype("int64")
+            write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, copy.poses))
+            points = copy.points()
             write_ply(folder / "maps" / f"agent_{owner:02d}.ply", points, np.full(len(points), owner))
 
     def summary(self, summary: Summary) -> None:

@@ -40,7 +40,7 @@ class Candidates:
     """Candidates of the agent's own queries, and when it was last matched with whom. ``by_id``: all candidates;
     ``gaps``: own key-frames until a next match with that agent is worth it.
 
-    ``recalled``: own key-frames that others were told of later than they were made.
+    ``recalled``: own key-frames that were sent to others later than they were made.
 
     ``whole``, ``kept``: vectors of its own key-frames, and what the place code keeps of them; one and the same where
     that is everything.
@@ -109,7 +109,7 @@ class Candidates:
                 self.verified.setdefault(match.match_agent, []).append(match.query)
 
     def recall(self, keyframe: int) -> None:
-        """Others are told of an own key-frame later than it was made."""
+        """An own key-frame is sent to others later than it was made."""
         self.recalled.add(keyframe)
 
     def matched(self, match: MatchId) -> None:
@@ -150,14 +150,14 @@ class Candidates:
         # On both sides: an earlier key-frame may be asked about later.
         recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
         if len(recent) > self.state.config.consistency.min_support:
-            return "soon after verified matches"
+            return "close to verified matches"
         if match.query in self.recalled:
             near = (self._near(match.query, k, config.gap_keyframes) for k in self._matched_with(match.match_agent))
-            return "near an accepted match" if any(near) else ""
+            return "close to an accepted match" if any(near) else ""
         last = self.last_matched.get(match.match_agent)
         if last is None or match.query < last:
             return ""
-        return "soon after an accepted match" if self._near(match.query, last, self.gaps[match.match_agent]) else ""
+        return "close to an accepted match" if self._near(match.query, last, self.gaps[match.match_agent]) else ""
 
     def _near(self, one: int, other: int, gap: int) -> bool:
         """Whether two own key-frames are within ``gap`` of each other, or within ``gap_m``."""

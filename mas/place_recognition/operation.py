@@ -71,7 +71,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         asked = set(others)
         self.sent_queries.remember(keyframe)
         for other in asked:
-            self.sent_queries.tell(other, keyframe)
+            self.sent_queries.sent(other, keyframe)
         effects = self._ask_own_log(keyframe) if self.state.me in asked else NOTHING
         for other in sorted(asked - {self.state.me}):
             self._waiting.setdefault(other, deque()).append(keyframe)
@@ -82,7 +82,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         no others wait for them: new ones go first."""
         effects = NOTHING
         for other, count in sorted(wanted.items()):
-            for keyframe in [] if self._waiting.get(other) else self.sent_queries.untold(other)[:count]:
+            for keyframe in [] if self._waiting.get(other) else self.sent_queries.unsent(other)[:count]:
                 self.candidates.recall(keyframe)
                 effects += self.ask(keyframe, [other])
         return effects

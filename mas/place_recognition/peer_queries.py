@@ -12,7 +12,7 @@ from .candidates import Candidates
 
 Vector = NDArray[np.float32]
 
-# By how much squared distances by way of products may be off, far more than they are: vectors are of unit length.
+# By how much squared distances made of products may be off, far more than they are: vectors are of unit length.
 _ROUGH = 1e-3
 
 

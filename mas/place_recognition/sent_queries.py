@@ -1,4 +1,4 @@
-"""Whom an agent has told of which of its key-frames, and who has taken them in lately."""
+"""Key-frames already sent to each peer, and which peers answered lately."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ..contracts.contract import Contract, ContractState
 
 
 class SentQueries:
-    """Each other agent is told of a key-frame once, and again only where the contract failed for good.
+    """Each key-frame is sent to a peer once, and again only where the contract failed for good.
 
     ``delivered``: contracts about places that each other agent fulfilled since the last that it did not.
     """
@@ -18,25 +18,25 @@ class SentQueries:
         self._missed: dict[int, set[int]] = {}
 
     def remember(self, keyframe: int) -> None:
-        """A key-frame that there is something to tell of: the newest, or one that is known."""
+        """A key-frame that can be sent: the newest, or one that is known."""
         if not self._mine or keyframe > self._mine[-1]:
             self._mine.append(keyframe)
 
-    def tell(self, other: int, keyframe: int) -> None:
-        """The other is told of it, or will be."""
+    def sent(self, other: int, keyframe: int) -> None:
+        """It was sent to the other, or waits to be."""
         self._to.setdefault(other, set()).add(keyframe)
         self._missed.get(other, set()).discard(keyframe)
 
     def to(self, other: int) -> set[int]:
-        """What the other was told, or would have been had the contract not failed."""
+        """Key-frames sent to the other, those of failed contracts among them."""
         return self._to.get(other, set())
 
-    def untold(self, other: int) -> list[int]:
-        """Key-frames that the other does not know, as far as I know; the oldest first."""
-        told, missed = self.to(other), self._missed.get(other, set())
-        if len(told) == len(self._mine) and not missed:
+    def unsent(self, other: int) -> list[int]:
+        """Key-frames that the other does not know, as far as the agent knows; the oldest first."""
+        sent, missed = self.to(other), self._missed.get(other, set())
+        if len(sent) == len(self._mine) and not missed:
             return []
-        return [k for k in self._mine if k not in told or k in missed]
+        return [k for k in self._mine if k not in sent or k in missed]
 
     def ended(self, contract: Contract, keyframe: int, again: bool) -> None:
         """A contract about a key-frame has ended; ``again``: it will be called for once more."""

@@ -173,7 +173,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
     # -- both ---------------------------------------------------------------------------------------------------------
 
     def learn(self, match: Match) -> Effects:
-        """Take in a verified match; accepted ones join their agents in a group, and the group is told of it."""
+        """Take in a verified match; accepted ones join their agents in a group, and the group gets a notice."""
         accepted_now = self.state.add_match(match)
         for other in set(match.id.agents) - {self.state.me}:
             self.context.reputation.judged(other, *judged(self.state, other))

@@ -5,17 +5,17 @@ from __future__ import annotations
 from ..state.agent_state import AgentState, Ownership
 from .base import Outlook, Policy, default_sellers, optimisation_due
 
-# Key-frames that a new directory must have taken in before it is told of earlier ones.
+# Key-frames that a new directory must have taken in before earlier ones are sent to it.
 _SURE = 2
 
 
 class Directory(Policy):
-    """Every key-frame is told to one agent, the lowest that answers, which knows whose key-frame looks most like it.
+    """Every key-frame is sent to one agent, the lowest that answers, which knows whose key-frame looks most like it.
 
     A cluster of one, with an owner (compare :mod:`maslam.mas.policies.predecessor`): no two views of a place can fall
     into different clusters. It costs a place vector for each key-frame, whatever the number of agents; the directory
-    learns vectors, no map. Where it falls silent the next one takes over and, once it has taken in some, is told of
-    earlier key-frames, too: one for each new one, so that a silence that soon ends at most doubles what is told in the
+    learns vectors, no map. Where it falls silent the next one takes over and, once it has taken in some, gets
+    earlier key-frames, too: one for each new one, so that a silence that soon ends at most doubles what is sent in the
     meantime, and the rest when there are no new ones any more.
     """
 

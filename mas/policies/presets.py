@@ -80,7 +80,7 @@ PRESETS: dict[str, MasConfig] = {
 ``predecessor`` (4.1): clusters with owners, automatic optimisation, no maps. ``default`` (4.2): query all, no logic, no
 purchases once all have stopped. ``optimised`` (4.3): Algorithms 2 and 3, latest five frames, final purchases.
 ``selection`` (4.4): the same with Algorithm 4. ``maslam``: the default of the command: each key-frame is
-told once, to one agent that keeps the place vectors of all, in half a byte a number; only pairs within the strict
+sent once, to one agent that keeps the place vectors of all, in half a byte a number; only pairs within the strict
 distance are verified, from 110 points of 20 bytes on, and more where those promise a match; one elected agent solves
 for the group; maps are compact, bought seldom, laid on place matches or rejected.
 

@@ -1,5 +1,5 @@
-"""Maps on the wire: as floating-point numbers (the thesis's form) or as patches of a lattice, checked when they come
-in."""
+"""Maps as they are transmitted: as floating-point numbers (the thesis's form) or as changes of a quantised map, checked
+when they arrive."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ def indices_of(runs: Runs) -> NDArray[np.int64]:
 
 
 class MapOrder(Counted, frozen=True, array_like=True, tag=4):
-    """Deliver the maps of these owners, as they stood in the bid. ``held``: which edition of each the buyer has, 0 for
-    none, so that only what is new need come (empty: none of any); ``frame``: the buyer's coordinates; ``known``: in
+    """Deliver the maps of these owners, as they stood in the bid. ``versions``: of each, the one that the buyer has, 0
+    for none, so that only what is new need come (empty: none of any); ``frame``: the buyer's coordinates; ``known``: in
     the thesis's form, the key-frames of each map that the buyer has, of whatever version (empty: none of any)."""
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.MAPMERGE
 
     owners: Members
-    held: Annotated[tuple[Index, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
+    versions: Annotated[tuple[Index, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
     frame: FrameId | None = None
     known: Annotated[tuple[Runs, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
 
     def __post_init__(self) -> None:
-        if self.held and len(self.held) != len(self.owners):
-            raise MessageError(f"held: {len(self.held)} editions for {len(self.owners)} owners")
+        if self.versions and len(self.versions) != len(self.owners):
+            raise MessageError(f"versions: {len(self.versions)} of them for {len(self.owners)} owners")
         if self.known and len(self.known) != len(self.owners):
             raise MessageError(f"known: key-frames of {len(self.known)} maps for {len(self.owners)} owners")
         for runs in self.known:
@@ -112,12 +112,12 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
 
 
 class MapPatch(msgspec.Struct, frozen=True, array_like=True):
-    """What makes edition ``edition`` of an owner's map of edition ``base`` (0: of nothing, the whole map), as bits
-    (:mod:`maslam.mas.map_exchange.coding.map_delta`); ``unit`` None: 1. ``check``: CRC-32 of the edition, so that a
-    copy that went wrong is noticed. ``descriptors`` ``(new points, 32)`` where the owner sells them."""
+    """The change from version ``base`` of an owner's map (0: nothing, so the whole map) to ``version``, as bits
+    (:mod:`maslam.mas.map_exchange.coding.map_delta`); ``unit`` None: 1. ``check``: CRC-32 of the version, so
+    that a copy that went wrong is noticed. ``descriptors`` ``(new points, 32)`` where the owner sells them."""
 
     base: Index
-    edition: Annotated[int, msgspec.Meta(ge=1, le=2**31)]
+    version: Annotated[int, msgspec.Meta(ge=1, le=2**31)]
     frame: FrameId
     unit: Unit | None
     check: Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
@@ -125,8 +125,8 @@ class MapPatch(msgspec.Struct, frozen=True, array_like=True):
     descriptors: Tensor | None = None
 
     def __post_init__(self) -> None:
-        if self.base >= self.edition:
-            raise MessageError(f"edition {self.edition} made of edition {self.base}")
+        if self.base >= self.version:
+            raise MessageError(f"version {self.version} made of version {self.base}")
         if self.descriptors is not None:
             check("descriptors", self.descriptors, "|u1", (None, 32))
 

@@ -1,4 +1,4 @@
-"""Arrays on the wire: dtype, shape and raw bytes, checked when they come in."""
+"""Arrays as they are transmitted: dtype, shape and raw bytes, checked when they arrive."""
 
 from __future__ import annotations
 

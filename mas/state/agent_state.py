@@ -47,7 +47,7 @@ class Ownership(StrEnum):
 
 @dataclass(frozen=True)
 class Profile:
-    """What the agent was told about itself and the others when it was set up: no more than names.
+    """Identity of an agent, and the names of the others: all that it gets when it is set up.
 
     ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance, ``strict_threshold``: the one
     at which appearance alone decides; ``coder``: how place vectors travel, the same for all; ``ownership``: who keeps

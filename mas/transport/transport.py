@@ -55,8 +55,8 @@ class Transport(ABC):
         self.begin(max_message_bytes, record)
 
     def begin(self, max_message_bytes: int, record: Callable[[Sent], None] | None = None) -> None:
-        """A run begins: longer messages are neither sent nor taken, ``record`` is told of each one sent, and all counts
-        are 0."""
+        """A run begins: longer messages are neither sent nor taken, ``record`` is called with each one sent, and all
+        counts are 0."""
         self.max_message_bytes = max_message_bytes
         self.by_operation: dict[Traffic, TrafficCount] = {t: TrafficCount() for t in Traffic}
         self.by_pair: dict[tuple[int, int], TrafficCount] = {}

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from factory import circuit, make_sequence, make_world, manifest_of
 
-from maslam.mas.map_exchange.coding.quantised_map import LatticeMap
+from maslam.mas.map_exchange.coding.quantised_map import QuantisedMap
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import make_agents
@@ -37,7 +37,7 @@ def see(state: AgentState, keyframes: list[KeyFrame], count: int) -> None:
         state.observe(keyframe)
 
 
-def same_map(a: LatticeMap, b: LatticeMap) -> bool:
+def same_map(a: QuantisedMap, b: QuantisedMap) -> bool:
     """Whether two copies hold the same numbers."""
     pairs = zip(vars(a).values(), vars(b).values(), strict=True)
     return all(np.array_equal(x, y) if isinstance(x, np.ndarray) else x == y for x, y in pairs)

@@ -83,7 +83,7 @@ def verify_task(**changes: object) -> VerifyTask:
 def parcel(**changes: object) -> Parcel:
     fields: dict[str, object] = {
         "base": 2,
-        "edition": 3,
+        "version": 3,
         "frame": FrameId(0, 0),
         "unit": None,
         "check": 7,

@@ -77,7 +77,7 @@ def test_a_place_seen_before_the_directory_left_is_recognised_afterwards(keyfram
         for partner in partners[agent]:
             shared = [m for m in environment.agents[agent].state.accepted if partner in m.agents]
             assert min(min(m.query, m.match) for m in shared) * KEYFRAME_S < left_s - 1.0, "told to the one that left"
-        assert set(environment.agents[agent].maps.held) == {1, 2, 3} - {agent}
+        assert set(environment.agents[agent].maps.copies) == {1, 2, 3} - {agent}
         assert not environment.agents[agent].context.ledger.running()
     assert max(evaluator.connected_errors(environment.agents)[a].rmse_m for a in (1, 2, 3)) < 1.5
     assert times(told) == {1}, "once"
@@ -103,7 +103,7 @@ def test_a_directory_that_comes_back_is_told_only_what_it_missed_and_the_other_o
     """Two silences of 3 s make it silent after 9 s; probed 2 s later it is back. Meanwhile each new key-frame that its
     successor took in earned it one earlier one."""
     config = faulty(delay_s=0.001)
-    config = config.model_copy(update={"standing": config.reputation.model_copy(update={"probe_s": 2.0})})
+    config = config.model_copy(update={"reputation": config.reputation.model_copy(update={"probe_s": 2.0})})
     environment, evaluator, told = play(config, 60, 40.0, {0: Dozer})
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
     assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0
@@ -177,8 +177,8 @@ def test_an_earlier_key_frame_is_not_verified_again_around_an_accepted_match() -
         reasons[keyframe, other] = agent.candidates.by_id[match].reason
     assert reasons == {
         (10 - gap - 1, 1): "",
-        (10 - gap, 1): "near an accepted match",
-        (10 + gap, 1): "near an accepted match",
+        (10 - gap, 1): "close to an accepted match",
+        (10 + gap, 1): "close to an accepted match",
         (17, 1): "",
         (17, 3): "",
     }

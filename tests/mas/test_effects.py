@@ -249,7 +249,7 @@ def changes_from_outside(tree: ast.AST, names: set[str]) -> Iterator[int]:
 
 def test_what_a_part_of_an_agent_shows_is_changed_by_that_part_alone() -> None:
     names = mutable_attributes(pair()[0])
-    assert {"held", "stale", "last_bought", "distances", "by_id"} <= names, "the test looks at what it should"
+    assert {"copies", "stale", "last_bought", "distances", "by_id"} <= names, "the test looks at what it should"
     folder = Path(maslam.mas.__file__).parent
     found = []
     for path in sorted(folder.rglob("*.py")):

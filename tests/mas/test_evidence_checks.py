@@ -154,7 +154,7 @@ def test_a_map_in_common_coordinates_is_not_laid_on_another_copy() -> None:
     common = replace(strange, frame=state.frame)
     for one, moved in ((strange, True), (common, False)):
         verdict = admit(one, None, state, {2: older})
-        assert verdict.held is not None and (verdict.aligned_by is not None) == moved
+        assert verdict.copy is not None and (verdict.aligned_by is not None) == moved
     matched(state, 2, 1, 4, ROAD[4], True)
     assert admit(common.moved(MOTION), None, state, {2: older}).aligned_by is not None, "an own match counts"
 
@@ -164,9 +164,9 @@ def test_a_wrong_map_is_rejected_with_a_reason_and_a_right_one_is_not() -> None:
     for own, index in ((1, 2), (3, 6)):
         matched(state, own, 1, index, ROAD[index], True)
     verdict = admit(held(1, 3.0 * ROAD - 2.0 * np.eye(4)), None, state, {})
-    assert verdict.held is None
+    assert verdict.copy is None
     assert verdict.reason.startswith("no place match agrees: 2 of them")
-    assert admit(held(1, ROAD), None, state, {}).held is not None
+    assert admit(held(1, ROAD), None, state, {}).copy is not None
 
 
 def test_the_match_that_placed_a_map_cannot_judge_it() -> None:
@@ -175,9 +175,9 @@ def test_the_match_that_placed_a_map_cannot_judge_it() -> None:
     bent = ROAD.copy()
     bent[4:, :3, 3] += [0.0, 0.0, 40.0]
     first = matched(state, 1, 1, 2, ROAD[2], True)
-    assert admit(held(1, bent), None, state, {}, placed_by=first).held is not None
+    assert admit(held(1, bent), None, state, {}, placed_by=first).copy is not None
     matched(state, 3, 1, 6, ROAD[6], True)
-    assert admit(held(1, bent), None, state, {}, placed_by=first).held is None
+    assert admit(held(1, bent), None, state, {}, placed_by=first).copy is None
 
 
 def test_a_match_of_the_key_frame_that_a_map_was_laid_on_does_not_judge_the_rest() -> None:
@@ -189,12 +189,12 @@ def test_a_match_of_the_key_frame_that_a_map_was_laid_on_does_not_judge_the_rest
         first = matched(state, 1, 1, 2, ROAD[2], True)
         matched(state, 2, 1, 2, ROAD[2], True)
         matched(state, 3, 1, 6, ROAD[6], True)
-        assert (admit(held(1, wrong), None, state, {}, placed_by=first).held is not None) == kept
-        assert admit(held(1, ROAD), None, state, {}, placed_by=first).held is not None
+        assert (admit(held(1, wrong), None, state, {}, placed_by=first).copy is not None) == kept
+        assert admit(held(1, ROAD), None, state, {}, placed_by=first).copy is not None
     state = holder(accuracy_m=5.0, accuracy_share=0.5)
     first = matched(state, 1, 1, 2, ROAD[2], True)
     matched(state, 2, 1, 2, ROAD[2], True)
-    assert admit(held(1, wrong), None, state, {}, placed_by=first).held is not None, "nothing else is known"
+    assert admit(held(1, wrong), None, state, {}, placed_by=first).copy is not None, "nothing else is known"
 
 
 def test_half_of_the_places_must_agree() -> None:
@@ -206,7 +206,7 @@ def test_half_of_the_places_must_agree() -> None:
         for own, index in enumerate(others, start=2):
             matched(state, own, 1, index, ROAD[index], True)
         verdict = admit(held(1, bent), None, state, {}, placed_by=first)
-        assert (verdict.held is not None) == kept
+        assert (verdict.copy is not None) == kept
     assert verdict.reason.startswith("few place matches agree: 1 of 3 of them")
 
 
@@ -217,9 +217,9 @@ def test_verified_matches_that_contradict_each_other_reject_a_map_without_accept
         place[2, 3] += apart_m
         matched(state, own, 1, index, place, True)
     state.accepted.clear()
-    assert admit(held(1, ROAD), None, state, {}).held is None
+    assert admit(held(1, ROAD), None, state, {}).copy is None
     del state.verified[MatchId(0, 3, 1, 6)]
-    assert admit(held(1, ROAD), None, state, {}).held is not None, "two are too few to tell who is wrong"
+    assert admit(held(1, ROAD), None, state, {}).copy is not None, "two are too few to tell who is wrong"
 
 
 def test_a_held_map_is_given_up_when_a_later_match_contradicts_it() -> None:
@@ -227,10 +227,10 @@ def test_a_held_map_is_given_up_when_a_later_match_contradicts_it() -> None:
     bent = ROAD.copy()
     bent[4:, :3, 3] += [0.0, 0.0, 40.0]
     matched(state, 1, 1, 2, ROAD[2], True)
-    assert recheck(held(1, bent), state, {}).held is not None
+    assert recheck(held(1, bent), state, {}).copy is not None
     matched(state, 3, 1, 6, ROAD[6], True)
-    assert recheck(held(1, bent), state, {}).held is None
-    assert recheck(held(1, ROAD), state, {}).held is not None
+    assert recheck(held(1, bent), state, {}).copy is None
+    assert recheck(held(1, ROAD), state, {}).copy is not None
 
 
 def test_another_map_does_not_outvote_own_matches() -> None:
@@ -238,7 +238,7 @@ def test_another_map_does_not_outvote_own_matches() -> None:
     matched(state, 1, 1, 2, ROAD[2], True)
     astray = held(2, ROAD, placement=Sim3(np.eye(3), np.array([500.0, 0, 0])))
     match = (MatchId(2, 3, 1, 3), Sim3.identity())
-    assert admit(held(1, ROAD, matches=(match,)), None, state, {2: astray}).held is not None
+    assert admit(held(1, ROAD, matches=(match,)), None, state, {2: astray}).copy is not None
 
 
 def test_of_a_map_that_is_the_same_only_new_key_frames_are_taken() -> None:
@@ -247,14 +247,14 @@ def test_of_a_map_that_is_the_same_only_new_key_frames_are_taken() -> None:
     slip = Sim3.from_se3(se3_exp([0.3, 0.0, 0.2, 0.0, 0.02, 0.0]))
     old = held(1, ROAD[1:5], first=1, placement=slip)
     verdict = admit(held(1, ROAD, version=2), old, state, {1: old})
-    assert verdict.redundant and verdict.held is not None
-    np.testing.assert_allclose(verdict.held.poses[1:5], old.poses, atol=1e-9)
-    np.testing.assert_allclose(verdict.held.poses, slip.transform_poses(ROAD), atol=1e-9)
-    assert verdict.held.version == 2
+    assert verdict.redundant and verdict.copy is not None
+    np.testing.assert_allclose(verdict.copy.poses[1:5], old.poses, atol=1e-9)
+    np.testing.assert_allclose(verdict.copy.poses, slip.transform_poses(ROAD), atol=1e-9)
+    assert verdict.copy.version == 2
     far = held(1, ROAD[1:5], first=1, placement=Sim3(np.eye(3), np.array([20.0, 0, 0])))
     replaced = admit(held(1, ROAD, version=2), far, state, {1: far})
-    assert not replaced.redundant and replaced.held is not None
-    np.testing.assert_allclose(replaced.held.poses, ROAD, atol=1e-9)
+    assert not replaced.redundant and replaced.copy is not None
+    np.testing.assert_allclose(replaced.copy.poses, ROAD, atol=1e-9)
 
 
 def test_new_key_frames_of_a_map_with_nothing_in_common_replace_it() -> None:

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from map_driver import WORLD, driver, see
 from saboteurs import live
+from test_map_exchange import agents_with_more_to_see, trade
 from test_map_patches import _match, bend
-from test_submaps import agents_with_more_to_see, trade
 
 from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.config import FaultsConfig
 from maslam.mas.map_exchange.full_map import own_submap
 from maslam.mas.map_exchange.full_map_increments import completed, runs_of, without
-from maslam.mas.map_exchange.map_copy import MapCopy, held_of_submap, submap_of
+from maslam.mas.map_exchange.map_copy import MapCopy, copy_of_submap, submap_of
 from maslam.mas.map_exchange.versions import StaleBase
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.accounting import Traffic
@@ -71,7 +71,7 @@ class Buyer:
         assert not came & self.got, "points that are here came again"
         made = completed(submap, self.held)
         assert made == whole, "put together from pieces it is not the map that was for sale"
-        self.held = held_of_submap(made, FrameId(0, 0), Sim3.identity(), 0, 0)
+        self.held = copy_of_submap(made, FrameId(0, 0), Sim3.identity(), 0, 0)
         self.got = set(self.held.keyframes[self.held.references].tolist())
 
     def lose(self) -> None:
@@ -135,7 +135,7 @@ def two_purchases() -> tuple[MapCopy, SubMap]:
     """A copy of eight key-frames, and the map when it has twelve."""
     state, keyframes = driver(30, form="full", max_points=POINTS)
     see(state, keyframes, 8)
-    copy = held_of_submap(own_submap(state, POINTS), FrameId(0, 0), Sim3.identity(), 0, 0)
+    copy = copy_of_submap(own_submap(state, POINTS), FrameId(0, 0), Sim3.identity(), 0, 0)
     see(state, keyframes, 4)
     bend(state, [0.5, 0.0, 0.5, 0.0, 0.05, 0.0])
     return copy, own_submap(state, POINTS)
@@ -153,7 +153,7 @@ def test_only_points_of_new_key_frames_come_and_all_poses() -> None:
 
 def test_a_copy_that_was_renewed_meanwhile_serves_as_well() -> None:
     copy, whole = two_purchases()
-    newer = held_of_submap(whole, FrameId(0, 0), Sim3.identity(), 0, 0)
+    newer = copy_of_submap(whole, FrameId(0, 0), Sim3.identity(), 0, 0)
     assert completed(without(whole, runs_of(copy.keyframes)), newer) == whole
 
 
@@ -191,9 +191,9 @@ def test_a_second_purchase_brings_only_what_is_new_from_the_owner_and_from_a_hol
     trade(agents, 1, [2])
     second = trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].wire_bytes
     assert second < 0.45 * first, "two key-frames in eight are new"
-    for owner, copy in agents[0].maps.held.items():
+    for owner, copy in agents[0].maps.copies.items():
         same(copy, own_submap(agents[owner].state, agents[owner].state.config.merge.max_points))
-    assert [len(c.keyframes) for c in agents[0].maps.held.values()] == [8, 8]
+    assert [len(c.keyframes) for c in agents[0].maps.copies.values()] == [8, 8]
 
 
 def same(copy: MapCopy, whole: SubMap) -> None:
@@ -207,14 +207,14 @@ def same(copy: MapCopy, whole: SubMap) -> None:
 def test_a_copy_that_went_bad_is_bought_whole_again() -> None:
     agents, frames = agents_with_more_to_see()
     trade(agents, 0, [1])
-    held = agents[0].maps.held[1]
-    agents[0].maps.held[1] = replace(held, points_C=held.points_C + 1.0)
+    held = agents[0].maps.copies[1]
+    agents[0].maps.copies[1] = replace(held, points_C=held.points_C + 1.0)
     agents[1].state.observe(frames[1][6])
     trade(agents, 0, [1])
     refused = [e["reason"] for e in logged(agents[0], "map_refused")]
     assert refused == ["the copy of agent 1's map has other points than the seller's"]
     trade(agents, 0, [1])
-    same(agents[0].maps.held[1], own_submap(agents[1].state, 2000))
+    same(agents[0].maps.copies[1], own_submap(agents[1].state, 2000))
 
 
 def test_where_messages_are_lost_copies_are_whole() -> None:
@@ -227,8 +227,8 @@ def test_where_messages_are_lost_copies_are_whole() -> None:
     environment, _ = live(manifest, sequences, config)
     bought = 0
     for agent in environment.agents:
-        assert sorted(agent.maps.held) == sorted({0, 1, 2} - {agent.state.me})
-        for owner, copy in agent.maps.held.items():
+        assert sorted(agent.maps.copies) == sorted({0, 1, 2} - {agent.state.me})
+        for owner, copy in agent.maps.copies.items():
             whole = own_submap(environment.agents[owner].state, POINTS)
             keep = np.isin(whole.keyframes.array()[whole.references.array()], copy.keyframes)
             assert np.array_equal(copy.points_C.astype(np.float32), whole.points.array()[keep])

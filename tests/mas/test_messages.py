@@ -81,9 +81,9 @@ BAD_VALUES = {
     "point of a key-frame that is not there": lambda: submap(references=Tensor.of([0, 1, 2], "<i4")),
     "key-frames not ascending": lambda: submap(keyframes=Tensor.of([1, 1], "<i4")),
     "more stamps than key-frames": lambda: submap(stamps_ns=Tensor.of([0, 1, 2], "<i8")),
-    "edition made of a later one": lambda: parcel(base=3),
+    "version made of a later one": lambda: parcel(base=3),
     "descriptors of another length": lambda: parcel(descriptors=Tensor.of(np.zeros((2, 31)), "|u1")),
-    "editions of other owners": lambda: MapOrder((1, 2), (0,)),
+    "versions of other owners": lambda: MapOrder((1, 2), (0,)),
     "scale of zero": lambda: Links(
         (MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (False,), Tensor.of([[0, 0, 0, 1, 0, 0, 0, 0]], "<f4")
     ),

@@ -74,7 +74,7 @@ def play(
         assert all(agents[agent].context.reputation.trust(a) is Trust.GOOD for a in honest(odd)), (
             "nobody else is blamed"
         )
-        for owner in set(agents[agent].maps.held) - {odd}:
+        for owner in set(agents[agent].maps.copies) - {odd}:
             assert map_off_m(environment, evaluator, agent, owner).max() < FALSE_M
     for match, error in match_errors(agents, evaluator).items():
         assert odd in match.agents or not (error.false and match in agents[match.query_agent].state.accepted)
@@ -87,7 +87,7 @@ def map_off_m(environment: Environment, evaluator: GroundTruthEvaluator, holder:
     error = evaluator.error_of(holder, keyframe_trajectory(agent.state))
     truth = evaluator.sequences[owner].groundtruth
     assert error is not None and truth is not None
-    held = agent.maps.held[owner]
+    held = agent.maps.copies[owner]
     found = error.T_truth_estimate @ held.poses[:, :3, 3]
     return np.linalg.norm(found - truth.poses[3 * held.keyframes.astype(int), :3, 3], axis=1)  # type: ignore[no-any-return]
 
@@ -96,7 +96,7 @@ def map_off_m(environment: Environment, evaluator: GroundTruthEvaluator, holder:
 def test_one_that_bids_and_never_delivers(name: str, odd: int) -> None:
     agents = play(name, odd, Idler).agents
     assert {agents[a].context.reputation.trust(odd) for a in honest(odd)} == {Trust.UNDELIVERING}
-    assert not any(odd in agents[a].maps.held for a in honest(odd))
+    assert not any(odd in agents[a].maps.copies for a in honest(odd))
 
 
 @pytest.mark.parametrize("name", ["maslam", "default"])
@@ -107,7 +107,7 @@ def test_one_that_lies_about_its_matches(name: str) -> None:
     assert isinstance(liar, Liar) and liar.lies >= 6
     for agent in honest(2):
         assert not [m for m in environment.agents[agent].state.accepted if m.match_agent == 2 != m.query_agent]
-        if 2 in environment.agents[agent].maps.held:
+        if 2 in environment.agents[agent].maps.copies:
             off = map_off_m(environment, GroundTruthEvaluator(four()), agent, 2)
             assert off.max() < FALSE_M, "what it says about itself is true"
 
@@ -123,7 +123,7 @@ def test_one_whose_map_is_bent(name: str, odd: int) -> None:
     for agent in honest(odd):
         state = agents[agent].state
         shared = [m for m in state.verified if odd in m.agents and agent in m.agents]
-        if odd not in agents[agent].maps.held:
+        if odd not in agents[agent].maps.copies:
             continue
         agreed = [m for m in shared if m in state.accepted]
         assert agreed or len(shared) < 3
@@ -131,20 +131,20 @@ def test_one_whose_map_is_bent(name: str, odd: int) -> None:
         seen = [m.match if m.match_agent == odd else m.query for m in agreed]
         assert np.median(off[seen]) < limit if seen else True
     if odd == 2:
-        assert odd not in agents[3].maps.held, "four places, no two of which agree"
+        assert odd not in agents[3].maps.copies, "four places, no two of which agree"
 
 
 class WrongSeller(Agent):
     def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
         super().__init__(profile, config, policy)
-        self.maps.shop._publisher = LyingPublisher(self.state)
+        self.maps.seller._publisher = LyingPublisher(self.state)
 
 
 @pytest.mark.parametrize("odd", [0, 1, 2])
 def test_one_that_sells_a_wrong_map(odd: int) -> None:
     environment = play("maslam", odd, WrongSeller)
     agents = environment.agents
-    assert not any(odd in agents[a].maps.held for a in honest(odd))
+    assert not any(odd in agents[a].maps.copies for a in honest(odd))
     assert any(e["owner"] == odd for a in honest(odd) for e in happened(environment, "map_refused", a))
 
 
@@ -163,4 +163,4 @@ def test_one_that_leaves(name: str, odd: int) -> None:
     agents = play(name, odd, leave_s={odd: 5.0}).agents
     assert Trust.SILENT in {agents[a].context.reputation.trust(odd) for a in honest(odd)}
     for agent in honest(odd):
-        assert set(agents[agent].maps.held) >= (set(honest(odd)) - {agent} if name == "maslam" else set())
+        assert set(agents[agent].maps.copies) >= (set(honest(odd)) - {agent} if name == "maslam" else set())

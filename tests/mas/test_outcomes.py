@@ -186,7 +186,7 @@ def test_an_agent_refuses_what_makes_no_sense_and_lives_on() -> None:
     before = len(logged(agent, "refused"))
     assert all(sent(agent, agent.handle(message)) == [] for message in strange)
     assert len(logged(agent, "refused")) == before + len(strange)
-    assert not agent.state.accepted and not agent.maps.held
+    assert not agent.state.accepted and not agent.maps.copies
 
 
 def test_a_claim_about_a_key_frame_that_is_not_there_fails_politely() -> None:

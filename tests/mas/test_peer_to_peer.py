@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from saboteurs import live
 from test_autonomous import match, outlook, state_of
+from test_map_exchange import agents_in_a_row
 from test_matches import random_sim3
-from test_submaps import agents_in_a_row
 
 from maslam.backend.geometry import se3_inverse
 from maslam.mas.agent import Agent

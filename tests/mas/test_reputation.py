@@ -184,7 +184,7 @@ def test_bids_state_what_results_take_on_the_air() -> None:
 
 def test_a_claim_of_ones_own_is_believed_before_one_that_only_the_other_makes() -> None:
     """Three agreeing lies against two agreeing matches that the agent verified itself."""
-    from test_submaps import agents_in_a_row
+    from test_map_exchange import agents_in_a_row
 
     agent = agents_in_a_row()[1]
     state = agent.state

@@ -61,7 +61,7 @@ def test_one_that_bids_and_never_delivers_is_found_out_and_waited_for_no_more(un
     assert groups_with(environment, HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
         assert errors(environment, evaluator)[honest].rmse_m <= 1.1 * alone + 0.02
-        assert set(agents[honest].maps.held) >= set(HONEST) - {honest}
+        assert set(agents[honest].maps.copies) >= set(HONEST) - {honest}
         assert not agents[honest].context.ledger.running()
 
 
@@ -111,7 +111,7 @@ def test_one_that_comes_late_is_taken_in() -> None:
     assert groups_of(environment.agents) == [[0, 1, 2, 3]]
     seen = [e["trust"] for e in happened(environment, "reputation", 0) if e["of"] == ODD]
     assert seen == ["silent", "good"], "missed while it was not there, and welcome when it came"
-    assert all(set(a.maps.held) == {0, 1, 2, 3} - {a.state.me} for a in environment.agents)
+    assert all(set(a.maps.copies) == {0, 1, 2, 3} - {a.state.me} for a in environment.agents)
     assert max(e.rmse_m for e in evaluator.connected_errors(environment.agents).values()) < 1.0
 
 
@@ -120,7 +120,7 @@ def test_one_that_leaves_is_noticed_and_what_it_brought_is_kept(undisturbed: lis
     agents = environment.agents
     assert Trust.SILENT in regards(agents, ODD)
     assert groups_with(environment, HONEST)
-    assert any(ODD in agents[a].maps.held for a in HONEST), "its map lives on"
+    assert any(ODD in agents[a].maps.copies for a in HONEST), "its map lives on"
     assert not any(agents[a].context.ledger.running() for a in HONEST)
     for honest, alone in zip(HONEST, undisturbed, strict=True):
         assert errors(environment, evaluator)[honest].rmse_m <= 1.2 * alone + 0.05

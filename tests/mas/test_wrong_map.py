@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from factory import town
 
-from maslam.mas.map_exchange.coding.quantised_map import LatticeMap
+from maslam.mas.map_exchange.coding.quantised_map import QuantisedMap
 from maslam.mas.map_exchange.publisher import Publisher
 from maslam.mas.output.run_folder import Recorder
 from maslam.mas.policies.presets import preset
@@ -23,7 +23,7 @@ LIAR = 1
 class LyingPublisher(Publisher):
     """Sells a map nine times as large as what its agent knows."""
 
-    def _wanted(self, placed: list[int], base: LatticeMap | None) -> LatticeMap:
+    def _wanted(self, placed: list[int], base: QuantisedMap | None) -> QuantisedMap:
         true = super()._wanted(placed, base)
         return replace(true, poses=true.poses * np.array([9, 9, 9, 1, 1, 1]))
 
@@ -32,7 +32,7 @@ def test_a_wrong_map_is_kept_by_nobody_and_the_reason_is_on_record(tmp_path: Pat
     manifest, sequences = town(3, 30, spacing_m=14.0, drifting=0.01)
     config = preset("maslam")
     agents = make_agents(manifest, sequences, config)
-    agents[LIAR].maps.shop._publisher = LyingPublisher(agents[LIAR].state)
+    agents[LIAR].maps.seller._publisher = LyingPublisher(agents[LIAR].state)
     keyframes = [keyframes_of(s) for s in sequences]
     with Recorder(tmp_path / "run") as recorder:
         environment = Environment(agents, keyframes, InProcessTransport(2**24, recorder.sent), config)
@@ -42,7 +42,7 @@ def test_a_wrong_map_is_kept_by_nobody_and_the_reason_is_on_record(tmp_path: Pat
                 break
         assert environment.over
         recorder.events(environment.events)
-    assert [sorted(a.maps.held) for a in agents] == [[2], [0, 2], [0]]
+    assert [sorted(a.maps.copies) for a in agents] == [[2], [0, 2], [0]]
     events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
     refused = [e for e in events if e["event"] == "map_refused"]
     assert {e["agent"] for e in refused} == {0, 2}

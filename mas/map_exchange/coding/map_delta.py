@@ -1,4 +1,4 @@
-"""What turns one edition of a map into the next, in few bits: new key-frames with their points, corrections of old
+"""What turns one version of a map into the next, in few bits: new key-frames with their points, corrections of old
 poses, new matches. Against nothing it is the whole map. All arithmetic is on whole numbers: every copy gets the same.
 """
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ...protocol.ids import MAX_AGENTS, MAX_POINTS, FrameId
 from ...protocol.tensors import MAX_SCALE
 from .pose_corrections import Bound, anchors_for, interpolated
-from .quantised_map import Ints, LatticeMap, Steps, StepsError, empty_map, size
-from .rice import BitReader, BitsError, BitWriter
+from .quantised_map import Ints, QuantisedMap, Steps, StepsError, empty_map, size
+from .rice import BitReader, BitWriter, CodingError
 
 MAX_KEYFRAMES = 1_000_000
 # Contexts: numbers that are of one size share one.
@@ -26,14 +26,14 @@ _LOW = 2**31
 _LARGEST = 2**52
 
 
-def is_prefix(base: LatticeMap, target: LatticeMap) -> bool:
+def is_prefix(base: QuantisedMap, target: QuantisedMap) -> bool:
     """Whether the target has all key-frames of the base, first and in the same order: else only the whole map helps."""
     k = len(base.keyframes)
     return base.steps == target.steps and np.array_equal(base.keyframes, target.keyframes[:k])
 
 
-def encode(base: LatticeMap | None, wanted: LatticeMap, bound: Bound) -> tuple[bytes, LatticeMap]:
-    """The bits that make an edition of a base (of nothing: the whole map), and the edition that they make: ``wanted``
+def encode(base: QuantisedMap | None, wanted: QuantisedMap, bound: Bound) -> tuple[bytes, QuantisedMap]:
+    """The bits that make a version of a base (of nothing: the whole map), and the version that they make: ``wanted``
     but for the poses of old key-frames, which are within ``bound``."""
     old = 0 if base is None else len(base.keyframes)
     options = [(ANEW, wanted.poses, np.zeros(0, dtype=np.intp))]
@@ -45,7 +45,7 @@ def encode(base: LatticeMap | None, wanted: LatticeMap, bound: Bound) -> tuple[b
             anchors = anchors_for(moves, bound)
             moved = base.poses + interpolated(moves[anchors], anchors, old)
             options.append((ANCHORS, _with_old(wanted.poses, moved), anchors))
-    best: tuple[bytes, LatticeMap] | None = None
+    best: tuple[bytes, QuantisedMap] | None = None
     for mode, poses, anchors in options:
         made = replace(wanted, poses=poses)
         data = _write(base, made, mode, anchors)
@@ -59,7 +59,7 @@ def _with_old(poses: Ints, old: Ints) -> Ints:
     return np.concatenate([old, poses[len(old) :]])
 
 
-def _write(base: LatticeMap | None, made: LatticeMap, mode: int, anchors: NDArray[np.intp]) -> bytes:
+def _write(base: QuantisedMap | None, made: QuantisedMap, mode: int, anchors: NDArray[np.intp]) -> bytes:
     out, old = BitWriter(), 0 if base is None else len(base.keyframes)
     if base is None:
         s = made.steps
@@ -103,7 +103,7 @@ def _expected(poses: Ints, start: int) -> Ints:
     return expected
 
 
-def _write_points(out: BitWriter, made: LatticeMap, old: int, first: int) -> None:
+def _write_points(out: BitWriter, made: QuantisedMap, old: int, first: int) -> None:
     counts, cells = made.counts[old:], made.cells[first:]
     out.put(counts, _COUNT)
     if not len(cells):
@@ -129,7 +129,7 @@ def _starts(counts: Ints) -> NDArray[np.intp]:
     return (ends - counts)[counts > 0].astype(np.intp)
 
 
-def _write_matches(out: BitWriter, base: LatticeMap | None, made: LatticeMap) -> None:
+def _write_matches(out: BitWriter, base: QuantisedMap | None, made: QuantisedMap) -> None:
     """New matches alone where the base's are all still there, else all of them."""
     known = 0 if base is None else len(base.matches)
     kept = base is not None and np.array_equal(base.matches, made.matches[:known])
@@ -140,8 +140,10 @@ def _write_matches(out: BitWriter, base: LatticeMap | None, made: LatticeMap) ->
     out.put_signed(transforms, _TRANSFORM)
 
 
-def decode(owner: int, edition: int, frame: FrameId, unit: float, base: LatticeMap | None, data: bytes) -> LatticeMap:
-    """The edition that the bits make of a base; :class:`~maslam.mas.map_exchange.coding.rice.BitsError`
+def decode(
+    owner: int, version: int, frame: FrameId, unit: float, base: QuantisedMap | None, data: bytes
+) -> QuantisedMap:
+    """The version that the bits make of a base; :class:`~maslam.mas.map_exchange.coding.rice.BitsError`
     where they make none.
 
     Descriptors are none: they travel beside.
@@ -151,7 +153,7 @@ def decode(owner: int, edition: int, frame: FrameId, unit: float, base: LatticeM
         try:
             steps = Steps(*(int(n) for n in bits.get_signed(_HEAD, 4)))
         except StepsError as error:
-            raise BitsError(str(error)) from error
+            raise CodingError(str(error)) from error
         base = empty_map(owner, frame, steps)
     old = len(base.keyframes)
     fresh, mode = bits.one(_HEAD, MAX_KEYFRAMES - old), bits.one(_HEAD, ANEW)
@@ -166,9 +168,9 @@ def decode(owner: int, edition: int, frame: FrameId, unit: float, base: LatticeM
     counts, cells, depths = _read_points(bits, fresh)
     matches, transforms = _read_matches(bits, base)
     bits.end()
-    made = LatticeMap(
+    made = QuantisedMap(
         owner,
-        edition,
+        version,
         frame,
         unit,
         base.steps,
@@ -183,20 +185,20 @@ def decode(owner: int, edition: int, frame: FrameId, unit: float, base: LatticeM
         transforms,
     )
     if any(a.size and max(a.max(), -a.min()) > _LARGEST for a in (made.poses, made.cells, made.depths, made.ticks)):
-        raise BitsError("numbers that no map holds")
+        raise CodingError("numbers that no map holds")
     if len(keyframes) and (keyframes[0] <= before or (np.diff(keyframes) <= 0).any() or keyframes[-1] > _LOW):
-        raise BitsError("key-frames out of order")
+        raise CodingError("key-frames out of order")
     return made
 
 
 def _read_moves(bits: BitReader, old: int) -> Ints:
     if not old:
-        raise BitsError("corrections of key-frames that are not there")
+        raise CodingError("corrections of key-frames that are not there")
     between = bits.one(_HEAD, old)
     inner = np.cumsum(bits.get(_HEAD, between) + 1)
     anchors = np.array(sorted({0, *inner.tolist(), old - 1}), dtype=np.intp)
     if len(anchors) != between + min(old, 2) or anchors[-1] != old - 1:
-        raise BitsError("anchors that are not key-frames")
+        raise CodingError("anchors that are not key-frames")
     moves = np.cumsum(bits.get_signed(_MOVE, 6 * len(anchors)).reshape(-1, 6), axis=0)
     return interpolated(moves, anchors, old)
 
@@ -224,7 +226,7 @@ def _read_points(bits: BitReader, fresh: int) -> tuple[Ints, Ints, Ints]:
     counts = bits.get(_COUNT, fresh)
     total = int(counts.sum())
     if total > MAX_POINTS:
-        raise BitsError(f"{total} points, at most {MAX_POINTS}")
+        raise CodingError(f"{total} points, at most {MAX_POINTS}")
     if not total:
         return counts, np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
     low, width = bits.get_signed(_HEAD, 2), max(bits.one(_HEAD, _LOW), 1)
@@ -240,13 +242,13 @@ def _read_points(bits: BitReader, fresh: int) -> tuple[Ints, Ints, Ints]:
     return counts, cells, depths
 
 
-def _read_matches(bits: BitReader, base: LatticeMap) -> tuple[Ints, Ints]:
+def _read_matches(bits: BitReader, base: QuantisedMap) -> tuple[Ints, Ints]:
     kept, count = bits.one(_HEAD, 1), bits.one(_HEAD, MAX_KEYFRAMES)
     known = (base.matches, base.transforms) if kept else (base.matches[:0], base.transforms[:0])
     ids = np.cumsum(bits.get_signed(_MATCH, 3 * count).reshape(-1, 3), axis=0)
     if count and (ids.min() < 0 or ids[:, 1].max() >= MAX_AGENTS or ids.max() >= _LOW):
-        raise BitsError("matches of nobody")
+        raise CodingError("matches of nobody")
     transforms = bits.get_signed(_TRANSFORM, 7 * count).reshape(-1, 7)
     if count and np.abs(transforms[:, 6]).max() * size(base.steps.rotation) > np.log(MAX_SCALE):
-        raise BitsError("a match whose scale is out of range")
+        raise CodingError("a match whose scale is out of range")
     return np.concatenate([known[0], ids]), np.concatenate([known[1], transforms])

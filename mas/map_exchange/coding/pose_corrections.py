@@ -1,7 +1,7 @@
-"""Corrections of many poses told by a few of them.
+"""Corrections of many poses, interpolated between a few of them.
 
-After an optimisation old key-frames move together, each by a little more or less than the one before it. So only a few
-of them, anchors, are told how far they moved; between two the correction is interpolated, in whole numbers. Anchors are
+After an optimisation old key-frames move together, each by a little more or less than the one before it. So the motion
+of only a few of them, anchors, is sent; between two the correction is interpolated, in whole numbers. Anchors are
 added where that is off by more than a :class:`Bound`.
 """
 

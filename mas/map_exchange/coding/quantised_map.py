@@ -1,4 +1,4 @@
-"""A map on a lattice: all its numbers whole, so that every copy of an edition is the same to the last bit.
+"""A map on a lattice: all its numbers whole, so that every copy of a version is the same to the last bit.
 
 The owner rounds once. Whatever way a copy takes, whole or in patches, from the owner or from somebody who bought it,
 it ends with these numbers. All lengths are in the owner's own unit; steps are relative to depth, so that they fit any.
@@ -68,8 +68,8 @@ def size(n: int) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class LatticeMap:
-    """``edition`` counts from 1; ``frame``: whose coordinates, ``unit``: what the owner's unit is worth there.
+class QuantisedMap:
+    """``version`` counts from 1; ``frame``: whose coordinates, ``unit``: what the owner's unit is worth there.
 
     ``keyframes``, ``ticks`` (milliseconds) ``(K,)``; ``poses`` ``(K, 6)``: position and rotation vector of ``T_F_C``;
     ``counts`` ``(K,)``: points of each key-frame, whose ``cells`` ``(P, 2)`` are row and column of their direction and
@@ -78,7 +78,7 @@ class LatticeMap:
     """
 
     owner: int
-    edition: int
+    version: int
     frame: FrameId
     unit: float
     steps: Steps
@@ -121,14 +121,14 @@ class LatticeMap:
         ]
 
 
-def empty_map(owner: int, frame: FrameId, steps: Steps) -> LatticeMap:
-    """Edition 0: nothing."""
+def empty_map(owner: int, frame: FrameId, steps: Steps) -> QuantisedMap:
+    """Version 0: nothing."""
     none = np.zeros(0, dtype=np.int64)
     rows = [none.reshape(0, n) for n in (6, 2, 3, 7)]
-    return LatticeMap(owner, 0, frame, 1.0, steps, none, none, rows[0], none, rows[1], none, None, rows[2], rows[3])
+    return QuantisedMap(owner, 0, frame, 1.0, steps, none, none, rows[0], none, rows[1], none, None, rows[2], rows[3])
 
 
-def on_lattice(poses: Array, steps: Steps) -> Ints:
+def quantised(poses: Array, steps: Steps) -> Ints:
     """``(K, 6)`` of ``(K, 4, 4)`` in the owner's unit."""
     t = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
     rows = np.concatenate(
@@ -142,14 +142,14 @@ def poses_of(rows: Ints, steps: Steps) -> Array:
     return se3(so3_exp(rows[:, 3:] * size(steps.rotation)), rows[:, :3] * size(steps.position))
 
 
-def match_on_lattice(T_M_Q: Sim3, steps: Steps) -> Ints:
+def quantised_match(T_M_Q: Sim3, steps: Steps) -> Ints:
     """``(7,)``."""
     rotation = size(steps.rotation)
     move = T_M_Q.translation / T_M_Q.scale / size(steps.position)
     return _rounded(np.concatenate([move, so3_log(T_M_Q.rotation) / rotation, [np.log(T_M_Q.scale) / rotation]]))
 
 
-def points_on_lattice(points_C: NDArray[Any], steps: Steps) -> tuple[Ints, Ints, Ints]:
+def quantised_points(points_C: NDArray[Any], steps: Steps) -> tuple[Ints, Ints, Ints]:
     """Order, cells ``(n, 2)`` and depths ``(n,)`` of points ``(n, 3)`` in front of a camera, in order of cells."""
     p = np.asarray(points_C, dtype=np.float64)
     cells = np.floor(p[:, [1, 0]] / p[:, 2:] / size(steps.direction)).astype(np.int64)

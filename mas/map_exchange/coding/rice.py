@@ -23,7 +23,7 @@ _MEMORY = 48
 _START = 8
 
 
-class BitsError(MessageError):
+class CodingError(MessageError):
     """Bits that end too early or hold numbers that cannot be."""
 
 
@@ -38,7 +38,7 @@ class BitWriter:
         """Append numbers, each 0 to 2^32 - 1, under these contexts in turn, over and over."""
         v, c = _whole(values), _whole(contexts)
         if len(v) and (v.min() < 0 or v.max() > _LARGEST):
-            raise BitsError(f"numbers from {v.min()} to {v.max()} cannot be coded")
+            raise CodingError(f"numbers from {v.min()} to {v.max()} cannot be coded")
         bits = np.zeros(len(v) * (_ESCAPE + 1 + _WORD), dtype=np.uint8)
         self._parts.append(bits[: _encode(v, c, self._state, bits)])
 
@@ -66,11 +66,11 @@ class BitReader:
         c = _whole(contexts)
         # A number takes a bit at least: this bounds what a hostile count can ask for.
         if count is not None and count > len(self._bits) - self._at:
-            raise BitsError(f"{count} numbers announced in {len(self._bits) - self._at} bits")
+            raise CodingError(f"{count} numbers announced in {len(self._bits) - self._at} bits")
         out = np.zeros(c.size if count is None else count, dtype=np.int64)
         self._at = _decode(self._bits, self._at, c, self._state, out)
         if self._at < 0:
-            raise BitsError("the bits end too early")
+            raise CodingError("the bits end too early")
         return out
 
     def get_signed(self, contexts: ArrayLike, count: int | None = None) -> NDArray[np.int64]:
@@ -82,13 +82,13 @@ class BitReader:
         """The next number, at most ``most``."""
         value = int(self.get(context)[0])
         if value > most:
-            raise BitsError(f"{value} where at most {most} can stand")
+            raise CodingError(f"{value} where at most {most} can stand")
         return value
 
     def end(self) -> None:
         """Nothing but the padding of the last byte may be left."""
         if len(self._bits) - self._at >= 8:
-            raise BitsError(f"{len(self._bits) - self._at} bits too many")
+            raise CodingError(f"{len(self._bits) - self._at} bits too many")
 
 
 def _whole(values: ArrayLike) -> NDArray[np.int64]:

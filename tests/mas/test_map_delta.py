@@ -15,10 +15,10 @@ from map_driver import WORLD, driver, same_map, see
 from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.map_exchange.coding.map_delta import encode
 from maslam.mas.map_exchange.coding.pose_corrections import Bound, anchors_for, interpolated
-from maslam.mas.map_exchange.coding.quantised_map import LatticeMap, on_lattice
-from maslam.mas.map_exchange.coding.rice import BitsError
+from maslam.mas.map_exchange.coding.quantised_map import QuantisedMap, quantised
+from maslam.mas.map_exchange.coding.rice import CodingError
 from maslam.mas.map_exchange.publisher import Publisher
-from maslam.mas.map_exchange.versions import MapVersion, StaleBase, make_patch, stock_of
+from maslam.mas.map_exchange.versions import MapVersion, StaleBase, make_patch, version_of
 from maslam.mas.protocol.ids import FrameId, MatchId
 from maslam.mas.protocol.map_messages import MapPatch
 from maslam.mas.protocol.tensors import MessageError
@@ -57,11 +57,11 @@ def test_a_correction_takes_fewer_bytes_than_the_poses_anew() -> None:
     state, keyframes = driver()
     see(state, keyframes, 40)
     publisher = Publisher(state)
-    first = publisher.edition(closing=False)
+    first = publisher.latest(closing=False)
     bend(state, [1.0, 0.0, -2.0, 0.0, 0.05, 0.0])
-    second = publisher.edition(closing=True)
+    second = publisher.latest(closing=True)
     assert first is not None and second is not None
-    (patch,) = second.since(first.map.edition)
+    (patch,) = second.since(first.map.version)
     anew = len(
         encode(
             None,
@@ -69,17 +69,17 @@ def test_a_correction_takes_fewer_bytes_than_the_poses_anew() -> None:
             Bound(),
         )[0]
     )
-    assert patch.base == first.map.edition
+    assert patch.base == first.map.version
     assert len(patch.bits) < 0.5 * anew
 
 
-def test_what_moved_less_than_the_bound_makes_no_edition() -> None:
+def test_what_moved_less_than_the_bound_makes_no_version() -> None:
     state, keyframes = driver()
     see(state, keyframes, 20)
     publisher = Publisher(state)
-    first = publisher.edition(closing=True)
+    first = publisher.latest(closing=True)
     bend(state, [0.001, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert publisher.edition(closing=True) is first
+    assert publisher.latest(closing=True) is first
 
 
 # -- purchases --------------------------------------------------------------------------------------------------------
@@ -107,16 +107,16 @@ def test_any_sequence_of_purchases_ends_with_what_a_whole_purchase_gives(story: 
             state.accepted.discard(min(state.accepted))
             state.version += 1
         elif step == "buy":
-            buyer = _bought(publisher.edition(closing=True), buyer)
+            buyer = _bought(publisher.latest(closing=True), buyer)
         elif step == "resell" and buyer is not None:
             second = _bought(buyer, second)
-    newest = publisher.edition(closing=True)
+    newest = publisher.latest(closing=True)
     assert newest is not None and buyer is not None and second is not None
-    whole = stock_of(0, None, (newest.whole,))
+    whole = version_of(0, None, (newest.whole,))
     for copy in (buyer, second, whole):
         assert same_map(copy.map, newest.map)
     assert newest.map.keyframes.tolist() == state.placed()
-    moved = on_lattice(np.array(state.poses), newest.map.steps) - newest.map.poses
+    moved = quantised(np.array(state.poses), newest.map.steps) - newest.map.poses
     assert np.abs(moved).max() <= 4
 
 
@@ -138,18 +138,18 @@ def _match(state: AgentState, query: int, rng: np.random.Generator) -> None:
 
 def _bought(seller: MapVersion | None, known: MapVersion | None) -> MapVersion:
     assert seller is not None
-    if known is not None and known.map.edition == seller.map.edition:
+    if known is not None and known.map.version == seller.map.version:
         return known
-    return stock_of(0, known, seller.since(known.map.edition if known else 0))
+    return version_of(0, known, seller.since(known.map.version if known else 0))
 
 
-def two_editions() -> tuple[MapVersion, MapVersion]:
+def two_versions() -> tuple[MapVersion, MapVersion]:
     state, keyframes = driver()
     see(state, keyframes, 12)
     publisher = Publisher(state)
-    first = publisher.edition(closing=False)
+    first = publisher.latest(closing=False)
     see(state, keyframes, 12)
-    second = publisher.edition(closing=False)
+    second = publisher.latest(closing=False)
     assert first is not None and second is not None
     return first, second
 
@@ -159,29 +159,29 @@ def test_when_another_track_becomes_the_main_one_the_map_comes_whole() -> None:
     state, _ = driver(3)
     frames, publisher = keyframes_of(sequence), Publisher(state)
     see(state, frames, 8)
-    buyer = _bought(publisher.edition(closing=False), None)
+    buyer = _bought(publisher.latest(closing=False), None)
     assert buyer.map.keyframes.tolist() == list(range(8))
     see(state, frames, 22)
-    buyer = _bought(publisher.edition(closing=False), buyer)
+    buyer = _bought(publisher.latest(closing=False), buyer)
     assert buyer.map.keyframes.tolist() == list(range(8, 30)) == state.placed()
-    assert publisher.stock is not None and same_map(buyer.map, publisher.stock.map)
+    assert publisher.published is not None and same_map(buyer.map, publisher.published.map)
 
 
 def test_only_what_is_new_comes() -> None:
-    first, second = two_editions()
-    (patch,) = second.since(first.map.edition)
+    first, second = two_versions()
+    (patch,) = second.since(first.map.version)
     assert len(patch.bits) < 0.6 * len(second.whole.bits)
     assert second.since(0) == (second.whole,)
 
 
-def test_a_patch_for_another_edition_is_refused_and_an_unknown_one_gets_the_whole() -> None:
-    first, second = two_editions()
-    with pytest.raises(StaleBase, match="edition 1"):
-        stock_of(0, None, second.since(1))
+def test_a_patch_for_another_version_is_refused_and_an_unknown_one_gets_the_whole() -> None:
+    first, second = two_versions()
+    with pytest.raises(StaleBase, match="version 1"):
+        version_of(0, None, second.since(1))
     assert second.since(77) == (second.whole,)
     spoilt = MapVersion(replace(first.map, poses=first.map.poses + 1))
     with pytest.raises(StaleBase, match="not what its owner made"):
-        stock_of(0, spoilt, second.since(1))
+        version_of(0, spoilt, second.since(1))
 
 
 @given(st.data())
@@ -194,22 +194,22 @@ def test_damaged_patches_are_an_error_and_never_a_crash(data: st.DataObject) -> 
         bits[data.draw(st.integers(0, min(len(bits) - 1, 60)))] = data.draw(st.integers(0, 255))
     damaged = bytes(bits[: data.draw(st.integers(0, len(bits)))])
     with suppress(MessageError):
-        copy: LatticeMap = stock_of(0, first, (replace_bits(patch, damaged),)).map
+        copy: QuantisedMap = version_of(0, first, (replace_bits(patch, damaged),)).map
         assert damaged == patch.bits or np.isfinite(copy.points_C()).all()
 
 
 def test_a_match_of_endless_scale_is_refused() -> None:
-    first, _ = two_editions()
+    first, _ = two_versions()
     row = np.array([[0, 0, 0, 0, 0, 0, 10**9]])
-    wild = replace(first.map, edition=9, matches=np.array([[3, 1, 9]]), transforms=row)
+    wild = replace(first.map, version=9, matches=np.array([[3, 1, 9]]), transforms=row)
     bits, made = encode(None, wild, Bound())
-    with pytest.raises(BitsError, match="scale"):
-        stock_of(0, None, (make_patch(None, made, bits),))
+    with pytest.raises(CodingError, match="scale"):
+        version_of(0, None, (make_patch(None, made, bits),))
 
 
 def replace_bits(patch: MapPatch, bits: bytes) -> MapPatch:
-    return MapPatch(patch.base, patch.edition, patch.frame, patch.unit, patch.check, bits, patch.descriptors)
+    return MapPatch(patch.base, patch.version, patch.frame, patch.unit, patch.check, bits, patch.descriptors)
 
 
-_FIRST, _SECOND = two_editions()
+_FIRST, _SECOND = two_versions()
 FIRST_AND_PATCHES = (_FIRST, [_SECOND.whole, *_SECOND.since(1)])

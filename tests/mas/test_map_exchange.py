@@ -86,7 +86,7 @@ EXACT = {"full": 1e-6, "compact": 0.015}
 def test_a_map_stands_where_the_match_says(form: str) -> None:
     agents = agents_in_a_row(form=form)
     trade(agents, 0, [1])
-    held = agents[0].maps.held[1]
+    held = agents[0].maps.copies[1]
     start = circuit(0.0, 1.0)[0]
     truth = np.linalg.inv(start) @ circuit(6.0, 9.0)[::3]
     np.testing.assert_allclose(held.poses, truth, atol=EXACT[form])
@@ -98,7 +98,7 @@ def test_a_map_stands_where_the_match_says(form: str) -> None:
 def test_the_points_are_the_owners(form: str) -> None:
     agents = agents_in_a_row(form=form)
     trade(agents, 0, [1])
-    owner, held = agents[1].state, agents[0].maps.held[1]
+    owner, held = agents[1].state, agents[0].maps.copies[1]
     T_0_1 = np.linalg.inv(circuit(0.0, 1.0)[0]) @ circuit(6.0, 1.0)[0]
     theirs = np.concatenate(
         [transform_points(T_0_1 @ T, k.points_C) for T, k in zip(owner.poses, owner.keyframes, strict=True)]
@@ -112,10 +112,10 @@ def test_sub_maps_come_along_and_are_placed_through_the_seller(form: str) -> Non
     agents = agents_in_a_row(form=form)
     trade(agents, 1, [2])
     trade(agents, 0, [1])
-    assert sorted(agents[0].maps.held) == [1, 2]
+    assert sorted(agents[0].maps.copies) == [1, 2]
     truth = np.linalg.inv(circuit(0.0, 1.0)[0]) @ circuit(12.0, 9.0)[::3]
-    np.testing.assert_allclose(agents[0].maps.held[2].poses, truth, atol=EXACT[form])
-    assert {o: h.route for o, h in agents[0].maps.held.items()} == {1: (1,), 2: (2, 1)}
+    np.testing.assert_allclose(agents[0].maps.copies[2].poses, truth, atol=EXACT[form])
+    assert {o: h.route for o, h in agents[0].maps.copies.items()} == {1: (1,), 2: (2, 1)}
 
 
 @FORMS
@@ -125,7 +125,7 @@ def test_agents_that_hold_each_others_maps_come_to_an_end(form: str) -> None:
     for _ in range(3):
         for buyer, sellers in ((0, [1]), (1, [0, 2]), (2, [1])):
             trade(agents, buyer, sellers)
-    assert [sorted(a.maps.held) for a in agents] == [[1, 2], [0, 2], [0, 1]]
+    assert [sorted(a.maps.copies) for a in agents] == [[1, 2], [0, 2], [0, 1]]
     again = trade(agents, 1, [0, 2])
     assert again.by_operation[Traffic.MAPMERGE].messages == 0, "nothing new: nothing ordered, nothing sent"
 
@@ -136,7 +136,7 @@ def test_a_map_that_two_sell_is_ordered_once_and_from_its_owner(form: str) -> No
     trade(agents, 1, [2])
     sent = trade(agents, 0, [1, 2])
     assert sent.by_operation[Traffic.MAPMERGE].messages == 4, "an order and a delivery from each"
-    assert agents[0].maps.held[1].seller == 1
+    assert agents[0].maps.copies[1].seller == 1
     refused = [e["seller"] for e in logged(agents[0], "map_refused")]
     assert refused == [2], "agent 2 sold its own, which agent 0 cannot place without a match"
 
@@ -152,7 +152,7 @@ def test_a_seller_that_does_not_answer_keeps_nobody_waiting() -> None:
             if message.recipient != 2:
                 for answer in handled(agents, message):
                     transport.send(answer, 0)
-        assert not agents[0].maps.held
+        assert not agents[0].maps.copies
         out = ticked(agents[0], round(seconds * 1e9))
     for message in out:
         transport.send(message, 0)
@@ -160,7 +160,7 @@ def test_a_seller_that_does_not_answer_keeps_nobody_waiting() -> None:
         if message.recipient != 2:
             for answer in handled(agents, message):
                 transport.send(answer, 0)
-    assert sorted(agents[0].maps.held) == [1]
+    assert sorted(agents[0].maps.copies) == [1]
     ends = {e["contractor"]: e["reason"] for e in logged(agents[0], "contract")}
     assert ends[2] == "no answer"
 
@@ -172,43 +172,43 @@ def test_a_second_purchase_brings_only_what_is_new() -> None:
         agents[1].state.observe(keyframe)
     second = trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].wire_bytes
     assert second < 0.6 * first
-    copy = agents[0].maps.held[1].stock
-    publisher = agents[1].maps.shop._publisher
-    assert copy is not None and publisher.stock is not None
-    assert same_map(copy.map, publisher.stock.map)
+    copy = agents[0].maps.copies[1].map_version
+    publisher = agents[1].maps.seller._publisher
+    assert copy is not None and publisher.published is not None
+    assert same_map(copy.map, publisher.published.map)
     assert copy.map.keyframes.tolist() == list(range(8))
 
 
 def test_a_copy_that_went_bad_is_bought_whole_again() -> None:
     agents, frames = agents_with_more_to_see(form="compact", version_keyframes=1)
     trade(agents, 0, [1])
-    held = agents[0].maps.held[1]
-    assert held.stock is not None
-    bad = MapVersion(replace(held.stock.map, poses=held.stock.map.poses + 7))
-    agents[0].maps.held[1] = replace(held, stock=bad)
+    held = agents[0].maps.copies[1]
+    assert held.map_version is not None
+    bad = MapVersion(replace(held.map_version.map, poses=held.map_version.map.poses + 7))
+    agents[0].maps.copies[1] = replace(held, map_version=bad)
     agents[1].state.observe(frames[1][6])
     trade(agents, 0, [1])
     refused = [e["reason"] for e in logged(agents[0], "map_refused")]
-    assert refused == ["edition 2 of agent 1's map is not what its owner made"]
+    assert refused == ["version 2 of agent 1's map is not what its owner made"]
     trade(agents, 0, [1])
-    stock, publisher = agents[0].maps.held[1].stock, agents[1].maps.shop._publisher
-    assert stock is not None and publisher.stock is not None and same_map(stock.map, publisher.stock.map)
+    stock, publisher = agents[0].maps.copies[1].map_version, agents[1].maps.seller._publisher
+    assert stock is not None and publisher.published is not None and same_map(stock.map, publisher.published.map)
 
 
 def test_a_whole_map_that_is_none_is_not_bought_again() -> None:
     agents = agents_in_a_row(form="compact")
-    own = agents[1].maps.shop._own
+    own = agents[1].maps.seller._own
 
-    def noise(edition: int, closing: bool) -> Parcel:
-        good = own(edition, closing)
+    def noise(version: int, closing: bool) -> Parcel:
+        good = own(version, closing)
         assert isinstance(good, Parcel)
         patch = good.patches[0]
-        damaged = MapPatch(patch.base, patch.edition, patch.frame, patch.unit, patch.check, patch.bits[::-1])
+        damaged = MapPatch(patch.base, patch.version, patch.frame, patch.unit, patch.check, patch.bits[::-1])
         return Parcel(good.owner, good.placement, good.route, (damaged,))
 
-    agents[1].maps.shop._own = noise  # type: ignore[method-assign]
+    agents[1].maps.seller._own = noise  # type: ignore[method-assign]
     assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 2
-    assert agents[0].maps.held == {}
+    assert agents[0].maps.copies == {}
     assert [e["owner"] for e in logged(agents[0], "map_refused")] == [1]
     assert trade(agents, 0, [1]).by_operation[Traffic.MAPMERGE].messages == 0
 
@@ -220,7 +220,7 @@ def test_a_wrong_map_is_rejected_with_a_reason_and_not_bought_again(form: str) -
     liar.poses = [T if k == 0 else stretched(T, 9.0) for k, T in enumerate(liar.poses)]
     liar.version += 1
     trade(agents, 0, [1])
-    assert agents[0].maps.held == {}
+    assert agents[0].maps.copies == {}
     (refusal,) = logged(agents[0], "map_refused")
     assert refusal["seller"] == refusal["owner"] == 1
     assert refusal["reason"].startswith("no place match agrees: 1 of them")
@@ -235,26 +235,26 @@ def test_in_common_coordinates_a_sellers_misplacement_is_not_inherited() -> None
         agent.state.pieces = [replace(p, frame=FrameId(0, 0)) for p in agent.state.pieces]
         agent.state.version += 1
     trade(agents, 1, [2])
-    agents[1].maps.held[2] = agents[1].maps.held[2].moved(Sim3(np.eye(3), np.array([9.0, 0.0, 0.0])))
+    agents[1].maps.copies[2] = agents[1].maps.copies[2].moved(Sim3(np.eye(3), np.array([9.0, 0.0, 0.0])))
     trade(agents, 0, [1])
     truth = np.linalg.inv(circuit(0.0, 1.0)[0]) @ circuit(12.0, 9.0)[::3]
-    np.testing.assert_allclose(agents[0].maps.held[2].poses, truth, atol=EXACT["compact"])
+    np.testing.assert_allclose(agents[0].maps.copies[2].poses, truth, atol=EXACT["compact"])
 
 
 def test_a_copy_newer_than_its_owners_own_map_is_given_up() -> None:
     agents = agents_in_a_row(form="compact")
     trade(agents, 0, [1])
-    held = agents[0].maps.held[1]
-    agents[0].maps.held[1] = replace(held, version=1000, placement=held.placement @ Sim3(np.eye(3), np.ones(3)))
+    held = agents[0].maps.copies[1]
+    agents[0].maps.copies[1] = replace(held, version=1000, placement=held.placement @ Sim3(np.eye(3), np.ones(3)))
     trade(agents, 0, [1])
-    assert agents[0].maps.held[1].version == 1
-    np.testing.assert_allclose(agents[0].maps.held[1].poses, held.poses, atol=1e-9)
+    assert agents[0].maps.copies[1].version == 1
+    np.testing.assert_allclose(agents[0].maps.copies[1].poses, held.poses, atol=1e-9)
 
 
 def test_an_order_for_what_is_not_there_fails() -> None:
     agents = agents_in_a_row()
     with pytest.raises(WorkError, match="no map of agent 2 here"):
-        agents[1].maps.shop.delivery(0, MapOrder((2,)), {}, False)
+        agents[1].maps.seller.delivery(0, MapOrder((2,)), {}, False)
 
 
 @FORMS
@@ -262,33 +262,33 @@ def test_the_newest_version_wins(form: str) -> None:
     agents = agents_in_a_row(form=form)
     trade(agents, 1, [2])
     trade(agents, 0, [1])
-    old = agents[0].maps.held[2].version
+    old = agents[0].maps.copies[2].version
     agents[2].state.accepted.discard(min(agents[2].state.accepted))
     agents[2].state.version += 1
     agents[2].context.closing = True
     trade(agents, 1, [2])
     trade(agents, 0, [1])
-    assert agents[0].maps.held[2].version == old + 1
+    assert agents[0].maps.copies[2].version == old + 1
     trade(agents, 2, [1])
-    assert 2 not in agents[2].maps.held, "nobody buys back its own map"
+    assert 2 not in agents[2].maps.copies, "nobody buys back its own map"
 
 
 def test_a_stranger_without_a_match_is_not_placed() -> None:
     agents = agents_in_a_row()
     trade(agents, 0, [2])
-    assert agents[0].maps.held == {}
+    assert agents[0].maps.copies == {}
     assert len(logged(agents[0], "map_refused")) == 1
 
 
 def test_held_maps_move_along_with_the_agents_own_correction() -> None:
     agents = agents_in_a_row()
     trade(agents, 0, [1])
-    state, held = agents[0].state, agents[0].maps.held[1]
+    state, held = agents[0].state, agents[0].maps.copies[1]
     before = {i: state.pose(i) for i in range(len(state.keyframes))}
     motion = se3_exp([0.3, -0.1, 0.2, 0.0, 0.1, 0.0])
     state.poses = [motion @ T for T in state.poses]
     agents[0].maps.realign(Adoption(before, frozenset()))
-    np.testing.assert_allclose(agents[0].maps.held[1].poses, motion @ held.poses, atol=1e-9)
+    np.testing.assert_allclose(agents[0].maps.copies[1].poses, motion @ held.poses, atol=1e-9)
 
 
 def test_a_purchase_is_one_contract_that_ends() -> None:

@@ -44,7 +44,7 @@ def test_maps_travel_down_a_chain(name: str, tmp_path: Path) -> None:
     assert everyone_has(summary) == PAIRS
 
 
-def test_every_copy_is_the_last_edition(tmp_path: Path) -> None:
+def test_every_copy_is_the_last_version(tmp_path: Path) -> None:
     summary = played(preset("maslam"), tmp_path / "run")
     newest = {o: max(c.version for c in summary.map_copies if c.owner == o) for o in range(AGENTS)}
     assert all(c.version == newest[c.owner] for c in summary.map_copies)
@@ -67,9 +67,9 @@ def test_nothing_travels_at_the_end_without_final_purchases(tmp_path: Path) -> N
 def test_news_is_what_the_other_does_not_know() -> None:
     known = Announcements()
     offers = (Offer(0, 2, 10), Offer(1, 5, 10), Offer(2, 1, 10))
-    assert known.news(2, offers) == offers[:2]  # its own map is no news to it
-    known.told(2, [Offer(0, 2, 10), Offer(1, 4, 9)])
-    assert known.news(2, offers) == (Offer(1, 5, 10),)
-    known.told(2, offers)
-    known.told(2, [Offer(1, 3, 8)])  # an older edition makes it forget nothing
-    assert known.news(2, offers) == () and known.news(3, offers) == offers
+    assert known.new_for(2, offers) == offers[:2]  # its own map is no news to it
+    known.known_to(2, [Offer(0, 2, 10), Offer(1, 4, 9)])
+    assert known.new_for(2, offers) == (Offer(1, 5, 10),)
+    known.known_to(2, offers)
+    known.known_to(2, [Offer(1, 3, 8)])  # an older version makes it forget nothing
+    assert known.new_for(2, offers) == () and known.new_for(3, offers) == offers

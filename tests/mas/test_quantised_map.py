@@ -12,8 +12,8 @@ from map_driver import driver, see
 
 from maslam.backend.geometry import Sim3, rotation_angle_deg, se3_exp, se3_inverse
 from maslam.mas.map_exchange.coding.point_selection import well_spread
-from maslam.mas.map_exchange.coding.quantised_map import Steps, match_on_lattice, on_lattice, poses_of, size
-from maslam.mas.map_exchange.coding.rice import BitReader, BitsError, BitWriter
+from maslam.mas.map_exchange.coding.quantised_map import Steps, poses_of, quantised, quantised_match, size
+from maslam.mas.map_exchange.coding.rice import BitReader, BitWriter, CodingError
 from maslam.mas.map_exchange.publisher import Publisher
 from maslam.mas.protocol.ids import MatchId
 
@@ -33,9 +33,9 @@ def test_numbers_come_back(pairs: list[tuple[int, int]]) -> None:
 def test_bits_that_end_too_early_are_an_error() -> None:
     writer = BitWriter()
     writer.put_signed([-5, 1000, 3], 0)
-    with pytest.raises(BitsError):
+    with pytest.raises(CodingError):
         BitReader(writer.data[:-1]).get_signed(0, 3)
-    with pytest.raises(BitsError):
+    with pytest.raises(CodingError):
         BitReader(writer.data).get(0, 10**9)
 
 
@@ -54,7 +54,7 @@ def test_numbers_of_a_geometric_law_take_little_more_than_their_entropy() -> Non
 def test_points_and_poses_are_as_exact_as_the_settings_say() -> None:
     state, keyframes = driver(20)
     see(state, keyframes, 20)
-    stock = Publisher(state).edition(closing=False)
+    stock = Publisher(state).latest(closing=False)
     assert stock is not None
     copy, config = stock.map, state.config.merge
     apart, away = [], []
@@ -75,7 +75,7 @@ def test_points_and_poses_are_as_exact_as_the_settings_say() -> None:
 def test_a_key_frame_with_thirty_points_takes_less_than_a_hundred_bytes() -> None:
     state, keyframes = driver()
     see(state, keyframes, 40)
-    stock = Publisher(state).edition(closing=False)
+    stock = Publisher(state).latest(closing=False)
     assert stock is not None
     assert stock.map.counts.min() >= 30
     assert len(stock.whole.bits) < 100 * 40
@@ -85,14 +85,14 @@ def test_poses_and_matches_survive_any_rotation() -> None:
     rng = np.random.default_rng(1)
     steps = Steps.of(0.005, 0.001, 10.0)
     poses = se3_exp(np.concatenate([rng.normal(0, 50, (50, 3)), rng.normal(0, 2, (50, 3))], axis=1))
-    back = poses_of(on_lattice(poses, steps), steps)
+    back = poses_of(quantised(poses, steps), steps)
     assert np.abs(back[:, :3, 3] - poses[:, :3, 3]).max() <= 0.5 * size(steps.position) + 1e-9
     assert np.radians(rotation_angle_deg(np.swapaxes(back[:, :3, :3], 1, 2) @ poses[:, :3, :3]).max()) < 0.001
     T = Sim3(poses[0, :3, :3], poses[0, :3, 3], 1.7)
-    ids, rows = np.array([[3, 1, 9]]), match_on_lattice(T, steps)[None]
+    ids, rows = np.array([[3, 1, 9]]), quantised_match(T, steps)[None]
     state, keyframes = driver(3)
     see(state, keyframes, 3)
-    stock = Publisher(state).edition(closing=False)
+    stock = Publisher(state).latest(closing=False)
     assert stock is not None
     match, found = replace(stock.map, steps=steps, matches=ids, transforms=rows).match_list()[0]
     assert match == MatchId(0, 3, 1, 9)
