@@ -76,7 +76,7 @@ class Agent:
         self._new.append(keyframe)
 
     def finish(self) -> None:
-        """All sequences are over, as the environment says: from now on the agent only settles what it knows."""
+        """All sequences are over: from now on the agent only settles what it knows."""
         self.context.close()
 
     def handle(self, message: Message) -> Effects:
@@ -136,7 +136,7 @@ class Agent:
         return self.context.retransmitter.owed or self.optimisation.busy or self.call_queue.waiting
 
     def outlook(self) -> Outlook:
-        """What the policy may know beside the state."""
+        """Facts for the policy beside the state."""
         count = len(self.state.keyframes)
         return Outlook(
             pending_matches=len(self._pending()),
@@ -180,7 +180,7 @@ class Agent:
     # -- messages -----------------------------------------------------------------------------------------------------
 
     def _dispatch(self, message: Message) -> Effects:
-        """What follows from a message; :class:`ProtocolError`, before anything has changed, if it makes no sense."""
+        """Effects of a message; :class:`ProtocolError`, before anything has changed, if it makes no sense."""
         sender, identity, body = message.sender, message.contract, message.body
         if isinstance(body, GroupNotice | Call):
             self._check_known(body.members)
@@ -251,7 +251,7 @@ class Agent:
     # -- what follows -------------------------------------------------------------------------------------------------
 
     def _settled(self, effects: Effects) -> Effects:
-        """What leaves the agent once everything that follows is done; calls that waited are answered now."""
+        """Messages and events, once everything that follows is done; calls that waited are answered now."""
         effects = self._wound_up(effects)
         return effects + self._wound_up(self.call_queue.inspect())
 

@@ -102,7 +102,7 @@ class ConsistencyConfig(_Section):
 
 
 class OptimisationConfig(_Section):
-    """When a group optimises, and what odometry is worth in the graph (thesis section 3.6)."""
+    """Times of optimisations, and weights of odometry in the graph (thesis section 3.6)."""
 
     period_keyframes: int = Field(5, ge=1, description="own key-frames between optimisations that an agent calls for")
     deadline_s: float = Field(20.0, gt=0, description="logical time an optimisation may take, seconds")

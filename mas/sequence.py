@@ -1,4 +1,4 @@
-"""What an agent is given: the SEQS folder, written by preprocessing, read by the multi-agent system."""
+"""Input of an agent: the SEQS folder, written by preprocessing, read by the multi-agent system."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class DescriptorEntry(_Entry):
 
 
 class SplitEntry(_Entry):
-    """How one sequence was cut into agents: consecutive blocks, widened by ``overlap`` key-frames on both sides."""
+    """Split of one sequence into agents: consecutive blocks, widened by ``overlap`` key-frames on both sides."""
 
     agents: int = Field(ge=1)
     overlap: int = Field(ge=0)

@@ -130,7 +130,7 @@ class Environment:
             delivered += 1
             if delivered > self.config.max_messages_a_step:
                 raise MasError(
-                    f"more than {delivered - 1} messages at {self.now_ns / 1e9:.1f} s: agents talk without end"
+                    f"more than {delivered - 1} messages at {self.now_ns / 1e9:.1f} s: the exchange does not end"
                 )
 
     @property
@@ -222,8 +222,8 @@ def make_agents(
 
 
 def coder_of(manifest: Manifest, code: str) -> Coder:
-    """How place vectors travel. Product codes look for their codebooks beside the model that preprocessing used; an
-    error where they are not there or belong to other weights."""
+    """The code in which place vectors are sent. Product codes look for their codebooks beside the model that
+    preprocessing used; ``MasError`` where they are not there or belong to other weights."""
     wanted = manifest.descriptor
     model = model_path(str(manifest.settings.get("model", "default")))
     if code == AUTO_CODE:
@@ -258,7 +258,7 @@ def _play(
 
 
 def timeline_row(number: int, environment: Environment, evaluator: GroundTruthEvaluator) -> list[object]:
-    """What ``timeline.csv`` says about a step; errors are empty without truth."""
+    """The row of ``timeline.csv`` for a step; errors are empty without truth."""
     agents = environment.agents
     own = [evaluator.keyframe_error(a) for a in agents]
     maps = [evaluator.map_error(a) for a in agents]

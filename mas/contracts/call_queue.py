@@ -22,9 +22,9 @@ from .operation import Operation
 class CallQueue:
     """Answers calls by the operations' bids, now or when idle; lower managers first, as all agents prefer them."""
 
-    def __init__(self, context: AgentContext, trades: Mapping[OperationKind, Operation[Any, Any]]) -> None:
+    def __init__(self, context: AgentContext, operations: Mapping[OperationKind, Operation[Any, Any]]) -> None:
         self.context = context
-        self._operations = trades
+        self._operations = operations
         self._waiting: list[tuple[Contract, Call, int]] = []
 
     @property

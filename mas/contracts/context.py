@@ -1,4 +1,4 @@
-"""What the operations of one agent share: its state, its contracts, what it thinks of others, the time."""
+"""Shared context of an agent's operations: its state, contracts, reputation of others, logical time."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class AgentContext:
     # -- who may be called --------------------------------------------------------------------------------------------
 
     def deadline_ns(self, operation: OperationKind, contractors: Iterable[int] = ()) -> int:
-        """When a contract opened now expires. An optimisation has many rounds, each of as many messages one after the
-        other as there are members: many of them, or slow answers, make it longer."""
+        """Deadline, ns of logical time, of a contract opened now. An optimisation has many rounds, each of as
+        many messages one after the other as there are members: many of them, or slow answers, make it longer."""
         config = self.state.config
         if operation is not OperationKind.DOPT:
             return self.now_ns + round(config.deadline_s * 1e9)
@@ -140,11 +140,11 @@ class AgentContext:
         return total(self.send(contract, Cancel(reason)) for contract in contracts if not contract.ended)
 
     def ended(self, contracts: Iterable[Contract]) -> Effects:
-        """Those of the contracts that are over."""
+        """Contracts among these that are over."""
         return Effects(ended=tuple(c for c in contracts if c.ended))
 
     def close_account(self, contract: Contract) -> Effects:
-        """A contract has ended: what that says about the other side, and the event, which its manager logs."""
+        """A contract has ended: count it for the other side's reputation; its manager logs the event."""
         if contract.manager != self.me:
             self.reputation.left_waiting(contract)
             return NOTHING

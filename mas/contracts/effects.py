@@ -1,4 +1,4 @@
-"""What follows from a message or from time: values that an operation returns, and that its agent acts on.
+"""Effects of a message or of time: values that an operation returns, and that its agent acts on.
 
 No operation reaches into another one, or leaves anything for others to collect. It changes its own state and returns
 :class:`Effects`; the agent passes ``ended`` and ``changes`` on to whom they concern until nothing follows any more, and
@@ -32,7 +32,7 @@ class MembersMissed:
 
 
 Change = Adoption | MembersMissed
-"""What one operation did that others act on."""
+"""A change by one operation that others act on."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Effects:
 
     @property
     def outward(self) -> Effects:
-        """What leaves the agent."""
+        """Messages and events alone."""
         return Effects(self.messages, self.events)
 
 

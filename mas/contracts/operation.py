@@ -1,4 +1,4 @@
-"""What an operation is to its contracts: bids, awards, work and results, as manager and as contractor."""
+"""Base class of operations: bids, awards, work and results, as manager and as contractor."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ class Operation(ABC, Generic[AnyTask, AnyOutcome]):
         """Manager: why a result cannot be believed, empty where it can; asked before the contract goes on."""
         return ""
 
-    @abstractmethod
     def on_result(self, contract: Contract, outcome: AnyOutcome) -> Effects:
-        """Manager: take a result that there is no objection to."""
+        """Manager: take a result that there is no objection to. Of an optimisation every member knows it by itself."""
+        return NOTHING
 
     def on_confirmation(self, contract: Contract) -> Effects:
         """Manager: the contractor is committed. Most operations have nothing to do here."""

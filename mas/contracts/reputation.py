@@ -119,7 +119,7 @@ class ReputationBook:
             self._count(self._touch(contract.manager), poor=_STUCK)
 
     def judged(self, other: int, borne_out: int, contradicted: int) -> None:
-        """How many of the other's results now agree with the rest of what is known, and how many do not."""
+        """Set how many of the other's results agree with the rest of what is known, and how many do not."""
         record = self._touch(other)
         record.t, record.f = float(borne_out), float(contradicted)
 

@@ -105,7 +105,7 @@ class Retransmitter:
         return times * max(shortest, _TRIES * self.rtt.wait_ns(self._other(contract)))
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
-        """What a repeated message, or one that came after the end, is answered with; None: nothing. ``contract``: my
+        """Answer to a repeated message, or to one that came after the end; None: nothing. ``contract``: my
         copy."""
         last = self._last.get((contract.id, contract.contractor))
         if last is None or now_ns - last.message_ns < self.rtt.wait_ns(self._other(contract)) // 2:

@@ -1,4 +1,4 @@
-"""What an evaluator measures who knows the truth: thesis Table 3.2. No agent ever sees any of this."""
+"""The ground-truth evaluator: errors of thesis Table 3.2. No agent ever sees any of this."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FALSE_DEG = 10.0
 
 @dataclass(frozen=True)
 class MatchError:
-    """How far an estimated ``T_M_Q`` is from the truth."""
+    """Error of an estimated ``T_M_Q`` against ground truth."""
 
     metres: float
     degrees: float

@@ -1,4 +1,4 @@
-"""How good copies of maps are, measured by who sees all agents: against the owner's own map as it stands at the end."""
+"""Errors of map copies, against ground truth and against the owner's own map as it stands at the end."""
 
 from __future__ import annotations
 

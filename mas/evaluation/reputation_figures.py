@@ -37,7 +37,7 @@ def _of(me: int, agents: Sequence[Agent]) -> ReputationFigures:
 
 
 def fault_figures(agents: Sequence[Agent], transport: Transport) -> FaultFigures | None:
-    """What was lost and doubled on purpose, and how often agents repeated themselves; None without such faults."""
+    """Counts of messages lost and doubled on purpose, and of repeats; None without such faults."""
     if not isinstance(transport, FaultyTransport):
         return None
     repeated = sum(a.context.retransmitter.repeated + a.optimisation.repeated for a in agents)

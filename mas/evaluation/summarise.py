@@ -27,7 +27,7 @@ from .summary import Errors, MatchFigures, OptimisationFigures, Summary, Traffic
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What there is at the end of a run: agents with their sequences, what was transmitted, what happened."""
+    """A run at its end: agents with their sequences, the transport with its counts, the event log."""
 
     agents: Sequence[Agent]
     sequences: Sequence[AgentSequence]

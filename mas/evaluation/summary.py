@@ -94,7 +94,7 @@ class FaultFigures(_Figures):
 
 
 class Timing(_Figures):
-    """What a run took on this machine, which is no result of it: ``timing.json``. Seconds of wall time, and how many
+    """Measured times of a run on this machine, no result of it: ``timing.json``. Seconds of wall time, and how many
     times as fast as the sequences were recorded."""
 
     wall_s: float

@@ -24,6 +24,6 @@ class Announcements:
             known[offer.owner] = max(offer.version, known.get(offer.owner, 0))
 
     def new_for(self, other: int, offers: Iterable[Offer]) -> tuple[Offer, ...]:
-        """What of these the other does not know of; never its own map."""
+        """Those of the offers that the other does not know of; never its own map."""
         known = self._known.get(other, {})
         return tuple(o for o in offers if o.owner != other and o.version > known.get(o.owner, 0))

@@ -1,4 +1,4 @@
-"""Does a map copy stand where place matches say? (thesis section 3.9.3, equations 3.1 to 3.6)
+"""Evidence of place matches about the position of a map copy (thesis section 3.9.3, equations 3.1 to 3.6).
 
 The thesis compares the centres of the two matched cameras (3.3), although those may stand metres apart. Here, as
 ``T_M_Q`` maps the query camera into the match camera, ``T_O_M @ T_M_Q`` is compared with ``T_O_Q``; and equation 3.4,
@@ -47,17 +47,17 @@ class Witness:
 
     @property
     def motion(self) -> Sim3:
-        """What lays the map on this match: its camera onto where the match says, all others rigidly with it."""
+        """Rigid motion that aligns the map with this match: its camera moves to where the match puts it."""
         return self.expected @ self.found.inverse()
 
     def after(self, motion: Sim3) -> Witness:
-        """The same when the map has moved."""
+        """The witness after a motion of the map."""
         return Witness(self.match, self.expected, motion @ self.found)
 
 
 @dataclass(frozen=True)
 class EvidenceStatistics:
-    """How a map stands to its witnesses: how many, how far off at best, at the median and at worst."""
+    """Statistics of a map's witnesses: number; distance at best, at the median and at worst."""
 
     matches: int
     least_m: float
@@ -120,7 +120,7 @@ def _bought(copy: MapCopy, others: Mapping[int, MapCopy]) -> list[Witness]:
 
 
 def _witness(copy: MapCopy, match: MatchId, T_M_Q: Sim3, camera: Sim3) -> Witness | None:
-    """What a match from a known camera, ``T_O_C``, says about a key-frame of the map; None if that is not in it."""
+    """Evidence of a match from a known camera, ``T_O_C``, about a key-frame of the map; None if that is not in it."""
     queried = match.query_agent == copy.owner
     row = copy.rows.get(match.query if queried else match.match)
     if row is None:

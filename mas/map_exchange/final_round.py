@@ -40,7 +40,7 @@ class FinalRound:
         return not self._searching and not self.maps.stale.intersection(self._open(self.context.state.partners()))
 
     def _open(self, sellers: list[int]) -> list[int]:
-        """Those of them from whom it may still buy."""
+        """Sellers among them from which it may still buy."""
         config = self.context.state.config.merge
         allowed = config.enabled and self._rounds < config.closing_rounds
         return [a for a in sellers if self.context.may_call(a, OperationKind.MAPMERGE)] if allowed else []

@@ -1,7 +1,7 @@
 """Only what is new of a map in the thesis's form: a point is stored in the camera of the key-frame that saw it first,
 so whatever an optimisation does, what was sold with a key-frame once need not be sold again.
 
-The buyer says which key-frames of a map it holds; poses and matches come anew, points and descriptors only with the
+The buyer states which key-frames of a map it has; poses and matches come anew, points and descriptors only with the
 others. Seller and buyer may hold copies of any age: what counts are key-frames, not versions. A checksum of all points
 tells the buyer whether what it put together is what the seller has.
 """
@@ -32,7 +32,7 @@ def runs_of(indices: Iterable[int]) -> Runs:
 
 
 def without(submap: SubMap, runs: Runs) -> SubMap:
-    """What a buyer who holds these key-frames lacks of the map."""
+    """The part of the map that a buyer with these key-frames lacks."""
     keyframes, references = submap.keyframes.array(), submap.references.array()
     known = np.isin(keyframes, indices_of(runs))
     if not known.any():

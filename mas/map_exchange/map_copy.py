@@ -52,7 +52,7 @@ class MapCopy:
 
     @property
     def unit(self) -> float:
-        """What the owner's unit is worth in the holder's coordinates."""
+        """The owner's unit in the holder's coordinates."""
         return self.placement.scale
 
     @cached_property

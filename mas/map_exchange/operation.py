@@ -7,7 +7,7 @@ what is newer than what it has, each map once, never its own. So every purchase 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,36 +19,17 @@ from ..contracts.effects import NOTHING, Effects, total
 from ..contracts.operation import Answer, Operation
 from ..contracts.retries import RetryBudget
 from ..policies.utility import Worth, orders, utility
-from ..protocol.ids import ContractId, FrameId, MatchId, OperationKind
+from ..protocol.ids import ContractId, OperationKind
 from ..protocol.map_messages import MapDelivery, MapOrder, Parcel, SubMap
 from ..protocol.messages import Award, Bid, Call, Confirmation, MapNotice, Offer, Refusal, Rejection, Result
-from ..protocol.tensors import MessageError, unpack_sim3
+from ..protocol.tensors import MessageError
 from ..state.pose_graph import Adoption
 from .admission import admit, recheck, seller_frame
 from .announcements import Announcements
-from .full_map_increments import completed, runs_of
-from .map_copy import MapCopy, copy_of_submap, copy_of_version
+from .full_map_increments import runs_of
+from .map_copy import MapCopy
+from .purchase import ArrivedMap, MapTender, SellerFrame, of_parcel, of_submap
 from .seller import Seller
-from .versions import version_of
-
-
-@dataclass
-class MapTender:
-    """One call for maps until all have answered, or long enough has been waited for them."""
-
-    called_ns: int
-    pending: set[int]
-    bids: dict[int, Bid] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class SellerFrame:
-    """A seller's coordinates ``frame``: ``T_mine_seller``, and the match that tells it (None: they are shared)."""
-
-    seller: int
-    frame: FrameId
-    T_mine_seller: Sim3
-    placed_by: MatchId | None
 
 
 class MapExchange(Operation[MapOrder, MapDelivery]):
@@ -180,37 +161,27 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
             return self.context.event("map_refused", seller=seller, reason="no common place to align it by")
         place = SellerFrame(seller, outcome.frame, *found)
         submaps = total(self._take_submap(submap, place) for submap in outcome.maps)
-        return submaps + total(self._unpack(parcel, place) for parcel in outcome.parcels)
+        return submaps + total(self._take_parcel(parcel, place) for parcel in outcome.parcels)
 
     def _take_submap(self, submap: SubMap, place: SellerFrame) -> Effects:
-        """A copy in the thesis's form."""
+        """A map in the thesis's form."""
         try:
-            whole = completed(submap, self.copies.get(submap.owner))
+            arrived = of_submap(submap, self.copies.get(submap.owner), place, self.context.now_ns)
         except MessageError as error:
             return self._misfit(place.seller, submap.owner, submap.version, bool(submap.known), str(error))
-        self._spoilt.discard(submap.owner)
-        copy = copy_of_submap(whole, place.frame, place.T_mine_seller, place.seller, self.context.now_ns)
-        return self._take(copy, place.placed_by)
+        return self._take(arrived)
 
-    def _unpack(self, parcel: Parcel, place: SellerFrame) -> Effects:
-        """A copy made of patches."""
-        copy, patches = self.copies.get(parcel.owner), parcel.patches
+    def _take_parcel(self, parcel: Parcel, place: SellerFrame) -> Effects:
+        """A map made of patches."""
+        last, partial = parcel.patches[-1].version, bool(parcel.patches[0].base)
         try:
-            map_version = version_of(parcel.owner, None if copy is None else copy.map_version, patches)
+            arrived = of_parcel(parcel, self.copies.get(parcel.owner), place, self.state.frame, self.context.now_ns)
         except MessageError as error:
-            return self._misfit(place.seller, parcel.owner, patches[-1].version, bool(patches[0].base), str(error))
-        self._spoilt.discard(parcel.owner)
-        placement, placed_by = Sim3(np.eye(3), np.zeros(3), map_version.map.unit), place.placed_by
-        if map_version.map.frame == self.state.frame:
-            placed_by = None  # as the owner has it, whatever the seller has moved it by
-        else:
-            sent = placement if parcel.placement is None else unpack_sim3(parcel.placement)
-            placement = place.T_mine_seller @ sent
-        route = (*parcel.route, place.seller)
-        return self._take(copy_of_version(map_version, placement, route, self.context.now_ns), placed_by)
+            return self._misfit(place.seller, parcel.owner, last, partial, str(error))
+        return self._take(arrived)
 
     def _misfit(self, seller: int, owner: int, version: int, partial: bool, reason: str) -> Effects:
-        """What came makes no map: where it was only what is new, the whole is ordered next time."""
+        """A delivery that makes no map: where it held only what is new, the whole is ordered next time."""
         if partial:
             self._spoilt.add(owner)
             self.stale.add(seller)
@@ -218,13 +189,15 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
             self._rejected.add((seller, owner, version))
         return self.context.event("map_refused", seller=seller, owner=owner, reason=reason)
 
-    def _take(self, new: MapCopy, placed_by: MatchId | None) -> Effects:
+    def _take(self, arrived: ArrivedMap) -> Effects:
         """Algorithm 1: update the copy or append a new one, if it passes the checks."""
+        new = arrived.copy
         seller, owner, version = new.route[-1], new.owner, new.version
+        self._spoilt.discard(owner)
         if not self._wants(seller, Offer(owner, version, len(new.keyframes))):
             return NOTHING
         old = self.copies.get(owner)
-        verdict = admit(new, old, self.state, self.copies, placed_by)
+        verdict = admit(new, old, self.state, self.copies, arrived.placed_by)
         if verdict.copy is None:
             return self._refuse(new, verdict.reason)
         self.copies[owner] = verdict.copy

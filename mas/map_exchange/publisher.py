@@ -1,4 +1,4 @@
-"""How an owner publishes its map: version after version, each with what is new since the one before."""
+"""The owner's side: publishes its map, version after version, each with what is new since the one before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an agent sells: its own map and the copies it holds, to a buyer who says what it has already."""
+"""The seller's side: an agent's own map and its copies, for a buyer that states what it has already."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ class Seller:
         return total
 
     def _own_points(self) -> int:
-        """How many points the agent's own map has now."""
+        """Number of points of the agent's own map now."""
         limit = self.state.config.merge.max_points
         self._points += [len(fresh_rows(k, limit)) for k in self.state.keyframes[len(self._points) :]]
         return sum(self._points[i] for i in self.state.placed())
 
     def delivery(self, buyer: int, order: MapOrder, copies: Mapping[int, MapCopy], closing: bool) -> MapDelivery:
-        """What was ordered, in the agent's coordinates; where the buyer has others, with what to place it by.
+        """The maps ordered, in the agent's coordinates; where the buyer has others, with ties to place them by.
         :class:`WorkError` where something ordered is not here."""
         for owner in order.owners:
             if owner not in copies and not (owner == self.state.me and self.state.placed()):
@@ -83,11 +83,11 @@ class Seller:
         versions = order.versions or (0,) * len(order.owners)
         nothing: tuple[Runs, ...] = ((),) * len(order.owners)
         for owner, version, runs in zip(order.owners, versions, order.known or nothing, strict=True):
-            goods = self._own(version, closing) if owner == self.state.me else self._resold(copies[owner], version)
-            if isinstance(goods, Parcel):
-                parcels.append(goods)
+            item = self._own(version, closing) if owner == self.state.me else self._resold(copies[owner], version)
+            if isinstance(item, Parcel):
+                parcels.append(item)
             else:
-                maps.append(without(goods, runs))
+                maps.append(without(item, runs))
         needed = bool(maps) or order.frame != self.state.frame
         ties = self._ties(buyer) if needed else ()
         poses = pack_sim3s([self.state.pose(i) for i in ties])

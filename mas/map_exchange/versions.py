@@ -32,7 +32,7 @@ class MapVersion:
         return make_patch(None, self.map, encode(None, self.map, Bound())[0])
 
     def since(self, version: int) -> tuple[MapPatch, ...]:
-        """What brings a copy of ``version`` (0: none) up to date: the patches since, or the whole map where they are
+        """Patches that bring a copy of ``version`` (0: none) up to date: those since, or the whole map where they are
         not known or would take more bytes."""
         whole = (self.whole,)
         later = tuple(p for p in self.patches if p.base >= version)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from msgspec.structs import replace
 
 from ..contracts.context import AgentContext
+from ..contracts.contract import ContractState
 from ..policies.utility import ENVELOPE_BYTES, SOLVER_BYTES_A_ROW
+from ..protocol.ids import OperationKind
 from ..protocol.messages import Bid
 from ..state.pose_graph import terms
 from .session import OptimisationSession
@@ -35,3 +39,17 @@ class BidEstimator:
         """An optimisation came to its end."""
         self._bytes_a_row = session.sent_bytes / max(len(session.task.matches), 1)
         self._took_ns = self.context.now_ns - session.began_ns
+
+
+def engaged(context: AgentContext, bid_ns: Mapping[int, int]) -> bool:
+    """Whether a manager that got a bid lately may still award: calling now would only get in its way. ``bid_ns``: by
+    manager, the time of the last bid to it."""
+    since_ns = context.now_ns - round(context.state.config.link.silence_s * 1e9)
+    mine = (c for c in context.ledger.running(OperationKind.DOPT) if c.contractor == context.me)
+    return any(bid_ns.get(c.manager, since_ns) > since_ns for c in mine)
+
+
+def bids_to_lower(context: AgentContext, manager: int) -> bool:
+    """Whether a bid to a lower manager is still open: that one goes first."""
+    bids = (c for c in context.ledger.running(OperationKind.DOPT) if c.state is ContractState.BID)
+    return any(c.manager < manager for c in bids if c.contractor == context.me)

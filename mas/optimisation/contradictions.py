@@ -9,8 +9,8 @@ from ..state.match_audit import judged
 
 
 def hold_against(context: AgentContext, contradicted: frozenset[MatchId]) -> Effects:
-    """What a whole group's matches contradict is held against who reported it to me, as long as that is so; where it
-    may be one of several it is left out and held against nobody."""
+    """Matches that a whole group's matches contradict count against the agent that reported them, as long as that is
+    so. Where several agents may have reported the wrong ones nobody is blamed."""
     state = context.state
     reporters = sorted({m.match_agent for m in contradicted})
     before = {m.match_agent for m in state.contradicted}

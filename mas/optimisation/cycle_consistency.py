@@ -2,7 +2,7 @@
 
 Between two agents lies that agree with each other look like truth. With a third agent, ways round meet: A to B and on
 to C must lead where A to C leads. If they do not, and leaving out everything that one agent reported (as the one that
-verified it) makes all the rest agree, it is that agent's word against the others'. Where that holds of several agents,
+verified it) makes all the rest agree, that agent's reports contradict the others'. Where that holds of several agents,
 the one whose reports are fewest is taken; where even those are equal, none of them is believed for now.
 """
 
@@ -104,7 +104,7 @@ def _judge(joints: Mapping[MatchId, JointLike], depths: Mapping[Track, float]) -
 
 
 def _extents(joints: Mapping[MatchId, JointLike], matches: list[MatchId], placed: Mapping[Track, Sim3]) -> list[float]:
-    """How far apart each track's own matched key-frames are, by itself: no report of others changes that."""
+    """Extent of each track's own matched key-frames, by itself: no report of others changes that."""
     centres: dict[Track, list[Array]] = {}
     for match in matches:
         for end in (joints[match].match, joints[match].query):

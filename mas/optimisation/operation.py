@@ -12,6 +12,7 @@ from ..contracts.context import AgentContext
 from ..contracts.contract import Contract, ContractState
 from ..contracts.effects import NOTHING, Effects, MembersMissed, total
 from ..contracts.operation import Answer, Operation, WorkError
+from ..contracts.rtt import RttEstimator
 from ..errors import ProtocolError
 from ..policies.utility import ENVELOPE_BYTES
 from ..protocol.ids import REASON_LENGTH, ContractId, OperationKind
@@ -20,9 +21,9 @@ from ..protocol.solver_messages import SolverBody
 from ..protocol.tasks import OptimiseAnswer, OptimiseTask
 from ..protocol.tensors import MessageError
 from ..state.pose_graph import UnknownPart, adopt, believable, share_of
-from .bidding import BidEstimator
+from .bidding import BidEstimator, bids_to_lower, engaged
 from .contradictions import hold_against
-from .planning import plan
+from .planning import Plan, plan
 from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
 
 
@@ -56,15 +57,12 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     @property
     def ready(self) -> bool:
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
-        settling = self.context.calling(OperationKind.DOPT) or self._engaged
+        settling = self.context.calling(OperationKind.DOPT) or engaged(self.context, self._bid_ns)
         return not self.busy and not settling and self.context.now_ns >= self.attempts.not_before_ns
 
     @property
-    def _engaged(self) -> bool:
-        """Whether a manager that got a bid lately may still award: calling now would only get in its way."""
-        since_ns = self.context.now_ns - round(self.state.config.link.silence_s * 1e9)
-        mine = (c for c in self.context.ledger.running(OperationKind.DOPT) if c.contractor == self.state.me)
-        return any(self._bid_ns.get(c.manager, since_ns) > since_ns for c in mine)
+    def _rtt(self) -> RttEstimator:
+        return self.context.retransmitter.rtt
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
@@ -103,13 +101,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         """Everyone has answered: plan, award to those who are connected, reject the others."""
         me = self.state.me
         found = plan(me, tender.bids, self.state.depths())
-        effects = hold_against(self.context, found.contradicted) if tender.identity is not None else NOTHING
-        contracts = self.context.ledger.managed(tender.identity) if tender.identity is not None else []
-        for contract in contracts:
-            if contract.contractor in found.tasks:
-                effects += self.context.send(contract, Award(found.tasks[contract.contractor]))
-            elif contract.state is ContractState.BID:
-                effects += self.context.send(contract, Rejection("not connected"))
+        effects = NOTHING if tender.identity is None else self._answer_bids(tender.identity, found)
         if tender.missing and found.members == (me,):
             self.attempts.failed(self.context.now_ns, me)
             return effects + self._idle()
@@ -120,6 +112,15 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         session = OptimisationSession(tender.identity if others else None, task, node, unconfirmed=others)
         self.session = session
         return effects if others else effects + self._run(session)
+
+    def _answer_bids(self, identity: ContractId, found: Plan) -> Effects:
+        effects = hold_against(self.context, found.contradicted)
+        for contract in self.context.ledger.managed(identity):
+            if contract.contractor in found.tasks:
+                effects += self.context.send(contract, Award(found.tasks[contract.contractor]))
+            elif contract.state is ContractState.BID:
+                effects += self.context.send(contract, Rejection("not connected"))
+        return effects
 
     def on_confirmation(self, contract: Contract) -> Effects:
         session = self.session
@@ -132,14 +133,10 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         begin = total(self.context.tell(member, session.identity, Begin()) for member in others)
         return begin + self._run(session)
 
-    def on_result(self, contract: Contract, outcome: OptimiseAnswer) -> Effects:
-        """How it ended, which every member knows by itself."""
-        return NOTHING
-
     # -- contractor ---------------------------------------------------------------------------------------------------
 
     def bid(self, contract: Contract, call: Call) -> Answer:
-        if self.session is not None or self._bid_to_lower(contract):
+        if self.session is not None or bids_to_lower(self.context, contract.manager):
             return Answer(None)
         if not self.state.keyframes:
             return Answer(Refusal("nothing to optimise yet"))
@@ -158,11 +155,6 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return self._idle()
         contracts = self.context.ledger.managed(given_up.identity)
         return self.context.cancel(contracts, "gives way to a lower number") + self._idle()
-
-    def _bid_to_lower(self, contract: Contract) -> bool:
-        """Whether a bid to a lower manager is still open: that one goes first."""
-        bids = (c for c in self.context.ledger.running(OperationKind.DOPT) if c.state is ContractState.BID)
-        return any(c.manager < contract.manager for c in bids if c.contractor == self.state.me)
 
     def work(self, contract: Contract, task: OptimiseTask) -> Effects:
         if self.state.me not in task.members or contract.manager not in task.members:
@@ -192,7 +184,9 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         session, message = self.session, body.read(sender, self.state.me)
         if session is None or session.identity != identity:
             if identity is not None and identity in self._before:
-                return self._late(self._before[identity], message)
+                over = self._before[identity]
+                late = [] if over is None else over.late(message, self.context.now_ns, self._rtt)
+                return NOTHING if over is None else self._repeat(over, late)
             raise ProtocolError(f"agent {sender} sends solver messages without an optimisation")
         if sender not in session.task.members:
             raise ProtocolError(f"agent {sender} takes no part in this optimisation")
@@ -201,15 +195,6 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         session.early.append(message)
         # Nobody begins before the manager has sent the others Begin: so that was sent to me, too.
         return NOTHING if session.contract is None else self._run(session)
-
-    def _late(self, session: OptimisationSession | None, message: SolverMessage) -> Effects:
-        """Another member still works on what is over here. All it can lack is the last decision: nobody ends before all
-        have reported. Decisions are not answered, or two who are done would exchange them for ever."""
-        if session is None or message.sender not in session.task.members or message.decides:
-            return NOTHING
-        rtt = self.context.retransmitter.rtt
-        found = session.link.again(session.node, message, self.context.now_ns, rtt)
-        return self._repeat(session, [m for m in found if m.decides])
 
     # -- both ---------------------------------------------------------------------------------------------------------
 
@@ -258,15 +243,13 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             effects = self._leave(session)
             self.attempts.failed(self.context.now_ns, self.state.me)
             if session.contract is not None:
-                effects += self.context.send(session.contract, Failure("the last word did not arrive"))
+                effects += self.context.send(session.contract, Failure("the last message did not arrive"))
             return effects
-        due = session.link.due(session.node, self.context.now_ns, self.context.retransmitter.rtt)
+        due = session.link.due(session.node, self.context.now_ns, self._rtt)
         return self._repeat(session, due)
 
     def _run(self, session: OptimisationSession) -> Effects:
-        session.begun, session.began_ns = True, self.context.now_ns
-        session.link.goes_on(self.context.now_ns)
-        effects = self._send(session, session.node.start())
+        effects = self._send(session, session.begin(self.context.now_ns))
         early, session.early = session.early, []
         for message in early:
             effects += self._receive(session, message)
@@ -274,16 +257,11 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
 
     def _receive(self, session: OptimisationSession, message: SolverMessage) -> Effects:
         try:
-            out = session.node.handle(message)
+            reply = session.receive(message, self.context.now_ns, self._rtt)
         except BackendError as error:
             return self.context.refuse(message.sender, f"solver message of agent {message.sender}: {error}")
-        effects, now_ns = NOTHING, self.context.now_ns
-        if session.link.seen(message) and not out:
-            again = session.link.again(session.node, message, now_ns, self.context.retransmitter.rtt)
-            effects = self._repeat(session, again)
-        elif out:
-            session.link.goes_on(now_ns)
-        return effects + self._send(session, out) + self._finish_if_done(session)
+        effects = self._repeat(session, reply.again) + self._send(session, reply.messages)
+        return effects + self._finish_if_done(session)
 
     def _send(self, session: OptimisationSession, messages: Sequence[SolverMessage]) -> Effects:
         session.sent_bytes += sum(ENVELOPE_BYTES + m.payload_bytes for m in messages)
@@ -318,17 +296,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._before.remember(session.identity, session)
         self._estimator.ended(session)
         effects = Effects(changes=(adopt(self.state, session.task, outcome),)) + self._idle()
+        if session.contract is None:
+            return effects + self.context.event("optimised", **session.figures(outcome))
         sweeps = outcome.rotation_sweeps + outcome.pose_sweeps
-        if session.contract is not None:
-            answer = OptimiseAnswer(outcome.accepted, outcome.cost_before, outcome.cost_after, sweeps)
-            return effects + self.context.send(session.contract, Result(answer))
-        return effects + self.context.event(
-            "optimised",
-            members=list(session.task.members),
-            matches=len(session.task.matches),
-            sweeps=sweeps,
-            improved=outcome.accepted,
-            reason=outcome.reason,
-            cost_before=outcome.cost_before,
-            cost_after=outcome.cost_after,
-        )
+        answer = OptimiseAnswer(outcome.accepted, outcome.cost_before, outcome.cost_after, sweeps)
+        return effects + self.context.send(session.contract, Result(answer))

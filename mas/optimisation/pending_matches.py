@@ -25,7 +25,7 @@ class PendingMatches:
         return self.state.accepted ^ self._used
 
     def offered(self, members: Iterable[int]) -> None:
-        """What is accepted now among these agents goes into an optimisation: it counts as used afterwards, even if
+        """Matches accepted now among these agents go into an optimisation: they count as used afterwards, even if
         others lack it."""
         among = {self.state.me, *members}
         self._offered = {m for m in self.state.accepted if among.issuperset(m.agents)}

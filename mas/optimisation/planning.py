@@ -1,4 +1,4 @@
-"""Who optimises what together: from the members' bids to each one's task. Pure."""
+"""Plan of an optimisation: from the members' bids to the task of each. Pure."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Joint:
 
     @property
     def T_Fm_Fq(self) -> Sim3:
-        """How the query's coordinates stand in the match's."""
+        """The query's coordinates in the match's."""
         return self.match.pose @ self.T_M_Q @ self.query.pose.inverse()
 
 

@@ -1,16 +1,18 @@
-"""What an agent remembers of an optimisation: the tender before the award, the session after it."""
+"""An agent's memory of an optimisation: the tender before the award, the session after it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from maslam.backend.config import SolverConfig
 from maslam.backend.distributed.methods import SolverNode, node_for
-from maslam.backend.distributed.share import Share
+from maslam.backend.distributed.share import Share, SolverOutcome
 from maslam.backend.distributed.wire import SolverMessage
 
 from ..config import LinkConfig
 from ..contracts.contract import Contract
+from ..contracts.rtt import RttEstimator
 from ..protocol.ids import ContractId
 from ..protocol.messages import Bid
 from ..protocol.tasks import OptimiseTask
@@ -30,6 +32,14 @@ class OptimisationTender:
     missing: set[int] = field(default_factory=set)
 
 
+@dataclass(frozen=True)
+class SolverReply:
+    """To a solver message: what the node sends next, or what it sends ``again`` to a member that missed it."""
+
+    messages: tuple[SolverMessage, ...] = ()
+    again: tuple[SolverMessage, ...] = ()
+
+
 @dataclass
 class OptimisationSession:
     """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
@@ -47,6 +57,40 @@ class OptimisationSession:
     began_ns: int = 0
     link: SolverLink = field(default_factory=SolverLink)
 
+    def begin(self, now_ns: int) -> list[SolverMessage]:
+        """Start the node; returns its first messages."""
+        self.begun, self.began_ns = True, now_ns
+        self.link.goes_on(now_ns)
+        return list(self.node.start())
+
+    def receive(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> SolverReply:
+        """Hand a message to the node; :class:`~maslam.backend.errors.BackendError` where it makes no sense."""
+        out = self.node.handle(message)
+        if self.link.seen(message) and not out:
+            return SolverReply(again=tuple(self.link.again(self.node, message, now_ns, rtt)))
+        if out:
+            self.link.goes_on(now_ns)
+        return SolverReply(messages=tuple(out))
+
+    def late(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
+        """Answer to another member that still works on what is over here. All it can lack is the last decision: nobody
+        ends before all have reported. Decisions are not answered, or two that are done would exchange them for ever."""
+        if message.sender not in self.task.members or message.decides:
+            return []
+        return [m for m in self.link.again(self.node, message, now_ns, rtt) if m.decides]
+
+    def figures(self, outcome: SolverOutcome) -> dict[str, Any]:
+        """Of how it ended: for the event."""
+        return {
+            "members": list(self.task.members),
+            "matches": len(self.task.matches),
+            "sweeps": outcome.rotation_sweeps + outcome.pose_sweeps,
+            "improved": outcome.accepted,
+            "reason": outcome.reason,
+            "cost_before": outcome.cost_before,
+            "cost_after": outcome.cost_after,
+        }
+
 
 class SessionHistory(dict[ContractId, OptimisationSession | None]):
     """The last optimisations, None where this agent left before the end: to tell late messages from wrong ones, and to
@@ -60,7 +104,7 @@ class SessionHistory(dict[ContractId, OptimisationSession | None]):
 
 
 class Backoff:
-    """How often optimisations failed, and when to call for the next."""
+    """Number of failed optimisations, and the time to call for the next."""
 
     def __init__(self, config: LinkConfig) -> None:
         self.config = config

@@ -169,10 +169,10 @@ class Recorder:
                     for a, k in ((i.query_agent, i.query), (i.match_agent, i.match))
                 ]
                 head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
-                said = [figure(c.distance), outcome.value, reason, c.detail, c.matches, c.inliers, figure(c.rmse)]
+                row = [figure(c.distance), outcome.value, reason, c.detail, c.matches, c.inliers, figure(c.rmse)]
                 wrong = int(error.false) if error is not None and outcome is MatchOutcome.ACCEPTED else ""
                 truth = [figure(error.metres), figure(error.degrees), wrong] if error is not None else ["", "", ""]
-                table.writerow([*head, *said, *_transform(c.T_M_Q), *truth])
+                table.writerow([*head, *row, *_transform(c.T_M_Q), *truth])
 
     def agent(self, agent: Agent, sequence: AgentSequence) -> None:
         """The agent's folder: trajectories, graph, own and merged map, copies."""

@@ -1,5 +1,5 @@
-"""When another match with the same agent is worth its bytes: once odometry may have drifted by more than a match is
-off."""
+"""Spacing of matches with the same agent: another one is worth its bytes once odometry may have drifted by more than
+a match is off."""
 
 from __future__ import annotations
 

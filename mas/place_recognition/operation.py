@@ -227,7 +227,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         return self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
 
     def _newest_candidate(self, keyframe: KeyFrame) -> int:
-        """How many of the first key-frames are loop candidates: those old enough, and all of earlier tracks, which
+        """Number of first key-frames that are loop candidates: those old enough, and all of earlier tracks, which
         no odometry links to this one."""
         config = self.state.config.places
         times = [k.time_ns for k in self.state.keyframes]

@@ -1,4 +1,4 @@
-"""What an agent keeps of others' place queries: the vectors of its cluster, and the latest ones of each asker."""
+"""Place queries of other agents: the vectors of the own cluster, and the latest queries of each asker."""
 
 from __future__ import annotations
 

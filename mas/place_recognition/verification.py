@@ -149,7 +149,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         return effects + self.learn(match)
 
     def _view_of(self, task: VerifyTask) -> PlaceView:
-        """What has come of the query's view by now."""
+        """The query's view as received by now."""
         view = _view_of_task(task)
         if not task.rest:
             return view

@@ -1,1 +1,1 @@
-"""Whom to ask, to optimise with and to trade with; presets."""
+"""Policies: which agents to ask, to optimise with and to buy maps from; presets."""

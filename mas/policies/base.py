@@ -1,4 +1,4 @@
-"""What an agent decides for itself: whom to ask, when to optimise and with whom, when to buy and from whom.
+"""Decisions of an agent: which agents to ask, when to optimise and with which, when to buy maps and from which.
 
 A policy sees its own agent's state and nothing else, and changes nothing: its answers are wishes that the agent turns
 into calls for proposals. The thesis's agent logic and selection (sections 3.9.1 and 3.9.2) are policies of this kind.
@@ -18,7 +18,7 @@ from .utility import utility
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a policy may know beside the state.
+    """Facts that a policy may use beside the state.
 
     ``pending_matches``: accepted matches that no optimisation has used yet; ``since_optimised``, ``since_bought``: own
     key-frames since the last optimisation, and since the last purchase from each agent (absent: never);
@@ -89,7 +89,7 @@ def optimisation_due(state: AgentState, outlook: Outlook) -> bool:
 
 
 def default_sellers(state: AgentState, outlook: Outlook) -> list[int]:
-    """Those one has met and whose maps should be newer, each at most once in ``period_keyframes``; at the end all."""
+    """Partners whose maps should be newer, each at most once in ``period_keyframes``; at the end all."""
     config = state.config.merge
     if not config.enabled:
         return []

@@ -1,4 +1,4 @@
-"""Who owns which place vectors (thesis sections 2.2.3 and 3.5): the nearest of as many k-means centres as there are
+"""Owners of place vectors (thesis sections 2.2.3 and 3.5): the nearest of as many k-means centres as there are
 agents, given to all beforehand."""
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ _WHOLE = 1e-6
 
 @dataclass(frozen=True)
 class Situation:
-    """What Algorithm 2 looks at. ``agents``: all in the system, this one included; ``group``: other agents it is
+    """Input of Algorithm 2. ``agents``: all in the system, this one included; ``group``: other agents it is
     grouped with; ``matches_grew``, ``group_grew``: since its last decision."""
 
     agents: int

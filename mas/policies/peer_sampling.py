@@ -1,4 +1,4 @@
-"""Whom to ask for a place (thesis section 3.9.2, Algorithm 4): agents are drawn at random, likely ones more often."""
+"""Sampling of the agents to ask for a place (thesis section 3.9.2, Algorithm 4): at random, likely ones more often."""
 
 from __future__ import annotations
 

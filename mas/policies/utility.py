@@ -1,4 +1,4 @@
-"""What a bid is worth to the agent that called: "evaluates all the bids and decides the best" (thesis section 3.8.2).
+"""Utility of a bid for the agent that called: "evaluates all the bids and decides the best" (thesis section 3.8.2).
 
     utility = reputation * benefit / cost_bytes, and nothing for a bid that would be ready after the deadline
 

@@ -1,4 +1,4 @@
-"""Accounting of messages: what the bytes are spent on, the kind, and the payload as the published tables count it."""
+"""Accounting of messages: the purpose, the kind, and the payload as the published tables count it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .ids import OperationKind
 
 
 class Traffic(StrEnum):
-    """What bytes are spent on; everything that is neither task nor outcome nor solver message is negotiation."""
+    """Purpose of a message; everything that is neither task nor outcome nor solver message is negotiation."""
 
     DVPR = "dvpr"
     RELPOSE = "relpose"
@@ -27,7 +27,7 @@ class Counted(msgspec.Struct, frozen=True, array_like=True):
 
     @property
     def traffic(self) -> Traffic:
-        """What its bytes are counted for."""
+        """The purpose that its bytes are counted for."""
         return Traffic.NEGOTIATION if self.belongs_to is None else Traffic[self.belongs_to.name]
 
     @property

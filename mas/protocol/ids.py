@@ -21,7 +21,7 @@ Members = Annotated[tuple[AgentId, ...], msgspec.Meta(max_length=MAX_AGENTS)]
 
 
 class OperationKind(IntEnum):
-    """What a contract is about; the thesis's three operations, place recognition in its two halves."""
+    """Subject of a contract: the thesis's three operations, place recognition in its two halves."""
 
     DVPR = 0
     RELPOSE = 1

@@ -173,5 +173,5 @@ class MapDelivery(Counted, frozen=True, array_like=True, tag=4):
 
     @property
     def payload_bytes(self) -> int:
-        """What its maps hold."""
+        """Payload of its maps."""
         return sum(m.payload_bytes for m in self.maps) + sum(p.payload_bytes for p in self.parcels)

@@ -1,4 +1,4 @@
-"""What the distributed solver's nodes send to each other, as it travels between agents: in the back end's own bytes
+"""Messages of the distributed solver's nodes, as they are transmitted between agents: in the back end's own bytes
 (:mod:`maslam.backend.distributed.wire`)."""
 
 from __future__ import annotations

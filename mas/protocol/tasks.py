@@ -1,4 +1,4 @@
-"""What contracts are about: the tasks that awards carry and the outcomes that results bring, checked when they come
+"""Contents of contracts: the tasks that awards carry and the outcomes that results bring, checked when they come
 in."""
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from .tensors import (
 class PlaceQuery(Counted, frozen=True, array_like=True, tag=1):
     """Which of your key-frames looks most like this one? ``vector``: its place vector, coded
     (:mod:`maslam.descriptors.codes`); ``language``: 32 bits that stand for the network that made it and the code. Who
-    speaks another refuses the work."""
+    uses another refuses the work."""
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.DVPR
 
@@ -111,7 +111,7 @@ class VerifyTask(Counted, frozen=True, array_like=True, tag=2):
             check("words", self.words, "<u2", (n,))
 
     def _check_points(self) -> int:
-        """How many there are."""
+        """Check the points; return their number."""
         if self.ranges is None:
             return check_points("points", self.points, None)
         ranges = check("ranges", self.ranges, "<f4", (RANGES,))
@@ -121,7 +121,7 @@ class VerifyTask(Counted, frozen=True, array_like=True, tag=2):
 
     @property
     def parts(self) -> tuple[Tensor, ...]:
-        """What it takes to describe the view."""
+        """The tensors that describe the view."""
         return tuple(t for t in (self.points, self.ranges, self.descriptors, self.words) if t is not None)
 
     @property
@@ -249,7 +249,7 @@ class VerifyAnswer(Counted, frozen=True, array_like=True, tag=2):
 
 
 class OptimiseAnswer(Counted, frozen=True, array_like=True, tag=3):
-    """How the optimisation ended, the same at every member; costs of the whole group."""
+    """Outcome of an optimisation, the same at every member; costs of the whole group."""
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.DOPT
 

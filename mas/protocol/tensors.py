@@ -68,7 +68,7 @@ SIM3_WIDTH = 8
 MAX_TRANSLATION = 1e9
 MAX_SCALE = 1e6
 Unit = Annotated[float, msgspec.Meta(ge=1.0 / MAX_SCALE, le=MAX_SCALE)]
-"""What one unit of length is worth in another."""
+"""One unit of length in another one."""
 Length = Annotated[float, msgspec.Meta(ge=0, le=MAX_TRANSLATION)]
 Depth = Annotated[float, msgspec.Meta(ge=1.0 / MAX_TRANSLATION, le=MAX_TRANSLATION)]
 

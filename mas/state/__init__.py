@@ -1,1 +1,1 @@
-"""What one agent knows: key-frames, place matches, pose graph."""
+"""Knowledge of one agent: key-frames, place matches, pose graph."""

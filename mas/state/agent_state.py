@@ -1,4 +1,4 @@
-"""What one agent knows: its key-frames, where it believes they are, its matches and its group."""
+"""Knowledge of one agent: its key-frames with their estimated poses, its matches and its group."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Piece:
 
 
 class Ownership(StrEnum):
-    """Who keeps place vectors of others and answers for them: nobody, each agent those of one cluster, or one agent at
-    a time all there are."""
+    """Agents that keep place vectors of others and answer queries with them: none, each agent those of one cluster, or
+    one agent at a time all there are."""
 
     NONE = "none"
     CLUSTERS = "clusters"
@@ -75,7 +75,7 @@ class Profile:
 
     @cached_property
     def language(self) -> int:
-        """What goes with every place query for its model and code: 32 bits of a hash of both."""
+        """Code of model and place code that goes with every query: 32 bits of a hash of both."""
         return int.from_bytes(hashlib.sha256(f"{self.model} {self.coder.key}".encode()).digest()[:4], "big")
 
 

@@ -9,7 +9,7 @@ _NONE_AGREE = 3
 
 
 def judged(state: AgentState, other: int) -> tuple[int, int]:
-    """How many of the matches that ``other`` verified for this agent are borne out, and how many contradicted.
+    """Count the matches that ``other`` verified for this agent: those borne out, and those contradicted.
 
     Borne out: in the largest set between the two tracks that agrees. Contradicted: such a set exists without it; or the
     group's other matches say otherwise (:mod:`maslam.mas.optimisation.cycle_consistency`); or there is none that agrees

@@ -26,7 +26,7 @@ class UnknownPart(MasError):
 
 @dataclass(frozen=True, eq=False)
 class Adoption:
-    """What an optimisation did to the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used."""
+    """Effect of an optimisation on the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used."""
 
     before: dict[int, Sim3]
     matches: frozenset[MatchId]

@@ -1,4 +1,4 @@
-"""What turns one version of a map into the next, in few bits: new key-frames with their points, corrections of old
+"""Change from one version of a map to the next, in few bits: new key-frames with their points, corrections of old
 poses, new matches. Against nothing it is the whole map. All arithmetic is on whole numbers: every copy gets the same.
 """
 
@@ -94,7 +94,7 @@ def _write_ticks(out: BitWriter, ticks: Ints, old: int) -> None:
 
 
 def _expected(poses: Ints, start: int) -> Ints:
-    """What each pose from ``start`` on is expected to be from the two before it: the same step again."""
+    """Prediction of each pose from ``start`` on from the two before it: the same step again."""
     padded = np.concatenate([np.repeat(poses[:1] * 0, 2, axis=0), poses])
     one, two = padded[start + 1 : len(poses) + 1], padded[start : len(poses)]
     expected: Ints = 2 * one - two

@@ -17,7 +17,7 @@ from .quantised_map import Ints
 
 @dataclass(frozen=True)
 class Bound:
-    """How far a copy's pose may be off the owner's, in steps of the lattice."""
+    """Largest difference of a copy's pose from the owner's, in quantisation steps."""
 
     position: int = 4
     rotation: int = 4

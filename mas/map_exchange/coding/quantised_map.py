@@ -1,4 +1,4 @@
-"""A map on a lattice: all its numbers whole, so that every copy of a version is the same to the last bit.
+"""A quantised map: all its numbers whole, so that every copy of a version is the same to the last bit.
 
 The owner rounds once. Whatever way a copy takes, whole or in patches, from the owner or from somebody who bought it,
 it ends with these numbers. All lengths are in the owner's own unit; steps are relative to depth, so that they fit any.
@@ -33,7 +33,7 @@ class StepsError(MasError):
 
 @dataclass(frozen=True)
 class Steps:
-    """What one number is worth: ``position`` (owner's unit), ``rotation`` (radians, and log scale), ``direction``
+    """Quantisation steps: ``position`` (owner's unit), ``rotation`` (radians, and log scale), ``direction``
     (tangent), ``depth`` (logarithm), each as the exponent ``n`` of ``2^(n/8)``."""
 
     position: int
