@@ -12,7 +12,6 @@ from ..contracts.context import AgentContext
 from ..contracts.contract import Contract, ContractState
 from ..contracts.effects import NOTHING, Effects, MembersMissed, total
 from ..contracts.operation import Answer, Operation, WorkError
-from ..contracts.rtt import RttEstimator
 from ..errors import ProtocolError
 from ..policies.utility import ENVELOPE_BYTES
 from ..protocol.ids import REASON_LENGTH, ContractId, OperationKind
@@ -49,6 +48,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._bid_ns: dict[int, int] = {}
         self._before = SessionHistory()
         self._estimator = BidEstimator(context)
+        self._rtt = context.retransmitter.rtt
 
     @property
     def busy(self) -> bool:
@@ -59,10 +59,6 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
         settling = self.context.calling(OperationKind.DOPT) or engaged(self.context, self._bid_ns)
         return not self.busy and not settling and self.context.now_ns >= self.attempts.not_before_ns
-
-    @property
-    def _rtt(self) -> RttEstimator:
-        return self.context.retransmitter.rtt
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
