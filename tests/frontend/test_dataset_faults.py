@@ -140,7 +140,7 @@ def test_times_in_another_unit(tmp_path: Path, factor: float, rate: str) -> None
         factor *= 10
         rate = "0.002"
     (tmp_path / "times.txt").write_text("".join(f"{i * 0.05 * factor:.9f}\n" for i in range(COUNT)))
-    with pytest.raises(FrontendError, match=rf"times.txt: {rate} images a second .* another unit"):
+    with pytest.raises(FrontendError, match=rf"times.txt: {rate} images per second .* another unit"):
         open_dataset(tmp_path)
 
 

@@ -12,7 +12,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from saboteurs import live
 from sample_messages import examples
-from test_transport import TransportContract
 
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
 from maslam.backend.distributed.messages import Decision, SolverStage
@@ -45,12 +44,6 @@ def everything(carrier: Transport) -> list[Message]:
     while (message := carrier.receive()) is not None:
         out.append(message)
     return out
-
-
-class TestWithoutFaultsSet(TransportContract):
-    def make(self, max_message_bytes: int = 2**20, record: object = None) -> Transport:
-        inner = InProcessTransport(max_message_bytes)
-        return FaultyTransport(inner, FaultsConfig(), 0, record)  # type: ignore[arg-type]
 
 
 def send_many(carrier: Transport, count: int = 4000) -> None:

@@ -63,7 +63,7 @@ def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
             check(getattr(config, name))
         except MaslamError as error:
             given = hasattr(arguments, DEST + name) or arguments.config is None
-            place = option_name(name) if given else f"{place_of(arguments.config, [name])}: {name}"
+            place = option_name(name) if given else place_of(arguments.config, [name])
             raise UnknownName(f"{place}: {error}") from None
 
 
