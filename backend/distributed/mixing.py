@@ -95,7 +95,9 @@ class MixingRule:
         matrix[: n - 1, : n - 1] = kept
         matrix[n - 1, :] = matrix[:, n - 1] = sums[:n]
         self._products = matrix
-        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        scaled = matrix / np.outer(size, size) + _REGULARISATION * np.eye(n)
-        solution = np.linalg.lstsq(scaled, np.array(sums[n:]) / size, rcond=None)[0] / size
-        return as_sent(solution)
+        # A step whose square vanished in single precision is rounding: its product with a residual may still be there.
+        tells = np.diag(matrix) > np.finfo(np.float32).tiny
+        size = np.sqrt(np.where(tells, np.diag(matrix), 1.0))
+        scaled = np.where(np.outer(tells, tells), matrix, 0.0) / np.outer(size, size) + _REGULARISATION * np.eye(n)
+        right = np.where(tells, sums[n:], 0.0) / size
+        return as_sent(np.linalg.lstsq(scaled, right, rcond=None)[0] / size)

@@ -142,3 +142,9 @@ def test_many_robots_run_through():
     assert result.outcomes[0].accepted and not any(o.unreached for o in result.outcomes.values())
     optimum = optimise(graph, CentralConfig()).cost_after
     assert cost(result.graph, "F") < 1.05 * optimum
+
+
+@pytest.mark.parametrize("square", [0.0, 1e-45, 1e-39])
+def test_a_step_that_vanished_in_single_precision_has_no_weight(square: float) -> None:
+    """Its product with a residual may still be there, and their quotient is beyond every number."""
+    assert MixingRule().weights((square, 1e-20)) == (0.0,)
