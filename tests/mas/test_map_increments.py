@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from map_driver import WORLD, driver, see
 from saboteurs import live
+from test_map_delta import _match, bend
 from test_map_exchange import agents_with_more_to_see, trade
-from test_map_patches import _match, bend
 
 from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.config import FaultsConfig
