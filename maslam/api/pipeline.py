@@ -12,11 +12,13 @@ from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
 from maslam.mas import simulation
 from maslam.mas.config import MasConfig
+from maslam.mas.kernels import agent_kernels
 from maslam.mas.policies.foreign import PolicyLike
 from maslam.mas.policies.presets import check_policy
 from maslam.mas.policies.presets import preset as preset_named
 from maslam.mas.sequence import load_sequences
 from maslam.mas.transport.choice import TransportLike, check_transport
+from maslam.tools.common.compiling import compile_for
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.pipeline import preprocess as images
@@ -107,7 +109,9 @@ def run(
     """
     config = _config(preset, seed, nested(settings), policy, transport)
     manifest, loaded = load_sequences(sequences.folder if isinstance(sequences, Sequences) else Path(sequences))
-    told = counter(CallbackProgress(progress), "agents")
+    tasks = CallbackProgress(progress)
+    compile_for(agent_kernels(len(loaded)), tasks)
+    told = counter(tasks, "agents")
     simulation.run(manifest, loaded, config, Path(out), told, _object(policy), _object(transport))
     return Run.load(out)
 

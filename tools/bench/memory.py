@@ -178,7 +178,10 @@ def _rendered(root: Path, settings: MemorySettings, progress: Progress) -> Path:
         sensor=SensorConfig(exposure_drift=0.0),
     )
     images = root / "images"
-    render_dataset(config, images, counter(progress, "rendering a lap"))
+    from ..common.compiling import COMPILING
+
+    count = counter(progress, "rendering a lap")
+    render_dataset(config, images, count, compiling=counter(progress, COMPILING))
     return images
 
 

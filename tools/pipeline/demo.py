@@ -29,6 +29,7 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.frontend.config import OdometryConfig
     from maslam.mas.policies.presets import preset
 
+    from ..common.compiling import COMPILING
     from ..report.summary_table import table_of
     from ..worlds.config import RenderConfig
     from ..worlds.dataset import render_dataset
@@ -39,7 +40,8 @@ def main(arguments: argparse.Namespace) -> None:
     began = time.monotonic()
     town = RenderConfig(world="town", seed=arguments.seed, agents=AGENTS, frames=FRAMES, width=WIDTH, height=HEIGHT)
     with progress_on(quiet=arguments.quiet) as progress:
-        render_dataset(town, arguments.out / TOWN, counter(progress, "rendering"))
+        count = counter(progress, "rendering")
+        render_dataset(town, arguments.out / TOWN, count, compiling=counter(progress, COMPILING))
         settings = PreprocessSettings(OdometryConfig())
         page = slam(arguments.out / TOWN, arguments.out, settings, preset(DEFAULT_PRESET), progress)
     print(table_of(arguments.out))

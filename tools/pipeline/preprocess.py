@@ -168,11 +168,13 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.datasets import open_dataset
+    from maslam.frontend.kernels import odometry_kernels
 
+    from ..common.compiling import compile_for
     from ..common.parallel import core_count, run_jobs
     from .agent_folder import write_sequences
     from .split import check_shares
-    from .tracking_cache import take_tracked, track_job
+    from .tracking_cache import is_tracked, take_tracked, track_job
 
     model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
     rig = RigKind(settings.rig) if settings.rig else None
@@ -184,6 +186,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
         check_shares(len(dataset.sequences[0]), settings.agents)
     _claim(out)
     jobs, problems = _plan(dataset, out, settings)
+    compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
     outcomes = run_jobs(track_job, named, settings.workers or core_count(), progress)
     errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}

@@ -69,13 +69,16 @@ def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
+    from maslam.mas.kernels import agent_kernels
     from maslam.mas.sequence import load_sequences
     from maslam.mas.simulation import run
 
+    from ..common.compiling import compile_for
     from ..report.summary_table import table_of
 
     config = config_from(arguments, read_settings(arguments.config))
     manifest, sequences = load_sequences(arguments.sequences)
     with progress_on(quiet=arguments.quiet) as progress:
+        compile_for(agent_kernels(len(sequences)), progress)
         run(manifest, sequences, config, arguments.out, counter(progress, "agents"))
     print(table_of(arguments.out))

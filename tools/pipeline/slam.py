@@ -69,12 +69,15 @@ def slam(
 
     ``policy``, ``transport``: a user's own instead of those that ``config`` names.
     """
+    from maslam.mas.kernels import agent_kernels
     from maslam.mas.sequence import load_sequences
     from maslam.mas.simulation import run
 
+    from ..common.compiling import compile_for
     from ..report.command import write_report
 
     manifest = preprocess(source, out / SEQUENCES, settings, progress)
     progress.say(summary_line(manifest, out / SEQUENCES))
+    compile_for(agent_kernels(len(manifest.agents)), progress)
     run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"), policy, transport)
     return write_report(out)

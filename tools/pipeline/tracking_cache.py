@@ -104,6 +104,15 @@ def track_job(job: TrackingJob, advance: Callable[[int], None]) -> None:
     advance(len(job.sequence))
 
 
+def is_tracked(job: TrackingJob) -> bool:
+    """Whether the store has the job's result."""
+    try:
+        with np.load(job.store, allow_pickle=False) as stored:
+            return bool(json.loads(str(stored["header"]))["fingerprint"] == job.fingerprint)
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return False
+
+
 def take_tracked(job: TrackingJob) -> Tracked:
     """The result of a job that :func:`track_job` has done."""
     tracked = load_tracked(job.store, job.fingerprint)

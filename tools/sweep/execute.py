@@ -55,6 +55,7 @@ def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
     """Images and agent sequences of all cells; the front end runs once for each sequence, however it is cut."""
     from maslam.frontend.config import OdometryConfig
 
+    from ..common.compiling import COMPILING
     from ..pipeline.preprocess import FRONTEND, PreprocessSettings, preprocess
     from ..worlds.dataset import render_dataset
 
@@ -62,7 +63,8 @@ def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
         images = workshop.images(cell)
         if workshop.kitti is None or cell.sequence == TOWN:
             config = _rendering(plan, workshop, cell)
-            render_dataset(config, images, counter(progress, f"rendering {images.name}"), workshop.workers or None)
+            count = counter(progress, f"rendering {images.name}")
+            render_dataset(config, images, count, workshop.workers or None, counter(progress, COMPILING))
         split = None if cell.sequence == TOWN else cell.agents
         store = workshop.out / FRONTEND / images.name
         settings = PreprocessSettings(
@@ -97,8 +99,12 @@ def execute(plan: SweepPlan, workshop: Workshop, progress: Progress, ray: str | 
     if ray is not None:
         errors = _on_ray([job for job, _ in todo.values()], ray, progress)
     else:
+        from maslam.mas.kernels import agent_kernels
+
+        from ..common.compiling import compile_for
         from ..common.parallel import core_count, run_jobs
 
+        compile_for(agent_kernels(max((job.cell.agents for job, _ in todo.values()), default=0)), progress)
         outcomes = run_jobs(run_cell, todo, workshop.workers or core_count(), progress)
         errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
     for name, error in errors.items():

@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
+    from ..common.compiling import COMPILING
     from .config import RenderConfig
     from .dataset import render_dataset
 
@@ -40,6 +41,7 @@ def main(arguments: argparse.Namespace) -> None:
         setattr(arguments, f"{DEST}poses_file", str(arguments.poses))
     config = build(RenderConfig(), arguments, changes)
     with progress_on(quiet=arguments.quiet) as progress:
-        render_dataset(config, arguments.out, counter(progress, "images"), arguments.workers)
+        count = counter(progress, "images")
+        render_dataset(config, arguments.out, count, arguments.workers, counter(progress, COMPILING))
     pictures = f"{config.rig} {config.width}x{config.height}"
     print(f"{arguments.out}: {config.world}, {config.agents} agents, {pictures}, seed {config.seed}")

@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam._atomic import write_atomically
+from maslam._kernels import make_ready
 from maslam.frontend.cameras.models import PinholeCamera, RigKind
 from maslam.frontend.files.trajectory import write_kitti_poses
 
 from ..common.parallel import core_count, each_finished
 from .config import RenderConfig
 from .errors import RenderError
+from .rendering.kernels import RENDERING_KERNELS
 from .rendering.light import Light
 from .rendering.renderer import Renderer, View, load_open3d
 from .rendering.sensor import DEPTH_UNIT_M, depth_map, develop
@@ -32,9 +34,14 @@ _WORTH_A_PROCESS = 30  # pictures: a further process takes some seconds to start
 
 
 def render_dataset(
-    config: RenderConfig, out: Path, progress: RenderProgress | None = None, workers: int | None = None
+    config: RenderConfig,
+    out: Path,
+    progress: RenderProgress | None = None,
+    workers: int | None = None,
+    compiling: RenderProgress = lambda done, total: None,
 ) -> None:
-    """Write the pictures of ``config`` under ``out``; ``progress(done, total)`` counts pictures.
+    """Write the pictures of ``config`` under ``out``; ``progress(done, total)`` counts pictures, ``compiling`` kernels
+    where some must be compiled.
 
     ``world.json`` is written last and marks the folder as complete: a folder that was finished with the same settings
     is left as it is, one that was interrupted is gone on with. Raises RenderError where ``out`` holds anything else,
@@ -58,6 +65,7 @@ def render_dataset(
         for f in range(len(plan.poses))
         for right in ([False, True] if config.rig is RigKind.STEREO else [False])
     ]
+    make_ready(RENDERING_KERNELS, compiling)
     _render_all(jobs, scenario, config, camera, progress, workers)
     described = {**settings, "lights": [plan.light.to_dict() for plan in scenario.agents]}
     write_atomically(out / "world.json", json.dumps(described, indent=2) + "\n")

@@ -1,0 +1,66 @@
+"""Compiled kernels made ready before work begins, and clocks that leave compiling out.
+
+numba compiles a kernel where it is first called with some types, and keeps it in a cache on disk. On an empty cache
+that takes a quarter of a minute, once: it happens here, with progress, before clocks start and before workers do.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from numba import config
+from numba.core import event
+
+log = logging.getLogger(__name__)
+Kernel = tuple[Any, tuple[Any, ...]]
+"""A function compiled by numba, and the types that it is called with."""
+
+
+class Compilations(event.Listener):
+    """``seconds``: wall time that numba has spent compiling. ``begun`` is called each time it begins."""
+
+    def __init__(self, begun: Callable[[], None] = lambda: None) -> None:
+        self.seconds = 0.0
+        self._begun = begun
+        self._depth = 0  # a kernel compiles those that it calls
+        self._since = 0.0
+
+    def on_start(self, _: Any) -> None:
+        if not self._depth:
+            self._since = time.perf_counter()
+            self._begun()
+        self._depth += 1
+
+    def on_end(self, _: Any) -> None:
+        self._depth -= 1
+        if not self._depth:
+            self.seconds += time.perf_counter() - self._since
+
+
+@contextmanager
+def watch_compiling(begun: Callable[[], None] = lambda: None) -> Iterator[Compilations]:
+    """Within the block: what numba compiles in this process. Taking a kernel from the cache is no compilation."""
+    compilations = Compilations(begun)
+    with event.install_listener("numba:compile", compilations):
+        yield compilations
+
+
+def make_ready(kernels: Sequence[Kernel], count: Callable[[int, int], None] = lambda done, total: None) -> None:
+    """Take ``kernels`` from numba's cache, and compile those that are not in it.
+
+    ``count(done, total)`` is called only where something has to be compiled. Processes that are started afterwards find
+    everything in the cache, so nothing is compiled twice.
+    """
+    if config.DISABLE_JIT:
+        return
+    done = 0
+    with watch_compiling(lambda: count(done, len(kernels))) as compilations:
+        for done, (kernel, types) in enumerate(kernels):  # noqa: B007 - told by the watch
+            kernel.compile(types)
+    if compilations.seconds:
+        count(len(kernels), len(kernels))
+        log.info("compiled kernels in %.1f s; cache: %s", compilations.seconds, kernels[0][0].stats.cache_path)
