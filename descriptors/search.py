@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from .errors import DescriptorError
 
@@ -125,7 +126,7 @@ def _rounded(vector: Vectors) -> tuple[NDArray[np.int8], float, float, float]:
     return rounded.astype(np.int8), scale, float(np.linalg.norm(wide - scale * rounded)), float(np.linalg.norm(wide))
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _bounds(rounded, scale, error, length, square, query, q_scale, q_error, q_length, least, out):  # type: ignore[no-untyped-def]
     """Lower bounds of squared distances, less the query's own squared length; returns the least upper bound so far.
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from maslam._kernel_cache import kernel
 
 from ..geometry import Array, Sim3
 
@@ -71,7 +72,7 @@ def refine(
     return Alignment(Sim3(rotation, translation, float(scale)), 0.5 / CORRELATED * (hessian + hessian.T), angle, depth)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _gauss_newton(points_M, points_Q, R, t, s, size, unit, loss_scale, iterations):  # type: ignore[no-untyped-def]
     angle, depth = START_ANGLE_SIGMA, START_DEPTH_SIGMA * unit
     hessian = np.zeros((7, 7))
@@ -98,7 +99,7 @@ def _gauss_newton(points_M, points_Q, R, t, s, size, unit, loss_scale, iteration
     return R, t, s, hessian, angle, depth
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _damped_step(hessian, gradient, size):  # type: ignore[no-untyped-def]
     """Minus the solution ``(7,)`` of the first ``size`` normal equations, 0 beyond, by ``U^T D U`` without pivoting.
 
@@ -124,7 +125,7 @@ def _damped_step(hessian, gradient, size):  # type: ignore[no-untyped-def]
     return step
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _median(values):  # type: ignore[no-untyped-def]
     """Of ``(n,)`` numbers, n >= 1, which are brought into another order (Hoare's quickselect)."""
     n = len(values)
@@ -153,7 +154,7 @@ def _median(values):  # type: ignore[no-untyped-def]
     return 0.5 * (below + values[middle])
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _rotation(x, y, z):  # type: ignore[no-untyped-def]
     """:func:`maslam.backend.geometry.so3_exp` of one vector, for compiled loops."""
     square = x * x + y * y + z * z
@@ -171,7 +172,7 @@ def _rotation(x, y, z):  # type: ignore[no-untyped-def]
     return R
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _normal_equations(points_M, points_Q, R, t, s, angle_sigma, depth_sigma, loss_scale):  # type: ignore[no-untyped-def]
     """Hessian ``(7, 7)``, gradient ``(7,)`` and ``|residual| / sigma`` ``(3, k)`` around
     ``p = s R exp(phi) q + t + R rho``.
@@ -237,7 +238,7 @@ def _normal_equations(points_M, points_Q, R, t, s, angle_sigma, depth_sigma, los
     return hessian, gradient, ratios
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _frame_of(point, frame):  # type: ignore[no-untyped-def]
     """Fill the rows of ``frame`` with two unit vectors across ``point`` and its own direction; returns its distance."""
     distance = np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
@@ -257,7 +258,7 @@ def _frame_of(point, frame):  # type: ignore[no-untyped-def]
     return distance
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _invert_symmetric(m):  # type: ignore[no-untyped-def]
     """Replace a symmetric ``(3, 3)`` matrix by its inverse."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]

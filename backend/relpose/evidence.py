@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from maslam._kernel_cache import kernel
 
 from ..geometry import Array, Sim3
 from .matching import Distances
@@ -144,7 +145,7 @@ def _side(
     return Side(len(predicted), *(int(c) for c in counts))
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _count(  # type: ignore[no-untyped-def]
     predicted, own, distances, transposed, field, cos_same, cos_close, alike, cos_surface, enough, same, apart, share
 ):
@@ -189,7 +190,7 @@ def _count(  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _deserted(rays, similar, count):  # type: ignore[no-untyped-def]
     """Number of the first ``count`` rays without a similar one among as many neighbours as should have three."""
     alike, n_alike = np.empty((count, 3)), 0

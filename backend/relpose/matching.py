@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 Distances = NDArray[np.int16]
 # Farther than any two 256-bit descriptors.
@@ -71,7 +72,7 @@ def _unique_rows(words: NDArray[np.int32]) -> NDArray[np.intp]:
     return first[count == 1]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _hamming(a, b):  # type: ignore[no-untyped-def]
     # The sums of bits in pairs, nibbles, bytes; compilers know this as one instruction.
     m1, m2, m4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -90,7 +91,7 @@ def _hamming(a, b):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _nearest(distances):  # type: ignore[no-untyped-def]
     """Of each row: its nearest column (the first of several), smallest and second smallest distance; of each column:
     its nearest row and second smallest distance. :data:`FAR` where there is no second."""
@@ -112,7 +113,7 @@ def _nearest(distances):  # type: ignore[no-untyped-def]
     return column, best, second, row, second_of_column
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _within(distances, at_most):  # type: ignore[no-untyped-def]
     n, m = distances.shape
     count = 0
@@ -129,7 +130,7 @@ def _within(distances, at_most):  # type: ignore[no-untyped-def]
     return rows, columns
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _mutual(rows, columns, distances, n, m):  # type: ignore[no-untyped-def]
     best, best_of_column = np.full(n, -1), np.full(m, -1)
     for k in range(len(rows)):

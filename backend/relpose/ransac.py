@@ -11,8 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from ..config import RelPoseConfig
 from ..geometry import Array, Sim3
@@ -65,14 +66,15 @@ def agreeing(
             transforms.scales,
             np.ascontiguousarray(points_M),
             np.ascontiguousarray(points_Q),
-            *(np.sqrt((points**2).sum(axis=1)) for points in (points_M, points_Q)),
+            np.sqrt((points_M**2).sum(axis=1)),
+            np.sqrt((points_Q**2).sum(axis=1)),
             np.cos(np.radians(angle_deg)),
             depth_ratio,
         )
     )
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _agreeing(  # type: ignore[no-untyped-def]
     rotations, translations, scales, points_M, points_Q, range_M, range_Q, cos, ratio
 ):
@@ -108,7 +110,7 @@ def _alike_triples(
     return triples[alike[order]]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _unlikeness(points_M, points_Q, triples, with_scale):  # type: ignore[no-untyped-def]
     """Largest log ratio ``(h,)`` of the sides of two triangles, after their common factor where there may be one;
     infinite for triangles that say little."""
@@ -131,7 +133,7 @@ def _unlikeness(points_M, points_Q, triples, with_scale):  # type: ignore[no-unt
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _flatness(sides):  # type: ignore[no-untyped-def]
     """Height over longest side of a triangle given by its sides ``(3,)``; 0 for a point."""
     a, b, c = sides

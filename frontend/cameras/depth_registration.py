@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from maslam._kernel_cache import kernel
 from maslam.backend.geometry import inverse3, product
 
 from .models import PinholeCamera
@@ -67,14 +67,14 @@ def _tilt(H: Array, depth_camera: PinholeCamera) -> Array:
     return 0.5 * np.array([np.abs((H[0, 1] - u * H[2, 1]) / w).max(), np.abs((H[1, 0] - v * H[2, 0]) / w).max()])
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _place(z: float, column: int, row: int, H: Array, h: Array, axis: int) -> float:
     """Image column (``axis`` 0) or row (1) of a pixel at depth ``z`` that lies before the image's camera."""
     w = z * (H[2, 0] * column + H[2, 1] * row + H[2, 2]) + h[2]
     return (z * (H[axis, 0] * column + H[axis, 1] * row + H[axis, 2]) + h[axis]) / w
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _depth_beside(depth: Depth, z: float, column: int, row: int, same: float) -> float:
     """Depth of a neighbour on the same surface as ``z``; ``z`` itself where the neighbour is missing or on another."""
     if 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]:
@@ -84,7 +84,7 @@ def _depth_beside(depth: Depth, z: float, column: int, row: int, same: float) ->
     return z
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _draw(depth: Depth, H: Array, h: Array, tilt: Array, same: float, out: Depth) -> None:
     """Draw every known pixel of ``depth`` into ``out`` (0 where nothing is drawn yet), nearest first to stay."""
     height, width = out.shape

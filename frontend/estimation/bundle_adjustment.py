@@ -8,7 +8,8 @@ disparity)`` is modelled as the ideal one plus ``basis @ calib``: what the rig's
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from maslam._kernel_cache import kernel
 
 from .depth_alignment import DepthAlignment
 from .linear_algebra import solve_symmetric, weighted_gram
@@ -20,7 +21,7 @@ _SETTLED = 2e-4
 key-frame."""
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def window_residuals(poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array, disparity: Array, cam: Array) -> Array:
     """``(N, 3)`` pixels, predicted minus measured u, v, disparity (0 where unknown); NaN for points behind a camera.
 
@@ -43,7 +44,7 @@ def window_residuals(poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array,
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _cost(r: Array, sigma: Array, sigma_d: Array, calib: Array, mean: Array, info: Array) -> float:
     total = 0.0
     for i in range(len(r)):
@@ -57,7 +58,7 @@ def _cost(r: Array, sigma: Array, sigma_d: Array, calib: Array, mean: Array, inf
     return total
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _take_out(uv: Array, disparity: Array, basis: Array, calib: Array) -> tuple[Array, Array]:
     """Positions and disparities without what the calibration adds to them."""
     uv, disparity = uv.copy(), disparity.copy()
@@ -69,7 +70,7 @@ def _take_out(uv: Array, disparity: Array, basis: Array, calib: Array) -> tuple[
     return uv, disparity
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _residuals_and_cost(
     poses: Array,
     points: Array,
@@ -90,7 +91,7 @@ def _residuals_and_cost(
     return r, _cost(r, sigma, sigma_d, calib, mean, info)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _updated(poses: Array, slot: Ints, delta: Array) -> Array:
     """The free poses after a left update by their six numbers of ``delta`` each."""
     out = poses.copy()

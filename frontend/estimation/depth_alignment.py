@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from maslam._kernel_cache import kernel
 from maslam.backend.geometry import product, se3_inverse
 
 from .linear_algebra import times3, times3_transposed, weighted_gram
@@ -111,11 +111,13 @@ def align_surfaces(
             found.append(((a, b), T_A_B, H / correlated, g / correlated, cost / correlated))
     if not found:
         return DepthAlignment.none()
-    places, T, H, g, cost = zip(*found, strict=True)
-    return DepthAlignment(np.array(places, dtype=np.int64), np.stack(T), np.stack(H), np.stack(g), np.array(cost))
+    joined, transforms, matrices, gradients, costs = zip(*found, strict=True)
+    return DepthAlignment(
+        np.array(joined, dtype=np.int64), np.stack(transforms), np.stack(matrices), np.stack(gradients), np.array(costs)
+    )
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _average(depth: Depth, cam: Array, block: int, max_depth: float, out: Depth) -> None:
     """The mean of what lies on the same surface as a block's middle."""
     for y in range(out.shape[0]):
@@ -135,7 +137,7 @@ def _average(depth: Depth, cam: Array, block: int, max_depth: float, out: Depth)
                 out[y, x, 2] = z
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _normals(places: Depth) -> None:
     """From the neighbours of each place, written into columns 3 to 5; NaN on edges."""
     k = _REACH
@@ -155,7 +157,7 @@ def _normals(places: Depth) -> None:
             p[3], p[4], p[5] = n0 / length, n1 / length, n2 / length
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _point_to_plane(
     one: Depth, other: Depth, T: Array, cam: Array, block: int, sigma_m: float
 ) -> tuple[Array, Array, float, int, int]:
@@ -204,7 +206,7 @@ def _point_to_plane(
     return H, g, cost, hits, tried
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _moved(T_A: Array, T_B: Array, T_A_B: Array) -> tuple[Array, Array]:
     """The relative pose now, ``(4, 4)``, and its left update ``(6,)`` since ``T_A_B``, to second order."""
     R = times3_transposed(T_A, T_B)
@@ -222,7 +224,7 @@ def _moved(T_A: Array, T_B: Array, T_A_B: Array) -> tuple[Array, Array]:
     return now, x
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _quadratic(H: Array, g: Array, x: Array) -> float:
     total = 0.0
     for a in range(6):
@@ -232,7 +234,7 @@ def _quadratic(H: Array, g: Array, x: Array) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array, cost: Array) -> float:
     total = 0.0
     for k in range(len(pairs)):
@@ -241,7 +243,7 @@ def _alignment_cost(poses: Array, pairs: Ints, T_A_B: Array, H: Array, g: Array,
     return total
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _add_alignment(
     poses: Array, slot: Ints, pairs: Ints, T_A_B: Array, H: Array, g: Array, U: Array, b_c: Array
 ) -> None:

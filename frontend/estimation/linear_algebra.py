@@ -7,15 +7,16 @@ its rounding errors back (see :func:`maslam.backend.geometry.product`).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 Array = NDArray[np.float64]
 _SMALLEST_PIVOT = 1e-14
 """Share of its diagonal element below which a pivot counts as rounding error: the unknown then hardly moves."""
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def solve_symmetric(A: Array, B: Array) -> Array:
     """``X (n, m)`` with ``A @ X = B`` for a symmetric positive definite ``A (n, n)`` and ``B (n, m)``.
 
@@ -41,7 +42,7 @@ def solve_symmetric(A: Array, B: Array) -> Array:
     return X
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def times3(A: Array, B: Array) -> Array:
     """``A @ B`` of the upper left ``(3, 3)`` blocks."""
     out = np.empty((3, 3))
@@ -51,7 +52,7 @@ def times3(A: Array, B: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def times3_transposed(A: Array, B: Array) -> Array:
     """``A @ B.T`` of the upper left ``(3, 3)`` blocks."""
     out = np.empty((3, 3))
@@ -61,7 +62,7 @@ def times3_transposed(A: Array, B: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def weighted_gram(rows: Array, weight: Array, columns: Array) -> Array:
     """``rows.T @ diag(weight) @ columns`` ``(a, b)`` of ``(n, a)``, ``(n,)`` and ``(n, b)``."""
     out = np.zeros((rows.shape[1], columns.shape[1]))

@@ -7,8 +7,9 @@ known is NaN.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from .linear_algebra import solve_symmetric, times3, times3_transposed
 
@@ -17,7 +18,7 @@ HUBER_UV = 2.0
 HUBER_D = 1.5
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def exp_update(delta: Array, T: Array) -> Array:
     """``exp(delta) @ T`` for a tangent vector ``(6,)``, translation first."""
     p0, p1, p2 = delta[3], delta[4], delta[5]
@@ -51,7 +52,7 @@ def exp_update(delta: Array, T: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) -> Array:
     """``(n, 3)`` pixels: predicted minus measured u, v, disparity; disparity 0 where unknown; NaN behind the camera."""
     out = np.empty((len(points), 3))
@@ -68,7 +69,7 @@ def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) 
     return out
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def refine_pose(
     T: Array,
     points: Array,
@@ -111,7 +112,7 @@ def refine_pose(
     return pose, inlier, H
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _normal_equations(
     T: Array,
     points: Array,

@@ -7,8 +7,9 @@ between an observation's pose and its point, Wc between the calibration and a po
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from .pose_refinement import HUBER_D, HUBER_UV
 
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def robust_weights(e_uv2: float, e_d: float, s: float, s_d: float) -> tuple[float, float, float]:
     """Huber weights of a reprojection and of a disparity residual, and their robust cost."""
     w, w_d = 1.0 / (s * s), 1.0 / (s_d * s_d)
@@ -34,7 +35,7 @@ def robust_weights(e_uv2: float, e_d: float, s: float, s_d: float) -> tuple[floa
     return w, w_d, cost
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _linearise(T: Array, p: Array, cam: Array, w: float, w_d: float, Jc: Array, Jp: Array) -> None:
     """Jacobians ``(3, 6)`` by the pose (left update) and ``(3, 3)`` by the point, rows times the roots of the weights
     (0 where there is no disparity), written in place."""
@@ -56,7 +57,7 @@ def _linearise(T: Array, p: Array, cam: Array, w: float, w_d: float, Jc: Array, 
         Jp[2, k] = -a2 * T[2, k]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _invert3(A: Array, out: Array) -> None:
     a, b, c, d, e, f = A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]
     m0, m1, m2 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -67,7 +68,7 @@ def _invert3(A: Array, out: Array) -> None:
     out[2, 0], out[2, 1], out[2, 2] = out[0, 2], out[1, 2], (a * d - b * b) * inv
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def assemble(
     poses: Array,
     slot: Ints,
@@ -147,7 +148,7 @@ def assemble(
             b_c[base + a] += calib_info[a, c] * (calib[c] - calib_mean[c])
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _subtract(S: Array, row: int, column: int, Y: Array, W: Array) -> None:
     """``S[row:, column:] -= Y @ W.T`` for blocks ``(m, 3)``, ``(n, 3)``."""
     for a in range(len(Y)):
@@ -156,7 +157,7 @@ def _subtract(S: Array, row: int, column: int, Y: Array, W: Array) -> None:
             S[row + a, column + c] -= y0 * W[c, 0] + y1 * W[c, 1] + y2 * W[c, 2]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _times(W: Array, Vi: Array, b: Array, rhs: Array, row: int, Y: Array) -> None:
     """``Y = W @ Vi`` for a block ``(m, 3)``, and ``rhs[row:] -= Y @ b``."""
     for a in range(len(W)):
@@ -166,7 +167,7 @@ def _times(W: Array, Vi: Array, b: Array, rhs: Array, row: int, Y: Array) -> Non
         rhs[row + a] -= Y[a, 0] * b[0] + Y[a, 1] * b[1] + Y[a, 2] * b[2]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def reduce_points(
     slot: Ints,
     start: Ints,
@@ -214,7 +215,7 @@ def reduce_points(
     return S, rhs
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def back_substitute(
     slot: Ints,
     start: Ints,

@@ -19,9 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from maslam._kernel_cache import kernel
 from maslam.backend.geometry import product
 
 from .linear_algebra import solve_symmetric, weighted_gram
@@ -38,7 +38,7 @@ _GRID = 15
 _REWEIGHTED = 5
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _lens(x: float, y: float, out: Array) -> None:
     """Rows u, v of the lens's displacement at normalised ``x, y``, written into ``out`` ``(2, 4)``."""
     r2 = x * x + y * y
@@ -46,7 +46,7 @@ def _lens(x: float, y: float, out: Array) -> None:
     out[1, 0], out[1, 1], out[1, 2], out[1, 3] = y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _right(x: float, y: float, out: Array) -> None:
     """Rows u, v of what the right camera has beyond the lens, written into ``out`` ``(2, 8)``."""
     r2 = x * x + y * y
@@ -56,7 +56,7 @@ def _right(x: float, y: float, out: Array) -> None:
     out[1, 5], out[1, 6], out[1, 7] = r2 + 2.0 * y * y, 2.0 * x * y, y * r2
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def basis(uv: Array, disparity: Array, cam: Array, count: int) -> Array:
     """``(n, 4, count)``: what the parameters add to u, v, disparity and row difference (right minus left) measured at
     ``uv`` ``(n, 2)``; the last two are zero where the disparity is NaN, or with the lens's parameters alone."""
@@ -92,7 +92,7 @@ def bend(ideal: Array, cam: Array, parameters: Array) -> Array:
     return uv
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def lens_shift(uv: Array, cam: Array, lens: Array) -> Array:
     """Displacement ``(n, 2)`` pixels by the lens at measured ``uv``."""
     out, left = np.empty((len(uv), 2)), np.zeros((2, N_LENS))

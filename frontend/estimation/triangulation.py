@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from .linear_algebra import solve_symmetric
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def triangulate(poses: Array, start: NDArray[np.int64], kf: NDArray[np.int64], rays: Array) -> tuple[Array, Array]:
     """Point nearest to all its rays, and the widest angle between them.
 

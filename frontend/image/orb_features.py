@@ -12,8 +12,9 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from ..config import FeatureConfig
 
@@ -135,7 +136,7 @@ class Detector:
         return corners
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _spread(
     xy: NDArray[np.float64],
     order: NDArray[np.int64],
@@ -184,7 +185,7 @@ def spread_cells(
     return _spread(uv, np.arange(len(uv)), taken, width, height, cell, 1, 6.0)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _orientation(image: NDArray[np.uint8], xy: NDArray[np.float64]) -> NDArray[np.float32]:
     """Intensity-centroid angles in degrees, 0 to 360 (Rublee et al., ORB, ICCV 2011). All sums are whole numbers that
     float32 holds exactly."""

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 Array = NDArray[np.float64]
 Sums = tuple[np.float32, ...]
@@ -70,7 +71,7 @@ def cut_patches(image: list[NDArray[np.uint8]], uv: Array) -> Patches:
     return Patches(uv, pixels)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _cut(image: NDArray[np.uint8], uv: Array, level: int, out: NDArray[np.uint8]) -> None:
     height, width = image.shape
     factor = 0.5**level
@@ -86,7 +87,7 @@ def _cut(image: NDArray[np.uint8], uv: Array, level: int, out: NDArray[np.uint8]
                     out[i, level, r, c] = image[y, min(max(x0 + c, 0), width - 1)]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _turned(kept: NDArray[np.uint8], fx: float, fy: float, A: Array, det: float, out: NDArray[np.float32]) -> None:
     """The kept patch ``(19 * 19)`` as the image searched shows it, with a border of one pixel, ``(13, 18)``; ``fx``,
     ``fy``: where the point lies off the patch's middle pixel. In fixed point: half as long as in floating point."""
@@ -113,7 +114,7 @@ def _turned(kept: NDArray[np.uint8], fx: float, fy: float, A: Array, det: float,
             out[r, c] = np.float32((top << eight) + b * (bottom - top)) * grey
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _shifted(kept: NDArray[np.uint8], fx: float, fy: float, out: NDArray[np.float32]) -> None:
     """:func:`_turned` without a turn: all samples share their weights."""
     x0, y0 = int(np.floor(KEPT + fx)), int(np.floor(KEPT + fy))
@@ -132,7 +133,7 @@ def _shifted(kept: NDArray[np.uint8], fx: float, fy: float, out: NDArray[np.floa
             )
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _template(
     P: NDArray[np.float32],
     inside: NDArray[np.float32],
@@ -175,7 +176,7 @@ def _template(
     return (middle, st, sx, sy), (tt, tx, ty, xx, xy, yy)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _compare(
     flat: NDArray[np.uint8],
     width: int,
@@ -225,7 +226,7 @@ def _compare(
     return total, squares, cross, bx, by
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _align_level(
     pixels: NDArray[np.uint8],
     uv: Array,

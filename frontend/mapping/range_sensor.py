@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from maslam._kernel_cache import kernel
 from maslam.backend.geometry import transform_points
 
 from ..cameras.models import Rig, RigKind
@@ -44,7 +44,7 @@ def coarse_disparity(
     return _search_rows(left, right, mean_left, mean_right, xy, reach, rows)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _search_rows(
     left: NDArray[np.uint8],
     right: NDArray[np.uint8],
@@ -119,7 +119,7 @@ def measure_disparity(
     return np.where(ok, disparity, np.nan), np.where(ok, rows, np.nan)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def depth_at(depth_m: NDArray[np.float32], uv: NDArray[np.float64], max_jump: float) -> NDArray[np.float64]:
     """Depth ``(n,)`` at sub-pixel points: bilinear where the four neighbours agree within ``max_jump`` (relative),
     else NaN.

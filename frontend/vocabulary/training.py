@@ -6,8 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from .vocabulary import Vocabulary, hamming, popcount
 
@@ -78,7 +79,7 @@ def _depth_first(parents: NDArray[np.int64], octets: NDArray[np.uint8]) -> tuple
     return np.where(parents[order] >= 0, new_of_old[parents[order]], -1).astype(np.int32), octets[order]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _split_nodes(
     bits: NDArray[np.uint64], begin: NDArray[np.int64], draws: NDArray[np.float64], iterations: int
 ) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
@@ -102,7 +103,7 @@ def _split_nodes(
     return centres, own
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _seed(
     bits: NDArray[np.uint64],
     first: int,
@@ -139,7 +140,7 @@ def _seed(
     return draws.shape[1]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _drawn(nearest: NDArray[np.int64], first: int, last: int, target: float) -> int:
     """The row at which the running sum of squared distances passes ``target``."""
     for i in range(first, last):
@@ -149,7 +150,7 @@ def _drawn(nearest: NDArray[np.int64], first: int, last: int, target: float) -> 
     return last - 1
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _assign(
     bits: NDArray[np.uint64],
     first: int,
@@ -174,7 +175,7 @@ def _assign(
     return changed
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _majority(
     bits: NDArray[np.uint64],
     first: int,

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from maslam._atomic import write_npz
+from maslam._kernel_cache import kernel
 
 from ..errors import FrontendError
 from .dbow2_text import TreeArrays, read_text, write_text
@@ -183,7 +184,7 @@ def popcount(typing_context: Any, bits: Any) -> Any:
     return types.uint64(types.uint64), codegen
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def hamming(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> np.int64:
     """Differing bits of row i of ``a`` ``(n, 4)`` and row j of ``b`` ``(m, 4)``."""
     total = np.int64(0)
@@ -192,7 +193,7 @@ def hamming(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> np.
     return total
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _descend(
     rows: NDArray[np.uint64],
     begin: NDArray[np.int32],

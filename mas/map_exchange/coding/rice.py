@@ -8,8 +8,9 @@ so that a delivery of one key-frame is as well coded as one of a thousand.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from maslam._kernel_cache import kernel
 
 from ...protocol.tensors import MessageError
 
@@ -102,7 +103,7 @@ def _fresh() -> NDArray[np.int64]:
     return state
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _parameter(state, c):  # type: ignore[no-untyped-def]
     k = 0
     while (state[c, 1] << k) < state[c, 0] and k < 31:
@@ -110,7 +111,7 @@ def _parameter(state, c):  # type: ignore[no-untyped-def]
     return k
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _learn(state, c, v):  # type: ignore[no-untyped-def]
     state[c, 0] += v
     state[c, 1] += 1
@@ -119,7 +120,7 @@ def _learn(state, c, v):  # type: ignore[no-untyped-def]
         state[c, 1] >>= 1
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _encode(values, contexts, state, bits):  # type: ignore[no-untyped-def]
     """Fill ``bits`` (one a byte), return how many."""
     at = turn = 0
@@ -140,7 +141,7 @@ def _encode(values, contexts, state, bits):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _decode(bits, at, contexts, state, out):  # type: ignore[no-untyped-def]
     """Fill ``out``, return where reading stopped; -1 where the bits end too early or make no number."""
     turn = 0

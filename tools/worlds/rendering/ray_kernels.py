@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from .shading_kernels import PLANE, LightArrays, SceneArrays
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def pack_rays(pixels: NDArray, which: NDArray, view: NDArray, out: NDArray) -> None:
     """Rays ``(m, 6)`` float32 (origin, direction of length 1 along the optical axis) of ``pixels[which]``.
 
@@ -23,7 +24,7 @@ def pack_rays(pixels: NDArray, which: NDArray, view: NDArray, out: NDArray) -> N
             out[j, 3 + c] = view[1, c] + u * view[2, c] + v * view[3, c]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def hit_points(
     s: SceneArrays,
     first: int,
@@ -59,7 +60,7 @@ def hit_points(
         facing[i] = s.zone[t] < 0 and side * (nx * light.sun[0] + ny * light.sun[1] + nz * light.sun[2]) > 0.0
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def pack_shadow_rays(rays: NDArray, depth: NDArray, which: NDArray, sun: NDArray, out: NDArray) -> None:
     """Rays ``(m, 6)`` towards the sun from the points that ``rays[k]`` ``(m, 6)`` see at ``depth[which[k]]``; they
     start a little before the surface, where the eye's ray comes from: that side of it is the one that is seen."""
@@ -71,7 +72,7 @@ def pack_shadow_rays(rays: NDArray, depth: NDArray, which: NDArray, sun: NDArray
             out[j, 3 + c] = sun[c]
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def odd_pixels(value: NDArray, other: NDArray, h: int, w: int) -> NDArray:
     """Fill the odd squares of a chessboard in ``value`` ``(h * w,)`` where all neighbours agree in it and in ``other``
     (whose odd squares count too); the indices of those that remain to be found out."""
@@ -97,7 +98,7 @@ def odd_pixels(value: NDArray, other: NDArray, h: int, w: int) -> NDArray:
     return unknown[:m].copy()
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def edge_pixels(group: NDArray, depth: NDArray, lit: NDArray, radiance: NDArray, h: int, w: int) -> NDArray:
     """Pixels across which the surface, its shadow or its depth breaks, and with it the colour: indices ``(m,)`` of
     those that need more samples."""

@@ -6,9 +6,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+
+from maslam._kernel_cache import kernel
 
 DEPTH_UNIT_M = 0.001
 """Metres a unit of a 16-bit depth map."""
@@ -80,15 +81,15 @@ def _tone(x: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
     return np.clip(y / y[-1], 0, 1) ** (1 / gamma)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _develop(
     radiance: NDArray,
     noise: NDArray,
     quantiles: NDArray,
-    exposure: float,
-    gain: float,
-    read: float,
-    vignetting: float,
+    exposure: np.float32,
+    gain: np.float32,
+    read: np.float32,
+    vignetting: np.float32,
     curve: NDArray,
     out: NDArray,
 ) -> None:

@@ -6,8 +6,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from .texture_sampling import grey_at, rgb_at
 
@@ -49,14 +50,14 @@ class LightArrays(NamedTuple):
     haze_m: float
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy", inline="always")
+@kernel(fastmath=True, error_model="numpy", inline="always")
 def _reflectance(linear: NDArray, value: float) -> float:
     value = min(max(value, 0.0), 255.0)
     k = int(value)
     return linear[k] + (value - k) * (linear[k + 1] - linear[k])
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy", inline="always")
+@kernel(fastmath=True, error_model="numpy", inline="always")
 def _sky(
     texels: NDArray,
     table: NDArray,
@@ -94,7 +95,7 @@ def _sky(
     return r * (1 - cover) + white, g * (1 - cover) + white, b * (1 - cover) + white
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy", inline="always")
+@kernel(fastmath=True, error_model="numpy", inline="always")
 def _lamps(
     lamps: NDArray, zone_lamps: NDArray, zone: int, x: float, y: float, z: float, nx: float, ny: float, nz: float
 ) -> float:
@@ -109,7 +110,7 @@ def _lamps(
     return total
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def shade(
     s: SceneArrays,
     first: int,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from ..scene.texture_atlas import LEVELS
 
@@ -12,7 +13,7 @@ MAX_ANISOTROPY = 6
 """Samples at most along the long axis of a stretched pixel footprint."""
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy", inline="always")
+@kernel(fastmath=True, error_model="numpy", inline="always")
 def _footprint(dux: float, dvx: float, duy: float, dvy: float, most: int) -> tuple[float, float, int, float]:
     """The long axis of a footprint in texels, the number of samples along it (at most ``most``) and the mip level that
     each needs."""
@@ -31,7 +32,7 @@ def _footprint(dux: float, dvx: float, duy: float, dvy: float, most: int) -> tup
     return au, av, count, whole + min(max(2.0 * (lod - whole) - 0.5, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy", inline="always")
+@kernel(fastmath=True, error_model="numpy", inline="always")
 def rgb_at(
     texels: NDArray,
     table: NDArray,
@@ -91,7 +92,7 @@ def rgb_at(
     return r / total, g / total, b / total
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True, fastmath=True, error_model="numpy", inline="always")
+@kernel(fastmath=True, error_model="numpy", inline="always")
 def grey_at(
     texels: NDArray, table: NDArray, t: int, u: float, v: float, dux: float, dvx: float, duy: float, dvy: float
 ) -> float:

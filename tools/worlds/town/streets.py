@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from maslam._kernel_cache import kernel
 
 from ..scene import textures
 from ..scene.world import FreeSpace
@@ -211,15 +212,15 @@ def _fixed(points: NDArray, origin: object, cell_m: float) -> NDArray[np.int32]:
     return np.rint((np.asarray(points) - np.asarray(origin)) / cell_m * 16).astype(np.int32)
 
 
-@njit(cache=True, nogil=True, no_cfunc_wrapper=True)
+@kernel
 def _compose(
     distance: NDArray,
-    ratio: float,
+    ratio: np.float32,
     shade: NDArray,
     marks: NDArray,
     tiles: NDArray,
-    half: float,
-    pavement: float,
+    half: np.float32,
+    pavement: np.float32,
     out: NDArray,
 ) -> None:
     h, w = marks.shape

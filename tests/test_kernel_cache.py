@@ -1,0 +1,102 @@
+"""A cached kernel is taken only while everything that was compiled into it is as it was."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+INNER = """
+import numpy as np
+from maslam._kernel_cache import kernel
+from .values import FACTOR, TABLE
+
+@kernel
+def inner(x):
+    return 2.0 * x + FACTOR + TABLE[1]
+"""
+VALUES = "import numpy as np\nFACTOR = 0.5\nTABLE = np.array([0.0, 10.0])\n"
+OUTER = """
+from maslam._kernel_cache import kernel
+from .inner import inner
+
+@kernel
+def outer(x):
+    return inner(x) * 100.0
+"""
+CALL = """
+from maslam._kernels import watch_compiling
+from package.outer import outer
+with watch_compiling() as compilations:
+    print(outer(1.0), bool(compilations.seconds))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    folder = tmp_path / "package"
+    folder.mkdir()
+    for name, text in {"__init__": "", "inner": INNER, "values": VALUES, "outer": OUTER}.items():
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    return folder
+
+
+def called(package: Path, **environment: str) -> tuple[float, bool]:
+    """What a process of its own gets from ``outer``, and whether it compiled something."""
+    paths = os.pathsep.join([str(package.parent), str(Path(__file__).resolve().parents[1])])
+    variables = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    variables |= {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"} | environment
+    done = subprocess.run([sys.executable, "-c", CALL], env=variables, capture_output=True, text=True, check=True)
+    value, compiled = done.stdout.split()
+    return float(value), compiled == "True"
+
+
+def changed(file: Path, old: str, new: str) -> None:
+    file.write_text(file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_what_a_kernel_calls_and_reads_from_other_files_is_told(package: Path, tmp_path: Path, elsewhere: bool) -> None:
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if elsewhere else {}
+    assert called(package, **environment) == (1250.0, True)
+    assert called(package, **environment) == (1250.0, False)
+    changed(package / "inner.py", "2.0 * x", "3.0 * x")
+    assert called(package, **environment) == (1350.0, True)
+    changed(package / "values.py", "FACTOR = 0.5", "FACTOR = 1.5")
+    assert called(package, **environment) == (1450.0, True)
+    changed(package / "values.py", "10.0]", "20.0]")
+    assert called(package, **environment) == (2450.0, True)
+    assert called(package, **environment) == (2450.0, False)
+
+
+def test_a_change_that_is_not_compiled_in_compiles_nothing(package: Path) -> None:
+    called(package)
+    changed(package / "values.py", "FACTOR", "OTHER = 3\nFACTOR")
+    (package / "outer.py").touch()
+    assert called(package) == (1250.0, False)
+
+
+def test_older_code_is_neither_taken_nor_kept(package: Path) -> None:
+    """An index whose data was never written, because the process was ended, must not find the data of older code."""
+    called(package)
+    cache = package / "__pycache__"
+    old = {file: file.read_bytes() for file in cache.glob("*.nbc")}
+    changed(package / "inner.py", "2.0 * x", "3.0 * x")
+    called(package)
+    assert not [file for file in old if file.exists()]
+    new = [file for file in cache.glob("*.nbc") if file.name.startswith("outer")]
+    assert len(new) == 1
+    new[0].unlink()
+    for file, data in old.items():
+        file.write_bytes(data)
+    assert called(package) == (1350.0, True)
+
+
+def test_a_global_whose_changes_cannot_be_told_is_refused(package: Path) -> None:
+    changed(package / "values.py", "FACTOR = 0.5", "FACTOR = {1: 0.5}")
+    with pytest.raises(subprocess.CalledProcessError) as caught:
+        called(package)
+    assert "inner: FACTOR is a dict" in caught.value.stderr
