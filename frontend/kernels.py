@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from numba import float32, float64, int8, int32, int64, uint8, uint64
 
-from maslam._kernels import Kernel
+from maslam._kernels import TypedKernel
 
 from .cameras.models import RigKind
 from .estimation import bundle_adjustment, depth_alignment, linear_algebra, schur, self_calibration
@@ -22,7 +22,7 @@ _grey, _patches, _words = uint8[:, ::1], uint8[:, :, :, ::1], uint64[:, ::1]
 _depth, _places = float32[:, ::1], float32[:, :, ::1]
 _seen = (_i1, _i1, _f2, _f1, _f1, _f1, _f1, _f3)  # kf, pt, uv, disparity, sigma, sigma_d, cam, basis
 
-_COMMON: tuple[Kernel, ...] = (
+_COMMON: tuple[TypedKernel, ...] = (
     (orb_features._spread, (_f2, _i1, _f2, _i, _i, _f, _i, _f)),
     (orb_features._orientation, (_grey, _f2)),
     (vocabulary._descend, (_words, int32[::1], int32[::1], _words, _i1)),
@@ -47,7 +47,7 @@ _COMMON: tuple[Kernel, ...] = (
     (schur.reduce_points, (_i1, _i1, _i1, _i, _i, _f2, _f1, _f3, _f2, _f3, _f3, _f3, _f)),
     (schur.back_substitute, (_i1, _i1, _i1, _i, _i, _f1, _f2, _f3, _f3, _f3, _f2)),
 )
-_OF_RIG: dict[RigKind, tuple[Kernel, ...]] = {
+_OF_RIG: dict[RigKind, tuple[TypedKernel, ...]] = {
     RigKind.MONO: ((triangulate, (_f3, _i1, _i1, _f2)),),
     RigKind.STEREO: ((range_sensor._search_rows, (_grey, _grey, _depth, _depth, _f2, _i, _i)),),
     RigKind.RGBD: (
@@ -61,7 +61,7 @@ _OF_RIG: dict[RigKind, tuple[Kernel, ...]] = {
 }
 
 
-def odometry_kernels(rigs: Iterable[RigKind]) -> list[Kernel]:
+def odometry_kernels(rigs: Iterable[RigKind]) -> list[TypedKernel]:
     """Of these rigs; what only a lost camera needs is compiled where that happens."""
     wanted = set(rigs)
     return [*(_COMMON if wanted else ()), *(kernel for rig in RigKind if rig in wanted for kernel in _OF_RIG[rig])]

@@ -1,4 +1,4 @@
-"""``@kernel``: numba compiles a function once on a machine, and again whenever something that it is made of changes.
+"""Compiled kernels on disk: taken only while everything that they are made of is as it was.
 
 numba's own cache looks at the file of the kernel alone. A kernel that calls another from a second file kept the old
 code of that one (its result was wrong by millimetres), and an index written just before a process was ended pointed to
@@ -9,40 +9,22 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, TypeVar, overload
+from typing import Any
 
 import numpy as np
-from numba import config, njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 
+class KernelCache(FunctionCache):
+    """numba's cache of one kernel, under names that tell what the kernel is made of.
 
-@overload
-def kernel(function: Function, /) -> Function: ...
-@overload
-def kernel(*, fastmath: bool = ..., error_model: str = ..., inline: str = ...) -> Callable[[Function], Function]: ...
-def kernel(function: Any = None, /, **options: Any) -> Any:
-    """Compile ``function`` where it is first called with some types; ``options`` are those of ``numba.njit``.
-
-    The global interpreter lock is released while it runs. It may use numbers, text, arrays, classes, and functions of
-    its package; TypeError for a global of another kind, whose changes could not be told.
+    TypeError for a global of the kernel whose changes could not be told.
     """
-    if function is None:
-        return lambda decorated: kernel(decorated, **options)
-    compiled = njit(nogil=True, no_cfunc_wrapper=True, **options)(function)
-    if not config.DISABLE_JIT:
-        compiled._cache = _Cache(function)
-    return compiled
-
-
-class _Cache(FunctionCache):
-    """numba's cache of one kernel, under names that tell what the kernel is made of."""
 
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)

@@ -1,4 +1,4 @@
-"""Compiled kernels made ready before work begins, and clocks that leave compiling out.
+"""``@kernel`` has a function compiled; what work needs is made ready before it begins; clocks leave compiling out.
 
 numba compiles a kernel where it is first called with some types, and keeps it in a cache on disk. On an empty cache
 that takes a quarter of a minute, once: it happens here, with progress, before clocks start and before workers do.
@@ -11,14 +11,35 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar, overload
 
-from numba import config
+from numba import config, njit
 from numba.core import event
 
+from ._kernel_cache import KernelCache
+
 log = logging.getLogger(__name__)
-Kernel = tuple[Any, tuple[Any, ...]]
-"""A function compiled by numba, and the types that it is called with."""
+TypedKernel = tuple[Any, tuple[Any, ...]]
+"""A kernel, and the types that it is called with."""
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@overload
+def kernel(function: Function, /) -> Function: ...
+@overload
+def kernel(*, fastmath: bool = ..., error_model: str = ..., inline: str = ...) -> Callable[[Function], Function]: ...
+def kernel(function: Any = None, /, **options: Any) -> Any:
+    """Compile ``function`` where it is first called with some types; ``options`` are those of ``numba.njit``.
+
+    The global interpreter lock is released while it runs. It may use numbers, text, arrays, classes, and functions of
+    its package; TypeError for a global of another kind, whose changes could not be told.
+    """
+    if function is None:
+        return lambda decorated: kernel(decorated, **options)
+    compiled = njit(nogil=True, no_cfunc_wrapper=True, **options)(function)
+    if not config.DISABLE_JIT:
+        compiled._cache = KernelCache(function)
+    return compiled
 
 
 class Compilations(event.Listener):
@@ -62,7 +83,7 @@ def _no_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def make_ready(kernels: Sequence[Kernel], count: Callable[[int, int], None] = lambda done, total: None) -> None:
+def make_ready(kernels: Sequence[TypedKernel], count: Callable[[int, int], None] = lambda done, total: None) -> None:
     """Take ``kernels`` from numba's cache, and compile those that are not in it.
 
     ``count(done, total)`` is called only where something has to be compiled. Processes that are started afterwards find

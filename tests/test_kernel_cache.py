@@ -11,7 +11,7 @@ import pytest
 
 INNER = """
 import numpy as np
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 from .values import FACTOR, TABLE
 
 @kernel
@@ -20,7 +20,7 @@ def inner(x):
 """
 VALUES = "import numpy as np\nFACTOR = 0.5\nTABLE = np.array([0.0, 10.0])\n"
 OUTER = """
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 from .inner import inner
 
 @kernel

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from ..geometry import Array, Sim3
 

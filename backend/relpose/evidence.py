@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from ..geometry import Array, Sim3
 from .matching import Distances

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import boolean, float64, int16, int64, uint64
 
-from maslam._kernels import Kernel
+from maslam._kernels import TypedKernel
 
 from . import alignment, evidence, matching, ransac
 
@@ -12,7 +12,7 @@ _f, _f1, _f2, _f3 = float64, float64[::1], float64[:, ::1], float64[:, :, ::1]
 _i, _i1, _i2 = int64, int64[::1], int64[:, ::1]
 _words, _distances = uint64[:, ::1], int16[:, ::1]
 
-VERIFICATION_KERNELS: tuple[Kernel, ...] = (
+VERIFICATION_KERNELS: tuple[TypedKernel, ...] = (
     (matching._hamming, (_words, _words)),
     (matching._nearest, (_distances,)),
     (matching._within, (_distances, _i)),

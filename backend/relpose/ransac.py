@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from ..config import RelPoseConfig
 from ..geometry import Array, Sim3

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from .depth_alignment import DepthAlignment
 from .linear_algebra import solve_symmetric, weighted_gram

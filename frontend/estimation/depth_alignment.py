@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 from maslam.backend.geometry import product, se3_inverse
 
 from .linear_algebra import times3, times3_transposed, weighted_gram

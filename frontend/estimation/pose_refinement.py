@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from .linear_algebra import solve_symmetric, times3, times3_transposed
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 from maslam.backend.geometry import product
 
 from .linear_algebra import solve_symmetric, weighted_gram

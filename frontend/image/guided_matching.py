@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 
 @kernel

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from ..config import FeatureConfig
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from .vocabulary import Vocabulary, hamming, popcount
 

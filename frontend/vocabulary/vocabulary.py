@@ -14,7 +14,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from maslam._atomic import write_npz
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from ..errors import FrontendError
 from .dbow2_text import TreeArrays, read_text, write_text

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 from ...protocol.tensors import MessageError
 

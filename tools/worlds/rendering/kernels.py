@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import boolean, float32, float64, int32, int64, types, uint8, uint16
 
-from maslam._kernels import Kernel
+from maslam._kernels import TypedKernel
 
 from . import ray_kernels, sensor
 from .shading_kernels import LightArrays, SceneArrays, shade
@@ -17,7 +17,7 @@ _scene = types.NamedTuple(
 )
 _light = types.NamedTuple((*(_f1,) * 8, _f), LightArrays)
 
-RENDERING_KERNELS: tuple[Kernel, ...] = (
+RENDERING_KERNELS: tuple[TypedKernel, ...] = (
     (ray_kernels.pack_rays, (_f2, _i1, _f2, _rays)),
     (ray_kernels.odd_pixels, (_ids, _flags, _i, _i)),
     (ray_kernels.odd_pixels, (_flags, _ids, _i, _i)),

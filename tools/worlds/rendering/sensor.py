@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from maslam._kernel_cache import kernel
+from maslam._kernels import kernel
 
 DEPTH_UNIT_M = 0.001
 """Metres a unit of a 16-bit depth map."""
