@@ -49,7 +49,7 @@ def test_a_single_file_is_cut_into_robots(tmp_path, capsys):
     assert cli.main(words) == 0
     assert "4 robots, 20 poses" in capsys.readouterr().out
     assert read_g2o(tmp_path / "result.g2o").robots == [0, 1, 2, 3]
-    assert cli.main([*words[:-1], "99"]) == 1
+    assert cli.main([*words[:-1], "99", "--overwrite"]) == 1
     assert "cannot cut 20 poses" in capsys.readouterr().err
 
 
@@ -65,6 +65,20 @@ def test_mistakes_are_one_line(folder, tmp_path, capsys):
     assert "1.g2o:" in capsys.readouterr().err and not (tmp_path / "o").exists()
     assert cli.main(["pgo", str(folder), str(tmp_path / "o"), "--skip-broken-lines"]) == 0
     assert "skipped" in capsys.readouterr().err
+
+
+def test_a_file_that_is_there_is_not_replaced_unasked(folder, tmp_path, capsys):
+    """``maslam pgo robots/*.g2o`` without OUT takes the last robot's file for it."""
+    files = [str(folder / f"{r}.g2o") for r in range(3)]
+    before = (folder / "2.g2o").read_bytes()
+    assert cli.main(["pgo", *files]) == 2
+    assert "2.g2o: is there already" in capsys.readouterr().err
+    assert cli.main(["pgo", files[0], str(folder)]) == 2
+    assert (folder / "2.g2o").read_bytes() == before and not (folder / "summary.json").exists()
+    assert cli.main(["pgo", *files, str(tmp_path / "out")]) == 0
+    assert cli.main(["pgo", *files, str(tmp_path / "out")]) == 0, "its own result is made anew"
+    assert cli.main(["pgo", *files, "--overwrite"]) == 0
+    assert (folder / "2.g2o").read_bytes() != before
 
 
 def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):

@@ -142,7 +142,7 @@ def test_without_gtsam_central_optimisation_works_and_what_needs_it_says_so(
     graph.write_text(f"EDGE_SE3:QUAT 0 1 {edge}\nEDGE_SE3:QUAT 1 2 {edge}\n")
     assert cli.main(["pgo", str(graph), str(solved), "--method", "central", "--quiet"]) == 0
     capsys.readouterr()
-    assert cli.main(["pgo", str(graph), str(solved), "--method", "central", "--central.cost", "E"]) == 1
+    assert cli.main(["pgo", str(graph), str(tmp_path / "e.g2o"), "--method", "central", "--central.cost", "E"]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and said.startswith("maslam: Levenberg-Marquardt needs gtsam")
 

@@ -56,6 +56,7 @@ ESSENTIAL: dict[str, tuple[str, ...]] = {
         "--agents",
         "--no-certificate",
         "--skip-broken-lines",
+        "--overwrite",
         "--plot",
         "--json",
         "--quiet",

@@ -63,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--skip-broken-lines", action="store_true", help="name broken lines and go on, instead of failing"
     )
+    parser.add_argument("--overwrite", action="store_true", help="replace graphs that OUT names")
     parser.add_argument("--no-certificate", action="store_true", help="without the proof of global optimality")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="cost against bytes, all methods (.png, .svg, .pdf)")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
@@ -76,13 +77,15 @@ def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from maslam.backend.pose_graph.g2o import read_g2o
 
-    from .files import expand, write
+    from .files import check_free, expand, write
     from .methods import check
 
     check(arguments.method, arguments.robust)
     for path, instead in (("solver.method", "--method"), ("solver.robust", "--robust"), ("central.loss", "--robust")):
         if hasattr(arguments, DEST + path):
             raise UsageError(f"{option_name(path)} is chosen by {instead}")
+    if not arguments.overwrite:
+        check_free(arguments.out)
     skipped: list[str] | None = [] if arguments.skip_broken_lines else None
     graph = read_g2o(expand(arguments.files), skipped)
     for line in skipped or []:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from maslam._atomic import write_atomically
 
-from ..common.errors import ToolError
+from ..common.errors import ToolError, UsageError
 from .report import PgoReport
 
 if TYPE_CHECKING:
@@ -31,6 +31,19 @@ def expand(paths: Sequence[Path]) -> list[Path]:
         else:
             out.append(path)
     return out
+
+
+def check_free(out: Path) -> None:
+    """UsageError where ``write`` would replace graphs that are not its own earlier results.
+
+    A result is known by the report beside it, which a single file does not have. Where ``OUT`` was left out on the
+    command line, the last robot's file stands in its place.
+    """
+    kept = out.suffix == ".g2o" and out.exists()
+    if out.is_dir() and any(out.glob("*.g2o")) and not (out / SUMMARY).exists():
+        kept = True
+    if kept:
+        raise UsageError(f"{out}: is there already; name another OUT, or replace it with --overwrite")
 
 
 def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:
