@@ -9,6 +9,7 @@ its manager would take it for gone; then it refuses.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from ..protocol.ids import OperationKind
@@ -19,13 +20,22 @@ from .effects import NOTHING, Effects
 from .operation import Operation
 
 
+@dataclass(frozen=True)
+class _WaitingCall:
+    """A call that waits for its answer, at most until ``until_ns``."""
+
+    contract: Contract
+    call: Call
+    until_ns: int
+
+
 class CallQueue:
     """Answers calls by the operations' bids, now or when idle; lower managers first, as all agents prefer them."""
 
     def __init__(self, context: AgentContext, operations: Mapping[OperationKind, Operation[Any, Any]]) -> None:
         self.context = context
         self._operations = operations
-        self._waiting: list[tuple[Contract, Call, int]] = []
+        self._waiting: list[_WaitingCall] = []
 
     @property
     def waiting(self) -> bool:
@@ -41,20 +51,20 @@ class CallQueue:
         if answer is not None:
             return answer
         patience = self.context.state.config.link.silence_s / 2
-        self._waiting.append((contract, call, self.context.now_ns + round(patience * 1e9)))
-        self._waiting.sort(key=lambda w: w[0].id)
+        self._waiting.append(_WaitingCall(contract, call, self.context.now_ns + round(patience * 1e9)))
+        self._waiting.sort(key=lambda w: w.contract.id)
         return NOTHING
 
     def inspect(self) -> Effects:
         """Answer what can be answered by now; refuse what waited too long."""
         effects = NOTHING
         for entry in list(self._waiting):
-            contract, call, until_ns = entry
-            answer = self._answer(contract, call) if self._open(contract) else NOTHING
+            contract = entry.contract
+            answer = self._answer(contract, entry.call) if self._open(contract) else NOTHING
             if answer is not None:
                 self._waiting.remove(entry)
                 effects += answer
-            elif self.context.now_ns >= until_ns:
+            elif self.context.now_ns >= entry.until_ns:
                 self._waiting.remove(entry)
                 effects += self.context.send(contract, Refusal("busy"))
         return effects

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +18,6 @@ from ..sequence import STAMP_TOLERANCE_NS, AgentSequence
 from ..state.agent_state import AgentState
 from ..state.place_match import Match
 from ..state.trajectories import keyframe_trajectory
-
-_Pair = tuple[Array, Array]  # estimated and true positions (n, 3)
 
 # An estimated pose and a true one belong together within this; ground truth is often sampled at its own times.
 TRUTH_TOLERANCE_NS = 20_000_000
@@ -48,15 +46,42 @@ class MatchError:
         return self.metres > self.allowed_m or self.degrees > FALSE_DEG
 
 
+@dataclass(frozen=True, eq=False)
+class _Positions:
+    """Positions ``(n, 3)`` at the same times: ``estimate``, in its own coordinates, and ``truth``, metres."""
+
+    estimate: Array
+    truth: Array
+
+    def __len__(self) -> int:
+        return len(self.estimate)
+
+
+@dataclass(frozen=True, eq=False)
+class _OwnPositions:
+    """What was paired last of an agent's own key-frames: while ``state`` and ``version`` are the same, so is this."""
+
+    state: AgentState
+    version: int
+    paired: _Positions | None
+
+
+@dataclass(frozen=True, eq=False)
+class _CopyPositions:
+    """The same of a map copy."""
+
+    copy: MapCopy
+    paired: _Positions | None
+
+
 class GroundTruthEvaluator:
     """Compares agents with the truth, as far as their sequences have one."""
 
     def __init__(self, sequences: Sequence[AgentSequence]) -> None:
         self.sequences = list(sequences)
         self._scales: dict[int, float] = {}
-        # What was paired last, and of what: while that is the same, so are the pairs.
-        self._own_pairs: dict[int, tuple[AgentState, int, _Pair | None]] = {}
-        self._copy_pairs: dict[tuple[int, int], tuple[MapCopy, _Pair | None]] = {}
+        self._own_pairs: dict[int, _OwnPositions] = {}
+        self._copy_pairs: dict[tuple[int, int], _CopyPositions] = {}  # by holder and owner
         self._frames = [self._frame_names(i) for i in range(len(self.sequences))]
         self._all_frames = set().union(*self._frames) if self._frames else set()
 
@@ -78,28 +103,27 @@ class GroundTruthEvaluator:
     def map_error(self, agent: Agent) -> TrajectoryError | None:
         """ATE of own key-frames and all map copies under one alignment."""
         known = self._map_pairs(agent)
-        if sum(len(p[0]) for p in known.values()) < MIN_POSES:
+        if sum(map(len, known.values())) < MIN_POSES:
             return None
-        estimate, truth = (np.vstack([p[k] for p in known.values()]) for k in (0, 1))
+        estimate = np.vstack([p.estimate for p in known.values()])
+        truth = np.vstack([p.truth for p in known.values()])
         return trajectory_error(estimate, truth, self.with_scale)
 
     def copy_errors(self, agent: Agent) -> dict[int, TrajectoryError]:
         """Each map copy's share of that, and the own key-frames'."""
         known = self._map_pairs(agent)
-        if sum(len(p[0]) for p in known.values()) < MIN_POSES:
+        if sum(map(len, known.values())) < MIN_POSES:
             return {}
-        estimates, truths = ({a: p[k] for a, p in known.items()} for k in (0, 1))
-        return connected_error(estimates, truths, self.with_scale)
+        return self._connected(known)
 
     def connected_errors(self, agents: Sequence[Agent]) -> dict[int, TrajectoryError]:
         """Each agent's error under one alignment for all agents in the same coordinates."""
         out: dict[int, TrajectoryError] = {}
         for group in groups_of(agents):
             pairs = {a: self._own_pair(agents[a]) for a in group}
-            known = {a: p for a, p in pairs.items() if p is not None and len(p[0])}
-            if sum(len(p[0]) for p in known.values()) >= MIN_POSES:
-                estimates, truths = ({a: p[k] for a, p in known.items()} for k in (0, 1))
-                out.update(connected_error(estimates, truths, self.with_scale))
+            known = {a: p for a, p in pairs.items() if p is not None and len(p)}
+            if sum(map(len, known.values())) >= MIN_POSES:
+                out.update(self._connected(known))
         return out
 
     def path_length_m(self, agent: int) -> float | None:
@@ -169,43 +193,50 @@ class GroundTruthEvaluator:
 
     # -- pairing ------------------------------------------------------------------------------------------------------
 
-    def _error(self, pair: _Pair | None) -> TrajectoryError | None:
-        return None if pair is None or len(pair[0]) < MIN_POSES else trajectory_error(*pair, self.with_scale)
+    def _error(self, pair: _Positions | None) -> TrajectoryError | None:
+        if pair is None or len(pair) < MIN_POSES:
+            return None
+        return trajectory_error(pair.estimate, pair.truth, self.with_scale)
 
-    def _map_pairs(self, agent: Agent) -> dict[int, _Pair]:
+    def _connected(self, pairs: Mapping[int, _Positions]) -> dict[int, TrajectoryError]:
+        """The error of each under one alignment for all."""
+        estimates, truths = {a: p.estimate for a, p in pairs.items()}, {a: p.truth for a, p in pairs.items()}
+        return connected_error(estimates, truths, self.with_scale)
+
+    def _map_pairs(self, agent: Agent) -> dict[int, _Positions]:
         """Own key-frames and map copies, by owner, as far as there is truth."""
         pairs = {agent.state.me: self._own_pair(agent)}
         for owner, copy in sorted(agent.maps.copies.items()):
             pairs[owner] = self._copy_pair(agent.state.me, copy)
-        return {a: p for a, p in pairs.items() if p is not None and len(p[0])}
+        return {a: p for a, p in pairs.items() if p is not None and len(p)}
 
-    def _own_pair(self, agent: Agent) -> _Pair | None:
+    def _own_pair(self, agent: Agent) -> _Positions | None:
         state = agent.state
-        known, version, pair = self._own_pairs.get(state.me, (None, -1, None))
-        if known is not state or version != state.version:
+        last = self._own_pairs.get(state.me)
+        if last is None or last.state is not state or last.version != state.version:
             trajectory = keyframe_trajectory(state)
-            pair = self._paired(state.me, trajectory.stamps_ns, trajectory.centres)
-            self._own_pairs[state.me] = state, state.version, pair
-        return pair
+            paired = self._paired(state.me, trajectory.stamps_ns, trajectory.centres)
+            last = self._own_pairs[state.me] = _OwnPositions(state, state.version, paired)
+        return last.paired
 
-    def _copy_pair(self, holder: int, copy: MapCopy) -> _Pair | None:
-        known, pair = self._copy_pairs.get((holder, copy.owner), (None, None))
-        if known is not copy:
-            pair = self._paired(copy.owner, self._times(copy), copy.poses[:, :3, 3])
-            self._copy_pairs[holder, copy.owner] = copy, pair
-        return pair
+    def _copy_pair(self, holder: int, copy: MapCopy) -> _Positions | None:
+        last = self._copy_pairs.get((holder, copy.owner))
+        if last is None or last.copy is not copy:
+            paired = self._paired(copy.owner, self._times(copy), copy.poses[:, :3, 3])
+            last = self._copy_pairs[holder, copy.owner] = _CopyPositions(copy, paired)
+        return last.paired
 
     def _times(self, copy: MapCopy) -> NDArray[np.int64]:
         stamps: NDArray[np.int64] = copy.stamps_ns.astype(np.int64)
         return stamps - self.sequences[copy.owner].start_ns
 
-    def _paired(self, agent: int, times_ns: NDArray[np.int64], centres: Array) -> _Pair | None:
+    def _paired(self, agent: int, times_ns: NDArray[np.int64], centres: Array) -> _Positions | None:
         truth = self.sequences[agent].groundtruth
         if truth is None or not len(truth):
             return None
         rows = truth.nearest(times_ns, TRUTH_TOLERANCE_NS)
         known = rows >= 0
-        return centres[known], truth.centres[rows[known]]
+        return _Positions(centres[known], truth.centres[rows[known]])
 
     def _true_pose(self, agent: int, time_ns: int) -> Array | None:
         truth = self.sequences[agent].groundtruth

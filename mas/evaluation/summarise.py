@@ -101,7 +101,7 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
     own = sum(m.query_agent == m.match_agent for m in accepted)
     return MatchFigures(
         candidates=len(outcomes),
-        verified=sum(c.verified for _, c, _ in outcomes),
+        verified=sum(c.check.verified for _, c, _ in outcomes),
         accepted=len(accepted),
         rejected=dict(sorted(rejected.items())),
         own_loops=own,

@@ -13,14 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from maslam.backend.geometry import Sim3
-
 from ..protocol.ids import MatchId
-from ..protocol.map_messages import MapDelivery
-from ..protocol.tensors import unpack_sim3s
 from ..state.agent_state import AgentState
 from .evidence_checks import EvidenceStatistics, Witness, best_motion, evidence_of, tolerance, witnesses
 from .map_copy import MapCopy, with_new_keyframes
+from .purchase import ArrivedMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +41,19 @@ class Admission:
         return out
 
 
-def admit(
-    new: MapCopy,
-    old: MapCopy | None,
-    state: AgentState,
-    others: Mapping[int, MapCopy],
-    placed_by: MatchId | None = None,
-) -> Admission:
-    """Judge a map that came in. ``placed_by``: the match by which it was placed, which can therefore not judge
-    it."""
-    verdict = _judged(new, witnesses(new, state, others), state, placed_by)
+@dataclass(frozen=True, eq=False)
+class AlignedMap:
+    """A map copy after the consistency check, with its ``witnesses`` where it stands now; ``aligned_by``: the match
+    that it was laid on, None where it stayed."""
+
+    copy: MapCopy
+    witnesses: list[Witness]
+    aligned_by: MatchId | None = None
+
+
+def admit(arrived: ArrivedMap, old: MapCopy | None, state: AgentState, others: Mapping[int, MapCopy]) -> Admission:
+    """Judge a map that came in; ``old``: the copy that is here. The match that it was placed by cannot judge it."""
+    verdict = _judged(arrived, witnesses(arrived.copy, state, others), state)
     same = tolerance(state.config.merge.redundancy_m, state)
     if verdict.copy is not None and old is not None and same is not None:
         before = evidence_of(witnesses(old, state, others))
@@ -67,14 +67,14 @@ def recheck(copy: MapCopy, state: AgentState, others: Mapping[int, MapCopy]) -> 
     where there are others."""
     found = witnesses(copy, state, others)
     best = min(found, key=lambda w: w.metres).match if len(found) > 1 else None
-    return _judged(copy, found, state, best)
+    return _judged(ArrivedMap(copy, best), found, state)
 
 
-def _judged(copy: MapCopy, found: list[Witness], state: AgentState, placed_by: MatchId | None) -> Admission:
+def _judged(arrived: ArrivedMap, found: list[Witness], state: AgentState) -> Admission:
     """Consistency, then accuracy."""
-    copy, found, aligned_by = aligned(copy, found, state)
+    now = aligned(arrived.copy, found, state)
     limit = tolerance(state.config.merge.accuracy_m, state)
-    judges = _judges(found, state, {placed_by, aligned_by})
+    judges = _judges(now.witnesses, state, {arrived.placed_by, now.aligned_by})
     how = evidence_of(judges) if limit is not None else None
     if how is not None and limit is not None:
         agree = sum(w.metres <= limit for w in judges)
@@ -83,7 +83,7 @@ def _judged(copy: MapCopy, found: list[Witness], state: AgentState, placed_by: M
             return Admission(None, how, f"no place match agrees: {off}")
         if agree < state.config.merge.accuracy_share * len(judges):
             return Admission(None, how, f"few place matches agree: {agree} of {off}")
-    return Admission(copy, evidence_of(found), aligned_by=aligned_by)
+    return Admission(now.copy, evidence_of(now.witnesses), aligned_by=now.aligned_by)
 
 
 def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None]) -> list[Witness]:
@@ -96,32 +96,13 @@ def _judges(found: list[Witness], state: AgentState, placing: set[MatchId | None
     return [w for w in judges if not any(np.array_equal(w.found.translation, p) for p in there)] or judges
 
 
-def aligned(copy: MapCopy, found: list[Witness], state: AgentState) -> tuple[MapCopy, list[Witness], MatchId | None]:
-    """The consistency check: the map, laid on a match where its witnesses say that it stands too far off; the witnesses
-    then, and that match."""
+def aligned(copy: MapCopy, found: list[Witness], state: AgentState) -> AlignedMap:
+    """The consistency check: the map, laid on a match where its witnesses ``found`` say that it stands too far off."""
     limit = tolerance(state.config.merge.consistency_m, state)
     if copy.frame == state.frame and not any(state.me in w.match.agents for w in found):
         limit = None  # it stands where its owner has it; another copy, perhaps an older one, does not know better
     how = evidence_of(found) if limit is not None else None
     if how is None or limit is None or how.median_m <= limit:
-        return copy, found, None
+        return AlignedMap(copy, found)
     motion, match = best_motion(found)
-    return copy.moved(motion), [w.after(motion) for w in found], match
-
-
-def seller_frame(state: AgentState, seller: int, delivery: MapDelivery) -> tuple[Sim3, MatchId | None] | None:
-    """``T_mine_seller`` between the two agents' coordinates: the identity where they share them since an
-    optimisation, else by the first accepted match between the two whose both key-frames are placed."""
-    if delivery.frame == state.frame:
-        return Sim3.identity(), None
-    ties = dict(zip(delivery.ties, unpack_sim3s(delivery.tie_poses), strict=True))
-    placed = set(state.placed())
-    for match in state.accepted_matches():
-        if set(match.id.agents) != {state.me, seller}:
-            continue
-        asked = match.id.query_agent == state.me
-        mine, theirs = (match.id.query, match.id.match) if asked else (match.id.match, match.id.query)
-        if mine in placed and theirs in ties:
-            T_mine_theirs = match.T_M_Q.inverse() if asked else match.T_M_Q
-            return state.pose(mine) @ T_mine_theirs @ ties[theirs].inverse(), match.id
-    return None
+    return AlignedMap(copy.moved(motion), [w.after(motion) for w in found], match)

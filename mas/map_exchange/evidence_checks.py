@@ -107,8 +107,8 @@ def _own(copy: MapCopy, state: AgentState, matches: list[MatchId]) -> list[Witne
 def _bought(copy: MapCopy, others: Mapping[int, MapCopy]) -> list[Witness]:
     known: dict[MatchId, Sim3] = {}
     for other in sorted(set(others) - {copy.owner}):
-        for match, T_M_Q in (*copy.matches_with.get(other, ()), *others[other].matches_with.get(copy.owner, ())):
-            known.setdefault(match, T_M_Q)
+        for match in (*copy.matches_with.get(other, ()), *others[other].matches_with.get(copy.owner, ())):
+            known.setdefault(match.id, match.T_M_Q)
     out = []
     for match in _some(sorted(known)):
         queried = match.query_agent == copy.owner

@@ -47,4 +47,4 @@ def fresh_rows(keyframe: KeyFrame, max_points: int) -> NDArray[np.int64]:
 def own_map(state: AgentState) -> MapCopy:
     """The agent's own map with all its points, seen like a copy: for export."""
     limit = max((len(k.points_C) for k in state.keyframes), default=0)
-    return copy_of_submap(own_submap(state, limit), state.frame, Sim3.identity(), state.me, 0)
+    return copy_of_submap(own_submap(state, limit), state.frame, Sim3.identity(), state.me)

@@ -1,4 +1,8 @@
-"""A copy of another agent's map, as its holder sees it."""
+"""A copy of another agent's map, as its holder sees it.
+
+:class:`MapCopy` is what an agent holds. What a run's results tell about it, errors and counts, is
+:class:`maslam.mas.evaluation.summary.MapCopyFigures`.
+"""
 
 from __future__ import annotations
 
@@ -11,28 +15,35 @@ from numpy.typing import NDArray
 
 from maslam.backend.geometry import Array, Sim3, se3_inverse
 
-from ..protocol.ids import FrameId, MatchId
+from ..protocol.ids import FrameId
 from ..protocol.map_messages import SubMap
 from ..protocol.tensors import Tensor, pack_poses, pack_sim3s, unpack_poses, unpack_sim3s
 from ..state.agent_state import stretched
+from ..state.place_match import ReportedMatch
 from .versions import MapVersion
+
+
+@dataclass(frozen=True)
+class SoldVersion:
+    """One ``version`` of ``owner``'s map as ``seller`` has it for sale: what is ordered, refused or kept."""
+
+    seller: int
+    owner: int
+    version: int
 
 
 @dataclass(frozen=True, eq=False)
 class MapCopy:
-    """``version`` (version) of ``owner``'s map, bought from ``seller`` at ``now_ns``; ``route``: through whose hands
-    it came, the owner first, the seller last.
+    """``sold``: which version of whose map, and who sold it; ``route``: through whose hands it came, the owner first,
+    the seller last.
 
     ``placement``: ``T_mine_map``; the map's own coordinates are ``frame`` in the owner's unit. ``keyframes``,
     ``stamps_ns`` ``(K,)``; ``map_poses`` ``(K, 4, 4)``; ``references`` ``(P,)``: row of each point's key-frame;
-    ``points_C`` ``(P, 3)`` in that camera; ``descriptors`` ``(P, 32)`` or None; ``matches``: the owner's accepted ones
-    with ``T_M_Q``. ``map_version``: the versions to sell on, None in the thesis's form.
+    ``points_C`` ``(P, 3)`` in that camera; ``descriptors`` ``(P, 32)`` or None; ``matches``: the owner's accepted
+    ones. ``map_version``: the versions to sell on, None in the thesis's form.
     """
 
-    owner: int
-    version: int
-    seller: int
-    now_ns: int
+    sold: SoldVersion
     route: tuple[int, ...]
     frame: FrameId
     placement: Sim3
@@ -42,8 +53,23 @@ class MapCopy:
     references: NDArray[Any]
     points_C: Array
     descriptors: NDArray[np.uint8] | None
-    matches: tuple[tuple[MatchId, Sim3], ...]
+    matches: tuple[ReportedMatch, ...]
     map_version: MapVersion | None = None
+
+    @property
+    def owner(self) -> int:
+        """The agent whose map it is."""
+        return self.sold.owner
+
+    @property
+    def version(self) -> int:
+        """The owner's number of this version."""
+        return self.sold.version
+
+    @property
+    def seller(self) -> int:
+        """The agent that it was bought from."""
+        return self.sold.seller
 
     @cached_property
     def poses(self) -> Array:
@@ -61,12 +87,11 @@ class MapCopy:
         return {int(k): row for row, k in enumerate(self.keyframes)}
 
     @cached_property
-    def matches_with(self) -> dict[int, list[tuple[MatchId, Sim3]]]:
+    def matches_with(self) -> dict[int, list[ReportedMatch]]:
         """The owner's matches with each other agent."""
-        found: dict[int, list[tuple[MatchId, Sim3]]] = {}
-        for match, T_M_Q in self.matches:
-            other = match.end_of(self.owner)[1]
-            found.setdefault(other, []).append((match, T_M_Q))
+        found: dict[int, list[ReportedMatch]] = {}
+        for match in self.matches:
+            found.setdefault(match.id.end_of(self.owner)[1], []).append(match)
         return found
 
     def pose(self, row: int) -> Sim3:
@@ -83,14 +108,11 @@ class MapCopy:
         return replace(self, placement=motion @ self.placement)
 
 
-def copy_of_version(map_version: MapVersion, placement: Sim3, route: tuple[int, ...], now_ns: int) -> MapCopy:
-    """A map copy of a version that was bought."""
+def copy_of_version(map_version: MapVersion, placement: Sim3, route: tuple[int, ...]) -> MapCopy:
+    """A map copy of a version that was bought; ``route`` ends with the seller."""
     m = map_version.map
     return MapCopy(
-        m.owner,
-        m.version,
-        route[-1] if route else m.owner,
-        now_ns,
+        SoldVersion(route[-1], m.owner, m.version),
         route,
         m.frame,
         placement,
@@ -100,19 +122,16 @@ def copy_of_version(map_version: MapVersion, placement: Sim3, route: tuple[int, 
         m.references,
         m.points_C(),
         m.descriptors,
-        tuple(m.match_list()),
+        m.reported_matches(),
         map_version,
     )
 
 
-def copy_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int, now_ns: int) -> MapCopy:
+def copy_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: int) -> MapCopy:
     """A map copy in the thesis's form; ``frame``: the seller's coordinates."""
     placement = T_mine_seller @ Sim3(np.eye(3), np.zeros(3), submap.unit)
     return MapCopy(
-        submap.owner,
-        submap.version,
-        seller,
-        now_ns,
+        SoldVersion(seller, submap.owner, submap.version),
         (*submap.route, seller),
         frame,
         placement,
@@ -122,7 +141,7 @@ def copy_of_submap(submap: SubMap, frame: FrameId, T_mine_seller: Sim3, seller: 
         submap.references.array(),
         submap.points.array().astype(np.float64),
         submap.descriptors.array(),
-        tuple(zip(submap.matches, unpack_sim3s(submap.transforms), strict=True)),
+        tuple(map(ReportedMatch, submap.matches, unpack_sim3s(submap.transforms))),
     )
 
 
@@ -139,8 +158,8 @@ def submap_of(copy: MapCopy) -> SubMap:
         references=Tensor.of(copy.references, "<i4"),
         points=Tensor.of(copy.points_C, "<f4"),
         descriptors=Tensor.of(np.zeros((len(copy.references), 32)) if described is None else described, "|u1"),
-        matches=tuple(m for m, _ in copy.matches),
-        transforms=pack_sim3s([T for _, T in copy.matches]),
+        matches=tuple(m.id for m in copy.matches),
+        transforms=pack_sim3s([m.T_M_Q for m in copy.matches]),
         route=copy.route,
     )
 

@@ -7,7 +7,7 @@ what is newer than what it has, each map once, never its own. So every purchase 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -24,11 +24,11 @@ from ..protocol.map_messages import MapDelivery, MapOrder, Parcel, SubMap
 from ..protocol.messages import Award, Bid, Call, Confirmation, MapNotice, Offer, Refusal, Rejection, Result
 from ..protocol.tensors import MessageError
 from ..state.pose_graph import Adoption
-from .admission import admit, recheck, seller_frame
+from .admission import admit, recheck
 from .announcements import Announcements
 from .full_map_increments import runs_of
-from .map_copy import MapCopy
-from .purchase import ArrivedMap, MapTender, SellerFrame, of_parcel, of_submap
+from .map_copy import MapCopy, SoldVersion
+from .purchase import ArrivedMap, MapTender, SellerFrame, of_parcel, of_submap, seller_frame
 from .seller import Seller
 
 
@@ -47,7 +47,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         self.announcements = Announcements()
         self._again = RetryBudget(context.state.config.link.retries)
         self._tenders: dict[ContractId, MapTender] = {}
-        self._rejected: set[tuple[int, int, int]] = set()
+        self._rejected: set[SoldVersion] = set()
         self._spoilt: set[int] = set()
         self._checked: dict[int, tuple[int, int]] = {}
 
@@ -72,7 +72,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
     @property
     def refused_owners(self) -> set[int]:
         """Agents of whose maps one was not kept."""
-        return {owner for _, owner, _ in self._rejected}
+        return {sold.owner for sold in self._rejected}
 
     def on_bid(self, contract: Contract, bid: Bid) -> Effects:
         tender = self._tenders.get(contract.id)
@@ -135,14 +135,18 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         return self.context.send(contract, Award(order))
 
     def _wants(self, seller: int, offer: Offer) -> bool:
+        """Whether an offer is of use."""
+        return self._of_use(SoldVersion(seller, offer.owner, offer.version))
+
+    def _of_use(self, sold: SoldVersion) -> bool:
         """Newer than the copy that is here. What the owner itself offers counts more than what another does: a copy
         that is newer than the owner's own map is a false one."""
-        copy = self.copies.get(offer.owner)
-        if offer.owner == self.state.me or (seller, offer.owner, offer.version) in self._rejected:
+        copy = self.copies.get(sold.owner)
+        if sold.owner == self.state.me or sold in self._rejected:
             return False
-        if copy is None or copy.version < offer.version:
+        if copy is None or copy.version < sold.version:
             return True
-        return seller == offer.owner and copy.version > offer.version
+        return sold.seller == sold.owner and copy.version > sold.version
 
     def _confirm(self, owner: int, offer: Offer) -> None:
         """At the end an owner that offers the version of this copy says that it has not moved since: in common
@@ -156,57 +160,54 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
 
     def on_result(self, contract: Contract, outcome: MapDelivery) -> Effects:
         seller = contract.contractor
-        found = seller_frame(self.state, seller, outcome)
-        if found is None:
+        place = seller_frame(self.state, seller, outcome)
+        if place is None:
             return self.context.event("map_refused", seller=seller, reason="no common place to align it by")
-        place = SellerFrame(seller, outcome.frame, *found)
         submaps = total(self._take_submap(submap, place) for submap in outcome.maps)
         return submaps + total(self._take_parcel(parcel, place) for parcel in outcome.parcels)
 
     def _take_submap(self, submap: SubMap, place: SellerFrame) -> Effects:
         """A map in the thesis's form."""
         try:
-            arrived = of_submap(submap, self.copies.get(submap.owner), place, self.context.now_ns)
+            arrived = of_submap(submap, self.copies.get(submap.owner), place)
         except MessageError as error:
-            return self._misfit(place.seller, submap.owner, submap.version, bool(submap.known), str(error))
+            sold = SoldVersion(place.seller, submap.owner, submap.version)
+            return self._misfit(sold, bool(submap.known), str(error))
         return self._take(arrived)
 
     def _take_parcel(self, parcel: Parcel, place: SellerFrame) -> Effects:
         """A map made of patches."""
-        last, partial = parcel.patches[-1].version, bool(parcel.patches[0].base)
         try:
-            arrived = of_parcel(parcel, self.copies.get(parcel.owner), place, self.state.frame, self.context.now_ns)
+            arrived = of_parcel(parcel, self.copies.get(parcel.owner), place, self.state.frame)
         except MessageError as error:
-            return self._misfit(place.seller, parcel.owner, last, partial, str(error))
+            sold = SoldVersion(place.seller, parcel.owner, parcel.patches[-1].version)
+            return self._misfit(sold, bool(parcel.patches[0].base), str(error))
         return self._take(arrived)
 
-    def _misfit(self, seller: int, owner: int, version: int, partial: bool, reason: str) -> Effects:
+    def _misfit(self, sold: SoldVersion, partial: bool, reason: str) -> Effects:
         """A delivery that makes no map: where it held only what is new, the whole is ordered next time."""
         if partial:
-            self._spoilt.add(owner)
-            self.stale.add(seller)
+            self._spoilt.add(sold.owner)
+            self.stale.add(sold.seller)
         else:
-            self._rejected.add((seller, owner, version))
-        return self.context.event("map_refused", seller=seller, owner=owner, reason=reason)
+            self._rejected.add(sold)
+        return self.context.event("map_refused", seller=sold.seller, owner=sold.owner, reason=reason)
 
     def _take(self, arrived: ArrivedMap) -> Effects:
         """Algorithm 1: update the copy or append a new one, if it passes the checks."""
         new = arrived.copy
-        seller, owner, version = new.route[-1], new.owner, new.version
-        self._spoilt.discard(owner)
-        if not self._wants(seller, Offer(owner, version, len(new.keyframes))):
+        self._spoilt.discard(new.owner)
+        if not self._of_use(new.sold):
             return NOTHING
-        old = self.copies.get(owner)
-        verdict = admit(new, old, self.state, self.copies, arrived.placed_by)
+        old = self.copies.get(new.owner)
+        verdict = admit(arrived, old, self.state, self.copies)
         if verdict.copy is None:
             return self._refuse(new, verdict.reason)
-        self.copies[owner] = verdict.copy
+        self.copies[new.owner] = verdict.copy
         known = 0 if old is None else len(old.keyframes)
         return self.context.event(
             "map_bought",
-            seller=seller,
-            owner=owner,
-            version=version,
+            **asdict(new.sold),
             keyframes=len(new.keyframes),
             new_keyframes=len(new.keyframes) - known,
             points=len(new.references),
@@ -254,11 +255,10 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
 
     def _refuse(self, copy: MapCopy, reason: str) -> Effects:
         """Not kept, and not bought again from this seller."""
-        self._rejected.add((copy.seller, copy.owner, copy.version))
+        self._rejected.add(copy.sold)
         if copy.seller == copy.owner:
             self.context.reputation.blame(copy.seller)
-        names = {"seller": copy.seller, "owner": copy.owner, "version": copy.version}
-        return self.context.event("map_refused", **names, reason=reason)
+        return self.context.event("map_refused", **asdict(copy.sold), reason=reason)
 
     def _anchor(self, copy: MapCopy, adoption: Adoption) -> int:
         me = self.state.me

@@ -20,6 +20,16 @@ from .versions import MapVersion, make_patch
 _SAME_UNIT = 1e-3
 
 
+@dataclass(frozen=True, eq=False)
+class _KeyframePoints:
+    """Points that are sold with one key-frame: ``cells`` ``(n, 2)``, ``depths`` ``(n,)``, ``descriptors``
+    ``(n, 32)``."""
+
+    cells: NDArray[np.int64]
+    depths: NDArray[np.int64]
+    descriptors: NDArray[np.uint8]
+
+
 @dataclass
 class Publisher:
     """The owner's side: makes a version of its own map when there is something to tell."""
@@ -86,31 +96,29 @@ class Publisher:
             keyframes=np.array(placed, dtype=np.int64),
             ticks=np.array([round(k.stamp_ns / TICK_NS) for k in keyframes], dtype=np.int64),
             poses=quantised(np.array([stretched(state.poses[i], 1.0 / unit) for i in placed]), steps),
-            counts=np.concatenate([old.counts, np.array([len(p[1]) for p in points], dtype=np.int64)]),
-            cells=np.concatenate([old.cells, *(p[0] for p in points)]),
-            depths=np.concatenate([old.depths, *(p[1] for p in points)]),
+            counts=np.concatenate([old.counts, np.array([len(p.depths) for p in points], dtype=np.int64)]),
+            cells=np.concatenate([old.cells, *(p.cells for p in points)]),
+            depths=np.concatenate([old.depths, *(p.depths for p in points)]),
             descriptors=self._descriptors(old, points),
             matches=np.array(names, dtype=np.int64).reshape(-1, 3),
             transforms=np.array([quantised_match(m.T_M_Q, steps) for m in matches], dtype=np.int64).reshape(-1, 7),
         )
 
-    def _points(self, index: int, steps: Steps) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
-        """Cells, depths and descriptors of the points that are sold with a key-frame: of those not sold yet."""
+    def _points(self, index: int, steps: Steps) -> _KeyframePoints:
+        """The points that are sold with a key-frame: of those not sold yet."""
         keyframe = self.state.keyframes[index]
         fresh = np.array([i not in self._sold for i in keyframe.point_ids.tolist()], dtype=bool)
         rows = np.flatnonzero(fresh & sellable(keyframe.points_C))
         rows = well_spread(keyframe.points_C, rows, self._config.max_points)
         self._sold.update(keyframe.point_ids[rows].tolist())
-        order, cells, depths = quantised_points(keyframe.points_C[rows], steps)
-        return cells, depths, keyframe.descriptors[rows[order]]
+        coded = quantised_points(keyframe.points_C[rows], steps)
+        return _KeyframePoints(coded.cells, coded.depths, keyframe.descriptors[rows[coded.order]])
 
-    def _descriptors(
-        self, old: QuantisedMap, points: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]]
-    ) -> NDArray[np.uint8] | None:
+    def _descriptors(self, old: QuantisedMap, points: list[_KeyframePoints]) -> NDArray[np.uint8] | None:
         if not self._config.descriptors:
             return None
         first = np.zeros((0, 32), dtype=np.uint8) if old.descriptors is None else old.descriptors
-        return np.concatenate([first, *(p[2] for p in points)])
+        return np.concatenate([first, *(p.descriptors for p in points)])
 
 
 def _in_old_order(old: QuantisedMap, matches: list[Match]) -> list[Match]:

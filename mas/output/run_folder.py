@@ -163,16 +163,24 @@ class Recorder:
         for agent in agents:
             for c in agent.candidates.by_id.values():
                 outcome, reason = agent.candidates.outcome_of(c)
-                i, error = c.id, errors.get(c.id)
+                i, check, error = c.id, c.check, errors.get(c.id)
                 stamps = [
                     agents[a].state.keyframes[k].stamp_ns
                     for a, k in ((i.query_agent, i.query), (i.match_agent, i.match))
                 ]
                 head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
-                row = [figure(c.distance), outcome.value, reason, c.detail, c.matches, c.inliers, figure(c.rmse)]
+                row = [
+                    figure(c.distance),
+                    outcome.value,
+                    reason,
+                    check.detail,
+                    check.matches,
+                    check.inliers,
+                    figure(check.rmse),
+                ]
                 wrong = int(error.false) if error is not None and outcome is MatchOutcome.ACCEPTED else ""
                 truth = [figure(error.metres), figure(error.degrees), wrong] if error is not None else ["", "", ""]
-                table.writerow([*head, *row, *_transform(c.T_M_Q), *truth])
+                table.writerow([*head, *row, *_transform(check.T_M_Q), *truth])
 
     def agent(self, agent: Agent, sequence: AgentSequence) -> None:
         """The agent's folder: trajectories, graph, own and merged map, copies."""

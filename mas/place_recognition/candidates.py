@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +18,11 @@ from .match_spacing import worth_after
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """A place match on its way: a row of ``matches.csv``. ``distance`` of the vectors; ``reason``: why it was not
-    verified or not accepted, in words that can be counted; ``detail``: with figures."""
+class MatchCheck:
+    """What came of a candidate's verification: whether it was ``verified``; ``reason``: why not, in words that can be
+    counted; ``detail``: with figures; tentative ``matches`` of points, of which ``inliers`` fit ``T_M_Q``, with
+    ``rmse`` (degrees)."""
 
-    id: MatchId
-    now_ns: int
-    distance: float
     verified: bool = False
     reason: str = ""
     detail: str = ""
@@ -33,6 +30,17 @@ class Candidate:
     inliers: int = 0
     rmse: float | None = None
     T_M_Q: Sim3 | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A place match on its way: a row of ``matches.csv``. ``distance`` of the vectors; ``check``: its verification, as
+    far as there was one."""
+
+    id: MatchId
+    now_ns: int
+    distance: float
+    check: MatchCheck = MatchCheck()
 
 
 @dataclass
@@ -98,14 +106,14 @@ class Candidates:
         if candidate.id in self.by_id:
             return False
         reason = self._why_not(candidate.id)
-        self.by_id[candidate.id] = replace(candidate, reason=reason)
+        self.by_id[candidate.id] = replace(candidate, check=MatchCheck(reason=reason))
         return not reason
 
-    def update(self, match: MatchId, **changes: Any) -> None:
-        """Change a candidate of the agent's own queries; a match that others found is none, and is left out."""
+    def checked(self, match: MatchId, check: MatchCheck) -> None:
+        """A candidate of the agent's own queries was checked; a match that others found is none, and is left out."""
         if match in self.by_id:
-            self.by_id[match] = replace(self.by_id[match], **changes)
-            if self.by_id[match].verified:
+            self.by_id[match] = replace(self.by_id[match], check=check)
+            if check.verified:
                 self.verified.setdefault(match.match_agent, []).append(match.query)
 
     def recall(self, keyframe: int) -> None:
@@ -138,9 +146,9 @@ class Candidates:
         """The outcome of a candidate, and why, as it stands now."""
         if candidate.id in self.state.accepted:
             return MatchOutcome.ACCEPTED, "accepted"
-        if candidate.verified:
+        if candidate.check.verified:
             return MatchOutcome.REJECTED, "no agreeing match"
-        return MatchOutcome.REJECTED, candidate.reason or "not verified"
+        return MatchOutcome.REJECTED, candidate.check.reason or "not verified"
 
     def _why_not(self, match: MatchId) -> str:
         turned = MatchId(match.match_agent, match.match, match.query_agent, match.query)

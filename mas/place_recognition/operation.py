@@ -22,7 +22,7 @@ from ..protocol.tasks import EarlierAnswer, OwnerQuery, PlaceAnswer, PlaceQuery,
 from ..state.agent_state import Ownership
 from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
-from .candidates import Candidate, Candidates
+from .candidates import Candidate, Candidates, MatchCheck
 from .peer_queries import ClusterIndex, RecentQueries
 from .sent_queries import SentQueries
 from .verification import Verification, kind_of, match_end, verify, view_of
@@ -113,14 +113,16 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         found = self._latest.nearest(asker, keyframe, vector)
         if found is None:
             return PlaceAnswer(None, _FARTHEST)
-        return PlaceAnswer(*found[1:]) if found[0] == keyframe else EarlierAnswer(*found)
+        if found.query == keyframe:
+            return PlaceAnswer(found.keyframe, found.distance)
+        return EarlierAnswer(found.query, found.keyframe, found.distance)
 
     def _answer_as_owner(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceRedirect:
         found = self._cluster.nearest(vector, asker)
         self._cluster.remember(asker, keyframe, vector)
         if found is None:
             return PlaceRedirect(None, None, _FARTHEST)
-        return PlaceRedirect(found[0], found[1], self.candidates.restored(found[2]))
+        return PlaceRedirect(found.agent, found.keyframe, self.candidates.restored(found.distance))
 
     def _coded(self, keyframe: int) -> NDArray[np.uint8]:
         return self.state.profile.coder.encode(self.state.keyframes[keyframe].vector[None])[0]
@@ -244,16 +246,16 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
             learned = Match(candidate.id, *ends, verdict.T_M_Q, information, verdict.inliers, match.depth)
             if not self._plausible(learned):
                 learned, reason = None, "beyond odometry's drift"
-        self.candidates.update(
-            candidate.id,
+        check = MatchCheck(
             verified=learned is not None,
             reason=kind_of(reason),
             detail=reason,
-            T_M_Q=verdict.T_M_Q,
             matches=verdict.matches,
             inliers=verdict.inliers,
             rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
+            T_M_Q=verdict.T_M_Q,
         )
+        self.candidates.checked(candidate.id, check)
         return NOTHING if learned is None else self.verification.learn(learned)
 
     def _plausible(self, match: Match) -> bool:

@@ -16,6 +16,24 @@ Vector = NDArray[np.float32]
 _ROUGH = 1e-3
 
 
+@dataclass(frozen=True)
+class LoggedPlace:
+    """A key-frame of ``agent`` in a log, and how far its vector is from the one asked about."""
+
+    agent: int
+    keyframe: int
+    distance: float
+
+
+@dataclass(frozen=True)
+class QueryMatch:
+    """The asker's key-frame ``query``, the own ``keyframe`` nearest to it, and the distance of their vectors."""
+
+    query: int
+    keyframe: int
+    distance: float
+
+
 @dataclass(eq=False)
 class ClusterIndex:
     """All key-frames whose vectors fell into the cluster that this agent owns, whoever's they are (thesis sections
@@ -43,9 +61,9 @@ class ClusterIndex:
         self._who.append((agent, keyframe))
         self._known.add((agent, keyframe))
 
-    def nearest(self, vector: Vector, asker: int) -> tuple[int, int, float] | None:
-        """Agent, key-frame and Euclidean distance of the nearest logged one that is not the asker's own; the older of
-        equals; None where there is none."""
+    def nearest(self, vector: Vector, asker: int) -> LoggedPlace | None:
+        """The nearest key-frame (Euclidean distance) that is not the asker's own; the older of equals; None where there
+        is none."""
         count = len(self._who)
         others = self._agents[:count] != asker
         if not others.any():
@@ -54,7 +72,7 @@ class ClusterIndex:
         near = np.flatnonzero(others & (rough <= rough[others].min() + _ROUGH))
         apart = np.linalg.norm(self._vectors[near] - vector, axis=1)
         best = int(apart.argmin())
-        return *self._who[int(near[best])], float(apart[best])
+        return LoggedPlace(*self._who[int(near[best])], float(apart[best]))
 
 
 @dataclass(eq=False)
@@ -79,11 +97,11 @@ class RecentQueries:
     latest: int
     _queries: dict[int, deque[_Earlier]] = field(default_factory=dict)
 
-    def nearest(self, asker: int, keyframe: int, vector: Vector) -> tuple[int, int, float] | None:
-        """The asker's key-frame (this or an earlier one), the own one nearest to it and their distance; this one of
-        equals; None where there is nothing to compare with."""
+    def nearest(self, asker: int, keyframe: int, vector: Vector) -> QueryMatch | None:
+        """The nearest pair of the asker's key-frames, this or an earlier one, and an own one; this one of equals; None
+        where there is nothing to compare with."""
         found = self.candidates.nearest_to_decoded(vector)
-        best = None if found is None else (keyframe, *found)
+        best = None if found is None else QueryMatch(keyframe, *found)
         queries = self._queries.setdefault(asker, deque(maxlen=self.latest))
         if self.latest > 1:
             count = len(self.candidates.state.keyframes)
@@ -93,6 +111,6 @@ class RecentQueries:
             for earlier in queries:
                 new = self.candidates.nearest_of_new(earlier.vector, earlier.compared)
                 earlier.compared = count
-                if new is not None and (best is None or new[1] < best[2]):
-                    best = (earlier.keyframe, *new)
+                if new is not None and (best is None or new[1] < best.distance):
+                    best = QueryMatch(earlier.keyframe, *new)
         return best

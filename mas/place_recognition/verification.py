@@ -32,7 +32,7 @@ from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
 from ..state.match_audit import judged
 from ..state.place_match import Match, MatchEnd
-from .candidates import Candidate, Candidates
+from .candidates import Candidate, Candidates, MatchCheck
 
 # Views of which only the first points have come, at most.
 _KEPT = 256
@@ -77,15 +77,17 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
             self._waiting.setdefault(match_id.match_agent, deque()).appendleft(match_id)
             return NOTHING
         transform = None if outcome.T_M_Q is None else unpack_sim3(outcome.T_M_Q)
-        self.candidates.update(
+        self.candidates.checked(
             match_id,
-            verified=outcome.accepted,
-            reason=kind_of(outcome.reason),
-            detail=outcome.reason,
-            T_M_Q=transform,
-            matches=outcome.matches,
-            inliers=outcome.inliers,
-            rmse=outcome.rmse,
+            MatchCheck(
+                verified=outcome.accepted,
+                reason=kind_of(outcome.reason),
+                detail=outcome.reason,
+                matches=outcome.matches,
+                inliers=outcome.inliers,
+                rmse=outcome.rmse,
+                T_M_Q=transform,
+            ),
         )
         if not outcome.accepted or transform is None or outcome.information is None:
             return NOTHING
@@ -101,8 +103,9 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         again = match in self._waiting.get(match.match_agent, ())
         if self._again.wanted(contract, match) and not again:
             self._waiting.setdefault(contract.contractor, deque()).append(match)
-        elif not again and not self.candidates.by_id[match].detail:
-            self.candidates.update(match, reason="not verified", detail=f"contract {contract.state}: {contract.reason}")
+        elif not again and not self.candidates.by_id[match].check.detail:
+            why = f"contract {contract.state}: {contract.reason}"
+            self.candidates.checked(match, MatchCheck(reason="not verified", detail=why))
         return self._next(contract.contractor)
 
     def resume(self) -> Effects:

@@ -71,6 +71,28 @@ class Match:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class ReportedMatch:
+    """A place match as its owner tells it with its map: which key-frames, and ``T_M_Q`` in M's unit."""
+
+    id: MatchId
+    T_M_Q: Sim3
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """A match as it is compared with others: turned so that the lower track is the match's. ``joins``: how the query's
+    track stands in the match's; ``query`` ``(3,)``: the query camera in its own track; ``way_M``, ``way_Q``: how far
+    both had travelled; ``depth``: median at M."""
+
+    id: MatchId
+    joins: Sim3
+    query: Array
+    way_M: float
+    way_Q: float
+    depth: float
+
+
 class Agreement:
     """Matches between two tracks, and which of them say the same about how the tracks stand, up to odometry's drift.
 
@@ -86,29 +108,30 @@ class Agreement:
 
     def __init__(self, config: ConsistencyConfig) -> None:
         self.config = config
-        self.ids: list[MatchId] = []
-        self._joins: list[Sim3] = []
-        self._figures: list[tuple[float, float, float]] = []
-        self._queries: list[Array] = []
+        self._all: list[_Compared] = []
         self._ok = np.zeros((0, 0), dtype=bool)
 
+    @property
+    def ids(self) -> list[MatchId]:
+        """All matches, in the order in which they came."""
+        return [m.id for m in self._all]
+
     def add(self, match: Match) -> None:
-        """Compare a match with all so far. It is turned so that the lower track is the match's."""
+        """Compare a match with all so far."""
         upright = match if match.tracks[0] <= match.tracks[1] else match.turned()
-        self.ids.append(match.id)
-        self._joins.append(upright.joins())
-        self._queries.append(upright.query.T_T_C[:3, 3])
-        self._figures.append((upright.match.way, upright.query.way, upright.depth))
-        n = len(self.ids)
+        query, ways = upright.query.T_T_C[:3, 3], (upright.match.way, upright.query.way)
+        self._all.append(_Compared(match.id, upright.joins(), query, *ways, upright.depth))
+        n = len(self._all)
         grown = np.ones((n, n), dtype=bool)
         grown[:-1, :-1] = self._ok
         grown[-1, :] = grown[:, -1] = self._agree_with_last()
         self._ok = grown
 
     def _agree_with_last(self) -> NDArray[np.bool_]:
-        last, query = self._joins[-1], self._queries[-1]
-        R, t, s = (np.array([getattr(j, name) for j in self._joins]) for name in ("rotation", "translation", "scale"))
-        queries, (way_M, way_Q, depth) = np.array(self._queries), np.array(self._figures).T
+        last, query, joins = self._all[-1].joins, self._all[-1].query, [m.joins for m in self._all]
+        R, t, s = (np.array([getattr(j, name) for j in joins]) for name in ("rotation", "translation", "scale"))
+        queries = np.array([m.query for m in self._all])
+        way_M, way_Q, depth = np.array([(m.way_M, m.way_Q, m.depth) for m in self._all]).T
         travelled = np.abs(way_M - way_M[-1]) + np.maximum(s, last.scale) * np.abs(way_Q - way_Q[-1])
         deeper = np.maximum(depth, depth[-1])
         by_others = s[:, None] * (R @ query) + t - last @ query
@@ -134,8 +157,8 @@ class Agreement:
         """
         if self.config.rule == "earlier":
             return self._by_earlier()
-        counts = self._ok.sum(axis=1)
-        order = sorted(range(len(self.ids)), key=lambda k: (-counts[k], self.ids[k]))
+        counts, ids = self._ok.sum(axis=1), self.ids
+        order = sorted(range(len(ids)), key=lambda k: (-counts[k], ids[k]))
         best: list[int] = []
         for seed in order:
             if counts[seed] <= len(best):
@@ -147,14 +170,14 @@ class Agreement:
                     fits &= self._ok[k]
             if len(clique) > len(best):
                 best = clique
-        return {self.ids[k] for k in best} if len(best) > self.config.min_support else set()
+        return {ids[k] for k in best} if len(best) > self.config.min_support else set()
 
     def _by_earlier(self) -> set[MatchId]:
         """Those that enough matches before them on the query's way agree with. The order in which they came to be known
         does not matter: the way says which is earlier, and of equals the number."""
-        places = [(way, i) for (_, way, _), i in zip(self._figures, self.ids, strict=True)]
+        places = [(m.way_Q, m.id) for m in self._all]
         return {
-            self.ids[k]
-            for k in range(len(self.ids))
-            if sum(self._ok[k, j] for j in range(len(self.ids)) if places[j] < places[k]) >= self.config.min_support
+            place[1]
+            for k, place in enumerate(places)
+            if sum(self._ok[k, j] for j, other in enumerate(places) if other < place) >= self.config.min_support
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +15,17 @@ from .transport import Sent, Transport
 
 # A message out of order falls behind at most so many others that were sent later.
 _BEHIND = 16
+
+
+@dataclass(frozen=True, order=True)
+class _HeldMessage:
+    """An encoded message on its way: when it is ``due``, its ``place`` among those due at once, and its ``number``."""
+
+    due_ns: int
+    place: int
+    number: int
+    recipient: int
+    data: bytes
 
 
 class FaultyTransport(Transport):
@@ -31,7 +43,7 @@ class FaultyTransport(Transport):
         self._now_ns = 0
         self._sender = -1
         self._number = 0
-        self._held: list[tuple[int, int, int, int, bytes]] = []
+        self._held: list[_HeldMessage] = []
 
     def send(self, message: Message, now_ns: int) -> None:
         self._sender = message.sender
@@ -49,14 +61,15 @@ class FaultyTransport(Transport):
         self.doubled += copies - 1
         for drawn in late[:copies]:
             due = self._now_ns + round((config.delay_s + config.jitter_s * drawn) * 1e9)
-            heapq.heappush(self._held, (due, self._number + behind, self._number, recipient, data))
+            held = _HeldMessage(due, self._number + behind, self._number, recipient, data)
+            heapq.heappush(self._held, held)
             self._number += 1
 
     def arrive(self) -> tuple[int, bytes] | None:
-        while self._held and self._held[0][0] <= self._now_ns:
-            *_, recipient, data = heapq.heappop(self._held)
-            if present(self.config, recipient, self._now_ns):
-                self.inner.carry(recipient, data)
+        while self._held and self._held[0].due_ns <= self._now_ns:
+            held = heapq.heappop(self._held)
+            if present(self.config, held.recipient, self._now_ns):
+                self.inner.carry(held.recipient, held.data)
                 break
             self.lost += 1
         return self.inner.arrive()

@@ -174,7 +174,7 @@ def test_an_earlier_key_frame_is_not_verified_again_around_an_accepted_match() -
     for keyframe, other in ((10 - gap - 1, 1), (10 - gap, 1), (10 + gap, 1), (17, 1), (17, 3)):
         match = MatchId(2, keyframe, other, 3)
         agent.candidates.propose(Candidate(match, 0, 0.1))
-        reasons[keyframe, other] = agent.candidates.by_id[match].reason
+        reasons[keyframe, other] = agent.candidates.by_id[match].check.reason
     assert reasons == {
         (10 - gap - 1, 1): "",
         (10 - gap, 1): "close to an accepted match",

@@ -10,15 +10,16 @@ import pytest
 from factory import circuit, heading, make_sequence, make_world, manifest_of
 
 from maslam.backend.geometry import Array, Sim3, se3_exp, se3_inverse
-from maslam.mas.map_exchange.admission import admit, aligned, recheck
+from maslam.mas.map_exchange.admission import Admission, admit, aligned, recheck
 from maslam.mas.map_exchange.evidence_checks import best_motion, evidence_of, tolerance, witnesses
-from maslam.mas.map_exchange.map_copy import MapCopy, with_new_keyframes
+from maslam.mas.map_exchange.map_copy import MapCopy, SoldVersion, with_new_keyframes
+from maslam.mas.map_exchange.purchase import ArrivedMap
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import FrameId, MatchId
 from maslam.mas.simulation import make_agents
 from maslam.mas.state.agent_state import AgentState
 from maslam.mas.state.keyframe import keyframes_of
-from maslam.mas.state.place_match import Match, MatchEnd
+from maslam.mas.state.place_match import Match, MatchEnd, ReportedMatch
 
 WORLD = make_world(3, points=10_000)
 MOTION = Sim3.from_se3(se3_exp([3.0, 0.5, -2.0, 0.02, 0.3, -0.05]))
@@ -41,16 +42,13 @@ def held(
     poses: Array,
     first: int = 0,
     placement: Sim3 | None = None,
-    matches: tuple[tuple[MatchId, Sim3], ...] = (),
+    matches: tuple[ReportedMatch, ...] = (),
     version: int = 1,
 ) -> MapCopy:
     """A copy with these poses in its own coordinates and no points."""
     count = len(poses)
     return MapCopy(
-        owner,
-        version,
-        owner,
-        0,
+        SoldVersion(owner, owner, version),
         (owner,),
         FrameId(owner, 0),
         placement or Sim3.identity(),
@@ -62,6 +60,13 @@ def held(
         None,
         matches,
     )
+
+
+def judged(
+    copy: MapCopy, old: MapCopy | None, state: AgentState, others: dict[int, MapCopy], placed_by: MatchId | None = None
+) -> Admission:
+    """The verdict on a copy that comes in."""
+    return admit(ArrivedMap(copy, placed_by), old, state, others)
 
 
 def matched(state: AgentState, own: int, other: int, index: int, T_O_other: Array, asked: bool) -> MatchId:
@@ -101,8 +106,9 @@ def test_alignment_is_equation_3_4_and_the_rest_follows_by_relative_poses(asked:
     state = holder(consistency_m=0.5)
     identity = matched(state, 2, 1, 4, ROAD[4], asked)
     wrong = held(1, ROAD, placement=MOTION)
-    right, found, by = aligned(wrong, witnesses(wrong, state, {}), state)
-    assert by == identity and found[0].metres < 1e-9
+    laid = aligned(wrong, witnesses(wrong, state, {}), state)
+    right = laid.copy
+    assert laid.aligned_by == identity and laid.witnesses[0].metres < 1e-9
     T_M_Q = state.verified[identity].T_M_Q.se3()
     chain = {4: state.poses[2] @ (se3_inverse(T_M_Q) if asked else T_M_Q)}
     relative = [se3_inverse(a) @ b for a, b in pairwise(wrong.poses)]
@@ -118,7 +124,7 @@ def test_a_map_within_the_threshold_is_left_alone() -> None:
     state = holder(consistency_m=100.0)
     matched(state, 2, 1, 4, ROAD[4], True)
     wrong = held(1, ROAD, placement=MOTION)
-    assert aligned(wrong, witnesses(wrong, state, {}), state)[0] is wrong
+    assert aligned(wrong, witnesses(wrong, state, {}), state).copy is wrong
 
 
 def test_of_several_matches_the_one_that_the_others_agree_with_lays_the_map() -> None:
@@ -134,7 +140,7 @@ def test_a_map_is_checked_against_other_maps_by_matches_that_came_with_either() 
     state = holder()
     further = np.array([heading(10.0 + k, 3.0 * k, 0.2) for k in range(5)])
     T_M_Q = Sim3.from_se3(se3_inverse(ROAD[6]) @ further[2])
-    match = (MatchId(2, 2, 1, 6), T_M_Q)
+    match = ReportedMatch(MatchId(2, 2, 1, 6), T_M_Q)
     for first, second in (((match,), ()), ((), (match,))):
         one, two = held(1, ROAD, matches=first), held(2, further, matches=second)
         how = evidence_of(witnesses(two, state, {1: one, 2: two}))
@@ -148,25 +154,25 @@ def test_a_map_is_checked_against_other_maps_by_matches_that_came_with_either() 
 def test_a_map_in_common_coordinates_is_not_laid_on_another_copy() -> None:
     """The other copy may be older; once moved to it, each would be moved to the next."""
     state = holder(consistency_m=2.0)
-    match = (MatchId(2, 3, 1, 3), Sim3.identity())
+    match = ReportedMatch(MatchId(2, 3, 1, 3), Sim3.identity())
     older = held(2, ROAD, placement=Sim3(np.eye(3), np.array([7.0, 0, 0])))
     strange = held(1, ROAD, matches=(match,))
     common = replace(strange, frame=state.frame)
     for one, moved in ((strange, True), (common, False)):
-        verdict = admit(one, None, state, {2: older})
+        verdict = judged(one, None, state, {2: older})
         assert verdict.copy is not None and (verdict.aligned_by is not None) == moved
     matched(state, 2, 1, 4, ROAD[4], True)
-    assert admit(common.moved(MOTION), None, state, {2: older}).aligned_by is not None, "an own match counts"
+    assert judged(common.moved(MOTION), None, state, {2: older}).aligned_by is not None, "an own match counts"
 
 
 def test_a_wrong_map_is_rejected_with_a_reason_and_a_right_one_is_not() -> None:
     state = holder(accuracy_m=5.0)
     for own, index in ((1, 2), (3, 6)):
         matched(state, own, 1, index, ROAD[index], True)
-    verdict = admit(held(1, 3.0 * ROAD - 2.0 * np.eye(4)), None, state, {})
+    verdict = judged(held(1, 3.0 * ROAD - 2.0 * np.eye(4)), None, state, {})
     assert verdict.copy is None
     assert verdict.reason.startswith("no place match agrees: 2 of them")
-    assert admit(held(1, ROAD), None, state, {}).copy is not None
+    assert judged(held(1, ROAD), None, state, {}).copy is not None
 
 
 def test_the_match_that_placed_a_map_cannot_judge_it() -> None:
@@ -175,9 +181,9 @@ def test_the_match_that_placed_a_map_cannot_judge_it() -> None:
     bent = ROAD.copy()
     bent[4:, :3, 3] += [0.0, 0.0, 40.0]
     first = matched(state, 1, 1, 2, ROAD[2], True)
-    assert admit(held(1, bent), None, state, {}, placed_by=first).copy is not None
+    assert judged(held(1, bent), None, state, {}, placed_by=first).copy is not None
     matched(state, 3, 1, 6, ROAD[6], True)
-    assert admit(held(1, bent), None, state, {}, placed_by=first).copy is None
+    assert judged(held(1, bent), None, state, {}, placed_by=first).copy is None
 
 
 def test_a_match_of_the_key_frame_that_a_map_was_laid_on_does_not_judge_the_rest() -> None:
@@ -189,12 +195,12 @@ def test_a_match_of_the_key_frame_that_a_map_was_laid_on_does_not_judge_the_rest
         first = matched(state, 1, 1, 2, ROAD[2], True)
         matched(state, 2, 1, 2, ROAD[2], True)
         matched(state, 3, 1, 6, ROAD[6], True)
-        assert (admit(held(1, wrong), None, state, {}, placed_by=first).copy is not None) == kept
-        assert admit(held(1, ROAD), None, state, {}, placed_by=first).copy is not None
+        assert (judged(held(1, wrong), None, state, {}, placed_by=first).copy is not None) == kept
+        assert judged(held(1, ROAD), None, state, {}, placed_by=first).copy is not None
     state = holder(accuracy_m=5.0, accuracy_share=0.5)
     first = matched(state, 1, 1, 2, ROAD[2], True)
     matched(state, 2, 1, 2, ROAD[2], True)
-    assert admit(held(1, wrong), None, state, {}, placed_by=first).copy is not None, "nothing else is known"
+    assert judged(held(1, wrong), None, state, {}, placed_by=first).copy is not None, "nothing else is known"
 
 
 def test_half_of_the_places_must_agree() -> None:
@@ -205,7 +211,7 @@ def test_half_of_the_places_must_agree() -> None:
         first = matched(state, 1, 1, 2, ROAD[2], True)
         for own, index in enumerate(others, start=2):
             matched(state, own, 1, index, ROAD[index], True)
-        verdict = admit(held(1, bent), None, state, {}, placed_by=first)
+        verdict = judged(held(1, bent), None, state, {}, placed_by=first)
         assert (verdict.copy is not None) == kept
     assert verdict.reason.startswith("few place matches agree: 1 of 3 of them")
 
@@ -217,9 +223,9 @@ def test_verified_matches_that_contradict_each_other_reject_a_map_without_accept
         place[2, 3] += apart_m
         matched(state, own, 1, index, place, True)
     state.accepted.clear()
-    assert admit(held(1, ROAD), None, state, {}).copy is None
+    assert judged(held(1, ROAD), None, state, {}).copy is None
     del state.verified[MatchId(0, 3, 1, 6)]
-    assert admit(held(1, ROAD), None, state, {}).copy is not None, "two are too few to tell who is wrong"
+    assert judged(held(1, ROAD), None, state, {}).copy is not None, "two are too few to tell who is wrong"
 
 
 def test_a_held_map_is_given_up_when_a_later_match_contradicts_it() -> None:
@@ -237,8 +243,8 @@ def test_another_map_does_not_outvote_own_matches() -> None:
     state = holder(accuracy_m=5.0)
     matched(state, 1, 1, 2, ROAD[2], True)
     astray = held(2, ROAD, placement=Sim3(np.eye(3), np.array([500.0, 0, 0])))
-    match = (MatchId(2, 3, 1, 3), Sim3.identity())
-    assert admit(held(1, ROAD, matches=(match,)), None, state, {2: astray}).copy is not None
+    match = ReportedMatch(MatchId(2, 3, 1, 3), Sim3.identity())
+    assert judged(held(1, ROAD, matches=(match,)), None, state, {2: astray}).copy is not None
 
 
 def test_of_a_map_that_is_the_same_only_new_key_frames_are_taken() -> None:
@@ -246,13 +252,13 @@ def test_of_a_map_that_is_the_same_only_new_key_frames_are_taken() -> None:
     matched(state, 1, 1, 2, ROAD[2], True)
     slip = Sim3.from_se3(se3_exp([0.3, 0.0, 0.2, 0.0, 0.02, 0.0]))
     old = held(1, ROAD[1:5], first=1, placement=slip)
-    verdict = admit(held(1, ROAD, version=2), old, state, {1: old})
+    verdict = judged(held(1, ROAD, version=2), old, state, {1: old})
     assert verdict.redundant and verdict.copy is not None
     np.testing.assert_allclose(verdict.copy.poses[1:5], old.poses, atol=1e-9)
     np.testing.assert_allclose(verdict.copy.poses, slip.transform_poses(ROAD), atol=1e-9)
     assert verdict.copy.version == 2
     far = held(1, ROAD[1:5], first=1, placement=Sim3(np.eye(3), np.array([20.0, 0, 0])))
-    replaced = admit(held(1, ROAD, version=2), far, state, {1: far})
+    replaced = judged(held(1, ROAD, version=2), far, state, {1: far})
     assert not replaced.redundant and replaced.copy is not None
     np.testing.assert_allclose(replaced.copy.poses, ROAD, atol=1e-9)
 

@@ -9,7 +9,7 @@ import pytest
 from factory import CAMERA, heading
 
 from maslam.backend.geometry import Array, Sim3, se3_inverse, transform_points
-from maslam.mas.map_exchange.map_copy import MapCopy
+from maslam.mas.map_exchange.map_copy import MapCopy, SoldVersion
 from maslam.mas.output.colmap import write_colmap
 from maslam.mas.output.fused_map import fused, write_map
 from maslam.mas.protocol.ids import FrameId
@@ -31,10 +31,7 @@ def map_of(
     poses[:, :3, 3] /= unit
     placement = Sim3(np.eye(3), np.zeros(3), unit)
     return MapCopy(
-        owner,
-        1,
-        owner,
-        0,
+        SoldVersion(owner, owner, 1),
         (owner,),
         FrameId(owner, 0),
         placement,

@@ -41,9 +41,9 @@ def test_the_answer_is_the_nearest_of_all_pairs_not_compared_before() -> None:
             continue
         apart = {p: float(np.linalg.norm(keyframes[0][p[0]].vector - keyframes[1][p[1]].vector)) for p in pairs}
         assert found is not None
-        assert found[2] == pytest.approx(min(apart.values()), abs=1e-6)
-        assert apart[found[0], found[1]] == pytest.approx(found[2], abs=1e-6)
-        earlier += found[0] != query
+        assert found.distance == pytest.approx(min(apart.values()), abs=1e-6)
+        assert apart[found.query, found.keyframe] == pytest.approx(found.distance, abs=1e-6)
+        earlier += found.query != query
     assert earlier > 0
 
 
@@ -54,9 +54,11 @@ def test_askers_are_kept_apart_and_one_frame_only_means_no_memory() -> None:
     assert five.nearest(0, 0, place) is None and one.nearest(0, 0, place) is None
     for keyframe in keyframes[1]:
         agents[1].observe(keyframe)
-    assert five.nearest(7, 1, elsewhere)[:2] == (1, 0)  # type: ignore[index]
-    assert one.nearest(0, 1, elsewhere)[:2] == (1, 0)  # type: ignore[index]
-    assert five.nearest(0, 1, elsewhere)[2] <= 1e-6  # type: ignore[index]
+    for log, asker in ((five, 7), (one, 0)):
+        found = log.nearest(asker, 1, elsewhere)
+        assert found is not None and (found.query, found.keyframe) == (1, 0)
+    again = five.nearest(0, 1, elsewhere)
+    assert again is not None and again.distance <= 1e-6
 
 
 def test_a_query_said_again_is_answered_again_and_kept_once() -> None:
@@ -68,7 +70,8 @@ def test_a_query_said_again_is_answered_again_and_kept_once() -> None:
     assert log.nearest(0, 1, keyframes[0][14].vector) == log.nearest(0, 1, keyframes[0][14].vector)
     agents[1].observe(keyframes[1][1])
     # Key-frame 0 is still one of the two latest: its new neighbour is found.
-    assert first is not None and log.nearest(0, 1, keyframes[0][14].vector)[:2] == (0, 1)  # type: ignore[index]
+    again = log.nearest(0, 1, keyframes[0][14].vector)
+    assert first is not None and again is not None and (again.query, again.keyframe) == (0, 1)
 
 
 def answered(agents: list[Agent], mail: list[Message]) -> list[object]:

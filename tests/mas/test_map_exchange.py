@@ -245,7 +245,9 @@ def test_a_copy_newer_than_its_owners_own_map_is_given_up() -> None:
     agents = agents_in_a_row(form="compact")
     trade(agents, 0, [1])
     held = agents[0].maps.copies[1]
-    agents[0].maps.copies[1] = replace(held, version=1000, placement=held.placement @ Sim3(np.eye(3), np.ones(3)))
+    agents[0].maps.copies[1] = replace(
+        held, sold=replace(held.sold, version=1000), placement=held.placement @ Sim3(np.eye(3), np.ones(3))
+    )
     trade(agents, 0, [1])
     assert agents[0].maps.copies[1].version == 1
     np.testing.assert_allclose(agents[0].maps.copies[1].poses, held.poses, atol=1e-9)

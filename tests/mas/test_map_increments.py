@@ -71,7 +71,7 @@ class Buyer:
         assert not came & self.got, "points that are here came again"
         made = completed(submap, self.held)
         assert made == whole, "put together from pieces it is not the map that was for sale"
-        self.held = copy_of_submap(made, FrameId(0, 0), Sim3.identity(), 0, 0)
+        self.held = copy_of_submap(made, FrameId(0, 0), Sim3.identity(), 0)
         self.got = set(self.held.keyframes[self.held.references].tolist())
 
     def lose(self) -> None:
@@ -135,7 +135,7 @@ def two_purchases() -> tuple[MapCopy, SubMap]:
     """A copy of eight key-frames, and the map when it has twelve."""
     state, keyframes = driver(30, form="full", max_points=POINTS)
     see(state, keyframes, 8)
-    copy = copy_of_submap(own_submap(state, POINTS), FrameId(0, 0), Sim3.identity(), 0, 0)
+    copy = copy_of_submap(own_submap(state, POINTS), FrameId(0, 0), Sim3.identity(), 0)
     see(state, keyframes, 4)
     bend(state, [0.5, 0.0, 0.5, 0.0, 0.05, 0.0])
     return copy, own_submap(state, POINTS)
@@ -153,7 +153,7 @@ def test_only_points_of_new_key_frames_come_and_all_poses() -> None:
 
 def test_a_copy_that_was_renewed_meanwhile_serves_as_well() -> None:
     copy, whole = two_purchases()
-    newer = copy_of_submap(whole, FrameId(0, 0), Sim3.identity(), 0, 0)
+    newer = copy_of_submap(whole, FrameId(0, 0), Sim3.identity(), 0)
     assert completed(without(whole, runs_of(copy.keyframes)), newer) == whole
 
 

@@ -14,7 +14,7 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.mas.agent import Agent
 from maslam.mas.config import MasConfig
 from maslam.mas.errors import MasError
-from maslam.mas.place_recognition.peer_queries import ClusterIndex
+from maslam.mas.place_recognition.peer_queries import ClusterIndex, LoggedPlace
 from maslam.mas.policies.cluster_owners import centres_of, owner_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import OperationKind
@@ -98,7 +98,7 @@ def test_a_redirected_match_is_verified_with_the_agent_that_has_the_key_frame() 
     said = play(agents, 8)
     wanted = {m.recipient for m in said if isinstance(m.body, Call) and m.body.operation is OperationKind.RELPOSE}
     book = [c for a in agents for c in a.candidates.by_id.values()]
-    third = [c for c in book if c.verified and owner_of_candidate(agents, c.id) not in c.id.agents]
+    third = [c for c in book if c.check.verified and owner_of_candidate(agents, c.id) not in c.id.agents]
     assert third and {c.id.match_agent for c in third} <= wanted
     assert not any(logged(a, "refused") for a in agents)
 
@@ -155,11 +155,11 @@ def test_a_log_leaves_the_askers_own_key_frames_out() -> None:
     log.remember(0, 5, x)
     log.remember(0, 5, y)
     assert log.nearest(x, 0) is None
-    assert log.nearest(x, 1) == (0, 5, 0.0)
+    assert log.nearest(x, 1) == LoggedPlace(0, 5, 0.0)
     log.remember(1, 2, y)
-    assert log.nearest(x, 0) == (1, 2, pytest.approx(np.sqrt(2.0)))
+    assert log.nearest(x, 0) == LoggedPlace(1, 2, pytest.approx(np.sqrt(2.0)))
     log.remember(2, 0, x)
-    assert log.nearest(x, 1) == (0, 5, 0.0)
+    assert log.nearest(x, 1) == LoggedPlace(0, 5, 0.0)
 
 
 def test_centres_come_from_other_images_where_the_settings_name_some(tmp_path: Path) -> None:

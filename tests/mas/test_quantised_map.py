@@ -94,9 +94,9 @@ def test_poses_and_matches_survive_any_rotation() -> None:
     see(state, keyframes, 3)
     stock = Publisher(state).latest(closing=False)
     assert stock is not None
-    match, found = replace(stock.map, steps=steps, matches=ids, transforms=rows).match_list()[0]
-    assert match == MatchId(0, 3, 1, 9)
-    np.testing.assert_allclose(found.matrix(), T.matrix(), rtol=2e-3, atol=0.02)
+    reported = replace(stock.map, steps=steps, matches=ids, transforms=rows).reported_matches()[0]
+    assert reported.id == MatchId(0, 3, 1, 9)
+    np.testing.assert_allclose(reported.T_M_Q.matrix(), T.matrix(), rtol=2e-3, atol=0.02)
 
 
 def test_the_points_sold_are_near_ones_from_all_over_the_image() -> None:

@@ -4,7 +4,7 @@ poses, new matches. Against nothing it is the whole map. All arithmetic is on wh
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,7 @@ def decode(
     ticks = _read_ticks(bits, base.ticks, fresh)
     poses = moved[:0] if mode == ANEW else moved
     rest = bits.get_signed(_POSE, 6 * (old + fresh - len(poses))).reshape(-1, 6)
-    counts, cells, depths = _read_points(bits, fresh)
+    points = _read_points(bits, fresh)
     matches, transforms = _read_matches(bits, base)
     bits.end()
     made = QuantisedMap(
@@ -177,9 +177,9 @@ def decode(
         np.concatenate([base.keyframes, keyframes]),
         np.concatenate([base.ticks, ticks]),
         _followed(poses, rest),
-        np.concatenate([base.counts, counts]),
-        np.concatenate([base.cells, cells]),
-        np.concatenate([base.depths, depths]),
+        np.concatenate([base.counts, points.counts]),
+        np.concatenate([base.cells, points.cells]),
+        np.concatenate([base.depths, points.depths]),
         None,
         matches,
         transforms,
@@ -222,13 +222,22 @@ def _followed(poses: Ints, residuals: Ints) -> Ints:
     return np.concatenate([poses, poses[-1] + np.cumsum(step + np.cumsum(residuals, axis=0), axis=0)])
 
 
-def _read_points(bits: BitReader, fresh: int) -> tuple[Ints, Ints, Ints]:
+@dataclass(frozen=True, eq=False)
+class _NewPoints:
+    """Points of new key-frames, as in :class:`~.quantised_map.QuantisedMap`."""
+
+    counts: Ints
+    cells: Ints
+    depths: Ints
+
+
+def _read_points(bits: BitReader, fresh: int) -> _NewPoints:
     counts = bits.get(_COUNT, fresh)
     total = int(counts.sum())
     if total > MAX_POINTS:
         raise CodingError(f"{total} points, at most {MAX_POINTS}")
     if not total:
-        return counts, np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return _NewPoints(counts, np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
     low, width = bits.get_signed(_HEAD, 2), max(bits.one(_HEAD, _LOW), 1)
     starts = _starts(counts)
     gaps = bits.get(_GAP, total)
@@ -239,7 +248,7 @@ def _read_points(bits: BitReader, fresh: int) -> tuple[Ints, Ints, Ints]:
     first = np.cumsum(steps[starts])
     reached = np.cumsum(steps)
     depths = reached - np.repeat(reached[starts] - first, counts[counts > 0])
-    return counts, cells, depths
+    return _NewPoints(counts, cells, depths)
 
 
 def _read_matches(bits: BitReader, base: QuantisedMap) -> tuple[Ints, Ints]:

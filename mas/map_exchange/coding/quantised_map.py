@@ -16,6 +16,7 @@ from maslam.backend.geometry import Array, Sim3, se3, so3_exp, so3_log
 
 from ...errors import MasError
 from ...protocol.ids import FrameId, MatchId
+from ...state.place_match import ReportedMatch
 
 Ints = NDArray[np.int64]
 
@@ -109,16 +110,16 @@ class QuantisedMap:
         """``(P, 3)`` in their key-frame's camera, owner's unit."""
         return points_of(self.cells, self.depths, self.steps)
 
-    def match_list(self) -> list[tuple[MatchId, Sim3]]:
-        """The owner's accepted queries with their ``T_M_Q``."""
+    def reported_matches(self) -> tuple[ReportedMatch, ...]:
+        """The owner's accepted queries."""
         rotation = size(self.steps.rotation)
         scales = np.exp(self.transforms[:, 6] * rotation)
         moves = self.transforms[:, :3] * size(self.steps.position) * scales[:, None]
         turns = so3_exp(self.transforms[:, 3:6] * rotation)
-        return [
-            (MatchId(self.owner, *ids), Sim3(turn, move, float(scale)))
+        return tuple(
+            ReportedMatch(MatchId(self.owner, *ids), Sim3(turn, move, float(scale)))
             for ids, turn, move, scale in zip(self.matches.tolist(), turns, moves, scales, strict=True)
-        ]
+        )
 
 
 def empty_map(owner: int, frame: FrameId, steps: Steps) -> QuantisedMap:
@@ -138,7 +139,7 @@ def quantised(poses: Array, steps: Steps) -> Ints:
 
 
 def poses_of(rows: Ints, steps: Steps) -> Array:
-    """Inverse of :func:`on_lattice`."""
+    """Inverse of :func:`quantised`."""
     return se3(so3_exp(rows[:, 3:] * size(steps.rotation)), rows[:, :3] * size(steps.position))
 
 
@@ -149,17 +150,27 @@ def quantised_match(T_M_Q: Sim3, steps: Steps) -> Ints:
     return _rounded(np.concatenate([move, so3_log(T_M_Q.rotation) / rotation, [np.log(T_M_Q.scale) / rotation]]))
 
 
-def quantised_points(points_C: NDArray[Any], steps: Steps) -> tuple[Ints, Ints, Ints]:
-    """Order, cells ``(n, 2)`` and depths ``(n,)`` of points ``(n, 3)`` in front of a camera, in order of cells."""
+@dataclass(frozen=True, eq=False)
+class QuantisedPoints:
+    """Points of one key-frame in order of their cells: ``order`` ``(n,)``: the row that each had, ``cells`` ``(n, 2)``,
+    ``depths`` ``(n,)`` as in :class:`QuantisedMap`."""
+
+    order: Ints
+    cells: Ints
+    depths: Ints
+
+
+def quantised_points(points_C: NDArray[Any], steps: Steps) -> QuantisedPoints:
+    """Points ``(n, 3)`` in front of a camera, in the owner's unit."""
     p = np.asarray(points_C, dtype=np.float64)
     cells = np.floor(p[:, [1, 0]] / p[:, 2:] / size(steps.direction)).astype(np.int64)
     depths = _rounded(np.log(p[:, 2]) / size(steps.depth))
     order = np.lexsort((depths, cells[:, 1], cells[:, 0]))
-    return order, cells[order], depths[order]
+    return QuantisedPoints(order, cells[order], depths[order])
 
 
 def points_of(cells: Ints, depths: Ints, steps: Steps) -> Array:
-    """Inverse of :func:`points_on_lattice`: the middle of each cell."""
+    """Inverse of :func:`quantised_points`: the middle of each cell."""
     z = np.exp(np.clip(depths * size(steps.depth), -_MOST_LOG_DEPTH, _MOST_LOG_DEPTH))
     xy = (cells[:, ::-1] + 0.5) * size(steps.direction)
     return np.column_stack([xy * z[:, None], z])
