@@ -17,7 +17,7 @@ from .contracts.contract import Contract, ContractState, LateMessage, Repeated
 from .contracts.effects import NOTHING, Change, Effects, MembersMissed
 from .contracts.ledger import Ledger
 from .contracts.operation import Operation, WorkError
-from .contracts.reputation import Trust
+from .contracts.reputation import Trust, TrustChange
 from .errors import ProtocolError
 from .map_exchange.final_round import FinalRound
 from .map_exchange.operation import MapExchange
@@ -82,12 +82,13 @@ class Agent:
     def handle(self, message: Message) -> Effects:
         """Act on a message. One that makes no sense here is refused, which is an event, and changes nothing: that is
         decided before anything changes. An error of another type is this program's own, and nobody's fault."""
+        there = NOTHING
         try:
             if message.recipient != self.state.me or message.sender not in self.state.profile.others:
                 raise ProtocolError(
                     f"message from {message.sender} to {message.recipient} came to agent {self.state.me}"
                 )
-            self.context.reputation.received(message.sender)
+            there = Effects(changes=self.context.reputation.received(message.sender, self.context.now_ns))
             effects = self._dispatch(message)
         except Repeated as repeated:
             effects = self.context.answer_again(repeated.contract, message.body)
@@ -95,7 +96,7 @@ class Agent:
             effects = NOTHING
         except ProtocolError as error:
             effects = self.context.refuse(message.sender, str(error))
-        return self._settled(effects)
+        return self._settled(there + effects)
 
     def tick(self, now_ns: int) -> Effects:
         """Logical time goes on: contracts expire, and the policy is asked what to do next."""
@@ -266,7 +267,7 @@ class Agent:
         return out
 
     def _end(self, contract: Contract) -> Effects:
-        closed = self.context.close_account(contract) + self._reassess()
+        closed = self._wound_up(self.context.close_account(contract))
         return closed + self._operations[contract.operation].on_end(contract)
 
     def _change(self, change: Change) -> Effects:
@@ -274,21 +275,20 @@ class Agent:
         if isinstance(change, MembersMissed):
             self.pending.call_again()
             return NOTHING
+        if isinstance(change, TrustChange):
+            return self._trust(change)
         self.pending.used(change.matches)
         self.final_round.reopen()
         return self.maps.realign(change)
 
-    def _reassess(self) -> Effects:
-        """Log whose trust has changed since the last contract."""
-        effects = NOTHING
-        for other, record in self.context.reputation.changes(self.context.now_ns):
-            effects += self.context.event(
-                "reputation",
-                of=other,
-                trust=str(record.trust),
-                reliability=round(record.reliability, 4),
-                consistency=round(record.consistency, 4),
-                silent=record.unanswered,
-            )
-            self.state.distrust(other, record.trust is Trust.UNTRUSTED)
-        return effects
+    def _trust(self, change: TrustChange) -> Effects:
+        """Log in whom trust has changed, and believe the matches that it reported no more, or again."""
+        self.state.distrust(change.other, change.trust is Trust.UNTRUSTED)
+        return self.context.event(
+            "reputation",
+            of=change.other,
+            trust=str(change.trust),
+            reliability=round(change.reliability, 4),
+            consistency=round(change.consistency, 4),
+            silent=change.unanswered,
+        )

@@ -146,10 +146,8 @@ class AgentContext:
     def close_account(self, contract: Contract) -> Effects:
         """A contract has ended: count it for the other side's reputation; its manager logs the event."""
         if contract.manager != self.me:
-            self.reputation.left_waiting(contract)
-            return NOTHING
-        self.reputation.ended(contract)
-        return self.event(
+            return Effects(changes=self.reputation.left_waiting(contract, self.now_ns))
+        return Effects(changes=self.reputation.ended(contract, self.now_ns)) + self.event(
             "contract",
             operation=contract.operation.name.lower(),
             contract=f"{contract.manager}:{contract.id.number}",
@@ -157,6 +155,10 @@ class AgentContext:
             end=str(contract.state),
             reason=contract.reason,
         )
+
+    def judged(self, other: int, borne_out: int, contradicted: int) -> Effects:
+        """So many of the other's matches agree with the rest of what is known, and so many do not."""
+        return Effects(changes=self.reputation.judged(other, borne_out, contradicted, self.now_ns))
 
     # -- beside contracts ---------------------------------------------------------------------------------------------
 

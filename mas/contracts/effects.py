@@ -14,6 +14,7 @@ from typing import Any
 from ..protocol.messages import Message
 from ..state.pose_graph import Adoption
 from .contract import Contract
+from .reputation import TrustChange
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class MembersMissed:
     """Some members have not adopted the last optimisation, or were not there: its matches are pending once more."""
 
 
-Change = Adoption | MembersMissed
+Change = Adoption | MembersMissed | TrustChange
 """A change by one operation that others act on."""
 
 

@@ -66,34 +66,40 @@ class Reputation:
         return self.reliability * self.consistency
 
 
+@dataclass(frozen=True)
+class TrustChange:
+    """Trust in ``other`` is another than it was, and the figures that this follows from."""
+
+    other: int
+    trust: Trust
+    reliability: float
+    consistency: float
+    unanswered: int
+
+
 class ReputationBook:
-    """The records of one agent about the others."""
+    """The records of one agent about the others. What changes a record returns the :class:`TrustChange` that it makes:
+    none, or one. ``now_ns``: logical time; an agent that is not trusted any more is probed ``probe_s`` later."""
 
     def __init__(self, config: ReputationConfig) -> None:
         self.config = config
         self.records: dict[int, Reputation] = {}
-        # Whose figures may have changed since :meth:`changes` looked last.
-        self._touched: set[int] = set()
 
     def of(self, other: int) -> Reputation:
-        """The record of one agent, to look at; a stranger's is empty."""
+        """The record of one agent; a stranger's is empty."""
         record = self.records.get(other)
         if record is None:
             record = self.records[other] = Reputation()
         return record
 
-    def _touch(self, other: int) -> Reputation:
-        """The record of one agent, to change it."""
-        self._touched.add(other)
-        return self.of(other)
-
-    def received(self, other: int) -> None:
+    def received(self, other: int, now_ns: int) -> tuple[TrustChange, ...]:
         """A message of the other, whatever it is: it is there."""
-        self._touch(other).unanswered = 0
+        self.of(other).unanswered = 0
+        return self._changed(other, now_ns)
 
-    def ended(self, contract: Contract) -> None:
+    def ended(self, contract: Contract, now_ns: int) -> tuple[TrustChange, ...]:
         """A contract that I managed has ended. What I ended myself, or never awarded, is not held against anybody."""
-        record = self._touch(contract.contractor)
+        record = self.of(contract.contractor)
         if contract.state is ContractState.DONE:
             record.delivered += 1
             self._count(record, good=1.0)
@@ -108,24 +114,28 @@ class ReputationBook:
                 self._count(record, poor=_STUCK if stuck else _NOT_DELIVERED)
             elif Bid not in contract.exchanged:
                 record.unanswered += 1
+        return self._changed(contract.contractor, now_ns)
 
-    def left_waiting(self, contract: Contract) -> None:
+    def left_waiting(self, contract: Contract, now_ns: int) -> tuple[TrustChange, ...]:
         """An optimisation that I took part in never ended: its manager answers for that."""
         if (
             contract.operation is OperationKind.DOPT
             and contract.state is ContractState.EXPIRED
             and Confirmation in contract.exchanged
         ):
-            self._count(self._touch(contract.manager), poor=_STUCK)
+            self._count(self.of(contract.manager), poor=_STUCK)
+        return self._changed(contract.manager, now_ns)
 
-    def judged(self, other: int, borne_out: int, contradicted: int) -> None:
+    def judged(self, other: int, borne_out: int, contradicted: int, now_ns: int) -> tuple[TrustChange, ...]:
         """Set how many of the other's results agree with the rest of what is known, and how many do not."""
-        record = self._touch(other)
+        record = self.of(other)
         record.t, record.f = float(borne_out), float(contradicted)
+        return self._changed(other, now_ns)
 
-    def blame(self, other: int, weight: float = 1.0) -> None:
+    def blame(self, other: int, now_ns: int) -> tuple[TrustChange, ...]:
         """One more bad result, of a kind that is judged once: a map that was rejected."""
-        self._touch(other).blamed += weight
+        self.of(other).blamed += 1.0
+        return self._changed(other, now_ns)
 
     def may_call(self, other: int, now_ns: int) -> bool:
         """Whether a call is worth its bytes now."""
@@ -146,18 +156,15 @@ class ReputationBook:
             return Trust.SILENT
         return Trust.UNDELIVERING if record.reliability < self.config.reliability else Trust.GOOD
 
-    def changes(self, now_ns: int) -> list[tuple[int, Reputation]]:
-        """Agents whose trust is another than when this was asked last; the first probe waits its time."""
-        out = []
-        touched, self._touched = self._touched, set()
-        for other in sorted(touched):
-            record, trust = self.of(other), self.trust(other)
-            if trust is not record.trust:
-                if record.trust is Trust.GOOD:
-                    record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
-                record.trust = trust
-                out.append((other, record))
-        return out
+    def _changed(self, other: int, now_ns: int) -> tuple[TrustChange, ...]:
+        """The change of trust that the figures of one agent make now; the first probe waits its time."""
+        record, trust = self.of(other), self.trust(other)
+        if trust is record.trust:
+            return ()
+        if record.trust is Trust.GOOD:
+            record.probe_ns = now_ns + round(self.config.probe_s * 1e9)
+        record.trust = trust
+        return (TrustChange(other, trust, record.reliability, record.consistency, record.unanswered),)
 
     def _count(self, record: Reputation, good: float = 0.0, poor: float = 0.0) -> None:
         keep = self.config.forgetting

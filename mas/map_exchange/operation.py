@@ -256,9 +256,9 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
     def _refuse(self, copy: MapCopy, reason: str) -> Effects:
         """Not kept, and not bought again from this seller."""
         self._rejected.add(copy.sold)
-        if copy.seller == copy.owner:
-            self.context.reputation.blame(copy.seller)
-        return self.context.event("map_refused", **asdict(copy.sold), reason=reason)
+        own = copy.seller == copy.owner
+        blamed = self.context.reputation.blame(copy.seller, self.context.now_ns) if own else ()
+        return Effects(changes=blamed) + self.context.event("map_refused", **asdict(copy.sold), reason=reason)
 
     def _anchor(self, copy: MapCopy, adoption: Adoption) -> int:
         me = self.state.me

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..contracts.context import AgentContext
-from ..contracts.effects import NOTHING, Effects
+from ..contracts.effects import Effects, total
 from ..protocol.ids import MatchId
 from ..state.match_audit import judged
 
@@ -15,8 +15,7 @@ def hold_against(context: AgentContext, contradicted: frozenset[MatchId]) -> Eff
     reporters = sorted({m.match_agent for m in contradicted})
     before = {m.match_agent for m in state.contradicted}
     state.contradicted = contradicted if len(reporters) == 1 else frozenset()
-    for reporter in sorted(before | set(reporters)):
-        context.reputation.judged(reporter, *judged(state, reporter))
+    effects = total(context.judged(a, *judged(state, a)) for a in sorted(before | set(reporters)))
     if not reporters:
-        return NOTHING
-    return context.event("contradicted", reported_by=reporters, matches=len(contradicted))
+        return effects
+    return effects + context.event("contradicted", reported_by=reporters, matches=len(contradicted))

@@ -188,7 +188,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             raise ProtocolError(f"agent {sender} takes no part in this optimisation")
         if session.begun:
             return self._receive(session, message)
-        session.early.append(message)
+        session.keep(message)
         # Nobody begins before the manager has sent the others Begin: so that was sent to me, too.
         return NOTHING if session.contract is None else self._run(session)
 
@@ -245,9 +245,9 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         return self._repeat(session, due)
 
     def _run(self, session: OptimisationSession) -> Effects:
-        effects = self._send(session, session.begin(self.context.now_ns))
-        early, session.early = session.early, []
-        for message in early:
+        start = session.begin(self.context.now_ns)
+        effects = self._send(session, start.messages)
+        for message in start.early:
             effects += self._receive(session, message)
         return effects + self._finish_if_done(session)
 

@@ -40,10 +40,18 @@ class SolverReply:
     again: tuple[SolverMessage, ...] = ()
 
 
+@dataclass(frozen=True)
+class SessionStart:
+    """The node's first ``messages``, and those of other members that came ``early``: to be received now."""
+
+    messages: tuple[SolverMessage, ...]
+    early: tuple[SolverMessage, ...]
+
+
 @dataclass
 class OptimisationSession:
     """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
-    ``early``: solver messages that came before the start; ``link``: what the others may have missed;
+    ``link``: what the others may have missed;
     ``sent_bytes``, ``began_ns``: what it cost, for the next bid."""
 
     identity: ContractId | None
@@ -52,16 +60,20 @@ class OptimisationSession:
     contract: Contract | None = None
     unconfirmed: set[int] = field(default_factory=set)
     begun: bool = False
-    early: list[SolverMessage] = field(default_factory=list)
     sent_bytes: int = 0
     began_ns: int = 0
     link: SolverLink = field(default_factory=SolverLink)
+    _early: list[SolverMessage] = field(default_factory=list)
 
-    def begin(self, now_ns: int) -> list[SolverMessage]:
-        """Start the node; returns its first messages."""
+    def keep(self, message: SolverMessage) -> None:
+        """A message came before the start."""
+        self._early.append(message)
+
+    def begin(self, now_ns: int) -> SessionStart:
+        """Start the node."""
         self.begun, self.began_ns = True, now_ns
         self.link.goes_on(now_ns)
-        return list(self.node.start())
+        return SessionStart(tuple(self.node.start()), tuple(self._early))
 
     def receive(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> SolverReply:
         """Hand a message to the node; :class:`~maslam.backend.errors.BackendError` where it makes no sense."""

@@ -178,9 +178,8 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
     def learn(self, match: Match) -> Effects:
         """Take in a verified match; accepted ones join their agents in a group, and the group gets a notice."""
         accepted_now = self.state.add_match(match)
-        for other in set(match.id.agents) - {self.state.me}:
-            self.context.reputation.judged(other, *judged(self.state, other))
-        effects = NOTHING
+        others = sorted(set(match.id.agents) - {self.state.me})
+        effects = total(self.context.judged(other, *judged(self.state, other)) for other in others)
         for accepted in accepted_now:
             self.candidates.matched(accepted)
             effects += self.context.event("match", match=str(accepted), inliers=self.state.verified[accepted].inliers)

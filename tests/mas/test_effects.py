@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,21 @@ from sample_messages import examples
 import maslam.mas
 from maslam.backend.errors import BackendError
 from maslam.mas.agent import Agent
+from maslam.mas.contracts.contract import Contract, ContractState
+from maslam.mas.contracts.reputation import SILENT, Trust, TrustChange
 from maslam.mas.policies.presets import policy_of, preset
 from maslam.mas.protocol.ids import ContractId, OperationKind
-from maslam.mas.protocol.messages import Award, Bid, Call, Confirmation, ContractBody, Failure, Message, Result
+from maslam.mas.protocol.messages import (
+    Award,
+    Bid,
+    Call,
+    Confirmation,
+    ContractBody,
+    Failure,
+    MapNotice,
+    Message,
+    Result,
+)
 from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.protocol.tasks import OptimiseAnswer, PlaceAnswer, PlaceQuery
 from maslam.mas.protocol.tensors import MessageError
@@ -256,6 +269,79 @@ def test_what_a_part_of_an_agent_shows_is_changed_by_that_part_alone() -> None:
         lines = changes_from_outside(ast.parse(path.read_text(encoding="utf-8")), names)
         found += [f"{path.relative_to(folder)}:{line}" for line in lines]
     assert found == []
+
+
+def drains(tree: ast.AST) -> Iterator[int]:
+    """Lines that take what an attribute has gathered and leave it empty: ``out, a.b = a.b, []``, or a local of it that
+    is emptied in the same function (``out = list(a.b)`` and ``a.b.clear()``)."""
+
+    def empty(value: ast.expr) -> bool:
+        none = isinstance(value, ast.List | ast.Set | ast.Tuple) and not value.elts
+        made = (
+            isinstance(value, ast.Call)
+            and not value.args
+            and ast.unparse(value.func) in ("set", "list", "dict", "deque")
+        )
+        return none or made or (isinstance(value, ast.Dict) and not value.keys)
+
+    for node in ast.walk(tree):
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Tuple)
+            and isinstance(node.value, ast.Tuple)
+        ):
+            taken = {ast.unparse(v) for v in node.value.elts}
+            for target, value in zip(node.targets[0].elts, node.value.elts, strict=False):
+                if isinstance(target, ast.Attribute) and empty(value) and ast.unparse(target) in taken:
+                    yield node.lineno
+        if isinstance(node, ast.FunctionDef):
+            called = [n for n in ast.walk(node) if isinstance(n, ast.Call) and isinstance(n.func, ast.Attribute)]
+            emptied = {ast.unparse(n.func.value): n.lineno for n in called if n.func.attr == "clear"}  # type: ignore[attr-defined]
+            read = {
+                ast.unparse(a)
+                for n in ast.walk(node)
+                if isinstance(n, ast.Call) and ast.unparse(n.func) in ("list", "tuple", "set", "sorted")
+                for a in n.args
+            }
+            yield from (line for attribute, line in emptied.items() if attribute in read)
+
+
+def test_nothing_gathers_what_others_drain() -> None:
+    folder = Path(maslam.mas.__file__).parent
+    found = []
+    for path in sorted(folder.rglob("*.py")):
+        lines = drains(ast.parse(path.read_text(encoding="utf-8")))
+        found += [f"{path.relative_to(folder)}:{line}" for line in lines]
+    assert found == []
+
+
+def test_the_rule_about_drains_sees_them() -> None:
+    source = """
+def changes(self):
+    touched, self._touched = self._touched, set()
+    early, session.early = session.early, []
+    given_up, self.tender = self.tender, None
+def other(self):
+    out = sorted(self.changed)
+    self.changed.clear()
+    self.unrelated.clear()
+"""
+    assert sorted(drains(ast.parse(source))) == [3, 4, 8]
+
+
+def test_trust_that_changes_is_logged_by_the_message_that_changes_it() -> None:
+    """An agent that was silent sends anything: its return is an effect of that message."""
+    agents = pair()
+    context = agents[0].context
+    silent = replace(
+        Contract(ContractId(0, 0), 1, OperationKind.DVPR, 10), state=ContractState.CANCELLED, reason=SILENT
+    )
+    for _ in range(2):
+        effects = context.close_account(silent)
+    assert [c.trust for c in effects.changes if isinstance(c, TrustChange)] == [Trust.SILENT]
+    back = agents[0].handle(Message(1, 0, None, MapNotice(())))
+    assert [(e.kind, e.fields["of"], e.fields["trust"]) for e in back.events] == [("reputation", 1, "good")]
+    assert not any(e.kind == "reputation" for e in agents[0].handle(Message(1, 0, None, MapNotice(()))).events)
 
 
 def test_the_rule_about_changes_from_outside_sees_them() -> None:

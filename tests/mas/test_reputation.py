@@ -40,7 +40,7 @@ UNHEARD = ended(ContractState.CANCELLED, reason=SILENT)
 def reputation_after(*contracts: Contract) -> ReputationBook:
     reputation = ReputationBook(CONFIG)
     for contract in contracts:
-        reputation.ended(contract)
+        reputation.ended(contract, 0)
     return reputation
 
 
@@ -72,8 +72,9 @@ def test_what_a_manager_did_itself_is_held_against_nobody() -> None:
 
 
 def test_who_vanished_is_probed_now_and_then_and_welcome_when_it_comes_back() -> None:
-    reputation = reputation_after(UNHEARD, UNHEARD)
-    assert [other for other, _ in reputation.changes(0)] == [1]
+    reputation = ReputationBook(CONFIG)
+    assert reputation.ended(UNHEARD, 0) == ()
+    assert [(c.other, c.trust) for c in reputation.ended(UNHEARD, 0)] == [(1, Trust.SILENT)]
     assert reputation.trust(1) is Trust.SILENT
     probes = []
     for now_s in range(45):
@@ -81,21 +82,24 @@ def test_who_vanished_is_probed_now_and_then_and_welcome_when_it_comes_back() ->
             reputation.called(1, now_s * SECOND)
             probes.append(now_s)
     assert probes == [10, 20, 30, 40]
-    reputation.received(1)
+    assert [(c.other, c.trust) for c in reputation.received(1, 45 * SECOND)] == [(1, Trust.GOOD)]
+    assert reputation.received(1, 45 * SECOND) == (), "a change is told once, by what makes it"
     assert reputation.trust(1) is Trust.GOOD and reputation.may_call(1, 45 * SECOND)
 
 
 def test_one_silence_is_bad_luck() -> None:
     reputation = reputation_after(UNHEARD)
-    reputation.received(1)
-    reputation.ended(UNHEARD)
+    reputation.received(1, 0)
+    reputation.ended(UNHEARD, 0)
     assert reputation.trust(1) is Trust.GOOD
 
 
 def test_who_is_contradicted_more_than_borne_out_is_not_trusted_until_that_changes() -> None:
     reputation = ReputationBook(CONFIG)
     for borne_out, contradicted, trusted in ((0, 3, True), (0, 4, False), (10, 4, True), (2, 6, False)):
-        reputation.judged(1, borne_out, contradicted)
+        before = reputation.trust(1)
+        changes = reputation.judged(1, borne_out, contradicted, 0)
+        assert [c.trust for c in changes] == ([] if reputation.trust(1) is before else [reputation.trust(1)])
         assert (reputation.trust(1) is not Trust.UNTRUSTED) is trusted
 
 
