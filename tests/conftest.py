@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.abc import MetaPathFinder
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from pydantic import BaseModel
 
 try:
     import fcntl
@@ -36,6 +37,23 @@ class NoBareNames(MetaPathFinder):
 
 
 sys.meta_path.insert(0, NoBareNames())
+
+
+def refuse_unknown_fields() -> None:
+    """``model_copy(update=...)`` of a field that is none is an error in tests: pydantic takes it in silence, and the
+    test runs with other settings than it says."""
+    plain = BaseModel.model_copy
+
+    def model_copy(self: BaseModel, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> BaseModel:
+        unknown = set(update or {}) - type(self).model_fields.keys()
+        if unknown:
+            raise TypeError(f"{type(self).__name__} has no field {sorted(unknown)}")
+        return plain(self, update=update, deep=deep)
+
+    BaseModel.model_copy = model_copy  # type: ignore[method-assign, assignment]
+
+
+refuse_unknown_fields()
 
 
 @pytest.fixture(scope="session")

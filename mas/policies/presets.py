@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from maslam._changed import changed
 from maslam.backend.config import RelPoseConfig, SolverConfig
 from maslam.extensions import ExtensionGroup, check_name
 
@@ -55,7 +56,7 @@ PRESETS: dict[str, MasConfig] = {
         merge=MergeConfig(closing_rounds=0),
     ),
     "optimised": _OPTIMISED,
-    "selection": _OPTIMISED.model_copy(update={"preset": "selection", "policy": "selection"}),
+    "selection": changed(_OPTIMISED, preset="selection", policy="selection"),
     "maslam": MasConfig(
         preset="maslam",
         policy="directory",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from maslam._changed import changed
 from maslam.backend.central.costs import cost
 from maslam.backend.errors import BackendError
 from maslam.backend.pose_graph.graph import PoseGraph
@@ -62,7 +63,7 @@ def _curve(graph: PoseGraph, request: Request, optimum: float) -> Curve:
 
 def _stops(request: Request) -> Iterator[tuple[int | None, Request]]:
     """The method with growing numbers of sweeps (0: it never ends by itself), those without sweeps once (None)."""
-    config = request.solver.model_copy(update={"method": request.method})
+    config = changed(request.solver, method=request.method)
     if request.method == "quick":
         config = solver_of("quick")
     if request.method not in (*TWO_STAGE, "rbcd"):
@@ -72,6 +73,6 @@ def _stops(request: Request) -> Iterator[tuple[int | None, Request]]:
         if request.method in TWO_STAGE:
             fixed = {"rotation_threshold": 0.0, "pose_threshold": 0.0}
             limits = {"rotation_sweeps": max(1, sweeps // 2), "pose_sweeps": sweeps}
-            yield 0, replace(request, solver=config.model_copy(update={**fixed, **limits}))
+            yield 0, replace(request, solver=changed(config, **fixed, **limits))
         else:
-            yield sweeps, replace(request, solver=config.model_copy(update={"descent_sweeps": sweeps}))
+            yield sweeps, replace(request, solver=changed(config, descent_sweeps=sweeps))
