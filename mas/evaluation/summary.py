@@ -31,13 +31,15 @@ class TrafficFigures(_Figures):
 
 class MatchFigures(_Figures):
     """``candidates``: below the distance threshold; ``verified``: passed the geometric check; ``accepted``: used;
-    ``rejected``: the others by reason; ``false_accepted``: against ground truth, None without; ``own_loops``: those
+    ``rejected``: checked and not used, by reason; ``skipped``: not checked, because they would tell little, by reason;
+    the three together are all candidates. ``false_accepted``: against ground truth, None without; ``own_loops``: those
     among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
 
     candidates: int
     verified: int
     accepted: int
     rejected: dict[str, int]
+    skipped: dict[str, int] = Field(default={}, description="empty, too: a run before they were counted apart")
     own_loops: int
     between_agents: int
     false_accepted: int | None

@@ -13,7 +13,7 @@ from maslam.descriptors.search import NearestIndex
 from ..protocol.ids import MatchId
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
-from ..state.place_match import MatchOutcome
+from ..state.place_match import MatchOutcome, SkipReason
 from .match_spacing import worth_after
 
 
@@ -106,8 +106,8 @@ class Candidates:
         if candidate.id in self.by_id:
             return False
         reason = self._why_not(candidate.id)
-        self.by_id[candidate.id] = replace(candidate, check=MatchCheck(reason=reason))
-        return not reason
+        self.by_id[candidate.id] = replace(candidate, check=MatchCheck(reason=reason or ""))
+        return reason is None
 
     def checked(self, match: MatchId, check: MatchCheck) -> None:
         """A candidate of the agent's own queries was checked; a match that others found is none, and is left out."""
@@ -150,22 +150,23 @@ class Candidates:
             return MatchOutcome.REJECTED, "no agreeing match"
         return MatchOutcome.REJECTED, candidate.check.reason or "not verified"
 
-    def _why_not(self, match: MatchId) -> str:
+    def _why_not(self, match: MatchId) -> SkipReason | None:
         turned = MatchId(match.match_agent, match.match, match.query_agent, match.query)
         if turned in self.state.verified or turned in self.by_id:
-            return "known already"
+            return SkipReason.KNOWN
         config = self.state.config.places
         # On both sides: an earlier key-frame may be asked about later.
         recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
         if len(recent) > self.state.config.consistency.min_support:
-            return "close to verified matches"
+            return SkipReason.CLOSE_TO_VERIFIED
         if match.query in self.recalled:
             near = (self._near(match.query, k, config.gap_keyframes) for k in self._matched_with(match.match_agent))
-            return "close to an accepted match" if any(near) else ""
+            return SkipReason.CLOSE_TO_ACCEPTED if any(near) else None
         last = self.last_matched.get(match.match_agent)
         if last is None or match.query < last:
-            return ""
-        return "close to an accepted match" if self._near(match.query, last, self.gaps[match.match_agent]) else ""
+            return None
+        close = self._near(match.query, last, self.gaps[match.match_agent])
+        return SkipReason.CLOSE_TO_ACCEPTED if close else None
 
     def _near(self, one: int, other: int, gap: int) -> bool:
         """Whether two own key-frames are within ``gap`` of each other, or within ``gap_m``."""

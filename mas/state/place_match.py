@@ -21,6 +21,15 @@ class MatchOutcome(StrEnum):
     REJECTED = "rejected"
 
 
+class SkipReason(StrEnum):
+    """Why a candidate is not worth a verification. ``summary.json`` counts such candidates as skipped, not as rejected:
+    nobody looked at their geometry."""
+
+    KNOWN = "known already"
+    CLOSE_TO_VERIFIED = "close to verified matches"
+    CLOSE_TO_ACCEPTED = "close to an accepted match"
+
+
 @dataclass(frozen=True, eq=False)
 class MatchEnd:
     """One end of a match: its agent's ``track``, the camera in it by odometry ``T_T_C`` ``(4, 4)``, in that agent's own

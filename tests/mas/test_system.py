@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from maslam.mas.config import MasConfig, MergeConfig
 from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
 from maslam.mas.simulation import run
+from maslam.tools.report.run_data import read_run
+from maslam.tools.report.sections import sections
+from maslam.tools.report.summary_table import table_of
 
 # The default system, but with the last purchases that the thesis has from its optimised system on.
 SYSTEM = preset("default").model_copy(update={"merge": MergeConfig()})
@@ -38,7 +42,20 @@ def test_agents_find_each_other_and_share_one_frame(played: tuple[Path, Summary]
     assert summary.groups == [[0, 1, 2]]
     assert summary.matches.accepted >= 4
     assert summary.matches.false_accepted == 0
-    assert summary.matches.candidates == summary.matches.accepted + sum(summary.matches.rejected.values())
+    matches = summary.matches
+    parts = (matches.accepted, *matches.rejected.values(), *matches.skipped.values())
+    assert matches.candidates == sum(parts)
+
+
+def test_a_candidate_that_nobody_checked_is_skipped_and_not_rejected(played: tuple[Path, Summary]) -> None:
+    out, summary = played
+    candidates, messages = rows(out / "matches.csv"), rows(out / "traffic.csv")
+    unchecked = Counter(r["reason"] for r in candidates if r["outcome"] == "rejected" and r["detail"] == "")
+    assert unchecked and summary.matches.skipped == dict(unchecked)
+    between = [r for r in candidates if r["query_agent"] != r["match_agent"] and r["reason"] not in unchecked]
+    checked = sum(m["kind"] == "VerifyTask" for m in messages)
+    assert checked >= len(between), "each of the others was sent for a check"
+    assert not summary.matches.rejected.keys() & unchecked.keys()
 
 
 def test_optimisation_makes_trajectories_better(played: tuple[Path, Summary]) -> None:
@@ -166,3 +183,14 @@ def test_our_preset_finds_as_much_for_fewer_bytes(played: tuple[Path, Summary], 
     last = [e for e in events if e["event"] == "map_checked" and e["final"]]
     assert {(e["agent"], e["owner"]) for e in last} == {(c.holder, c.owner) for c in ours.map_copies}
     assert max(e["worst_off"] for e in last) < 2.0
+
+
+def test_the_table_and_the_report_tell_skipped_candidates_apart(played: tuple[Path, Summary]) -> None:
+    out, summary = played
+    lines = [line.split(None, 1) for line in table_of(out).splitlines() if line.startswith("  ")]
+    told = {line[0]: line[1] for line in lines if line[0] in ("rejected", "skipped")}
+    for kind in ("rejected", "skipped"):
+        counts = getattr(summary.matches, kind)
+        assert told.get(kind, "") == ", ".join(f"{reason} {count}" for reason, count in sorted(counts.items()))
+    page = next(s.body for s in sections(read_run(out)) if s.title == "Candidate matches and their outcome")
+    assert page.count('class="outcome rejected">skipped<') == sum(summary.matches.skipped.values())

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from maslam.mas.state.place_match import SkipReason
+
 from ..common.figures import INK, TRUTH, colour_of, dash_of
 from .charts import (
     OPERATION_COLOUR,
@@ -213,22 +215,25 @@ def _images(run: RunData) -> Section:
 
 def _matches(run: RunData) -> Section:
     matches = run.summary["matches"]
-    counts = {"accepted": matches["accepted"], **matches["rejected"]}
-    most = max(counts.values(), default=0)
-    outcomes = bars([(n, c, str(c), "#009E73" if n == "accepted" else "#9aa7b3") for n, c in counts.items()], most)
+    counts = [("accepted", matches["accepted"], "#009E73")]
+    counts += [(f"rejected: {reason}", count, "#9aa7b3") for reason, count in matches["rejected"].items()]
+    counts += [(f"skipped: {reason}", count, "#d5dbe1") for reason, count in matches.get("skipped", {}).items()]
+    most = max(count for _, count, _ in counts)
+    outcomes = bars([(name, count, str(count), colour) for name, count, colour in counts], most)
     head = ["time", "query", "match", "distance", "outcome", "why", "matches", "inliers", "error"]
     shown = sorted(run.matches, key=lambda row: (row["outcome"] != "accepted", float(row["time_s"])))[:MAX_MATCH_ROWS]
     listing = f'<div class="scroll">{table(head, [_match_cells(row) for row in shown], text_columns=3)}</div>'
     hidden = len(run.matches) - len(shown)
     more = f"{hidden} more rows stand in matches.csv." if hidden else ""
-    note = f"{matches['candidates']} candidate pairs, {matches['verified']} passed the geometric check. {more}"
+    note = f"{matches['candidates']} candidate pairs, {matches['verified']} passed the geometric check. "
+    note += f"Skipped ones were not checked: they are close to a match that is there. {more}"
     return Section("Candidate matches and their outcome", note, outcomes + listing)
 
 
 def _match_cells(row: dict[str, str]) -> list[str]:
     false = row["false"] == "1"
     outcome = "false" if false else row["outcome"]
-    label = "accepted, but false" if false else row["outcome"]
+    label = "accepted, but false" if false else "skipped" if row["reason"] in list(SkipReason) else row["outcome"]
     ends = [f"agent_{int(row[f'{end}_agent']):02d} · {row[f'{end}_keyframe']}" for end in ("query", "match")]
     error = f"{float(row['error_m']):.2f} m" if row["error_m"] else "–"
     why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word and word != row["outcome"]))

@@ -103,14 +103,18 @@ def _traffic(summary: dict[str, Any]) -> list[str]:
 def _matches(summary: dict[str, Any]) -> list[str]:
     matches, solved = summary["matches"], summary["optimisations"]
     false = matches.get("false_accepted")
-    rejected = ", ".join(f"{reason} {count}" for reason, count in sorted((matches.get("rejected") or {}).items()))
+    others = {kind: _by_reason(matches.get(kind) or {}) for kind in ("rejected", "skipped")}
     counts = f"{matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
     return [
         f"matches        {counts}" + ("" if false is None else f", {false} of them false"),
-        *([f"  rejected     {rejected}"] if rejected else []),
+        *(f"  {kind:<13}{reasons}" for kind, reasons in others.items() if reasons),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
         f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
     ]
+
+
+def _by_reason(counts: dict[str, int]) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in sorted(counts.items()))
 
 
 def _time(timing: dict[str, Any]) -> str:
