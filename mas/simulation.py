@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.descriptors.card import model_path
 from maslam.descriptors.codes import PRODUCT_CODES, Coder
 from maslam.descriptors.errors import DescriptorError
@@ -155,7 +155,7 @@ def run(
     names. Same sequences, config and seed: same bytes in every file but ``timing.json``.
     """
     given = {"policy": policy, "transport": transport}
-    config = changed(config, **{key: name_of(own) for key, own in given.items() if own is not None})
+    config = replaced(config, **{key: name_of(own) for key, own in given.items() if own is not None})
     strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
     if strangers:
         raise MasError(f"faults: there is no agent {strangers[0]}, only 0 to {len(sequences) - 1}")
@@ -178,7 +178,7 @@ def run(
         finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps)
         summary = summarise(finished, evaluator, errors)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
-        summary = changed(summary, duration_s=duration)
+        summary = replaced(summary, duration_s=duration)
         recorder.summary(summary)
         wall = time.perf_counter() - started
         recorder.timing(Timing(wall_s=wall, realtime_factor=duration / wall))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 
 from ..central.costs import cost, edge_cost
 from ..central.gtsam_adapter import levenberg_marquardt
@@ -89,7 +89,7 @@ class _GncState:
 
     def __init__(self, graph: PoseGraph, noise: Noise, central: CentralConfig, config: RobustConfig) -> None:
         self.graph, self.noise, self.iterations = graph, noise, 0
-        self._central, self._config = changed(central, start="given", loss="none"), config
+        self._central, self._config = replaced(central, start="given", loss="none"), config
         self.squared = squared_residuals(graph, central)
         self.weights = np.ones(len(graph.edges))
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 
 from ..central.costs import cost
 from ..central.optimise import optimise
@@ -76,7 +76,7 @@ def optimise_robustly(
         weights, noise, iterations = graduated.weights, graduated.noise, iterations + graduated.iterations
         start = graduated.graph
     believed = start.with_weights(weights)
-    result = optimise(believed, changed(central, start="given"))
+    result = optimise(believed, replaced(central, start="given"))
     if central.start == "chordal":
         other = optimise(believed, central)
         result = other if other.cost_after < result.cost_after else result

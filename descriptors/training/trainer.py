@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 
 from maslam._atomic import replacing
-from maslam._changed import changed
+from maslam._replaced import replaced
 
 from ..config import TrainingConfig
 from ..errors import DescriptorError
@@ -193,7 +193,7 @@ class Trainer:
         state = read_checkpoint(path)
         config = _config_of(state, path)
         same = {"steps": 0, "checkpoint_every": 1, "threads": 1}
-        if changed(config, **same) != changed(self.config, **same):
+        if replaced(config, **same) != replaced(self.config, **same):
             raise DescriptorError(f"{path}: checkpoint of another training configuration")
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])

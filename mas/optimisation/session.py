@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.backend.config import SolverConfig
 from maslam.backend.distributed.methods import SolverNode, node_for
 from maslam.backend.distributed.share import Share, SolverOutcome
@@ -144,5 +144,5 @@ def solver_node(share: Share, config: SolverConfig) -> SolverNode:
     """This agent's part in the method that is set. Members with units of their own find these in agreed rounds: an
     elected solver knows one unit."""
     if share.arbitrary_scale and config.method == "elected":
-        config = changed(config, method="sor")
+        config = replaced(config, method="sor")
     return node_for(share, config)

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.backend.errors import BackendError
 from maslam.backend.relpose.point_coding import pack_points, unpack_points, worth_sending
 from maslam.backend.relpose.verification import PlaceView, Verdict, joined, promising, relative_pose
@@ -212,7 +212,7 @@ def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame, 
     config = state.config.relpose
     if first and config.min_evidence is not None:
         surer = max(config.min_evidence, state.config.places.first_evidence)
-        config = changed(config, min_evidence=surer)
+        config = replaced(config, min_evidence=surer)
     return relative_pose(query, view_of(state, mine), config, np.random.default_rng(seed))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.backend.config import RelPoseConfig, SolverConfig
 from maslam.extensions import ExtensionGroup, check_name
 
@@ -56,7 +56,7 @@ PRESETS: dict[str, MasConfig] = {
         merge=MergeConfig(closing_rounds=0),
     ),
     "optimised": _OPTIMISED,
-    "selection": changed(_OPTIMISED, preset="selection", policy="selection"),
+    "selection": replaced(_OPTIMISED, preset="selection", policy="selection"),
     "maslam": MasConfig(
         preset="maslam",
         policy="directory",

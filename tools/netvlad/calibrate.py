@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from maslam._atomic import replacing
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.descriptors.calibration import Retrieval, accepted, calibrate, retrieve
 from maslam.descriptors.card import MODELS, Calibration, ModelCard, read_card, write_card
 from maslam.descriptors.codebooks import codebooks_path
@@ -119,7 +119,7 @@ def calibrate_model(
         progress.advance(task, number + 1)
     result = calibrate(retrievals, data, settings.precision, settings.candidate_share, settings.candidate_precision)
     limits = {"threshold": result.strict.distance, "candidate_threshold": result.candidate.distance}
-    written = changed(card, calibration=result, **limits)
+    written = replaced(card, calibration=result, **limits)
     if out is not None and out.resolve() != path.resolve():
         _copy(path, out)
         path = out

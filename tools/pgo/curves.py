@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.backend.central.costs import cost
 from maslam.backend.errors import BackendError
 from maslam.backend.pose_graph.graph import PoseGraph
@@ -63,7 +63,7 @@ def _curve(graph: PoseGraph, request: Request, optimum: float) -> Curve:
 
 def _stops(request: Request) -> Iterator[tuple[int | None, Request]]:
     """The method with growing numbers of sweeps (0: it never ends by itself), those without sweeps once (None)."""
-    config = changed(request.solver, method=request.method)
+    config = replaced(request.solver, method=request.method)
     if request.method == "quick":
         config = solver_of("quick")
     if request.method not in (*TWO_STAGE, "rbcd"):
@@ -73,6 +73,6 @@ def _stops(request: Request) -> Iterator[tuple[int | None, Request]]:
         if request.method in TWO_STAGE:
             fixed = {"rotation_threshold": 0.0, "pose_threshold": 0.0}
             limits = {"rotation_sweeps": max(1, sweeps // 2), "pose_sweeps": sweeps}
-            yield 0, replace(request, solver=changed(config, **fixed, **limits))
+            yield 0, replace(request, solver=replaced(config, **fixed, **limits))
         else:
-            yield sweeps, replace(request, solver=changed(config, descent_sweeps=sweeps))
+            yield sweeps, replace(request, solver=replaced(config, descent_sweeps=sweeps))

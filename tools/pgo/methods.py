@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.backend.central.optimise import optimise
 from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
@@ -99,7 +99,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         beyond = 1.0 - config.gnc_confidence
         bound, stated = consistent.noise.limit(beyond), Noise.stated(graph.dimension).limit(beyond)
         noise = max((bound / stated) ** 0.5, config.gnc_noise)
-        config = changed(config, robust="gnc", gnc_noise=noise)
+        config = replaced(config, robust="gnc", gnc_noise=noise)
     if "pcm" in request.robust:
         weights = consistent.accepted.astype(np.float64)
         rejected = [

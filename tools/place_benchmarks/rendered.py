@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from maslam._atomic import write_npz
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.backend.geometry import se3, so3_exp
 from maslam.frontend.cameras.models import PinholeCamera
 
@@ -96,7 +96,7 @@ def rendered_places(
 ) -> list[list[Visit]]:
     """The places of one world, taken from ``cache`` (a folder) where they were rendered before with the same
     settings."""
-    config = changed(config_for(kind), places=places)
+    config = replaced(config_for(kind), places=places)
     path = cache_path(cache, kind, seed, config) if cache else None
     if path is not None and path.is_file():
         return load_places(path)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from maslam._changed import changed
+from maslam._replaced import replaced
 from maslam.mas.config import MasConfig
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -19,12 +19,12 @@ PRODUCT += [p for f in ("maslam", "maslam/api") for p in (ROOT / f).glob("*.py")
 
 def test_a_field_is_changed_and_the_rest_is_kept() -> None:
     config = MasConfig(step_s=0.25)
-    assert changed(config, seed=3) == MasConfig(step_s=0.25, seed=3) and config.seed == 0
+    assert replaced(config, seed=3) == MasConfig(step_s=0.25, seed=3) and config.seed == 0
 
 
 def test_a_field_that_is_none_is_named_with_what_is_near() -> None:
     with pytest.raises(TypeError, match=r"MasConfig has no field 'reputatoin'; did you mean 'reputation'\?"):
-        changed(MasConfig(), reputatoin=1)
+        replaced(MasConfig(), reputatoin=1)
 
 
 def test_tests_do_not_set_what_is_not_there() -> None:
@@ -44,7 +44,7 @@ def test_the_product_copies_settings_by_the_checked_way_alone() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}"
         for path in PRODUCT
-        if path.name != "_changed.py"
+        if path.name != "_replaced.py"
         for line in unchecked(ast.parse(path.read_text(encoding="utf-8")))
     ]
     assert len(PRODUCT) > 300 and found == []

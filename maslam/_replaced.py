@@ -1,4 +1,4 @@
-"""Copies of settings and results with some fields changed."""
+"""Copies of settings and results with some fields replaced."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ._suggestions import did_you_mean
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def changed(model: Model, **values: Any) -> Model:
-    """The model with these fields changed; TypeError for a field that it does not have.
+def replaced(model: Model, **values: Any) -> Model:
+    """The model with these fields replaced; TypeError for a field that it does not have.
 
     ``model_copy(update=...)`` takes any name in silence: what a renamed setting was set to is lost. Values are not
     validated, as there.
