@@ -22,6 +22,12 @@ DescriptorLike = PlaceDescriptor | type[PlaceDescriptor] | Callable[[], PlaceDes
 _UNIT = 1e-3  # a vector may be off unit length by this
 
 
+def check_descriptor(given: str) -> None:
+    """Refuse a name that is no shipped model's, no ONNX file's and no entry point's."""
+    if not is_model(given):
+        check_name(ExtensionGroup.DESCRIPTORS, "descriptor", given, _shipped())
+
+
 def load_descriptor(given: DescriptorLike | str | Path, provider: str = CPU) -> PlaceDescriptor:
     """A shipped model by name, an ONNX file with its card beside it, an entry point by name, or a user's object.
 
@@ -30,7 +36,7 @@ def load_descriptor(given: DescriptorLike | str | Path, provider: str = CPU) -> 
     if is_model(given):
         return NetVlad.load(given, provider=provider)
     if isinstance(given, str):
-        check_name(ExtensionGroup.DESCRIPTORS, "descriptor", given, _shipped())
+        check_descriptor(given)
         name, extension = given, load_extension(ExtensionGroup.DESCRIPTORS, given)
     else:
         name, extension = name_of(given), given

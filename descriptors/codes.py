@@ -37,6 +37,11 @@ direction best (cosine .992 to the original; 16 levels reach 2.96 deviations).""
 _UNIT_TOLERANCE = 1e-2
 
 
+def is_code(name: str) -> bool:
+    """Whether there is a code of this name; whether a model has what it needs is not asked."""
+    return name in PRODUCT_CODES or _SCALAR.fullmatch(name) is not None
+
+
 class Coder(ABC):
     """One code for the vectors of one model. ``key`` names the code and, where it has any, its codebook: two agents
     with equal model and key understand each other."""

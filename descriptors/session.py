@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._suggestions import did_you_mean
+
 from .card import ModelCard
 from .errors import DescriptorError
 
@@ -42,8 +44,10 @@ def find_provider(wanted: str) -> str:
     for name in known:
         if wanted.lower() in (name.lower(), name.removesuffix(_SUFFIX).lower()):
             return name
-    names = ", ".join(name.removesuffix(_SUFFIX) for name in known)
-    raise DescriptorError(f"onnxruntime has no provider '{wanted}' here, only: {names}")
+    names = [name.removesuffix(_SUFFIX) for name in known]
+    hint = did_you_mean(wanted.lower(), [name.lower() for name in names])  # in any case
+    near = hint if "mean" in hint else ""
+    raise DescriptorError(f"onnxruntime has no provider '{wanted}' here, only: {', '.join(names)}{near}")
 
 
 class ModelSession:

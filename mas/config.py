@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
+from maslam._suggestions import UNKNOWN_NAME, did_you_mean
 from maslam.backend.config import RelPoseConfig, SolverConfig
+from maslam.descriptors.codes import CODES, is_code
 
 AUTO_CODE = "auto"
 """The shortest place code that serves: product code where the model has codebooks, else int8."""
@@ -70,6 +73,16 @@ class PlacesConfig(_Section):
     own_age_keyframes: int | None = Field(
         40, ge=1, description="so are those at least so many key-frames older; null: by age in seconds only"
     )
+
+    @field_validator("code")
+    @classmethod
+    def _known_code(cls, code: str) -> str:
+        if code == AUTO_CODE or is_code(code):
+            return code
+        words = (AUTO_CODE, *CODES)
+        hint = did_you_mean(code, words)
+        known = {"name": code, "known": ", ".join(words), "hint": hint if "mean" in hint else ""}
+        raise PydanticCustomError(UNKNOWN_NAME, "there is no place code '{name}', only {known}{hint}", known)
 
 
 class ConsistencyConfig(_Section):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import SequenceMatcher
 
+UNKNOWN_NAME = "unknown_name"
+"""Type of the ``PydanticCustomError`` by which a model's own check says that there is no such name."""
 MOST = 3  # names proposed
 _ALIKE = 0.6  # of the last parts of two names: share of letters in common, in order
 _AS_GOOD = 0.15  # names that are alike by so much less than the best one are proposed beside it

@@ -152,7 +152,7 @@ def test_info_says_what_the_card_says(model: Path, capsys: pytest.CaptureFixture
     record = json.loads(capsys.readouterr().out)
     assert ModelCard.model_validate(record["card"]) == read_card(model)[1]
     assert record["file_bytes"] == model.stat().st_size and record["speed"]["images"] >= 1
-    assert main(["netvlad", "info", str(model), "--provider", "abacus"]) == 1
+    assert main(["netvlad", "info", str(model), "--provider", "abacus"]) == 2
     assert "no provider 'abacus' here, only: CPU" in capsys.readouterr().err
     assert main(["netvlad", "info", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["card"]["name"] == read_card("default")[1].name

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from maslam.mas.config import MasConfig
 from maslam.tools import cli
 from maslam.tools.common import earlier_settings
 from maslam.tools.common.earlier_settings import Renamed
 from maslam.tools.common.essential_options import ESSENTIAL
+from maslam.tools.common.options import leaves, option_name
 from maslam.tools.common.parser import CommandParser
 
 MOST_SHOWN = 12
@@ -98,6 +100,16 @@ def test_help_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
         ("slam a b -agents 3", "maslam: unknown option -agents; did you mean '--agents'?"),
         ("run a b --preset defualt", "maslam: --preset defualt: there is no preset 'defualt'; did you mean 'default'?"),
         (
+            "run a b --places.code int9",
+            "maslam: --places.code int9: places.code: there is no place code 'int9', only auto, float32, float32x128, "
+            "int8, int8x128, int4, pq32, pq16; did you mean 'int4' or 'int8'?",
+        ),
+        (
+            "run a b --transport in-proces",
+            "maslam: --transport: there is no transport 'in-proces'; did you mean 'in_process'?",
+        ),
+        ("slam a b --model defualt", "maslam: --model: there is no descriptor 'defualt'; did you mean 'default'?"),
+        (
             "preprocess a b --odometry.seed 3",
             "maslam: --odometry.seed was an option of version 0.1 and is gone: it had no effect",
         ),
@@ -120,6 +132,18 @@ def test_a_wrong_name_is_a_usage_error_in_one_line(words: str, line: str, capsys
             "slam a b --config",
             "policy: diretory\n",
             ":1: there is no policy 'diretory'; did you mean 'directory'?",
+        ),
+        (
+            "slam a b --config",
+            "places:\n  latest_frames: 3\n  code: pq23\n",
+            ":3: places.code: there is no place code 'pq23', only auto, float32, float32x128, int8, int8x128, int4, "
+            "pq32, pq16; did you mean 'pq32'?",
+        ),
+        (
+            "run a b --config",
+            "optimisation: {solver: {method: elcted}}\n",
+            ":1: optimisation.solver.method: input should be 'dgs', 'jor', 'sor', 'rbcd', 'rbcd-async' or 'elected', "
+            "not 'elcted'; did you mean 'elected'?",
         ),
         ("slam a b --config", "odometri: {}\n", ":1: unknown setting 'odometri'; did you mean 'odometry'?"),
         (
@@ -148,6 +172,25 @@ def test_a_wrong_name_in_a_settings_file_is_a_usage_error_with_its_line(
     assert cli.main([*command.split(), "c.yaml"]) == 2
     assert capsys.readouterr().err == f"maslam: c.yaml{line}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["c.yaml"], "nothing was begun"
+
+
+WORDS = [path for path, field in leaves(MasConfig) if field.annotation is str]
+
+
+@pytest.mark.parametrize("setting", WORDS)
+def test_every_setting_that_takes_a_word_refuses_others(setting: str, capsys: pytest.CaptureFixture[str]) -> None:
+    option = option_name(setting)
+    assert cli.main(["run", "a", "b", option, "xyzzy"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"maslam: {option}") and "there is no " in said and "'xyzzy'" in said
+
+
+@pytest.mark.parametrize("command", ["preprocess a b", "slam a b", "netvlad describe a -o b.npz", "netvlad info"])
+def test_a_provider_that_is_not_here_is_a_usage_error(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([*command.split(), "--provider", "cup"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("maslam: --provider: onnxruntime has no provider 'cup' here, only: CPU")
+    assert said.endswith("; did you mean 'cpu'?\n")
 
 
 def test_an_option_of_0_1_is_refused_with_todays_name(

@@ -19,15 +19,13 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from maslam._suggestions import did_you_mean
+from maslam._suggestions import UNKNOWN_NAME, did_you_mean
 
 from .earlier_settings import modernised
 from .errors import ToolError, UnknownName, UsageError
 from .yaml_lines import place_of
 
 Model = TypeVar("Model", bound=BaseModel)
-UNKNOWN_NAME = "unknown_name"
-"""Type of the ``PydanticCustomError`` by which a model's own check says that there is no such name."""
 DEST = "set:"  # marks the attributes of the parsed arguments that belong to a model
 
 

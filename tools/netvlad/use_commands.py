@@ -93,8 +93,12 @@ def _running_arguments(parser: argparse.ArgumentParser, threads: int) -> None:
 
 def run_info(arguments: argparse.Namespace) -> None:
     """Print the card and the speed."""
+    from maslam.descriptors.session import find_provider
+
+    from ..common.names import check_name
     from .info import as_record, as_text, measure
 
+    check_name("--provider", find_provider, arguments.provider)
     speed = measure(arguments.model, arguments.threads, arguments.provider, arguments.batch)
     show = as_record if arguments.json else as_text
     shown = show(arguments.model, speed)
@@ -113,14 +117,17 @@ def run_card(arguments: argparse.Namespace) -> None:
 def run_describe(arguments: argparse.Namespace) -> None:
     """Write the vectors of every sequence in the source."""
     from maslam.descriptors.inference import NetVlad
+    from maslam.descriptors.session import find_provider
 
     from ..common.errors import UsageError
+    from ..common.names import check_name
     from ..common.parallel import core_count
     from ..common.progress import progress_on
     from .describe import DescribeSettings, describe_file, find_images
 
     if arguments.every < 1:
         raise UsageError(f"--every {arguments.every}: at least 1 is meant")
+    check_name("--provider", find_provider, arguments.provider)
     settings = DescribeSettings(arguments.threads or core_count(), arguments.batch)
     model = NetVlad.load(arguments.model, provider=arguments.provider, batch=arguments.batch)
     with progress_on(quiet=arguments.quiet) as progress:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from maslam.extensions import name_of
 
-from ..common.errors import ToolError, UnknownName, UsageError, describe
+from ..common.errors import ToolError, UsageError, describe
+from ..common.names import check_name
 from ..common.options import add_model_options, build, read_settings
 from ..common.progress import Progress, progress_on
 
@@ -120,7 +121,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
 
     if arguments.overlap < 0:
         raise UsageError(f"--overlap {arguments.overlap}: a number of key-frames is meant")
-    _check_kind(arguments.dataset)
+    _check_names(arguments)
     return PreprocessSettings(
         odometry=build(OdometryConfig(), arguments, content.get(SECTION), arguments.config, SECTION),
         agents=arguments.agents,
@@ -134,15 +135,16 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
     )
 
 
-def _check_kind(kind: str | None) -> None:
-    from maslam.errors import MaslamError
+def _check_names(arguments: argparse.Namespace) -> None:
+    """Refuse unknown names before any work."""
+    from maslam.descriptors.choice import check_descriptor
+    from maslam.descriptors.session import find_provider
     from maslam.frontend.datasets.readers import check_kind
 
-    try:
-        if kind is not None:
-            check_kind(kind)
-    except MaslamError as error:
-        raise UnknownName(f"--dataset: {error}") from None
+    if arguments.dataset is not None:
+        check_name("--dataset", check_kind, arguments.dataset)
+    check_name("--model", check_descriptor, arguments.model)
+    check_name("--provider", find_provider, arguments.provider)
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from maslam._suggestions import did_you_mean
 
 from ..common.errors import UnknownName
+from ..common.names import check_name
 from ..common.options import DEST, add_model_options, build, option_name, read_settings
 from ..common.progress import counter, progress_on
 from ..common.yaml_lines import place_of
@@ -54,17 +55,13 @@ def config_from(arguments: argparse.Namespace, file: Mapping[str, Any]) -> MasCo
 
 def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
     """Refuse unknown names before the images are tracked."""
-    from maslam.errors import MaslamError
     from maslam.mas.policies.presets import check_policy
     from maslam.mas.transport.choice import check_transport
 
     for name, check in (("policy", check_policy), ("transport", check_transport)):
-        try:
-            check(getattr(config, name))
-        except MaslamError as error:
-            given = hasattr(arguments, DEST + name) or arguments.config is None
-            place = option_name(name) if given else place_of(arguments.config, [name])
-            raise UnknownName(f"{place}: {error}") from None
+        given = hasattr(arguments, DEST + name) or arguments.config is None
+        place = option_name(name) if given else place_of(arguments.config, [name])
+        check_name(place, check, getattr(config, name))
 
 
 def main(arguments: argparse.Namespace) -> None:

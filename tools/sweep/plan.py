@@ -9,11 +9,10 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from maslam._suggestions import did_you_mean
+from maslam._suggestions import UNKNOWN_NAME, did_you_mean
 from maslam.mas.policies.presets import PRESETS
 
 from ..common.errors import UnknownName
-from ..common.options import UNKNOWN_NAME
 
 THESIS_PRESETS = ("predecessor", "default", "optimised", "selection", "maslam")
 """The thesis's four systems, and ours."""
