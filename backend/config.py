@@ -13,62 +13,77 @@ class RelPoseConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     solver: Literal["points", "pnp"] = Field(
-        "points",
+        default="points",
         description="points: 3-D points of both views; pnp: of the match, with mere directions of the query",
     )
     max_hamming: int = Field(
-        60, ge=0, le=256, description="largest descriptor distance of a tentative match, bits of 256"
+        default=60, ge=0, le=256, description="largest descriptor distance of a tentative match, bits of 256"
     )
     ratio: float = Field(
-        0.9, gt=0, le=1, description="largest ratio of the best to the second best descriptor distance; 1: not tested"
+        default=0.9,
+        gt=0,
+        le=1,
+        description="largest ratio of the best to the second best descriptor distance; 1: not tested",
     )
-    min_matches: int = Field(8, ge=3, description="fewest tentative matches for which a pose is searched")
-    min_inliers: int = Field(8, ge=3, description="fewest tentative matches that a pose must explain")
+    min_matches: int = Field(default=8, ge=3, description="fewest tentative matches for which a pose is searched")
+    min_inliers: int = Field(default=8, ge=3, description="fewest tentative matches that a pose must explain")
     min_word_inliers: int = Field(
-        20, ge=3, description="fewest matches that a pose must explain where views are compared by vocabulary words"
+        default=20,
+        ge=3,
+        description="fewest matches that a pose must explain where views are compared by vocabulary words",
     )
     search_angle_deg: float = Field(
-        3.0, gt=0, le=20, description="largest bearing error of an inlier in the search, degrees"
+        default=3.0, gt=0, le=20, description="largest bearing error of an inlier in the search, degrees"
     )
     inlier_angle_deg: float = Field(
-        0.5, gt=0, le=20, description="largest bearing error of an inlier under the refined pose, degrees"
+        default=0.5, gt=0, le=20, description="largest bearing error of an inlier under the refined pose, degrees"
     )
-    depth_ratio: float = Field(1.5, gt=1, description="largest ratio of an inlier's two depths in one camera")
+    depth_ratio: float = Field(default=1.5, gt=1, description="largest ratio of an inlier's two depths in one camera")
     samples: int = Field(
-        20_000, ge=1, description="minimal sets drawn; those whose side lengths disagree are dropped unsolved"
+        default=20_000, ge=1, description="minimal sets drawn; those whose side lengths disagree are dropped unsolved"
     )
-    hypotheses: int = Field(400, ge=1, description="most hypotheses that are scored")
-    refined: int = Field(5, ge=1, description="best hypotheses that are refined")
+    hypotheses: int = Field(default=400, ge=1, description="most hypotheses that are scored")
+    refined: int = Field(default=5, ge=1, description="best hypotheses that are refined")
     guided_hamming: int = Field(
-        80, ge=0, le=256, description="largest descriptor distance once the pose is known, bits of 256"
+        default=80, ge=0, le=256, description="largest descriptor distance once the pose is known, bits of 256"
     )
-    loss_scale: float = Field(3.0, gt=0, description="scale of the Cauchy loss in refinement, standard deviations")
+    loss_scale: float = Field(
+        default=3.0, gt=0, description="scale of the Cauchy loss in refinement, standard deviations"
+    )
     min_evidence: float | None = Field(
-        0.0, description="smallest log odds for a place match by all that both views see; null: not weighed"
+        default=0.0, description="smallest log odds for a place match by all that both views see; null: not weighed"
     )
     min_common: float = Field(
-        0.25, ge=0, le=1, description="smallest share of a view's points (0 to 1) that the other view must have in view"
+        default=0.25,
+        ge=0,
+        le=1,
+        description="smallest share of a view's points (0 to 1) that the other view must have in view",
     )
     max_floating: float = Field(
-        0.15,
+        default=0.15,
         ge=0,
         le=1,
         description="largest share of points (0 to 1) in front of a surface that the other camera sees",
     )
     max_deserted: float = Field(
-        0.3, ge=0, le=1, description="largest share of the common view (0 to 1) without a similar point; 5 % by chance"
+        default=0.3,
+        ge=0,
+        le=1,
+        description="largest share of the common view (0 to 1) without a similar point; 5 % by chance",
     )
     min_thickness: float = Field(
-        0.1,
+        default=0.1,
         ge=0,
         description="smallest extent of the inliers across their main plane over that within it; rejects flat walls",
     )
     min_word_thickness: float = Field(
-        0.12, ge=0, description="smallest extent, as min_thickness, where views are compared by vocabulary words"
+        default=0.12,
+        ge=0,
+        description="smallest extent, as min_thickness, where views are compared by vocabulary words",
     )
-    max_scale: float = Field(20.0, gt=1, description="largest scale of a similarity, and largest inverse of it")
+    max_scale: float = Field(default=20.0, gt=1, description="largest scale of a similarity, and largest inverse of it")
     max_sigma: float = Field(
-        0.1,
+        default=0.1,
         gt=0,
         description="largest standard deviation of the position in its worst direction, over the median depth",
     )
@@ -80,66 +95,80 @@ class SolverConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "elected"] = Field(
-        "sor",
+        default="sor",
         description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, "
         "or one elected robot that solves for all",
     )
-    relaxation: float = Field(1.75, gt=0, lt=2, description="over-relaxation of sor; jor uses at most 1")
+    relaxation: float = Field(default=1.75, gt=0, lt=2, description="over-relaxation of sor; jor uses at most 1")
     start: Literal["flagged", "warm"] = Field(
-        "flagged",
+        default="flagged",
         description="initial guess: flagged (none needed) or warm (the present poses, which share a frame already)",
     )
-    rotation_sweeps: int = Field(50, ge=1, description="rotation sweeps at most")
-    pose_sweeps: int = Field(50, ge=1, description="pose sweeps of one Gauss-Newton step, at most")
-    scale_sweeps: int = Field(100, ge=1, description="sweeps over the robots' scales, at most (monocular members only)")
+    rotation_sweeps: int = Field(default=50, ge=1, description="rotation sweeps at most")
+    pose_sweeps: int = Field(default=50, ge=1, description="pose sweeps of one Gauss-Newton step, at most")
+    scale_sweeps: int = Field(
+        default=100, ge=1, description="sweeps over the robots' scales, at most (monocular members only)"
+    )
     rotation_threshold: float = Field(
-        0.01, ge=0, description="change of a robot's rotation entries below which it is quiet, 2-norm"
+        default=0.01, ge=0, description="change of a robot's rotation entries below which it is quiet, 2-norm"
     )
     pose_threshold: float = Field(
-        0.01, ge=0, description="change of a robot's poses below which it is quiet, 2-norm of m and rad"
+        default=0.01, ge=0, description="change of a robot's poses below which it is quiet, 2-norm of m and rad"
     )
-    scale_threshold: float = Field(1e-5, ge=0, description="change of a robot's log scale below which it is quiet")
-    newton_steps: int = Field(1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
+    scale_threshold: float = Field(
+        default=1e-5, ge=0, description="change of a robot's log scale below which it is quiet"
+    )
+    newton_steps: int = Field(default=1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
     change: Literal["norm", "rms"] = Field(
-        "norm",
+        default="norm",
         description="change that sweep thresholds compare: norm over a robot's poses (published), or rms per pose",
     )
 
-    descent_sweeps: int = Field(200, ge=1, description="sweeps of block descent at most")
-    descent_relaxation: float = Field(1.4, gt=0, lt=2, description="over-relaxation of block descent")
+    descent_sweeps: int = Field(default=200, ge=1, description="sweeps of block descent at most")
+    descent_relaxation: float = Field(default=1.4, gt=0, lt=2, description="over-relaxation of block descent")
     cost_tolerance: float = Field(
-        1e-6,
+        default=1e-6,
         ge=0,
         description="share of the cost by which it must fall within cost_window sweeps for block descent to go on",
     )
     cost_window: int = Field(
-        5, ge=1, description="block descent: sweeps over which the fall of the cost is compared with cost_tolerance"
+        default=5,
+        ge=1,
+        description="block descent: sweeps over which the fall of the cost is compared with cost_tolerance",
     )
     free_threshold: float = Field(
-        0.05,
+        default=0.05,
         gt=0,
         description="rbcd-async: smallest move of a separator that is sent to neighbours, standard deviations",
     )
-    mixed_sweeps: int = Field(4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain")
-    robust: Literal["none", "gnc"] = Field("none", description="graduated non-convexity on loops and separators (rbcd)")
-    gnc_confidence: float = Field(0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps")
+    mixed_sweeps: int = Field(
+        default=4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain"
+    )
+    robust: Literal["none", "gnc"] = Field(
+        default="none", description="graduated non-convexity on loops and separators (rbcd)"
+    )
+    gnc_confidence: float = Field(
+        default=0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps"
+    )
     gnc_noise: float = Field(
-        1.0,
+        default=1.0,
         gt=0,
         description="true standard deviations over those that the information states; above 1: it is over-confident",
     )
-    gnc_sweeps: int = Field(3, ge=1, description="sweeps between two changes of weights")
-    gnc_steps: int = Field(60, ge=1, description="changes of weights at most")
+    gnc_sweeps: int = Field(default=3, ge=1, description="sweeps between two changes of weights")
+    gnc_steps: int = Field(default=60, ge=1, description="changes of weights at most")
 
     elected_longest: int = Field(
-        1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
+        default=1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
     )
     elected_fineness: float = Field(
-        512.0,
+        default=512.0,
         gt=0,
         description="elected: resolution of transmitted numbers, steps per standard deviation of the residuals",
     )
-    elected_patience: int = Field(10, ge=1, description="elected: ticks in silence after which a robot counts as lost")
+    elected_patience: int = Field(
+        default=10, ge=1, description="elected: ticks in silence after which a robot counts as lost"
+    )
 
     @classmethod
     def quick(cls) -> SolverConfig:
@@ -154,14 +183,18 @@ class CentralConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    cost: Literal["F", "U", "E"] = Field("F", description="cost convention: SE-Sync, unit weights, or geodesic (gtsam)")
-    start: Literal["chordal", "given"] = Field(
-        "chordal", description="two-stage chordal solution, or the graph's poses"
+    cost: Literal["F", "U", "E"] = Field(
+        default="F", description="cost convention: SE-Sync, unit weights, or geodesic (gtsam)"
     )
-    loss: Literal["none", "huber", "cauchy"] = Field("none", description="robust loss on loops and separators")
-    loss_scale: float = Field(3.0, gt=0, description="scale of the robust loss, standard deviations")
-    iterations: int = Field(100, ge=1, description="iterations at most")
-    tolerance: float = Field(1e-10, gt=0, description="share of the cost by which an iteration must lower it to go on")
+    start: Literal["chordal", "given"] = Field(
+        default="chordal", description="two-stage chordal solution, or the graph's poses"
+    )
+    loss: Literal["none", "huber", "cauchy"] = Field(default="none", description="robust loss on loops and separators")
+    loss_scale: float = Field(default=3.0, gt=0, description="scale of the robust loss, standard deviations")
+    iterations: int = Field(default=100, ge=1, description="iterations at most")
+    tolerance: float = Field(
+        default=1e-10, gt=0, description="share of the cost by which an iteration must lower it to go on"
+    )
 
 
 class RobustConfig(BaseModel):
@@ -170,16 +203,19 @@ class RobustConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     confidence: float = Field(
-        0.999, gt=0, lt=1, description="share of right edges that pass the chi-square tests, if the noise is Gaussian"
+        default=0.999,
+        gt=0,
+        lt=1,
+        description="share of right edges that pass the chi-square tests, if the noise is Gaussian",
     )
     noise: Literal["estimated", "stated"] = Field(
-        "estimated",
+        default="estimated",
         description="stated: trust the edges' information; estimated: one factor for all by which it is over-confident",
     )
-    max_noise: float = Field(10.0, ge=1, description="largest factor of true over stated standard deviations")
-    clique_work: int = Field(5_000_000, ge=1, description="most nodes searched for the largest consistent set")
-    iterations: int = Field(100, ge=1, description="GNC steps at most")
-    newton_steps: int = Field(10, ge=1, description="steps of the optimiser in each GNC step, at most")
+    max_noise: float = Field(default=10.0, ge=1, description="largest factor of true over stated standard deviations")
+    clique_work: int = Field(default=5_000_000, ge=1, description="most nodes searched for the largest consistent set")
+    iterations: int = Field(default=100, ge=1, description="GNC steps at most")
+    newton_steps: int = Field(default=10, ge=1, description="steps of the optimiser in each GNC step, at most")
 
 
 class SimilarityConfig(BaseModel):
@@ -187,7 +223,11 @@ class SimilarityConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    drift_sigma: float = Field(0.01, gt=0, description="1 sigma of the log scale's drift over an odometry edge")
-    match_sigma: float = Field(0.02, gt=0, description="1 sigma of the log scale that a loop or separator measures")
-    iterations: int = Field(50, ge=1, description="Gauss-Newton steps at most")
-    tolerance: float = Field(1e-10, ge=0, description="share of the cost by which an iteration must lower it to go on")
+    drift_sigma: float = Field(default=0.01, gt=0, description="1 sigma of the log scale's drift over an odometry edge")
+    match_sigma: float = Field(
+        default=0.02, gt=0, description="1 sigma of the log scale that a loop or separator measures"
+    )
+    iterations: int = Field(default=50, ge=1, description="Gauss-Newton steps at most")
+    tolerance: float = Field(
+        default=1e-10, ge=0, description="share of the cost by which an iteration must lower it to go on"
+    )

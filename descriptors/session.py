@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam._suggestions import did_you_mean
+from maslam._suggestions import hint
 
 from .card import ModelCard
 from .errors import DescriptorError
@@ -45,8 +45,7 @@ def find_provider(wanted: str) -> str:
         if wanted.lower() in (name.lower(), name.removesuffix(_SUFFIX).lower()):
             return name
     names = [name.removesuffix(_SUFFIX) for name in known]
-    hint = did_you_mean(wanted.lower(), [name.lower() for name in names])  # in any case
-    near = hint if "mean" in hint else ""
+    near = hint(wanted.lower(), [name.lower() for name in names])  # in any case
     raise DescriptorError(f"onnxruntime has no provider '{wanted}' here, only: {', '.join(names)}{near}")
 
 

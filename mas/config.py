@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from maslam._suggestions import UNKNOWN_NAME, did_you_mean
+from maslam._suggestions import UNKNOWN_NAME, hint
 from maslam.backend.config import RelPoseConfig, SolverConfig
 from maslam.descriptors.codes import CODES, is_code
 
@@ -23,55 +23,66 @@ class PlacesConfig(_Section):
     """Place recognition between agents and own loop closures (thesis section 3.5)."""
 
     threshold: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=2,
         description="places match below this distance of unit vectors, 0 to 2; unset: the descriptor's own",
     )
     certainty: Literal["candidate", "strict"] = Field(
-        "candidate",
+        default="candidate",
         description="which of the descriptor's own distances: candidate keeps nearly all right matches, strict lets "
         "geometry verify fewer wrong ones",
     )
     code: str = Field(
-        "int8",
+        default="int8",
         description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16; "
         "auto: pq32 where the model has codebooks, else int8",
     )
     latest_frames: int = Field(
-        1, ge=1, description="key-frames of an asker that are matched: earlier queries again, unsent ones after a hit"
+        default=1,
+        ge=1,
+        description="key-frames of an asker that are matched: earlier queries again, unsent ones after a hit",
     )
     centres_from: str | None = Field(
-        None,
+        default=None,
         description="clustered: netvlad.npz whose vectors the owners' centres are fitted to; unset: this run's own",
     )
     features: Literal["descriptors", "words"] = Field(
-        "descriptors", description="what a verification sends for each point"
+        default="descriptors", description="what a verification sends for each point"
     )
-    max_points: int = Field(500, ge=20, description="map points of a key-frame sent for verification, at most")
+    max_points: int = Field(default=500, ge=20, description="map points of a key-frame sent for verification, at most")
     first_points: int = Field(
-        0, ge=0, description="so many of them at first, the rest only where those promise a match; 0: all at once"
+        default=0,
+        ge=0,
+        description="so many of them at first, the rest only where those promise a match; 0: all at once",
     )
     first_evidence: float = Field(
-        6.0, description="log odds that the first points must bring to be believed without the rest"
+        default=6.0, description="log odds that the first points must bring to be believed without the rest"
     )
     point_code: Literal["float", "grid"] = Field(
-        "float", description="how positions travel: 12 bytes each, or 4 on a grid of directions and inverse depths"
+        default="float",
+        description="how positions travel: 12 bytes each, or 4 on a grid of directions and inverse depths",
     )
-    descriptor_bytes: Literal[8, 16, 32] = Field(32, description="of each descriptor, its first bytes")
+    descriptor_bytes: Literal[8, 16, 32] = Field(default=32, description="of each descriptor, its first bytes")
     gap_keyframes: int = Field(
-        4, ge=0, description="own key-frames that pass between accepted matches with one agent; no verification sooner"
+        default=4,
+        ge=0,
+        description="own key-frames that pass between accepted matches with one agent; no verification sooner",
     )
     gap_most_keyframes: int | None = Field(
-        None, ge=0, description="grown up to so many where matches come as expected, so that they tell little; null: no"
+        default=None,
+        ge=0,
+        description="grown up to so many where matches come as expected, so that they tell little; null: no",
     )
     gap_m: float = Field(
-        0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"
+        default=0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"
     )
-    own_loops: bool = Field(True, description="close loops with the agent's own earlier key-frames")
-    own_age_s: float = Field(30.0, ge=0, description="own key-frames at least this much older are candidates, seconds")
+    own_loops: bool = Field(default=True, description="close loops with the agent's own earlier key-frames")
+    own_age_s: float = Field(
+        default=30.0, ge=0, description="own key-frames at least this much older are candidates, seconds"
+    )
     own_age_keyframes: int | None = Field(
-        40, ge=1, description="so are those at least so many key-frames older; null: by age in seconds only"
+        default=40, ge=1, description="so are those at least so many key-frames older; null: by age in seconds only"
     )
 
     @field_validator("code")
@@ -80,8 +91,7 @@ class PlacesConfig(_Section):
         if code == AUTO_CODE or is_code(code):
             return code
         words = (AUTO_CODE, *CODES)
-        hint = did_you_mean(code, words)
-        known = {"name": code, "known": ", ".join(words), "hint": hint if "mean" in hint else ""}
+        known = {"name": code, "known": ", ".join(words), "hint": hint(code, words)}
         raise PydanticCustomError(UNKNOWN_NAME, "there is no place code '{name}', only {known}{hint}", known)
 
 
@@ -89,46 +99,56 @@ class ConsistencyConfig(_Section):
     """Which verified matches are used: those that agree with each other about how two tracks stand to each other."""
 
     rule: Literal["together", "earlier"] = Field(
-        "together",
+        default="together",
         description="together: the largest set that agrees; earlier: the predecessor's, by those before it on the way",
     )
     earlier_m: float = Field(
-        20.0, gt=0, description="earlier: matches made at most this far back on the query's way are asked, metres"
+        default=20.0,
+        gt=0,
+        description="earlier: matches made at most this far back on the query's way are asked, metres",
     )
     earlier_apart_m: float = Field(
-        4.0, gt=0, description="earlier: positions agree within this, metres (indoors the predecessor took 2 over 10)"
+        default=4.0,
+        gt=0,
+        description="earlier: positions agree within this, metres (indoors the predecessor took 2 over 10)",
     )
     min_support: int = Field(
-        1, ge=0, description="other matches between the same two tracks that must agree with a match"
+        default=1, ge=0, description="other matches between the same two tracks that must agree with a match"
     )
-    depth_share: float = Field(0.05, gt=0, description="positions agree within this share of the match's median depth")
-    drift: float = Field(0.04, ge=0, description="plus this share of the paths between the matches")
+    depth_share: float = Field(
+        default=0.05, gt=0, description="positions agree within this share of the match's median depth"
+    )
+    drift: float = Field(default=0.04, ge=0, description="plus this share of the paths between the matches")
     loop_drift: float = Field(
-        0.15,
+        default=0.15,
         ge=0,
         description="an own loop may correct odometry by this share of the path between, plus depth_share",
     )
-    angle_deg: float = Field(2.0, gt=0, description="and rotations within this, degrees")
+    angle_deg: float = Field(default=2.0, gt=0, description="and rotations within this, degrees")
     angle_deg_per_depth: float = Field(
-        0.6, ge=0, description="plus this for each median depth of path between the matches, degrees"
+        default=0.6, ge=0, description="plus this for each median depth of path between the matches, degrees"
     )
 
 
 class OptimisationConfig(_Section):
     """Times of optimisations, and weights of odometry in the graph (thesis section 3.6)."""
 
-    period_keyframes: int = Field(5, ge=1, description="own key-frames between optimisations that an agent calls for")
-    deadline_s: float = Field(20.0, gt=0, description="logical time an optimisation may take, seconds")
-    closing: bool = Field(True, description="optimise once more at the end where something is new")
+    period_keyframes: int = Field(
+        default=5, ge=1, description="own key-frames between optimisations that an agent calls for"
+    )
+    deadline_s: float = Field(default=20.0, gt=0, description="logical time an optimisation may take, seconds")
+    closing: bool = Field(default=True, description="optimise once more at the end where something is new")
     odometry_sigma_share: float = Field(
-        0.003, gt=0, description="1 sigma of an odometry step's position over its length"
+        default=0.003, gt=0, description="1 sigma of an odometry step's position over its length"
     )
-    odometry_sigma_depth: float = Field(0.0005, gt=0, description="plus this share of the key-frame's median depth")
-    odometry_sigma_deg: float = Field(0.03, gt=0, description="1 sigma of an odometry step's rotation, degrees")
+    odometry_sigma_depth: float = Field(
+        default=0.0005, gt=0, description="plus this share of the key-frame's median depth"
+    )
+    odometry_sigma_deg: float = Field(default=0.03, gt=0, description="1 sigma of an odometry step's rotation, degrees")
     match_sigma_depth: float = Field(
-        0.005, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
+        default=0.005, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
     )
-    match_sigma_deg: float = Field(0.1, gt=0, description="floor of a place match's rotation sigma, degrees")
+    match_sigma_deg: float = Field(default=0.1, gt=0, description="floor of a place match's rotation sigma, degrees")
     # Members' poses share a frame when an optimisation starts (the task places them), so it can go on from there.
     solver: SolverConfig = SolverConfig(start="warm")
 
@@ -136,54 +156,54 @@ class OptimisationConfig(_Section):
 class MergeConfig(_Section):
     """Map merging, Algorithm 1 (thesis section 3.7)."""
 
-    enabled: bool = Field(True, description="agents buy each other's maps")
-    period_keyframes: int = Field(10, ge=1, description="own key-frames between purchases from one agent")
+    enabled: bool = Field(default=True, description="agents buy each other's maps")
+    period_keyframes: int = Field(default=10, ge=1, description="own key-frames between purchases from one agent")
     form: Literal["full", "compact"] = Field(
-        "full",
+        default="full",
         description="full: floating-point numbers with descriptors (thesis); compact: a quantised map, sent as changes "
         "between versions",
     )
-    max_points: int = Field(2000, ge=0, description="map points sold with each key-frame, at most")
-    descriptors: bool = Field(False, description="compact maps carry the points' descriptors, 32 bytes each")
+    max_points: int = Field(default=2000, ge=0, description="map points sold with each key-frame, at most")
+    descriptors: bool = Field(default=False, description="compact maps carry the points' descriptors, 32 bytes each")
     point_error: float = Field(
-        0.005, gt=0, le=0.1, description="median error of a point of a compact map, as a share of its distance"
+        default=0.005, gt=0, le=0.1, description="median error of a point of a compact map, as a share of its distance"
     )
     pose_error: float = Field(
-        0.001,
+        default=0.001,
         gt=0,
         le=0.1,
         description="a pose of a map copy is off the owner's by at most this share of the median depth",
     )
     version_keyframes: int = Field(
-        10, ge=1, description="new key-frames that make a new version of a compact map during the run"
+        default=10, ge=1, description="new key-frames that make a new version of a compact map during the run"
     )
     consistency_m: float | None = Field(
-        None,
+        default=None,
         gt=0,
         description="a map copy that a place match puts this far off is laid on the match (3.3, 3.4), metres "
         "(monocular: tenths of a median depth); the thesis's is 100; null: never",
     )
     redundancy_m: float | None = Field(
-        None,
+        default=None,
         gt=0,
         description="of a map whose old copy agrees with all place matches within this only new key-frames are taken, "
         "metres; the thesis's is 5; null: the newest replaces",
     )
     accuracy_m: float | None = Field(
-        None,
+        default=None,
         gt=0,
         description="a map that no place match agrees with within this is rejected, metres; the thesis's is 5; "
         "null: never",
     )
     accuracy_share: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1,
         description="so is one of whose place matches, beside those that placed it, less than this share agree; 0: the "
         "thesis's rule only",
     )
     closing_rounds: int = Field(
-        256, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
+        default=256, ge=0, description="rounds of purchases at the end, at most; they stop when nothing is new"
     )
 
 
@@ -191,45 +211,48 @@ class LinkConfig(_Section):
     """Retransmission of messages that get lost. Where none are, none of it happens."""
 
     repeat_s: float = Field(
-        0.01,
+        default=0.01,
         gt=0,
         description="a message without an answer is sent again after this, seconds; then after twice that, ...",
     )
-    repeat_max_s: float = Field(0.64, gt=0, description="longest wait between two such repeats, seconds")
-    silence_s: float = Field(3.0, gt=0, description="a contractor that owes an answer for so long is given up, seconds")
-    retries: int = Field(2, ge=0, description="how often work that was not delivered is called for again")
+    repeat_max_s: float = Field(default=0.64, gt=0, description="longest wait between two such repeats, seconds")
+    silence_s: float = Field(
+        default=3.0, gt=0, description="a contractor that owes an answer for so long is given up, seconds"
+    )
+    retries: int = Field(default=2, ge=0, description="how often work that was not delivered is called for again")
 
 
 class ReputationConfig(_Section):
     """Which agents are trusted (:mod:`maslam.mas.contracts.reputation`)."""
 
     reliability: float = Field(
-        0.3,
+        default=0.3,
         ge=0,
         le=1,
         description="an agent is not called below this reliability: its share of delivered contracts",
     )
     consistency: float = Field(
-        0.45, ge=0, le=1, description="nor when the consistency of its results with others is below this"
+        default=0.45, ge=0, le=1, description="nor when the consistency of its results with others is below this"
     )
     forgetting: float = Field(
-        0.95, gt=0, le=1, description="weight of an earlier contract after each later one, 0 to 1"
+        default=0.95, gt=0, le=1, description="weight of an earlier contract after each later one, 0 to 1"
     )
-    probe_s: float = Field(10.0, gt=0, description="an agent that is not called is probed again after this, seconds")
+    probe_s: float = Field(default=10.0, gt=0, description="an agent that is not called is probed after this, seconds")
 
 
 class FaultsConfig(_Section):
     """Faults made on purpose, from the seed: the system is meant to live with them."""
 
-    loss: float = Field(0.0, ge=0, lt=1, description="share of messages that never arrive")
-    duplicate: float = Field(0.0, ge=0, le=1, description="share of messages that arrive twice")
-    reorder: float = Field(0.0, ge=0, le=1, description="share of messages that are overtaken by later ones")
-    delay_s: float = Field(0.0, ge=0, description="logical time that every message takes, seconds")
-    jitter_s: float = Field(0.0, ge=0, description="plus a random time up to this, seconds")
+    loss: float = Field(default=0.0, ge=0, lt=1, description="share of messages that never arrive")
+    duplicate: float = Field(default=0.0, ge=0, le=1, description="share of messages that arrive twice")
+    reorder: float = Field(default=0.0, ge=0, le=1, description="share of messages that are overtaken by later ones")
+    delay_s: float = Field(default=0.0, ge=0, description="logical time that every message takes, seconds")
+    jitter_s: float = Field(default=0.0, ge=0, description="plus a random time up to this, seconds")
     late_s: dict[int, float] = Field(
-        {}, description="agents that come late, with their time in seconds, e.g. {2: 10}; their sequence starts then"
+        default={},
+        description="agents that come late, with their time in seconds, e.g. {2: 10}; their sequence starts then",
     )
-    leave_s: dict[int, float] = Field({}, description="agents that leave, with their time in seconds")
+    leave_s: dict[int, float] = Field(default={}, description="agents that leave, with their time in seconds")
 
     @property
     def any(self) -> bool:
@@ -241,27 +264,27 @@ class MasConfig(_Section):
     """Everything that can be set; the resolved values stand in RUN/config.yaml."""
 
     preset: str = Field(
-        "default",
+        default="default",
         description="what the settings start from: maslam (ours), or the thesis's predecessor, default, optimised, "
         "selection",
     )
     policy: str = Field(
-        "query_all",
+        default="query_all",
         description="who decides: query_all (no logic), clustered (the predecessor), logic (Algorithms 2 and 3), "
         "selection (those with Algorithm 4), directory (ours), or an entry point of maslam.policies",
     )
     transport: str = Field(
-        "in_process", description="what carries messages: in_process, or an entry point of maslam.transports"
+        default="in_process", description="what carries messages: in_process, or an entry point of maslam.transports"
     )
-    seed: int = Field(0, ge=0, description="seed of every random choice")
-    step_s: float = Field(0.5, gt=0, description="logical time between two steps of the environment, seconds")
-    deadline_s: float = Field(5.0, gt=0, description="logical time a contract may take, seconds")
-    max_message_mb: float = Field(64.0, gt=0, description="longer messages are neither sent nor taken, 2^20 bytes")
+    seed: int = Field(default=0, ge=0, description="seed of every random choice")
+    step_s: float = Field(default=0.5, gt=0, description="logical time between two steps of the environment, seconds")
+    deadline_s: float = Field(default=5.0, gt=0, description="logical time a contract may take, seconds")
+    max_message_mb: float = Field(default=64.0, gt=0, description="longest message sent or taken, 2^20 bytes")
     max_messages_a_step: int = Field(
-        5_000_000, ge=1000, description="more messages in one step are taken for an endless loop"
+        default=5_000_000, ge=1000, description="more messages in one step are taken for an endless loop"
     )
     ask_again: bool = Field(
-        True, description="ask agents for places although they were matched within the last gap_keyframes"
+        default=True, description="ask agents for places although they were matched within the last gap_keyframes"
     )
     places: PlacesConfig = PlacesConfig()
     relpose: RelPoseConfig = RelPoseConfig()

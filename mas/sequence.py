@@ -95,7 +95,9 @@ class DescriptorEntry(_Entry):
     dim: int = Field(gt=0)
     threshold: float = Field(gt=0, description="two places match below this Euclidean distance of unit vectors, 0 to 2")
     strict_threshold: float | None = Field(
-        None, gt=0, description="below this appearance alone decides (precision 0.99 where calibrated); None: not known"
+        default=None,
+        gt=0,
+        description="below this appearance alone decides (precision 0.99 where calibrated); None: not known",
     )
     min_std: float = Field(ge=0, description="grey-level spread under which an image counts as without texture")
 

@@ -28,14 +28,20 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
     return sorted((one for one in scores if scores[one] >= least), key=lambda one: -scores[one])[:MOST]
 
 
+def hint(name: str, known: Iterable[str]) -> str:
+    """``"; did you mean 'a' or 'b'?"``, nothing where no name is near: for a line that lists the known ones itself."""
+    near = nearest(name, known)
+    return f"; did you mean {' or '.join(repr(one) for one in near)}?" if near else ""
+
+
 def did_you_mean(name: str, known: Iterable[str], what: str = "") -> str:
     """``"; did you mean 'a' or 'b'?"``; where no name is near, ``"; there are a, b, c"`` if they are few, else
     ``what``.
     """
     names = list(known)
-    near = nearest(name, names)
+    near = hint(name, names)
     if near:
-        return f"; did you mean {' or '.join(repr(one) for one in near)}?"
+        return near
     return f"; there are {', '.join(names)}" if 0 < len(names) <= _ALL_SHOWN else what
 
 

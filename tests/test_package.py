@@ -4,6 +4,7 @@ The environment is new; the libraries that maslam needs come from the one that r
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import subprocess
@@ -24,7 +25,9 @@ from pathlib import Path
 
 import maslam
 from maslam.backend.geometry import Sim3
+from maslam.backend.config import SolverConfig
 from maslam.frontend.datasets import open_dataset
+from maslam.mas.config import MasConfig, OptimisationConfig, PlacesConfig
 
 
 def frames(folder: Path) -> int:
@@ -35,6 +38,8 @@ def mean_error(folder: Path) -> float | None:
     return maslam.slam(folder, "out", agents=4, seed=0).summary.ate_rmse_m.mean_agents
 
 
+plain, named = MasConfig(), MasConfig(preset="default", places=PlacesConfig(code="int4"))
+ours = MasConfig(optimisation=OptimisationConfig(solver=SolverConfig(method="elected")))
 version: str = maslam.__version__
 turned: Sim3 = Sim3.identity().inverse()
 """
@@ -105,6 +110,23 @@ def test_the_command_runs_beside_foreign_packages(installed: Path) -> None:
     file, foreign = run(python, "-c", where, cwd=installed, path=ros).split()
     assert installed in Path(file).parents and foreign == "False"
     run(python, "-c", "import tools", cwd=installed, path=ros, code=1)  # they do raise
+
+
+def positional_defaults(source: str) -> list[int]:
+    """Lines of fields whose default a type checker does not see: only ``default=`` is one to it (PEP 681)."""
+    calls = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Call) and ast.unparse(n.func) == "Field"]
+    return [n.lineno for n in calls if n.args]
+
+
+def test_settings_have_defaults_for_a_type_checker_without_plugins() -> None:
+    assert positional_defaults("a: int = Field(3)\nb: int = Field(default=3)") == [1]
+    found = [
+        f"{path.relative_to(ROOT)}:{line}"
+        for folder in ("backend", "mas")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for line in positional_defaults(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
 
 
 @pytest.mark.slow

@@ -111,8 +111,10 @@ class Summary(_Figures):
     version: str
     preset: str
     seed: int
-    place_code: str = Field("float32", description="how place vectors travelled")
-    place_code_bytes: int | None = Field(None, description="of one place vector; None: a run before it was written")
+    place_code: str = Field(default="float32", description="how place vectors travelled")
+    place_code_bytes: int | None = Field(
+        default=None, description="of one place vector; None: a run before it was written"
+    )
     scale: str
     agents: int
     keyframes: int
@@ -132,6 +134,6 @@ class Summary(_Figures):
     map_copies: list[MapCopyFigures]
     refused_messages: int
     reputation: list[ReputationFigures] = Field(
-        [], validation_alias=AliasChoices("reputation", "standing"), description="of each agent with the others"
+        default=[], validation_alias=AliasChoices("reputation", "standing"), description="of each agent with the others"
     )
-    faults: FaultFigures | None = Field(None, description="None: none were made")
+    faults: FaultFigures | None = Field(default=None, description="None: none were made")

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from maslam._suggestions import UNKNOWN_NAME, did_you_mean
+from maslam._suggestions import UNKNOWN_NAME, did_you_mean, hint
 
 from .earlier_settings import modernised
 from .errors import ToolError, UnknownName, UsageError
@@ -194,8 +194,8 @@ def _said(model: type[BaseModel], first: ErrorDetails, source: _File | _Option) 
     given = f", not {first['input']!r}" if first["loc"] and not isinstance(first["input"], dict) else ""
     message = first["msg"][0].lower() + first["msg"][1:] + given
     if first["type"] in {"literal_error", "enum"}:
-        near = did_you_mean(str(first["input"]), choices(fields[setting].annotation)) if setting in fields else ""
-        return UnknownName(f"{place}: {whole}: {message}{near if 'mean' in near else ''}")
+        near = hint(str(first["input"]), choices(fields[setting].annotation)) if setting in fields else ""
+        return UnknownName(f"{place}: {whole}: {message}{near}")
     return source.error(f"{place}: {whole}: {message}" if name else f"{place}: {message}")
 
 
