@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .backend.distributed.exchange import GroupResult
     from .backend.geometry import Sim3
     from .backend.pose_graph.graph import Edge, NodeId, PoseGraph
+    from .backend.robust.select import RobustResult
     from .backend.trajectory_error import TrajectoryError
     from .descriptors.base import PlaceDescriptor as Descriptor
     from .descriptors.inference import NetVlad
@@ -80,6 +81,7 @@ __all__ = [
     "Reader",
     "Rig",
     "RigKind",
+    "RobustResult",
     "Run",
     "Sequences",
     "Sim3",
@@ -111,6 +113,7 @@ _PLACES = {
     "backend.distributed.exchange": ("GroupResult",),
     "backend.geometry": ("Sim3",),
     "backend.pose_graph.graph": ("Edge", "NodeId", "PoseGraph"),
+    "backend.robust.select": ("RobustResult",),
     "backend.trajectory_error": ("TrajectoryError",),
     "descriptors.base": ("Descriptor=PlaceDescriptor",),
     "descriptors.inference": ("NetVlad",),

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, overload
 
+from maslam._suggestions import hint
 from maslam.backend.central import optimise as central
 from maslam.backend.central.optimise import OptimisationResult
-from maslam.backend.config import CentralConfig
+from maslam.backend.config import CentralConfig, RobustConfig
 from maslam.backend.distributed import exchange
 from maslam.backend.distributed.exchange import GroupResult
 from maslam.backend.pose_graph import g2o
 from maslam.backend.pose_graph.graph import PoseGraph
+from maslam.backend.robust.select import RobustMethod, RobustResult, optimise_robustly
+from maslam.tools.common.errors import UnknownName
 from maslam.tools.pgo.files import expand
-from maslam.tools.pgo.methods import solver_of
+from maslam.tools.pgo.methods import ROBUST, solver_of
 
 from .common import PathLike, Settings, changed, nested, on_one_thread
 
+Cost = Literal["F", "U", "E"]
+Loss = Literal["none", "huber", "cauchy"]
 Method = Literal["dgs", "jor", "sor", "quick", "rbcd", "rbcd-async", "elected"]
 
 
@@ -55,29 +60,49 @@ def write_g2o(path: PathLike, graph: PoseGraph, *, plain_ids: bool = False) -> N
     g2o.write_g2o(path, graph, plain_ids)
 
 
+@overload
+def optimise(
+    graph: PoseGraph, *, cost: Cost = "F", robust: Loss = "none", settings: Settings | None = None
+) -> OptimisationResult: ...
+
+
+@overload
+def optimise(
+    graph: PoseGraph, *, cost: Cost = "F", robust: RobustMethod, settings: Settings | None = None
+) -> RobustResult: ...
+
+
 @on_one_thread
 def optimise(
-    graph: PoseGraph,
-    *,
-    cost: Literal["F", "U", "E"] = "F",
-    loss: Literal["none", "huber", "cauchy"] = "none",
-    settings: Settings | None = None,
-) -> OptimisationResult:
-    """Optimise all poses in one place; never ends with a higher cost than it began with.
+    graph: PoseGraph, *, cost: Cost = "F", robust: Loss | RobustMethod = "none", settings: Settings | None = None
+) -> OptimisationResult | RobustResult:
+    """Optimise all poses in one place, as ``maslam pgo --method central`` does; the cost of the edges that are believed
+    never ends higher than it began.
 
     Args:
         graph: the graph; in each connected part the first node stays where it is, unless priors say where it lies.
         cost: F: chordal, by the edges' information (SE-Sync's); U: the same with unit weights; E: geodesic (gtsam's).
-        loss: robust loss on loops and on edges between robots.
-        settings: of ``maslam.backend.config.CentralConfig``, ``{"iterations": 50}``.
+        robust: what is done about wrong loops and edges between robots. ``pcm``: only the largest set that agrees
+            with each other is used (pairwise consistency); ``gnc``: weights are found along with the solution
+            (graduated non-convexity); ``pcm+gnc``: one after the other; ``huber``, ``cauchy``: all are used, under a
+            robust loss; ``none``: all are believed.
+        settings: of ``maslam.backend.config.CentralConfig``, ``{"iterations": 50}``; ``robust.…``: of
+            ``RobustConfig``, which selection goes by, ``{"robust.confidence": 0.99}``.
 
     Returns:
-        ``graph``, ``cost_before``, ``cost_after``, ``iterations``, ``improved``.
+        ``graph``, ``cost_before``, ``cost_after``, ``iterations``, ``improved``; where edges were selected (``pcm``,
+        ``gnc``): ``weights`` ``(m,)`` of the edges, 0 to 1, and ``rejected``, with the reason, instead of ``improved``.
 
     Raises:
-        MaslamError: an unknown setting.
+        MaslamError: an unknown setting, or no such ``robust``.
     """
-    return central.optimise(graph, changed(CentralConfig(cost=cost, loss=loss), nested(settings)))
+    if robust not in ROBUST:
+        raise UnknownName(f"robust: there is no {robust!r}, only {', '.join(ROBUST)}{hint(robust, ROBUST)}")
+    given = nested(settings)
+    selection = changed(RobustConfig(), given.pop("robust", {}))
+    if robust == "none" or robust == "huber" or robust == "cauchy":
+        return central.optimise(graph, changed(CentralConfig(cost=cost, loss=robust), given))
+    return optimise_robustly(graph, robust, changed(CentralConfig(cost=cost), given), selection)
 
 
 @on_one_thread

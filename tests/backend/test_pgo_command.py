@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from graphs import loops
 
+import maslam
 from maslam.backend.central.costs import cost
 from maslam.backend.geometry import se3_exp, se3_log
 from maslam.backend.pose_graph.g2o import read_g2o, write_g2o
 from maslam.tools import cli
 from maslam.tools.pgo.city import city
-from maslam.tools.pgo.methods import METHODS
+from maslam.tools.pgo.methods import METHODS, ROBUST, SELECTIONS
 
 
 @pytest.fixture
@@ -81,7 +82,8 @@ def test_a_file_that_is_there_is_not_replaced_unasked(folder, tmp_path, capsys):
     assert (folder / "2.g2o").read_bytes() != before
 
 
-def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
+def with_wrong_edges(folder):
+    """Two robots' files with three wrong edges between them; the names of their ends."""
     graph, _ = loops(np.random.default_rng(2), robots=2, length=40, separators=10)
     rng = np.random.default_rng(3)
     wrong = [k for k, edge in enumerate(graph.edges) if edge.is_separator][:3]  # others join the same nodes rightly
@@ -89,10 +91,40 @@ def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
     for k in wrong:
         off = se3_exp(np.concatenate([rng.normal(0, 5.0, 3), rng.normal(0, 0.5, 3)]))
         edges[k] = replace(edges[k], T_i_j=edges[k].T_i_j @ off)
-    (tmp_path / "in").mkdir()
+    folder.mkdir()
     for robot in graph.robots:
-        write_g2o(tmp_path / "in" / f"{robot}.g2o", replace(graph, edges=tuple(edges)).of_robot(robot))
-    truth = sorted((str(edges[k].i), str(edges[k].j)) for k in wrong)
+        write_g2o(folder / f"{robot}.g2o", replace(graph, edges=tuple(edges)).of_robot(robot))
+    return sorted((str(edges[k].i), str(edges[k].j)) for k in wrong)
+
+
+@pytest.mark.parametrize("robust", ROBUST)
+def test_optimise_in_python_selects_as_the_command_does(tmp_path, capsys, robust):
+    truth, out = with_wrong_edges(tmp_path / "in"), tmp_path / "out.g2o"
+    words = ["--method", "central", "--robust", robust, "--weights", "information", "--robust.confidence", "0.99"]
+    assert cli.main(["pgo", str(tmp_path / "in"), str(out), *words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    result = maslam.optimise(maslam.read_g2o(tmp_path / "in"), robust=robust, settings={"robust.confidence": 0.99})
+    maslam.write_g2o(tmp_path / "same.g2o", result.graph)
+    assert (tmp_path / "same.g2o").read_bytes() == out.read_bytes()
+    if robust in SELECTIONS:
+        assert [(str(e.i), str(e.j), e.reason) for e in result.rejected] == [
+            (r["i"], r["j"], r["reason"]) for r in report["rejected"]
+        ]
+        assert sorted((str(e.i), str(e.j)) for e in result.rejected) == truth
+        assert [bool(w < 0.5) for w in result.weights].count(True) == report["rejected_edges"] == len(truth)
+    else:
+        assert result.improved and not report["rejected"]
+
+
+def test_a_robust_method_that_there_is_not_is_refused_with_the_nearest(folder):
+    with pytest.raises(maslam.MaslamError, match=r"robust: there is no 'pmc', only none, .*; did you mean 'pcm'"):
+        maslam.optimise(maslam.read_g2o(folder), robust="pmc")
+    with pytest.raises(maslam.MaslamError, match="did you mean 'confidence'"):
+        maslam.optimise(maslam.read_g2o(folder), robust="pcm", settings={"robust.confidense": 0.9})
+
+
+def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
+    truth = with_wrong_edges(tmp_path / "in")
     for method, robust in (("central", "pcm"), ("central", "gnc"), ("rbcd", "pcm"), ("rbcd", "gnc")):
         words = ["pgo", str(tmp_path / "in"), str(tmp_path / "out"), "--method", method, "--robust", robust, "--json"]
         assert cli.main(words) == 0
