@@ -211,7 +211,12 @@ def _walk(
 ) -> Iterator[tuple[int, int, Array, Array]]:
     """Nodes breadth first along the edges: the node, the one before (-1: none), its pose by their edge and the steps'
     sizes. The caller puts each node's pose into ``known`` before it asks for the next.
+
+    A member without edges of its own has no weights either: nothing predicts its poses, and there are no steps.
     """
+    if not len(graph.ends):
+        yield from ((root, -1, np.eye(4), np.ones(6)) for root in np.flatnonzero(reached).tolist())
+        return
     links: list[list[tuple[int, int]]] = [[] for _ in graph.nodes]
     for k, (i, j) in enumerate(graph.ends.tolist()):
         links[i].append((j, k))

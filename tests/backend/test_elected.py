@@ -48,6 +48,19 @@ def run(nodes, dead=(), rng=None, loss=0.0, repeat=0.0, ticks=2000):
     raise AssertionError("somebody never ended")
 
 
+def test_a_member_without_edges_of_its_own_is_solved_with_the_others(recwarn):
+    """As in the graph of one agent: of another it has single key-frames, joined to its own by matches alone."""
+    graph, _ = loops(np.random.default_rng(5), robots=3, length=12, separators=6)
+    lone = [e for e in graph.edges if {e.i.robot, e.j.robot} != {2}]
+    nodes = {n for e in lone for n in (e.i, e.j)}
+    graph = replace(graph, edges=tuple(lone), poses={n: T for n, T in graph.poses.items() if n in nodes})
+    assert sum(n.robot == 2 for n in nodes) > 1
+    result = optimise_distributed(graph, CONFIG)
+    assert not recwarn.list, [str(w.message) for w in recwarn.list]
+    optimum = optimise(graph, CentralConfig()).cost_after
+    assert cost(result.graph, "F") <= optimum * 1.001 < cost(graph, "F")
+
+
 @given(st.lists(st.integers(-(2**70), 2**70), max_size=20), st.floats(allow_nan=False))
 def test_numbers_come_back(values, number):
     out = CompactWriter()
