@@ -48,6 +48,7 @@ class CameraEntry(_Entry):
 
     @classmethod
     def from_rig(cls, rig: Rig) -> CameraEntry:
+        """The entry that describes a rig."""
         c = rig.camera
         return cls(
             kind=rig.kind.value,
@@ -61,6 +62,7 @@ class CameraEntry(_Entry):
         )
 
     def rig(self) -> Rig:
+        """The rig that the entry describes."""
         camera = PinholeCamera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
         return Rig(RigKind(self.kind), camera, self.baseline_m)
 

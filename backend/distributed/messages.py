@@ -7,6 +7,7 @@ double precision, else what they take. The bytes sent are those of :func:`encode
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -51,10 +52,19 @@ class Round:
     sweep: int = 0
 
 
-class _SolverMessage:
-    """What every message can tell of itself. ``check`` raises :class:`BackendError` where its numbers cannot be."""
+class _SolverMessage(ABC):
+    """What every message can tell of itself."""
 
     round: Round
+
+    @property
+    @abstractmethod
+    def payload_bytes(self) -> int:
+        """Bytes of its numbers, as published tables count them."""
+
+    @abstractmethod
+    def check(self) -> None:
+        """:class:`BackendError` where its numbers cannot be."""
 
     @property
     def name(self) -> str:

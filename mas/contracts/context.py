@@ -50,6 +50,7 @@ class AgentContext:
 
     @property
     def me(self) -> int:
+        """The agent's own number."""
         return self.state.me
 
     # -- who may be called --------------------------------------------------------------------------------------------

@@ -46,6 +46,8 @@ class Repeated(LateMessage):
 
 
 class ContractState(StrEnum):
+    """States of a contract (Smith 1980): after the call the bid, the award, the work; the other six are ends."""
+
     CALLED = "called"
     BID = "bid"
     AWARDED = "awarded"
@@ -105,10 +107,12 @@ class Contract:
 
     @property
     def manager(self) -> int:
+        """The agent that called."""
         return self.id.manager
 
     @property
     def ended(self) -> bool:
+        """Whether nothing more is due from either side."""
         return self.state in ENDED
 
 

@@ -41,6 +41,7 @@ class Operation(ABC, Generic[AnyTask, AnyOutcome]):
 
     @property
     def state(self) -> AgentState:
+        """What the agent knows: shared by all of its operations."""
         return self.context.state
 
     @abstractmethod

@@ -54,10 +54,12 @@ class Reputation:
 
     @property
     def reliability(self) -> float:
+        """Mean share of contracts that it delivers, 0 to 1."""
         return (self.g + 1.0) / (self.g + self.p + 1.25)
 
     @property
     def consistency(self) -> float:
+        """Mean share of its results that others bear out, 0 to 1."""
         return (self.t + 3.0) / (self.t + self.f + self.blamed + 3.5)
 
     @property

@@ -43,6 +43,7 @@ class MatchError:
 
     @property
     def false(self) -> bool:
+        """Whether the match is another place: farther or more turned than a true match can be."""
         return self.metres > self.allowed_m or self.degrees > FALSE_DEG
 
 

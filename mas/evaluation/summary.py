@@ -24,6 +24,8 @@ class Errors(_Figures):
 
 
 class TrafficFigures(_Figures):
+    """Messages of one operation, and their bytes by two counts."""
+
     messages: int
     payload_bytes: int = Field(description="as the published tables count")
     wire_bytes: int = Field(description="exact length of the encoded messages")

@@ -31,26 +31,32 @@ class EndLike(Protocol):
     """One end of a match: its track, and its key-frame's pose in that track's coordinates."""
 
     @property
-    def track(self) -> Track: ...
+    def track(self) -> Track:
+        """Its agent and the number of the track."""
 
     @property
-    def pose(self) -> Sim3: ...
+    def pose(self) -> Sim3:
+        """``T_F_C`` of the key-frame; scale: the agent's unit there."""
 
 
 class JointLike(Protocol):
     """A match with both ends."""
 
     @property
-    def match(self) -> EndLike: ...
+    def match(self) -> EndLike:
+        """The key-frame that was recognised."""
 
     @property
-    def query(self) -> EndLike: ...
+    def query(self) -> EndLike:
+        """The key-frame that was asked about."""
 
     @property
-    def T_M_Q(self) -> Sim3: ...
+    def T_M_Q(self) -> Sim3:
+        """Query camera to match camera, in the match agent's unit."""
 
     @property
-    def T_Fm_Fq(self) -> Sim3: ...
+    def T_Fm_Fq(self) -> Sim3:
+        """The query's coordinates in the match's, by this match alone."""
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
 
     @property
     def busy(self) -> bool:
+        """Whether the agent calls for an optimisation or takes part in one."""
         return self.session is not None or self.tender is not None
 
     @property

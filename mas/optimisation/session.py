@@ -110,6 +110,7 @@ class SessionHistory(dict[ContractId, OptimisationSession | None]):
     help who is still in one."""
 
     def remember(self, identity: ContractId | None, session: OptimisationSession | None) -> None:
+        """Keep a session (None: it was left) under its contract; the oldest of too many is forgotten."""
         if identity is not None:
             self[identity] = session
             if len(self) > _REMEMBERED:

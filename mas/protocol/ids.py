@@ -50,6 +50,7 @@ class MatchId(msgspec.Struct, frozen=True, array_like=True, order=True):
 
     @property
     def agents(self) -> tuple[int, int]:
+        """The agent that asked and the one that recognised it: the same for an own loop."""
         return self.query_agent, self.match_agent
 
     def end_of(self, agent: int) -> tuple[int, int]:

@@ -152,6 +152,7 @@ class Parcel(msgspec.Struct, frozen=True, array_like=True):
 
     @property
     def payload_bytes(self) -> int:
+        """Bytes of the patches and of the placement, if there is one."""
         return sum(p.payload_bytes for p in self.patches) + (self.placement.nbytes if self.placement is not None else 0)
 
 

@@ -30,6 +30,7 @@ class SolverBody(Counted, frozen=True, array_like=True, tag=20):
 
     @classmethod
     def of(cls, message: SolverMessage) -> SolverBody:
+        """The body that carries a node's message; :class:`MessageError` where a number is not finite."""
         return cls(pack(message))
 
     def read(self, sender: int, receiver: int) -> SolverMessage:

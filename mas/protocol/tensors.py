@@ -31,6 +31,7 @@ class Tensor(msgspec.Struct, frozen=True, array_like=True):
 
     @classmethod
     def of(cls, array: ArrayLike, dtype: str) -> Tensor:
+        """The array's values in ``dtype``, such as ``<f4``."""
         values = np.ascontiguousarray(array, dtype=np.dtype(dtype))
         return cls(dtype, values.shape, values.tobytes())
 
@@ -40,6 +41,7 @@ class Tensor(msgspec.Struct, frozen=True, array_like=True):
 
     @property
     def nbytes(self) -> int:
+        """Length of the data."""
         return len(self.data)
 
 

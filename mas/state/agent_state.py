@@ -105,6 +105,7 @@ class AgentState:
 
     @property
     def me(self) -> int:
+        """The agent's own number."""
         return self.profile.me
 
     def observe(self, keyframe: KeyFrame) -> None:

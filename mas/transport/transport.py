@@ -36,6 +36,7 @@ class TrafficCount:
     wire_bytes: int = 0
 
     def add(self, sent: Sent) -> None:
+        """Count one more message."""
         self.messages += 1
         self.payload_bytes += sent.payload_bytes
         self.wire_bytes += sent.wire_bytes

@@ -88,6 +88,7 @@ class MatchResult:
 
     @property
     def accepted(self) -> bool:
+        """Whether the agents use it."""
         return self.outcome == "accepted"
 
 

@@ -76,6 +76,7 @@ class MemoryReport:
 
     @property
     def bytes_per_frame(self) -> float:
+        """Growth excluding the maps."""
         return 1e6 * self._slope([s.resident_mb - s.map_mb for s in self.samples])
 
     @property
@@ -85,6 +86,7 @@ class MemoryReport:
 
     @property
     def ms_growth(self) -> float:
+        """Last quarter over second quarter: 1 where a frame costs the same all along."""
         quarters = np.array_split([s.cpu_ms for s in self.samples], 4)
         return float(np.median(quarters[3]) / np.median(quarters[1]))
 
@@ -95,15 +97,18 @@ class MemoryReport:
         return float(siegelslopes(values[first:], [s.frame for s in self.samples[first:]])[0])
 
     def record(self) -> dict[str, Any]:
+        """Plain values for JSON."""
         figures = {"bytes_per_frame": self.bytes_per_frame, "resident_bytes_per_frame": self.resident_bytes_per_frame}
         figures["ms_growth"] = self.ms_growth
         rounded = {name: round(value, 3) for name, value in figures.items()}
         return {"tracks": self.tracks, **rounded, "samples": [asdict(sample) for sample in self.samples]}
 
     def json(self) -> str:
+        """The record as JSON text."""
         return json.dumps(self.record(), indent=1)
 
     def text(self) -> str:
+        """For people: about twenty samples and the growth."""
         rows = [
             ["frames", "resident", "maps", "key-frames", "culled", "points", "observations", "CPU per frame", "lost"]
         ]

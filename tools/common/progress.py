@@ -18,7 +18,8 @@ log = logging.getLogger(__name__)
 class Progress(Protocol):
     """Tasks that count up to a total; ``start`` gives the task's number for ``advance``."""
 
-    def start(self, title: str, total: int) -> int: ...
+    def start(self, title: str, total: int) -> int:
+        """A task of ``total`` steps begins; returns its number."""
 
     def advance(self, task: int, done: int) -> None:
         """``done`` of the task's total are ready (a level, not a step)."""
@@ -34,7 +35,7 @@ def _record(line: str) -> None:
         log.log(level, "%s", line.removeprefix("warning: "), extra=ON_CONSOLE)
 
 
-class Silent:
+class Silent(Progress):
     """No progress; warnings still go to standard error."""
 
     def start(self, title: str, total: int) -> int:
@@ -48,7 +49,7 @@ class Silent:
         _record(line)
 
 
-class CallbackProgress:
+class CallbackProgress(Progress):
     """For Python: ``callback(title, done, total)`` is called at each step; lines that stay go to the log."""
 
     def __init__(self, callback: Callable[[str, int, int], None] | None = None) -> None:
@@ -68,7 +69,7 @@ class CallbackProgress:
         _record(line)
 
 
-class LogProgress:
+class LogProgress(Progress):
     """For a stream that is no terminal: one line when a task ends, and one each ``LOG_EVERY_S`` while it lasts."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -100,7 +101,7 @@ class LogProgress:
         print(line, file=self._stream, flush=True)
 
 
-class BarProgress:
+class BarProgress(Progress):
     """Bars on a terminal, by rich."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -131,6 +132,7 @@ class BarProgress:
         _record(line)
 
     def stop(self) -> None:
+        """Leave the bars as they stand and give the terminal back."""
         self._bars.stop()
 
 

@@ -80,6 +80,7 @@ class InspectReport:
 
     @property
     def warnings(self) -> int:
+        """Problems that a run can live with."""
         return len(self.problems) + sum(len(sequence.problems) for sequence in self.sequences) - self.errors
 
     def lines(self) -> list[str]:

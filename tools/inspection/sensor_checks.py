@@ -42,6 +42,7 @@ class RowCheck:
 
     @property
     def disparity_px(self) -> NDArray[np.float64]:
+        """Column difference of each point, left minus right image ``(n,)``, pixels: above 0 in front of the cameras."""
         return self.left_uv[:, 0] - self.right_uv[:, 0]
 
 

@@ -45,9 +45,11 @@ class Workshop:
         return self.out / "images" / (cell.material if cell.sequence == TOWN else cell.sequence)
 
     def sequences(self, cell: Cell) -> Path:
+        """Folder of a cell's agent sequences."""
         return self.out / "sequences" / cell.material
 
     def run(self, cell: Cell) -> Path:
+        """Folder of a cell's results."""
         return self.out / "runs" / cell.name
 
 

@@ -76,6 +76,7 @@ class Cell:
 
     @property
     def name(self) -> str:
+        """Names the run's folder: no two cells have the same."""
         return f"{self.material}_{self.preset}_{self.seed}"
 
 

@@ -43,6 +43,7 @@ class RenderConfig(BaseModel):
     cheap: bool = Field(default=False, description="fewer facades and a coarser ground: for tests")
 
     def camera(self) -> PinholeCamera:
+        """The pinhole camera of all agents: square pixels, its centre in the middle of the image."""
         f = 0.5 * self.width / float(np.tan(np.deg2rad(self.fov_deg) / 2))
         return PinholeCamera(self.width, self.height, f, f, (self.width - 1) / 2, (self.height - 1) / 2)
 

@@ -42,6 +42,8 @@ class Mover:
 
 @dataclass(frozen=True)
 class Scenario:
+    """A world, the agents in it with their paths and lights, and what moves there by itself."""
+
     world: World
     agents: tuple[AgentPlan, ...]
     movers: tuple[Mover, ...] = ()

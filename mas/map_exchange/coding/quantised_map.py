@@ -95,6 +95,7 @@ class QuantisedMap:
 
     @property
     def stamps_ns(self) -> Ints:
+        """``(K,)`` time stamps in the source's clock, to the millisecond."""
         return self.ticks * TICK_NS
 
     @property

@@ -50,6 +50,7 @@ class BitWriter:
 
     @property
     def data(self) -> bytes:
+        """All bits so far, the last byte filled with zeros."""
         return np.packbits(np.concatenate([np.zeros(0, dtype=np.uint8), *self._parts])).tobytes()
 
 

@@ -87,6 +87,7 @@ class RelPoseReport:
     refused_wrong: dict[str, int]
 
     def json(self) -> str:
+        """All figures as JSON text."""
         return json.dumps(asdict(self), indent=1)
 
     def text(self) -> str:

@@ -43,6 +43,7 @@ class BenchResult:
 
     @property
     def tracked(self) -> int:
+        """Frames with a pose."""
         return sum(len(track) for track in self.measured.trajectories)
 
 

@@ -53,9 +53,11 @@ class VoReport:
     failed: tuple[str, ...] = field(default=())
 
     def json(self) -> str:
+        """A list of records, one a sequence, as JSON text."""
         return json.dumps([record(result) for result in self.results], indent=1, allow_nan=False)
 
     def text(self) -> str:
+        """For people: tables."""
         return tables(self.results)
 
 

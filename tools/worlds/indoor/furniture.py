@@ -37,6 +37,7 @@ class Paint:
 
 
 def paint_office(atlas: AtlasBuilder, rng: np.random.Generator) -> Paint:
+    """Materials of an office, tinted by ``rng``: no two floors have the same walls and posters."""
     grain = atlas.texture(textures.grain(rng, 256, 0.05), 0.9, 0.9)
     stains = atlas.texture(textures.weathering(rng, 512, 0.045), 4.3, 4.3)
 
@@ -112,6 +113,7 @@ def picture(
 
 
 def lamp(mesh: MeshBuilder, x: float, z: float, p: Paint) -> None:
+    """A ceiling panel at ``x``, ``z`` that shines: brighter than white."""
     mesh.box(
         np.array([x, -(HEIGHT_M - 0.03), z]),
         np.eye(3),
@@ -187,6 +189,7 @@ def shelf(
 
 
 def cabinet(mesh: MeshBuilder, at: NDArray, p: Paint, blocked: list[Rect], rng: np.random.Generator) -> None:
+    """A metal cabinet at ``at`` (x, z), one of three heights; its floor is added to ``blocked``."""
     size = np.array([0.5, float(rng.choice([0.75, 1.2, 1.8])), 0.8])
     mesh.box(np.array([at[0], -size[1] / 2, at[1]]), np.eye(3), size, p.metal, rng.uniform(0.6, 1.4))
     blocked.append((at[0] - 0.25, at[1] - 0.4, at[0] + 0.25, at[1] + 0.4))

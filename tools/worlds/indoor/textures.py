@@ -19,6 +19,7 @@ def poster(rng: np.random.Generator) -> textures.Image:
 
 
 def door_picture(rng: np.random.Generator) -> textures.Image:
+    """A wooden door with two panels, 256 x 128."""
     image = textures.coloured((142, 108, 74), 0.06 * textures.noise(rng, (256, 128), (4, 64)), 1.0)
     image[20:120, 20:108] *= 0.9
     image[140:236, 20:108] *= 0.9
@@ -26,6 +27,7 @@ def door_picture(rng: np.random.Generator) -> textures.Image:
 
 
 def window_picture(rng: np.random.Generator) -> textures.Image:
+    """Sky above greenery behind a frame with a bar, 128 x 160."""
     canvas = np.empty((128, 160, 3), np.float32)
     canvas[:] = np.linspace(1.0, 0.75, 128)[:, None, None] * np.array([205, 222, 240])
     canvas[80:] = np.array([120, 140, 96]) * (
@@ -38,6 +40,7 @@ def window_picture(rng: np.random.Generator) -> textures.Image:
 
 
 def book_picture(rng: np.random.Generator) -> textures.Image:
+    """Backs of books in a row, 64 x 256."""
     canvas = np.full((64, 256, 3), 30, np.float32)
     x = 0
     while x < 252:
@@ -50,6 +53,7 @@ def book_picture(rng: np.random.Generator) -> textures.Image:
 
 
 def screen_picture(rng: np.random.Generator) -> textures.Image:
+    """Lines of text on a dark or a bright screen, 64 x 96."""
     canvas = np.full((64, 96, 3), rng.choice([28.0, 235.0]), np.float32)
     for y in range(6, 58, 5):
         x = 5 + int(rng.integers(0, 4)) * 4

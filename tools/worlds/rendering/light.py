@@ -47,6 +47,7 @@ class Light:
         return 1.45 / (0.35 * float(np.mean(self.sun_rgb)) * (0.5 + 0.5 * up) + float(np.mean(self.sky_rgb)))
 
     def to_dict(self) -> dict[str, object]:
+        """Plain values, for the description of a data set."""
         return asdict(self)
 
 

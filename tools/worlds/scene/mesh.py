@@ -161,6 +161,7 @@ class MeshBuilder:
         self.quads(np.array(corners), np.array(uvs), material, tint)
 
     def build(self) -> Mesh:
+        """All parts as one mesh; ValueError without any."""
         if not self._parts:
             raise ValueError("a mesh without faces")
         columns = [np.concatenate(c) for c in zip(*self._parts, strict=True)]

@@ -214,6 +214,7 @@ def placed(thing: Mesh, at: Floats, heading: Floats, foot: float) -> Mesh:
 
 
 def bench(mesh: MeshBuilder, at: Floats, towards: Floats, foot: float, stuff: Stuff) -> None:
+    """A bench of wood at ``at`` (x, z), its front ``towards`` a direction, ``foot`` metres above zero."""
     axes = _axes(towards)
     mesh.box(np.array([at[0], -(foot + 0.45), at[1]]), axes, np.array([1.7, 0.06, 0.45]), stuff.wood, open_bottom=False)
     back = at - towards * 0.22

@@ -53,6 +53,7 @@ class AtlasBuilder:
         return len(self._materials) - 1
 
     def build(self) -> Atlas:
+        """All textures with their coarser levels in one array, and the table that finds them."""
         table = np.zeros((len(self._levels), LEVELS, 3), np.int64)
         offset = 0
         for t, levels in enumerate(self._levels):

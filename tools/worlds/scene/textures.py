@@ -40,6 +40,7 @@ def coloured(base: Colour, modulation: Plane, strength: float) -> Plane:
 
 
 def to_image(values: NDArray) -> Image:
+    """Values 0 to 255, rounded and clipped, as uint8."""
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
@@ -97,6 +98,7 @@ def weathering(rng: np.random.Generator, size: int = 512, strength: float = 0.16
 
 
 def asphalt(rng: np.random.Generator, size: int = 512) -> Image:
+    """Dark grey with speckles and small stones."""
     speckle = noise(rng, (size, size), (size, size)) * 0.12 + fractal(rng, (size, size), 8, 5, 0.8) * 0.06
     speckle += splats(rng, (size, size), 2500, (1.0, 4.0), 0.16)
     return to_image(coloured((104, 104, 108), speckle, 1.0))
@@ -123,6 +125,7 @@ def paving(
 
 
 def grass(rng: np.random.Generator, size: int = 512, base: Colour = (92, 118, 58)) -> Image:
+    """Blades of many lengths, in patches that are more or less yellow."""
     blades = splats(rng, (size, size), 7000, (1.5, 7.0), 0.22)
     mix = blades + 0.12 * fractal(rng, (size, size), 4, 6, 0.7)
     image = coloured(base, mix, 1.0)
@@ -139,6 +142,7 @@ def leaves(rng: np.random.Generator, size: int = 512, base: Colour = (74, 104, 4
 
 
 def bark(rng: np.random.Generator, size: int = 128) -> Image:
+    """Brown with furrows along the trunk."""
     lines = noise(rng, (size, size), (size // 8, size // 2)) * 0.22 + noise(rng, (size, size), (4, 8)) * 0.1
     return to_image(coloured((92, 76, 60), lines, 1.0))
 

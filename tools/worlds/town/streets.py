@@ -36,6 +36,7 @@ class Network:
         return self.lines[self.edges.index((b, a))][::-1]
 
     def neighbours(self, node: int) -> list[int]:
+        """Crossings that a street leads to from this one, sorted."""
         return sorted([b for a, b in self.edges if a == node] + [a for a, b in self.edges if b == node])
 
 

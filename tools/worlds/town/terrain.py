@@ -36,6 +36,7 @@ class Terrain:
 
     @property
     def flat(self) -> bool:
+        """Whether the ground has one height everywhere."""
         return self.heights.size == 1
 
 
