@@ -24,8 +24,7 @@ MATCHES = {
     "match_keyframe": "the key-frame recognised",
     "match_stamp_ns": "its time stamp, nanoseconds",
     "distance": "Euclidean distance of the place vectors, 0 to 2",
-    "outcome": "`accepted` or `rejected`; `summary.json` counts those that were not checked apart, as `skipped`: their "
-    "reason is `known already`, `close to verified matches` or `close to an accepted match`",
+    "outcome": "`accepted`, `rejected`, or `skipped`: not checked, because it would tell little",
     "reason": "why, in one of a few fixed wordings; `summary.json` counts by it",
     "detail": "the same with the figures of this candidate",
     "matches": "tentative point matches of the verification",

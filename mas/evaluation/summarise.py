@@ -16,7 +16,7 @@ from ..config import MasConfig
 from ..contracts.effects import Event
 from ..protocol.ids import MatchId
 from ..sequence import AgentSequence
-from ..state.place_match import MatchOutcome, SkipReason
+from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
 from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames
@@ -97,15 +97,14 @@ def _traffic(counts: Sequence[TrafficCount]) -> TrafficFigures:
 def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: bool) -> MatchFigures:
     outcomes = [(agent, c, agent.candidates.outcome_of(c)) for agent in agents for c in agent.candidates.by_id.values()]
     accepted = [c.id for _, c, (outcome, _) in outcomes if outcome is MatchOutcome.ACCEPTED]
-    not_used = Counter(reason for _, _, (outcome, reason) in outcomes if outcome is MatchOutcome.REJECTED)
-    skipped = {str(reason): not_used.pop(reason) for reason in sorted(SkipReason) if reason in not_used}
+    reasons = {kind: Counter(str(why) for _, _, (outcome, why) in outcomes if outcome is kind) for kind in MatchOutcome}
     own = sum(m.query_agent == m.match_agent for m in accepted)
     return MatchFigures(
         candidates=len(outcomes),
         verified=sum(c.check.verified for _, c, _ in outcomes),
         accepted=len(accepted),
-        rejected=dict(sorted(not_used.items())),
-        skipped=skipped,
+        rejected=dict(sorted(reasons[MatchOutcome.REJECTED].items())),
+        skipped=dict(sorted(reasons[MatchOutcome.SKIPPED].items())),
         own_loops=own,
         between_agents=len(accepted) - own,
         false_accepted=sum(errors[m].false for m in accepted if m in errors) if truth else None,

@@ -148,7 +148,8 @@ class Candidates:
             return MatchOutcome.ACCEPTED, "accepted"
         if candidate.check.verified:
             return MatchOutcome.REJECTED, "no agreeing match"
-        return MatchOutcome.REJECTED, candidate.check.reason or "not verified"
+        reason = candidate.check.reason or "not verified"
+        return (MatchOutcome.SKIPPED if reason in list(SkipReason) else MatchOutcome.REJECTED), reason
 
     def _why_not(self, match: MatchId) -> SkipReason | None:
         turned = MatchId(match.match_agent, match.match, match.query_agent, match.query)

@@ -19,11 +19,11 @@ class MatchOutcome(StrEnum):
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"
+    SKIPPED = "skipped"
 
 
 class SkipReason(StrEnum):
-    """Why a candidate is not worth a verification. ``summary.json`` counts such candidates as skipped, not as rejected:
-    nobody looked at their geometry."""
+    """Why a candidate is not worth a verification. It is skipped, not rejected: nobody looked at its geometry."""
 
     KNOWN = "known already"
     CLOSE_TO_VERIFIED = "close to verified matches"

@@ -70,8 +70,8 @@ class MatchResult:
     ``match_agent``.
 
     ``time_s``: when it was found, logical time; ``distance``: of the place vectors, 0 to 2; ``outcome``: ``accepted``,
-    or what else became of it, and ``reason`` why; ``T_M_Q``: query camera to match camera, None where it was not
-    verified; ``error_m`` and ``false`` (an accepted one is wrong) against ground truth, None without.
+    ``rejected`` or ``skipped`` (not checked), and ``reason`` why; ``T_M_Q``: query camera to match camera, None
+    where it was not verified; ``error_m`` and ``false`` (an accepted one is wrong) against ground truth, None without.
     """
 
     time_s: float

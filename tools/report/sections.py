@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from maslam.mas.state.place_match import SkipReason
-
 from ..common.figures import INK, TRUTH, colour_of, dash_of
 from .charts import (
     OPERATION_COLOUR,
@@ -233,7 +231,7 @@ def _matches(run: RunData) -> Section:
 def _match_cells(row: dict[str, str]) -> list[str]:
     false = row["false"] == "1"
     outcome = "false" if false else row["outcome"]
-    label = "accepted, but false" if false else "skipped" if row["reason"] in list(SkipReason) else row["outcome"]
+    label = "accepted, but false" if false else row["outcome"]
     ends = [f"agent_{int(row[f'{end}_agent']):02d} · {row[f'{end}_keyframe']}" for end in ("query", "match")]
     error = f"{float(row['error_m']):.2f} m" if row["error_m"] else "–"
     why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word and word != row["outcome"]))
