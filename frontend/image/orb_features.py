@@ -185,10 +185,10 @@ def spread_cells(
     return _spread(uv, np.arange(len(uv)), taken, width, height, cell, 1, 6.0)
 
 
-@kernel
+@kernel(fastmath={"reassoc"})
 def _orientation(image: NDArray[np.uint8], xy: NDArray[np.float64]) -> NDArray[np.float32]:
     """Intensity-centroid angles in degrees, 0 to 360 (Rublee et al., ORB, ICCV 2011). All sums are whole numbers that
-    float32 holds exactly."""
+    float32 holds exactly, so their order does not matter."""
     out = np.empty(len(xy), dtype=np.float32)
     height, width = image.shape
     flat = image.reshape(height * width)
