@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from numba import float32, float64, int8, int32, int64, uint8, uint64
+from numba import float32, float64, int8, int32, int64, types, uint8, uint64
 
 from maslam._kernels import TypedKernel
 
 from .cameras.models import RigKind
 from .estimation import bundle_adjustment, depth_alignment, linear_algebra, schur, self_calibration
-from .estimation.pose_refinement import refine_pose
+from .estimation.pose_refinement import SeenPoints, refine_pose
+from .estimation.schur import Estimate, NormalEquations, Observations, Window
 from .estimation.triangulation import triangulate
 from .image import guided_matching, orb_features, patch_alignment
 from .mapping import range_sensor
@@ -20,7 +21,11 @@ _f, _f1, _f2, _f3 = float64, float64[::1], float64[:, ::1], float64[:, :, ::1]
 _i, _i1, _i2 = int64, int64[::1], int64[:, ::1]
 _grey, _patches, _words = uint8[:, ::1], uint8[:, :, :, ::1], uint64[:, ::1]
 _depth, _places = float32[:, ::1], float32[:, :, ::1]
-_seen = (_i1, _i1, _f2, _f1, _f1, _f1, _f1, _f3)  # kf, pt, uv, disparity, sigma, sigma_d, cam, basis
+_seen_points = types.NamedTuple((_f2, _f2, _f1, _f1, _f1), SeenPoints)
+_observations = types.NamedTuple((_i1, _i1, _i1, _f2, _f1, _f1, _f1), Observations)
+_window = types.NamedTuple((_i1, _observations, _f1, _f3, _f1, _f2), Window)
+_estimate = types.NamedTuple((_f3, _f2, _f1), Estimate)
+_equations = types.NamedTuple((_f2, _f1, _f3, _f2, _f3, _f3, _f3), NormalEquations)
 
 _COMMON: tuple[TypedKernel, ...] = (
     (orb_features._spread, (_f2, _i1, _f2, _i, _i, _f, _i, _f)),
@@ -33,19 +38,13 @@ _COMMON: tuple[TypedKernel, ...] = (
     (linear_algebra.weighted_gram, (_f2, _f1, _f2)),
     (self_calibration.basis, (_f2, _f1, _f1, _i)),
     (self_calibration.lens_shift, (_f2, _f1, _f1)),
-    (refine_pose, (_f2, _f2, _f2, _f1, _f1, _f1, _f1, _f, _i)),
+    (refine_pose, (_f2, _seen_points, _f1, _f, _i)),
     (bundle_adjustment.window_residuals, (_f3, _f2, _i1, _i1, _f2, _f1, _f1)),
-    (bundle_adjustment._residuals_and_cost, (_f3, _f2, _f1, *_seen, _f1, _f2)),
+    (bundle_adjustment._residuals_and_cost, (_estimate, _window)),
     (bundle_adjustment._updated, (_f3, _i1, _f1)),
-    (
-        schur.assemble,
-        (
-            *(_f3, _i1, _f2, _i1, _i1, _f1, _f1, _f1, _f1, _f2, _f3, _i, _f1, _f1, _f2),
-            *(_f2, _f1, _f3, _f2, _f3, _f3),
-        ),
-    ),
-    (schur.reduce_points, (_i1, _i1, _i1, _i, _i, _f2, _f1, _f3, _f2, _f3, _f3, _f3, _f)),
-    (schur.back_substitute, (_i1, _i1, _i1, _i, _i, _f1, _f2, _f3, _f3, _f3, _f2)),
+    (schur.assemble, (_estimate, _window, _f2, _equations)),
+    (schur.reduce_points, (_window, _equations, _f)),
+    (schur.back_substitute, (_window, _equations, _f1, _f2)),
 )
 _OF_RIG: dict[RigKind, tuple[TypedKernel, ...]] = {
     RigKind.MONO: ((triangulate, (_f3, _i1, _i1, _f2)),),

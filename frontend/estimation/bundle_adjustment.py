@@ -1,11 +1,13 @@
 """Window bundle adjustment: key-frame poses, points and the stereo rig's residual calibration, by a Schur complement.
 
-Arrays in, arrays out. ``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. A measured ``(u, v,
+``cam`` is ``[fx, fy, cx, cy, bf]``; poses are ``T_C_W``. A measured ``(u, v,
 disparity)`` is modelled as the ideal one plus ``basis @ calib``: what the rig's residual calibration
 (:mod:`maslam.frontend.estimation.self_calibration`) does at that place of the image.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +16,18 @@ from maslam._kernels import kernel
 from .depth_alignment import DepthAlignment
 from .linear_algebra import solve_symmetric, weighted_gram
 from .pose_refinement import exp_update
-from .schur import Array, Ints, assemble, back_substitute, reduce_points, robust_weights
+from .schur import (
+    Array,
+    Estimate,
+    Ints,
+    NormalEquations,
+    Observations,
+    Window,
+    assemble,
+    back_substitute,
+    reduce_points,
+    robust_weights,
+)
 
 _SETTLED = 2e-4
 """A step that lowers the cost by less than this share is the last: the window is adjusted again at the next
@@ -45,7 +58,8 @@ def window_residuals(poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array,
 
 
 @kernel
-def _cost(r: Array, sigma: Array, sigma_d: Array, calib: Array, mean: Array, info: Array) -> float:
+def _cost(r: Array, window: Window, calib: Array) -> float:
+    sigma, sigma_d, mean, information = window.seen.sigma, window.seen.sigma_d, window.mean, window.information
     total = 0.0
     for i in range(len(r)):
         if np.isnan(r[i, 0]):
@@ -54,14 +68,14 @@ def _cost(r: Array, sigma: Array, sigma_d: Array, calib: Array, mean: Array, inf
         total += robust_weights(r[i, 0] ** 2 + r[i, 1] ** 2, r[i, 2], sigma[i], sigma_d[i])[2]
     for a in range(len(calib)):
         for c in range(len(calib)):
-            total += info[a, c] * (calib[a] - mean[a]) * (calib[c] - mean[c])
+            total += information[a, c] * (calib[a] - mean[a]) * (calib[c] - mean[c])
     return total
 
 
 @kernel
-def _take_out(uv: Array, disparity: Array, basis: Array, calib: Array) -> tuple[Array, Array]:
+def _take_out(seen: Observations, basis: Array, calib: Array) -> tuple[Array, Array]:
     """Positions and disparities without what the calibration adds to them."""
-    uv, disparity = uv.copy(), disparity.copy()
+    uv, disparity = seen.uv.copy(), seen.disparity.copy()
     for i in range(len(uv)):
         for k in range(len(calib)):
             uv[i, 0] -= basis[i, 0, k] * calib[k]
@@ -71,24 +85,11 @@ def _take_out(uv: Array, disparity: Array, basis: Array, calib: Array) -> tuple[
 
 
 @kernel
-def _residuals_and_cost(
-    poses: Array,
-    points: Array,
-    calib: Array,
-    kf: Ints,
-    pt: Ints,
-    uv: Array,
-    disparity: Array,
-    sigma: Array,
-    sigma_d: Array,
-    cam: Array,
-    basis: Array,
-    mean: Array,
-    info: Array,
-) -> tuple[Array, float]:
-    uv, disparity = _take_out(uv, disparity, basis, calib)
-    r = window_residuals(poses, points, kf, pt, uv, disparity, cam)
-    return r, _cost(r, sigma, sigma_d, calib, mean, info)
+def _residuals_and_cost(estimate: Estimate, window: Window) -> tuple[Array, float]:
+    poses, points, calib = estimate
+    uv, disparity = _take_out(window.seen, window.basis, calib)
+    r = window_residuals(poses, points, window.seen.kf, window.seen.pt, uv, disparity, window.cam)
+    return r, _cost(r, window, calib)
 
 
 @kernel
@@ -104,61 +105,44 @@ def _updated(poses: Array, slot: Ints, delta: Array) -> Array:
     return out
 
 
-def adjust_window(
-    poses: Array,
-    slot: Ints,
-    points: Array,
-    start: Ints,
-    kf: Ints,
-    pt: Ints,
-    uv: Array,
-    disparity: Array,
-    sigma: Array,
-    sigma_d: Array,
-    cam: Array,
-    basis: Array,
-    calib: Array,
-    calib_mean: Array,
-    calib_info: Array,
-    aligned: DepthAlignment,
-    iterations: int,
-) -> tuple[Array, Array, Array, Array, float, float]:
-    """Levenberg-Marquardt on robust reprojection and disparity errors.
+@dataclass(frozen=True)
+class AdjustedWindow:
+    """Result of :func:`adjust_window`: the ``estimate``; the ``information`` ``(C, C)`` on its calibration, prior
+    included; robust cost before and after."""
 
-    ``poses`` ``(K, 4, 4)``; ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``points`` ``(P, 3)``; the N
-    observations are sorted by point, those of point j are ``start[j]:start[j + 1]``; ``kf``, ``pt`` ``(N,)`` indices,
-    ``uv`` ``(N, 2)``, ``disparity`` ``(N,)`` NaN where unknown, ``sigma``, ``sigma_d`` ``(N,)`` pixels. Calibration:
-    ``basis`` ``(N, 3, C)``, start and prior mean ``(C,)``, prior information ``(C, C)``; C = 0 keeps it out.
-    ``aligned``: pairs of poses by their depth images. Returns poses, points, calibration, the calibration's
-    information, cost before and after; the cost never rises.
+    estimate: Estimate
+    information: Array
+    cost_before: float
+    cost_after: float
+
+
+def adjust_window(begin: Estimate, window: Window, aligned: DepthAlignment, iterations: int) -> AdjustedWindow:
+    """Levenberg-Marquardt on robust reprojection and disparity errors, from ``begin``; the cost never rises.
+
+    ``aligned``: pairs of poses by their depth images; ``iterations``: steps at most.
 
     Python between compiled kernels: a compiled loop would contain all of them and take ten seconds to compile.
     """
-    basis = np.ascontiguousarray(basis)
-    seen, prior = (kf, pt, uv, disparity, sigma, sigma_d, cam, basis), (calib_mean, calib_info)
-    free, n_c = int(slot.max()) + 1, basis.shape[2]
-    m, n, n_points = 6 * free + n_c, len(kf), len(points)
-    U, b_c, S = np.empty((m, m)), np.empty(m), np.zeros((m, m))
-    V, b_p, V_inv = np.empty((n_points, 3, 3)), np.empty((n_points, 3)), np.empty((n_points, 3, 3))
-    W, Wc = np.empty((n, 6, 3)), np.empty((n_points, n_c, 3))
-    poses, points, calib = poses.copy(), points.copy(), calib.copy()
-    r, cost = _residuals_and_cost(poses, points, calib, *seen, *prior)
-    cost += aligned.cost_at(poses)
+    window = window._replace(basis=np.ascontiguousarray(window.basis))
+    equations = NormalEquations.room_for(window)
+    m, n_c = len(equations.b_c), window.basis.shape[2]
+    S, now = np.zeros((m, m)), begin
+    r, cost = _residuals_and_cost(now, window)
+    cost += aligned.cost_at(now.poses)
     first, damping, relinearise = cost, 1e-4, True
     for _ in range(iterations):
         if relinearise:
-            given = (kf, disparity, sigma, sigma_d, cam, r, basis, free, calib, *prior)
-            assemble(poses, slot, points, start, *given, U, b_c, V, b_p, W, Wc)
-            aligned.add_to(U, b_c, poses, slot)
-        S, rhs = reduce_points(slot, start, kf, n_c, free, U, b_c, V, b_p, W, Wc, V_inv, damping)
+            assemble(now, window, r, equations)
+            aligned.add_to(equations.U, equations.b_c, now.poses, window.slot)
+        S, rhs = reduce_points(window, equations, damping)
         delta = solve_symmetric(S, -rhs.reshape(m, 1)).reshape(m)
-        new_poses, new_points, new_calib = _updated(poses, slot, delta), points.copy(), calib + delta[6 * free :]
-        back_substitute(slot, start, kf, n_c, free, delta, b_p, W, Wc, V_inv, new_points)
-        new_r, new_cost = _residuals_and_cost(new_poses, new_points, new_calib, *seen, *prior)
-        new_cost += aligned.cost_at(new_poses)
+        new = Estimate(_updated(now.poses, window.slot, delta), now.points.copy(), now.calib + delta[m - n_c :])
+        back_substitute(window, equations, delta, new.points)
+        new_r, new_cost = _residuals_and_cost(new, window)
+        new_cost += aligned.cost_at(new.poses)
         if new_cost < cost:
             gain = (cost - new_cost) / cost
-            poses, points, calib, r, cost = new_poses, new_points, new_calib, new_r, new_cost
+            now, r, cost = new, new_r, new_cost
             damping = max(damping * 0.2, 1e-8)
             relinearise = True
             if gain < _SETTLED:
@@ -168,7 +152,7 @@ def adjust_window(
             relinearise = False
             if damping > 1e6:
                 break
-    return poses, points, calib, _marginal(S, 6 * free), first, cost
+    return AdjustedWindow(now, _marginal(S, m - n_c), first, cost)
 
 
 def _marginal(S: Array, first: int) -> Array:

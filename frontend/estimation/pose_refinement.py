@@ -1,10 +1,11 @@
-"""Robust pose of one frame from map points: compiled kernels, arrays in, arrays out.
+"""Robust pose of one frame from map points: compiled kernels.
 
-``cam`` is ``[fx, fy, cx, cy, bf]`` (``bf = fx * baseline_m``). ``T`` is always ``T_C_W``. A disparity that is not
-known is NaN.
+``cam`` is ``[fx, fy, cx, cy, bf]`` (``bf = fx * baseline_m``). ``T`` is always ``T_C_W``.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,25 @@ from .linear_algebra import solve_symmetric, times3, times3_transposed
 Array = NDArray[np.float64]
 HUBER_UV = 2.0
 HUBER_D = 1.5
+
+
+class SeenPoints(NamedTuple):
+    """n map points and where one frame sees them.
+
+    ``points`` ``(n, 3)`` in the track's frame and unit; in pixels: ``uv`` ``(n, 2)``, ``disparity`` ``(n,)``, NaN where
+    unknown, and their standard deviations ``sigma``, ``sigma_d`` ``(n,)``.
+    """
+
+    points: Array
+    uv: Array
+    disparity: Array
+    sigma: Array
+    sigma_d: Array
+
+    @classmethod
+    def without_depth(cls, points: Array, uv: Array, sigma: Array) -> SeenPoints:
+        """Points of which no disparity was measured."""
+        return cls(points, uv, np.full(len(uv), np.nan), sigma, np.ones(len(uv)))
 
 
 @kernel
@@ -53,8 +73,9 @@ def exp_update(delta: Array, T: Array) -> Array:
 
 
 @kernel
-def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) -> Array:
+def residuals(T: Array, seen: SeenPoints, cam: Array) -> Array:
     """``(n, 3)`` pixels: predicted minus measured u, v, disparity; disparity 0 where unknown; NaN behind the camera."""
+    points, uv, disparity, _, _ = seen
     out = np.empty((len(points), 3))
     for i in range(len(points)):
         X = T[0, 0] * points[i, 0] + T[0, 1] * points[i, 1] + T[0, 2] * points[i, 2] + T[0, 3]
@@ -71,22 +92,15 @@ def residuals(T: Array, points: Array, uv: Array, disparity: Array, cam: Array) 
 
 @kernel
 def refine_pose(
-    T: Array,
-    points: Array,
-    uv: Array,
-    disparity: Array,
-    sigma: Array,
-    sigma_d: Array,
-    cam: Array,
-    outlier_sigmas: float,
-    rounds: int,
+    T: Array, seen: SeenPoints, cam: Array, outlier_sigmas: float, rounds: int
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Gauss-Newton on robust reprojection and disparity errors, outliers removed between rounds (ORB-SLAM's scheme).
 
-    ``sigma``, ``sigma_d`` ``(n,)`` pixels. Returns the pose, the inlier mask ``(n,)``, and the ``(6, 6)`` normal
-    matrix of the inliers (its inverse is the pose's covariance).
+    Returns the pose ``(4, 4)``, the inlier mask ``(n,)``, and the ``(6, 6)`` normal matrix of the inliers (its inverse
+    is the pose's covariance).
     """
-    n = len(points)
+    sigma, sigma_d = seen.sigma, seen.sigma_d
+    n = len(sigma)
     inlier = np.ones(n, dtype=np.bool_)
     pose = T.copy()
     H = np.zeros((6, 6))
@@ -94,7 +108,7 @@ def refine_pose(
         # Coarse to fine: the first round must not lose the right matches of a bad prediction.
         scale = 4.0 if turn == 0 else (2.0 if turn == 1 else 1.0)
         for _ in range(8 if turn == 0 else 4):
-            H, b = _normal_equations(pose, points, uv, disparity, sigma, sigma_d, cam, inlier, scale)
+            H, b = _normal_equations(pose, seen, cam, inlier, scale)
             for k in range(6):
                 H[k, k] += 1e-6 * H[k, k] + 1e-9
             delta = solve_symmetric(H, -b.reshape(6, 1)).reshape(6)
@@ -104,7 +118,7 @@ def refine_pose(
                 settled &= abs(delta[k]) < 1e-7
             if settled:
                 break
-        r = residuals(pose, points, uv, disparity, cam)
+        r = residuals(pose, seen, cam)
         for i in range(n):
             e_uv = np.sqrt(r[i, 0] ** 2 + r[i, 1] ** 2) / sigma[i]
             e_d = np.abs(r[i, 2]) / sigma_d[i]
@@ -114,16 +128,9 @@ def refine_pose(
 
 @kernel
 def _normal_equations(
-    T: Array,
-    points: Array,
-    uv: Array,
-    disparity: Array,
-    sigma: Array,
-    sigma_d: Array,
-    cam: Array,
-    use: NDArray[np.bool_],
-    scale: float,
+    T: Array, seen: SeenPoints, cam: Array, use: NDArray[np.bool_], scale: float
 ) -> tuple[Array, Array]:
+    points, uv, disparity, sigma, sigma_d = seen
     H = np.zeros((6, 6))
     b = np.zeros(6)
     J = np.zeros((3, 6))

@@ -1,10 +1,8 @@
-"""Normal equations of a window bundle adjustment and their Schur complement: compiled, written in place.
-
-``cam`` is ``[fx, fy, cx, cy, bf]``. Blocks: U of the free poses (6 each) and the calibration, V of the points, W
-between an observation's pose and its point, Wc between the calibration and a point; b the gradients.
-"""
+"""Normal equations of a window bundle adjustment and their Schur complement: compiled, written in place."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +13,74 @@ from .pose_refinement import HUBER_D, HUBER_UV
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class Observations(NamedTuple):
+    """N observations of P points, sorted by point: those of point j are ``start[j]:start[j + 1]``.
+
+    ``start`` ``(P + 1,)``; ``kf``, ``pt`` ``(N,)``: place of the key-frame in the window, and point. In pixels: ``uv``
+    ``(N, 2)``, ``disparity`` ``(N,)``, NaN where unknown, and their standard deviations ``sigma``, ``sigma_d``
+    ``(N,)``.
+    """
+
+    start: Ints
+    kf: Ints
+    pt: Ints
+    uv: Array
+    disparity: Array
+    sigma: Array
+    sigma_d: Array
+
+
+class Window(NamedTuple):
+    """Parts of a bundle adjustment that stay as they are: K poses, N observations, C numbers of a calibration (C = 0
+    leaves it out).
+
+    ``slot`` ``(K,)``: number of a free pose, -1 = fixed; ``cam``: ``[fx, fy, cx, cy, bf]``; ``basis`` ``(N, 3, C)``:
+    what the calibration adds to ``u, v, disparity``; its prior ``mean`` ``(C,)``, pixels, and ``information``
+    ``(C, C)``.
+    """
+
+    slot: Ints
+    seen: Observations
+    cam: Array
+    basis: Array
+    mean: Array
+    information: Array
+
+
+class Estimate(NamedTuple):
+    """Unknowns of a bundle adjustment: ``poses`` ``(K, 4, 4)`` ``T_C_W``; ``points`` ``(P, 3)`` in the track's frame
+    and unit; ``calib`` ``(C,)``: residual calibration, pixels."""
+
+    poses: Array
+    points: Array
+    calib: Array
+
+
+class NormalEquations(NamedTuple):
+    """Blocks of the normal equations. The m unknowns of the cameras are 6 for each free pose, then the calibration.
+
+    ``U`` ``(m, m)`` with the gradient ``b_c`` ``(m,)``; points: ``V`` ``(P, 3, 3)`` with ``b_p`` ``(P, 3)``, and
+    ``V_inv``, damped; ``W`` ``(N, 6, 3)`` between an observation's pose and its point; ``Wc`` ``(P, C, 3)`` between the
+    calibration and a point.
+    """
+
+    U: Array
+    b_c: Array
+    V: Array
+    b_p: Array
+    W: Array
+    Wc: Array
+    V_inv: Array
+
+    @classmethod
+    def room_for(cls, window: Window) -> NormalEquations:
+        """Arrays of the right size, not yet filled."""
+        n, n_points, n_c = len(window.seen.kf), len(window.seen.start) - 1, window.basis.shape[2]
+        m = 6 * (int(window.slot.max()) + 1) + n_c
+        V, b_p, V_inv = np.empty((n_points, 3, 3)), np.empty((n_points, 3)), np.empty((n_points, 3, 3))
+        return cls(np.empty((m, m)), np.empty(m), V, b_p, np.empty((n, 6, 3)), np.empty((n_points, n_c, 3)), V_inv)
 
 
 @kernel
@@ -69,31 +135,15 @@ def _invert3(A: Array, out: Array) -> None:
 
 
 @kernel
-def assemble(
-    poses: Array,
-    slot: Ints,
-    points: Array,
-    start: Ints,
-    kf: Ints,
-    disparity: Array,
-    sigma: Array,
-    sigma_d: Array,
-    cam: Array,
-    r: Array,
-    basis: Array,
-    free: int,
-    calib: Array,
-    calib_mean: Array,
-    calib_info: Array,
-    U: Array,
-    b_c: Array,
-    V: Array,
-    b_p: Array,
-    W: Array,
-    Wc: Array,
-) -> None:
-    """Blocks of the normal equations: cameras U, points V, coupling W (pose) and Wc (calibration); gradients b. Of
-    what is symmetric only the upper half is made, and mirrored at the end, where the calibration's prior joins."""
+def assemble(estimate: Estimate, window: Window, r: Array, equations: NormalEquations) -> None:
+    """Fill all blocks but ``V_inv`` at ``estimate``, whose residuals are ``r`` ``(N, 3)``.
+
+    Of what is symmetric only the upper half is made, and mirrored at the end, where the calibration's prior joins.
+    """
+    poses, points, calib = estimate
+    slot, seen, cam, basis, mean, information = window
+    start, kf, _, _, disparity, sigma, sigma_d = seen
+    U, b_c, V, b_p, W, Wc, _ = equations
     U[:] = 0.0
     b_c[:] = 0.0
     V[:] = 0.0
@@ -102,7 +152,8 @@ def assemble(
     Wc[:] = 0.0
     Jc, Jp, e = np.zeros((3, 6)), np.zeros((3, 3)), np.zeros(3)
     root = np.zeros(3)
-    base, n_c = 6 * free, basis.shape[2]
+    n_c = basis.shape[2]
+    base = len(U) - n_c
     for j in range(len(points)):
         for i in range(start[j], start[j + 1]):
             if np.isnan(r[i, 0]):
@@ -144,8 +195,8 @@ def assemble(
             U[a, c] = U[c, a]
     for a in range(n_c):
         for c in range(n_c):
-            U[base + a, base + c] += calib_info[a, c]
-            b_c[base + a] += calib_info[a, c] * (calib[c] - calib_mean[c])
+            U[base + a, base + c] += information[a, c]
+            b_c[base + a] += information[a, c] * (calib[c] - mean[c])
 
 
 @kernel
@@ -168,26 +219,17 @@ def _times(W: Array, Vi: Array, b: Array, rhs: Array, row: int, Y: Array) -> Non
 
 
 @kernel
-def reduce_points(
-    slot: Ints,
-    start: Ints,
-    kf: Ints,
-    n_c: int,
-    free: int,
-    U: Array,
-    b_c: Array,
-    V: Array,
-    b_p: Array,
-    W: Array,
-    Wc: Array,
-    V_inv: Array,
-    damping: float,
-) -> tuple[Array, Array]:
-    """Schur complement of the points: the reduced camera system and its right-hand side."""
+def reduce_points(window: Window, equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+    """Schur complement of the points: the reduced system of the cameras ``(m, m)`` and its right-hand side ``(m,)``.
+
+    The blocks of :func:`assemble` are read, ``V_inv`` is filled."""
+    slot, start, kf = window.slot, window.seen.start, window.seen.kf
+    U, b_c, V, b_p, W, Wc, V_inv = equations
     S, rhs = U.copy(), b_c.copy()
+    n_c = Wc.shape[1]
     for k in range(len(S)):
         S[k, k] += damping * U[k, k] + 1e-9
-    base = 6 * free
+    base = len(S) - n_c
     A, Y, Yc = np.zeros((3, 3)), np.zeros((6, 3)), np.zeros((n_c, 3))
     for j in range(len(V)):
         for a in range(3):
@@ -216,25 +258,18 @@ def reduce_points(
 
 
 @kernel
-def back_substitute(
-    slot: Ints,
-    start: Ints,
-    kf: Ints,
-    n_c: int,
-    free: int,
-    delta: Array,
-    b_p: Array,
-    W: Array,
-    Wc: Array,
-    V_inv: Array,
-    points: Array,
-) -> None:
+def back_substitute(window: Window, equations: NormalEquations, delta: Array, points: Array) -> None:
+    """Move ``points`` ``(P, 3)`` in place by what the step ``delta`` ``(m,)`` of the cameras leaves to them."""
+    slot, start, kf = window.slot, window.seen.start, window.seen.kf
+    _, b_c, _, b_p, W, Wc, V_inv = equations
+    n_c = Wc.shape[1]
+    base = len(b_c) - n_c
     g = np.zeros(3)
     for j in range(len(points)):
         for c in range(3):
             g[c] = -b_p[j, c]
             for a in range(n_c):
-                g[c] -= Wc[j, a, c] * delta[6 * free + a]
+                g[c] -= Wc[j, a, c] * delta[base + a]
         for i in range(start[j], start[j + 1]):
             s = 6 * slot[kf[i]]
             if s >= 0:

@@ -17,6 +17,7 @@ the prior is on the displacement, not on the parameters (:func:`prior_informatio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,14 @@ _DRIFT = 0.02
 overlap, so their information is counted more than once: this also keeps an early belief from standing for ever."""
 _GRID = 15
 _REWEIGHTED = 5
+
+
+class CalibrationEstimate(NamedTuple):
+    """The parameters as a normal distribution: ``mean`` ``(C,)``, pixels, and ``information`` ``(C, C)``, its inverse
+    covariance."""
+
+    mean: Array
+    information: Array
 
 
 @kernel
@@ -143,8 +152,8 @@ def physical(parameters: Array, cam: Array) -> dict[str, float]:
 
 def with_rows(
     uv: Array, disparity: Array, row: Array, cam: Array, information: Array, start: Array, sigma_px: float
-) -> tuple[Array, Array]:
-    """Mean ``(C,)`` and information ``(C, C)`` of the parameters by the prior ``information`` (mean 0) and the row
+) -> CalibrationEstimate:
+    """The parameters by the prior ``information`` (mean 0) and the row
     differences ``row`` ``(n,)``: these know nothing of poses and points, so they enter a bundle adjustment as a prior.
 
     Robust: weights of Cauchy's function, begun at the parameters ``start``.
@@ -155,29 +164,29 @@ def with_rows(
         weight = 1.0 / (1.0 + ((row - product(rows, mean)) / (2.0 * sigma_px)) ** 2) / sigma_px**2
         H = information + weighted_gram(rows, weight, rows)
         mean = solve_symmetric(H, weighted_gram(rows, weight, np.ascontiguousarray(row)[:, None]))[:, 0]
-    return mean, H
+    return CalibrationEstimate(mean, H)
 
 
 @dataclass(frozen=True)
 class Belief:
-    """What earlier windows have told about the parameters: ``mean`` ``(C,)`` and ``information`` ``(C, C)``, beginning
-    with the prior; ``drift`` ``(C, C)`` is the covariance of their change from key-frame to key-frame.
+    """Estimate of the parameters by earlier windows, beginning with the prior; ``drift`` ``(C, C)`` is the covariance
+    of their change from key-frame to key-frame.
 
     One camera tells its lens by the turns it makes; between them only memory keeps the estimate, and with it the scale
     of a monocular map.
     """
 
-    mean: Array
-    information: Array
+    estimate: CalibrationEstimate
     drift: Array
 
     @classmethod
     def at_start(cls, prior: Array) -> Belief:
         drift = np.asarray(_DRIFT**2 * solve_symmetric(prior, np.eye(len(prior))), dtype=np.float64)
-        return cls(np.zeros(len(prior)), prior, drift)
+        return cls(CalibrationEstimate(np.zeros(len(prior)), prior), drift)
 
     def after(self, mean: Array, gained: Array) -> Belief:
         """With an estimate and the information ``gained`` ``(C, C)`` by its window."""
-        spread = solve_symmetric(self.information + gained, np.eye(len(gained))) + self.drift
+        spread = solve_symmetric(self.estimate.information + gained, np.eye(len(gained))) + self.drift
         information = np.asarray(solve_symmetric(spread, np.eye(len(spread))), dtype=np.float64)
-        return Belief(mean, np.asarray(0.5 * (information + information.T), dtype=np.float64), self.drift)
+        symmetric = np.asarray(0.5 * (information + information.T), dtype=np.float64)
+        return Belief(CalibrationEstimate(mean, symmetric), self.drift)

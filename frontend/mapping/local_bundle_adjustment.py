@@ -13,25 +13,20 @@ from maslam.backend.geometry import product
 from ..config import OdometryConfig
 from ..estimation.bundle_adjustment import adjust_window, window_residuals
 from ..estimation.depth_alignment import DepthAlignment, align_surfaces
-from ..estimation.self_calibration import basis, with_rows
+from ..estimation.schur import Estimate, Observations, Window
+from ..estimation.self_calibration import CalibrationEstimate, basis, with_rows
 from .map import Array, Ints, Map, MapKeyFrame
 from .range_sensor import Ranging
 
 
 @dataclass(frozen=True)
-class Observations:
-    """N observations sorted by point: ``ids`` ``(P,)`` map points, those of point j are ``start[j]:start[j + 1]``;
-    ``kf`` place of the key-frame in the window, ``row`` its row there, ``pt`` j; pixels ``uv`` ``(N, 2)``,
-    ``disparity``, ``sigma`` ``(N,)``."""
+class SharedPoints:
+    """P map points that take part, and their N observations ``seen``: ``ids`` ``(P,)`` in the map, ``row`` ``(N,)``
+    rows of their key-frames."""
 
     ids: Ints
-    start: Ints
-    kf: Ints
     row: Ints
-    pt: Ints
-    uv: Array
-    disparity: Array
-    sigma: Array
+    seen: Observations
 
 
 def window_keyframes(map_: Map, config: OdometryConfig) -> tuple[list[int], list[int]]:
@@ -54,41 +49,39 @@ def adjust_locally(map_: Map, ranging: Ranging, config: OdometryConfig) -> None:
     anchors = 1 if len(recent) < settings.window else settings.fixed
     keyframes = [map_.keyframes[number] for number in older + recent]
     slot = np.concatenate([np.full(len(older) + anchors, -1), np.arange(len(recent) - anchors)]).astype(np.int64)
-    seen = gather(map_, keyframes, slot)
-    if len(seen.kf) < settings.min_observations:
+    shared = gather(map_, keyframes, slot, ranging.sigma_d)
+    if len(shared.row) < settings.min_observations:
         return
     count = len(ranging.calib) if ranging.calibrates(recent[-1] + 1) else 0
-    mean, prior = _calibration_prior(ranging, keyframes, count)
+    prior = _calibration_prior(ranging, keyframes, count)
     before = np.stack([k.T_C_W for k in keyframes])
-    aligned = _align(ranging, keyframes, before, slot)
-    poses, points, calib, information, _, _ = adjust_window(
-        before,
-        slot,
-        map_.xyz[seen.ids],
-        seen.start,
-        seen.kf,
-        seen.pt,
-        *((seen.uv, seen.disparity) if count else ranging.measured(seen.uv, seen.disparity)),
-        seen.sigma,
-        np.full(len(seen.kf), ranging.sigma_d),
-        ranging.cam,
-        basis(seen.uv, seen.disparity, ranging.cam, count)[:, :3],
-        ranging.calib[:count],
-        mean,
-        prior,
-        aligned,
+    adjusted = adjust_window(
+        Estimate(before, map_.xyz[shared.ids], ranging.calib[:count]),
+        _window(ranging, slot, shared.seen, prior),
+        _align(ranging, keyframes, before, slot),
         settings.iterations,
     )
-    if not (np.isfinite(poses).all() and np.isfinite(points).all()):
+    found = adjusted.estimate
+    if not (np.isfinite(found.poses).all() and np.isfinite(found.points).all()):
         return
-    for keyframe, pose, place in zip(keyframes, poses, slot.tolist(), strict=True):
+    for keyframe, pose, place in zip(keyframes, found.poses, slot.tolist(), strict=True):
         if place >= 0:
             keyframe.T_C_W = pose
-    map_.xyz[seen.ids] = points
+    map_.xyz[shared.ids] = found.points
     if count:
-        ranging.learn(calib, information - prior)
+        ranging.learn(found.calib, adjusted.information - prior.information)
     _move_points_seen_once(map_, ranging, keyframes)
-    _drop_outliers(map_, ranging, config, keyframes, poses, points, seen)
+    _drop_outliers(map_, ranging, config, keyframes, found, shared)
+
+
+def _window(ranging: Ranging, slot: Ints, seen: Observations, prior: CalibrationEstimate) -> Window:
+    """The observations as measured where the calibration is estimated along, else without what is known of it."""
+    count = len(prior.mean)
+    added = basis(seen.uv, seen.disparity, ranging.cam, count)[:, :3]
+    if not count:
+        uv, disparity = ranging.measured(seen.uv, seen.disparity)
+        seen = seen._replace(uv=uv, disparity=disparity)
+    return Window(slot, seen, ranging.cam, added, prior.mean, prior.information)
 
 
 def _align(ranging: Ranging, keyframes: list[MapKeyFrame], poses: Array, slot: Ints) -> DepthAlignment:
@@ -101,21 +94,21 @@ def _align(ranging: Ranging, keyframes: list[MapKeyFrame], poses: Array, slot: I
     return align_surfaces(surfaces, poses, pairs, ranging.cam, config.depth_sigma_m, config.align_correlated)
 
 
-def _calibration_prior(ranging: Ranging, keyframes: list[MapKeyFrame], count: int) -> tuple[Array, Array]:
-    """Mean and information of the rig's residual calibration by its prior and by the rows of the stereo matches."""
+def _calibration_prior(ranging: Ranging, keyframes: list[MapKeyFrame], count: int) -> CalibrationEstimate:
+    """The rig's residual calibration by its prior and by the rows of the stereo matches."""
     if not count:
-        return np.zeros(0), np.zeros((0, 0))
+        return CalibrationEstimate(np.zeros(0), np.zeros((0, 0)))
     if ranging.belief is not None:
-        return ranging.belief.mean, ranging.belief.information
+        return ranging.belief.estimate
     uv, disparity, row = (np.concatenate([getattr(k, name) for k in keyframes]) for name in ("uv", "disparity", "row"))
     ok = np.isfinite(disparity) & np.isfinite(row)
     sigma = ranging.config.row_sigma_px
     return with_rows(uv[ok], disparity[ok], row[ok], ranging.cam, ranging.prior(len(keyframes)), ranging.calib, sigma)
 
 
-def gather(map_: Map, keyframes: list[MapKeyFrame], slot: Ints) -> Observations:
+def gather(map_: Map, keyframes: list[MapKeyFrame], slot: Ints, sigma_d: float) -> SharedPoints:
     """What the key-frames see of points that a free key-frame sees (``slot`` >= 0); points seen once say nothing and
-    stay out."""
+    stay out. ``sigma_d``: standard deviation of a disparity, pixels."""
     rows_of, kf_of = [], []
     for k, keyframe in enumerate(keyframes):
         rows = np.flatnonzero(keyframe.point >= 0)
@@ -134,16 +127,16 @@ def gather(map_: Map, keyframes: list[MapKeyFrame], slot: Ints) -> Observations:
     begins = np.flatnonzero(np.diff(point[order], prepend=-1))
     ids, start = point[order][begins], np.append(begins, len(order)).astype(np.int64)
     flat = flat[order]
-    return Observations(
-        ids,
+    seen = Observations(
         start,
         kf[order],
-        row[order],
         np.repeat(np.arange(len(ids)), np.diff(start)),
         np.concatenate([k.uv for k in keyframes])[flat],
         np.concatenate([k.disparity for k in keyframes])[flat],
         np.concatenate([k.sigma for k in keyframes])[flat],
+        np.full(len(order), sigma_d),
     )
+    return SharedPoints(ids, row[order], seen)
 
 
 def _move_points_seen_once(map_: Map, ranging: Ranging, keyframes: list[MapKeyFrame]) -> None:
@@ -168,17 +161,18 @@ def _drop_outliers(
     ranging: Ranging,
     config: OdometryConfig,
     keyframes: list[MapKeyFrame],
-    poses: Array,
-    points: Array,
-    seen: Observations,
+    found: Estimate,
+    shared: SharedPoints,
 ) -> None:
+    seen, row = shared.seen, shared.row
     limit = config.mapping.outlier_factor * config.pose.outlier_sigmas
-    r = window_residuals(poses, points, seen.kf, seen.pt, *ranging.measured(seen.uv, seen.disparity), ranging.cam)
+    ideal = ranging.measured(seen.uv, seen.disparity)
+    r = window_residuals(found.poses, found.points, seen.kf, seen.pt, *ideal, ranging.cam)
     far_off = ~(np.hypot(r[:, 0], r[:, 1]) < limit * seen.sigma)
     for i in np.flatnonzero(np.abs(r[:, 2]) > limit * ranging.sigma_d).tolist():
-        keyframes[seen.kf[i]].disparity[seen.row[i]] = np.nan
+        keyframes[seen.kf[i]].disparity[row[i]] = np.nan
     for i in np.flatnonzero(far_off).tolist():
-        map_.drop_observation(keyframes[seen.kf[i]].number, int(seen.row[i]))
-    touched = seen.ids[np.unique(seen.pt[far_off])]
+        map_.drop_observation(keyframes[seen.kf[i]].number, int(row[i]))
+    touched = shared.ids[np.unique(seen.pt[far_off])]
     for point in touched[map_.views[touched] < 2].tolist():
         map_.drop_point(point)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import OdometryConfig
-from ..estimation.pose_refinement import refine_pose
+from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..estimation.pycolmap_adapter import absolute_pose
 from ..frames import Frame
 from ..image.guided_matching import guided_match
@@ -192,15 +192,14 @@ class Relocaliser:
 
     def _refined(self, T: Array, ids: Ints, match: Ints, keypoints: Keypoints) -> _Support | None:
         """The pose refined on key-points ``match`` of points ``ids``, and those that agree."""
-        n = len(ids)
-        if n < self.config.pose.min_inliers:
+        if len(ids) < self.config.pose.min_inliers:
             return None
         uv = keypoints.uv[match]
         ideal = self.ranging.ideal(uv)
         sigma = _ORB_SIGMA_PX * self.config.features.scale_factor ** keypoints.level[match].astype(np.float64)
         outlier = self.config.pose.outlier_sigmas
-        xyz, unknown = self.segment.map.xyz[ids], np.full(n, np.nan)
-        T, good, _ = refine_pose(T, xyz, ideal, unknown, sigma, np.ones(n), self.ranging.cam, outlier, 4)
+        seen = SeenPoints.without_depth(self.segment.map.xyz[ids], ideal, sigma)
+        T, good, _ = refine_pose(T, seen, self.ranging.cam, outlier, 4)
         if good.sum() < self.config.pose.min_inliers or not np.isfinite(T).all():
             return None
         spread = len(self._cells(uv[good])) / max(len(self._cells(keypoints.uv)), 1)

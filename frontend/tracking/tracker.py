@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product, se3, se3_inverse, transform_points
 
 from ..config import OdometryConfig
-from ..estimation.pose_refinement import refine_pose
+from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..estimation.pycolmap_adapter import absolute_pose
 from ..frames import Frame
 from ..image.optical_flow import follow, follow_both_ways
@@ -173,19 +173,12 @@ class Tracker:
         if n < settings.min_inliers:
             return TrackedFrame(None, 0, f"only {n} of {len(uv)} points found, need {settings.min_inliers}"), inlier
         ideal = self.ranging.ideal(uv[index])
-        args = (
-            xyz[index],
-            ideal,
-            np.full(n, np.nan),
-            np.full(n, settings.pixel_sigma_px),
-            np.full(n, 1.0),
-            self.ranging.cam,
-        )
-        T, good, _ = refine_pose(predicted, *args, settings.outlier_sigmas, 4)
+        seen = SeenPoints.without_depth(xyz[index], ideal, np.full(n, settings.pixel_sigma_px))
+        T, good, _ = refine_pose(predicted, seen, self.ranging.cam, settings.outlier_sigmas, 4)
         if good.sum() < max(settings.min_inliers, 0.5 * n):
             T_ransac = absolute_pose(xyz[index], ideal, self.ranging.cam, 4.0 * settings.pixel_sigma_px)
             if T_ransac is not None:
-                T2, good2, _ = refine_pose(T_ransac, *args, settings.outlier_sigmas, 4)
+                T2, good2, _ = refine_pose(T_ransac, seen, self.ranging.cam, settings.outlier_sigmas, 4)
                 if good2.sum() > good.sum():
                     T, good = T2, good2
         if good.sum() < settings.min_inliers or not np.isfinite(T).all():

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from maslam.backend.geometry import se3, se3_exp, so3_exp
-from maslam.frontend.estimation.pose_refinement import exp_update, refine_pose, residuals
+from maslam.frontend.estimation.pose_refinement import SeenPoints, exp_update, refine_pose, residuals
 
 CAM = np.array([400.0, 410.0, 320.0, 180.0, 400.0 * 0.3])
 
@@ -34,10 +34,11 @@ def test_exact_measurements_give_the_exact_pose() -> None:
     points, T = scene(np.random.default_rng(2))
     uv, disparity = project(T, points)
     ones = np.ones(len(points))
-    found, inlier, _ = refine_pose(np.eye(4), points, uv, disparity, ones, ones, CAM, 2.45, 4)
+    seen = SeenPoints(points, uv, disparity, ones, ones)
+    found, inlier, _ = refine_pose(np.eye(4), seen, CAM, 2.45, 4)
     np.testing.assert_allclose(found, T, atol=1e-6)
     assert inlier.all()
-    assert np.abs(residuals(found, points, uv, disparity, CAM)).max() < 1e-4
+    assert np.abs(residuals(found, seen, CAM)).max() < 1e-4
 
 
 def test_noisy_measurements_give_the_optimum_that_scipy_finds() -> None:
@@ -47,9 +48,8 @@ def test_noisy_measurements_give_the_optimum_that_scipy_finds() -> None:
     # Small against the standard deviation stated: every residual is in the quadratic part of the loss.
     uv, disparity = uv + rng.normal(0, 0.2, uv.shape), disparity + rng.normal(0, 0.1, len(uv))
     disparity[::3] = np.nan
-    found, _, _ = refine_pose(
-        np.eye(4), points, uv, disparity, np.full(len(uv), 1.0), np.full(len(uv), 0.5), CAM, 2.45, 4
-    )
+    seen = SeenPoints(points, uv, disparity, np.full(len(uv), 1.0), np.full(len(uv), 0.5))
+    found, _, _ = refine_pose(np.eye(4), seen, CAM, 2.45, 4)
 
     def cost(xi: np.ndarray) -> np.ndarray:
         uv_hat, d_hat = project(se3_exp(xi) @ T, points)
@@ -67,9 +67,8 @@ def test_a_third_of_wrong_matches_is_found_out() -> None:
     uv += rng.normal(0, 0.3, uv.shape)
     wrong = rng.random(len(uv)) < 0.33
     uv[wrong] += rng.uniform(15, 60, (wrong.sum(), 2))
-    nan = np.full(len(uv), np.nan)
     start = se3_exp([0.05, 0.0, 0.1, 0.002, 0.002, 0.0]) @ T
-    found, inlier, H = refine_pose(start, points, uv, nan, np.full(len(uv), 0.5), np.ones(len(uv)), CAM, 2.45, 4)
+    found, inlier, H = refine_pose(start, SeenPoints.without_depth(points, uv, np.full(len(uv), 0.5)), CAM, 2.45, 4)
     assert not inlier[wrong].any()
     assert inlier[~wrong].mean() > 0.95
     assert np.linalg.norm((found @ np.linalg.inv(T))[:3, 3]) < 0.03
@@ -80,7 +79,7 @@ def test_points_behind_the_camera_are_nan_and_never_inliers() -> None:
     points, T = scene(np.random.default_rng(5))
     uv, _ = project(T, points)
     points[:10, 2] = -5.0
-    nan, ones = np.full(len(uv), np.nan), np.ones(len(uv))
-    assert np.isnan(residuals(T, points, uv, nan, CAM)[:10]).all()
-    _, inlier, _ = refine_pose(T, points, uv, nan, ones, ones, CAM, 2.45, 4)
+    seen = SeenPoints.without_depth(points, uv, np.ones(len(uv)))
+    assert np.isnan(residuals(T, seen, CAM)[:10]).all()
+    _, inlier, _ = refine_pose(T, seen, CAM, 2.45, 4)
     assert not inlier[:10].any() and inlier[10:].all()

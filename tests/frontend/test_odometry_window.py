@@ -7,8 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from maslam.backend.geometry import se3, se3_exp, so3_exp
-from maslam.frontend.estimation.bundle_adjustment import adjust_window, window_residuals
+from maslam.frontend.estimation.bundle_adjustment import AdjustedWindow, adjust_window, window_residuals
 from maslam.frontend.estimation.depth_alignment import DepthAlignment
+from maslam.frontend.estimation.schur import Estimate, Observations, Window
 from maslam.frontend.estimation.triangulation import triangulate
 
 CAM = np.array([400.0, 400.0, 320.0, 180.0, 400.0 * 0.5])
@@ -49,42 +50,31 @@ class Problem:
         )
         self.start_points = self.points + rng.normal(0, 0.1, self.points.shape)
 
-    def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> tuple:
+    def solve(self, estimate_calib: bool, iterations: int = 60, prior_px: float = 1.0) -> AdjustedWindow:
         n, c = len(self.kf), 3 if estimate_calib else 0
-        return adjust_window(
-            self.start_poses,
-            self.slot,
-            self.start_points,
-            self.start,
-            self.kf,
-            self.pt,
-            self.uv,
-            self.disparity,
-            np.full(n, SIGMA),
-            np.full(n, SIGMA_D),
-            CAM,
-            self.basis[:, :, :c],
-            np.zeros(c),
-            np.zeros(c),
-            np.eye(c) * prior_px**-2.0,
-            DepthAlignment.none(),
-            iterations,
-        )
+        sigmas = np.full(n, SIGMA), np.full(n, SIGMA_D)
+        seen = Observations(self.start, self.kf, self.pt, self.uv, self.disparity, *sigmas)
+        prior = np.zeros(c), np.eye(c) * prior_px**-2.0
+        window = Window(self.slot, seen, CAM, self.basis[:, :, :c], *prior)
+        begin = Estimate(self.start_poses, self.start_points, np.zeros(c))
+        return adjust_window(begin, window, DepthAlignment.none(), iterations)
 
 
 def test_exact_observations_give_the_truth_and_the_hidden_calibration() -> None:
     problem = Problem(0.0, [0.4, -0.2, 0.1])
-    poses, points, calib, _, before, after = problem.solve(True, prior_px=1e4)
-    np.testing.assert_allclose(poses, problem.poses, atol=1e-5)
-    np.testing.assert_allclose(points, problem.points, atol=1e-4)
-    np.testing.assert_allclose(calib, problem.calib, atol=1e-5)
-    assert after < 1e-6 < before
+    adjusted = problem.solve(True, prior_px=1e4)
+    np.testing.assert_allclose(adjusted.estimate.poses, problem.poses, atol=1e-5)
+    np.testing.assert_allclose(adjusted.estimate.points, problem.points, atol=1e-4)
+    np.testing.assert_allclose(adjusted.estimate.calib, problem.calib, atol=1e-5)
+    assert adjusted.cost_after < 1e-6 < adjusted.cost_before
 
 
 @pytest.mark.parametrize("estimate_calib", [True, False])
 def test_noisy_observations_give_the_optimum_that_scipy_finds(estimate_calib: bool) -> None:
     problem = Problem(0.1, [0.1, 0.0, 0.0])
-    poses, points, calib, information, _, after = problem.solve(estimate_calib)
+    adjusted = problem.solve(estimate_calib)
+    poses, points, calib = adjusted.estimate
+    information, after = adjusted.information, adjusted.cost_after
     free, count = len(problem.poses) - 1, len(problem.points)
 
     def cost(x: np.ndarray) -> np.ndarray:
@@ -110,24 +100,24 @@ def test_noisy_observations_give_the_optimum_that_scipy_finds(estimate_calib: bo
 def test_fixed_poses_stay_and_the_cost_never_rises() -> None:
     problem = Problem(0.3, [0.0, 0.0, 0.0])
     problem.slot = np.array([-1, -1, 0, 1, 2])
-    poses, _, calib, _, before, after = problem.solve(False, iterations=5)
-    np.testing.assert_array_equal(poses[:2], problem.start_poses[:2])
-    assert calib.shape == (0,)
-    assert after <= before
+    adjusted = problem.solve(False, iterations=5)
+    np.testing.assert_array_equal(adjusted.estimate.poses[:2], problem.start_poses[:2])
+    assert adjusted.estimate.calib.shape == (0,)
+    assert adjusted.cost_after <= adjusted.cost_before
 
 
 def test_wrong_matches_pull_less_than_least_squares_lets_them() -> None:
     problem = Problem(0.1, [0.0, 0.0, 0.0], count=80)
-    clean = problem.solve(False)[0]
+    clean = problem.solve(False).estimate.poses
     problem.uv[::23] += 30.0
-    robust = problem.solve(False)[0]
+    robust = problem.solve(False).estimate.poses
     assert np.abs(robust[:, :3, 3] - clean[:, :3, 3]).max() < 0.05
 
 
 def test_monocular_window_keeps_its_reprojection() -> None:
     problem = Problem(0.0, [0.0, 0.0, 0.0], stereo=False)
-    *_, before, after = problem.solve(False)
-    assert after < 1e-4 < before
+    adjusted = problem.solve(False)
+    assert adjusted.cost_after < 1e-4 < adjusted.cost_before
 
 
 def test_triangulation_meets_the_point_and_refuses_parallel_rays() -> None:

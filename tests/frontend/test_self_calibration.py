@@ -102,10 +102,10 @@ def test_a_belief_adds_up_what_windows_tell_and_forgets_slowly() -> None:
     belief = Belief.at_start(prior)
     first = belief.after(np.array([0.3]), told)
     drift = 0.02**2 / 4.0
-    np.testing.assert_allclose(first.information, 1.0 / (1.0 / 54.0 + drift))
-    np.testing.assert_array_equal(first.mean, [0.3])
+    np.testing.assert_allclose(first.estimate.information, 1.0 / (1.0 / 54.0 + drift))
+    np.testing.assert_array_equal(first.estimate.mean, [0.3])
     # Many windows: the variance settles where what is told makes up for the drift, v = 1 / (1 / v + told) + drift.
     for _ in range(2000):
         belief = belief.after(np.array([0.3]), told)
-    v = 1.0 / belief.information[0, 0]
+    v = 1.0 / belief.estimate.information[0, 0]
     assert abs(v - drift - 1.0 / (1.0 / v + 50.0)) < 1e-12 and v > drift
