@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,13 @@ from ..estimation.depth_alignment import Surface
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class FrameObservations(NamedTuple):
+    """Map points ``point`` ``(n,)`` that a frame sees, and the pixels ``uv`` ``(n, 2)`` where."""
+
+    point: Ints
+    uv: Array
 
 
 @dataclass

@@ -14,7 +14,7 @@ from ..image.guided_matching import guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe, spread_cells, undescribed
 from ..stopwatch import Stopwatch, TimedStage
 from .local_bundle_adjustment import adjust_locally, window_keyframes
-from .map import Array, Ints, Map, MapKeyFrame, union, without
+from .map import Array, FrameObservations, Ints, Map, MapKeyFrame, union, without
 from .range_sensor import Ranging
 
 _TRIANGULATION_SIGMAS = 4.0
@@ -30,11 +30,10 @@ class Mapper:
         self._detector = Detector(config.features)
         self._log_scale = np.log(config.features.scale_factor)
 
-    def insert(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> MapKeyFrame:
-        """Make ``frame`` a key-frame that sees map points ``point`` at ``uv`` (followed by flow), and improve the map
-        with it."""
+    def insert(self, frame: Frame, T_C_W: Array, followed: FrameObservations) -> MapKeyFrame:
+        """Make ``frame`` a key-frame that sees the points ``followed`` into it, and improve the map with it."""
         with self._stage(TimedStage.DETECT):
-            keyframe = self._make(frame, T_C_W, point, uv)
+            keyframe = self._make(frame, T_C_W, followed)
         with self._stage(TimedStage.TRIANGULATE):
             self.map.insert(keyframe)
             self._position_new(keyframe)
@@ -47,9 +46,10 @@ class Mapper:
             self._cull_keyframes()
         return keyframe
 
-    def _make(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> MapKeyFrame:
+    def _make(self, frame: Frame, T_C_W: Array, seen: FrameObservations) -> MapKeyFrame:
         """Observations of the new key-frame: what was followed, what fills empty cells, and (if it stays) more ORB
         key-points."""
+        point, uv = seen
         features, stays = self.config.features, self._stays(T_C_W, point)
         pyramid = Pyramid(frame.image, features.levels if stays else 2, features.scale_factor)
         extra = features.landmarks if stays else 0

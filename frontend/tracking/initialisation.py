@@ -14,6 +14,7 @@ from ..estimation.two_view import TwoViews, solve_two_views
 from ..frames import Frame
 from ..image.optical_flow import follow_both_ways
 from ..image.orb_features import Detector, Pyramid, spread_cells
+from ..mapping.map import FrameObservations
 from ..mapping.range_sensor import Ranging
 from ..stopwatch import Stopwatch
 from .track import Segment
@@ -57,9 +58,10 @@ class MetricStarter:
         if self.ranging.rig.kind is RigKind.RGBD and frame.depth_m is None:
             return Start(None, frame.problem or "the depth image is missing")
         segment = Segment(self.ranging, self.config, self.watch)
-        segment.latest = segment.mapper.insert(frame, np.eye(4), np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+        nothing = FrameObservations(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+        segment.latest = segment.mapper.insert(frame, np.eye(4), nothing)
         segment.follow(frame)
-        placed = int(np.isfinite(segment.map.xyz[segment.tracker.point, 0]).sum())
+        placed = int(np.isfinite(segment.map.xyz[segment.tracker.followed.point, 0]).sum())
         need = 2 * self.config.pose.min_inliers
         if placed < need:
             return Start(None, f"only {placed} points with depth in the image, need {need}")
@@ -124,9 +126,9 @@ class MonoStarter:
         ids = segment.map.add_points(len(views.points))
         segment.map.xyz[ids] = views.points / unit
         for view, pose, uv in ((self._first, np.eye(4), self._first_uv), (frame, T, self._uv)):
-            segment.latest = segment.mapper.insert(view, pose, ids, uv[views.good])
+            segment.latest = segment.mapper.insert(view, pose, FrameObservations(ids, uv[views.good]))
             segment.follow(view)
-        known = int(np.isfinite(segment.map.xyz[segment.tracker.point, 0]).sum())
+        known = int(np.isfinite(segment.map.xyz[segment.tracker.followed.point, 0]).sum())
         if known < self.config.mono.min_points:
             return self._begin(
                 frame, f"only {known} points left after bundle adjustment, need {self.config.mono.min_points}; "

@@ -21,7 +21,7 @@ from ..estimation.pycolmap_adapter import absolute_pose
 from ..frames import Frame
 from ..image.guided_matching import guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe
-from ..mapping.map import Array, Ints, Map
+from ..mapping.map import Array, FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
 from ..vocabulary.lookup import WordLookup
 from ..vocabulary.vocabulary import WordIndex
@@ -43,13 +43,17 @@ _GRID = (8, 6)
 
 @dataclass(frozen=True)
 class _Support:
-    """A pose ``T_C_W`` and the map points ``ids`` that agree with it at pixels ``uv``; they fill the share ``spread``
-    of those cells of the image that hold key-points."""
+    """A pose ``T_C_W`` and the map points ``seen`` that agree with it; they fill the share ``spread`` of those cells of
+    the image that hold key-points."""
 
     T_C_W: Array
-    ids: Ints
-    uv: Array
+    seen: FrameObservations
     spread: float
+
+    @property
+    def count(self) -> int:
+        """Number of points that agree."""
+        return len(self.seen.point)
 
 
 class Relocaliser:
@@ -76,10 +80,10 @@ class Relocaliser:
             found = self._from_map(first, number, keypoints) if first is not None else None
             if found is None:
                 continue
-            best, spread = max((best, spread), (len(found.ids), found.spread))
-            if len(found.ids) >= settings.min_matches and found.spread >= settings.min_spread:
-                self.segment.tracker.start(frame, found.T_C_W, found.ids, found.uv)
-                return TrackedFrame(found.T_C_W, len(found.ids))
+            best, spread = max((best, spread), (found.count, found.spread))
+            if found.count >= settings.min_matches and found.spread >= settings.min_spread:
+                self.segment.tracker.start(frame, found.T_C_W, found.seen)
+                return TrackedFrame(found.T_C_W, found.count)
         need = f"need {settings.min_matches} in {100 * settings.min_spread:.0f} %"
         seen = f"{best} points of the map in {100 * spread:.0f} % of the image"
         return TrackedFrame(None, best, f"lost: at best {seen} agree on a pose, {need}")
@@ -182,7 +186,7 @@ class Relocaliser:
         """Described points of a key-frame and those covisible with it that project into the image, and where."""
         seen = map_.keyframes[number].point
         group = [number, *map_.covisible(seen[seen >= 0], {number})[: self.config.lost.group_keyframes]]
-        ids = np.unique(np.concatenate([first.ids, *(map_.keyframes[n].point for n in group)]))
+        ids = np.unique(np.concatenate([first.seen.point, *(map_.keyframes[n].point for n in group)]))
         ids = ids[ids >= 0]
         ids = ids[np.isfinite(map_.xyz[ids, 0]) & map_.described[ids]]
         uv, depth = self.ranging.project(first.T_C_W, map_.xyz[ids])
@@ -203,7 +207,7 @@ class Relocaliser:
         if good.sum() < self.config.pose.min_inliers or not np.isfinite(T).all():
             return None
         spread = len(self._cells(uv[good])) / max(len(self._cells(keypoints.uv)), 1)
-        return _Support(T, ids[good], uv[good], spread)
+        return _Support(T, FrameObservations(ids[good], uv[good]), spread)
 
     def _cells(self, uv: Array) -> Ints:
         """Cells of the image that hold these pixels."""

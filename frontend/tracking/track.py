@@ -11,7 +11,7 @@ from ..cameras.models import Rig
 from ..config import OdometryConfig
 from ..files.trajectory import Trajectory
 from ..frames import Frame
-from ..mapping.map import Map, MapKeyFrame
+from ..mapping.map import FrameObservations, Map, MapKeyFrame
 from ..mapping.mapper import Mapper
 from ..mapping.range_sensor import Ranging
 from ..stopwatch import Stopwatch
@@ -43,17 +43,17 @@ class Segment:
     def since_keyframe(self, frame: Frame, rig: Rig) -> SinceKeyframe:
         """Changes since the latest key-frame, for the key-frame policy."""
         assert self.latest is not None
-        tracker, latest = self.tracker, self.latest
-        moved = np.linalg.norm((tracker.uv - tracker.anchor_uv)[tracker.found], axis=1)
+        followed, latest = self.tracker.followed, self.latest
+        moved = np.linalg.norm((followed.uv - followed.anchor_uv)[followed.found], axis=1)
         flow = float(np.median(moved)) / rig.camera.width if len(moved) else 1.0
-        known = int(np.isfinite(self.map.xyz[tracker.seen()[0], 0]).sum())
+        known = int(np.isfinite(self.map.xyz[followed.seen.point, 0]).sum())
         keyframes = len(self.map.keyframes) + len(self.map.culled)
         return SinceKeyframe(frame.index - latest.frame_index, known, self._reference_points, flow, keyframes)
 
     def insert_keyframe(self, frame: Frame) -> None:
         """Make the frame last tracked a key-frame; what is followed from here on is what it sees."""
         tracker = self.tracker
-        self.latest = self.mapper.insert(frame, tracker.T_C_W, *tracker.seen())
+        self.latest = self.mapper.insert(frame, tracker.T_C_W, tracker.followed.seen)
         self.follow(frame)
 
     def follow(self, frame: Frame) -> None:
@@ -67,9 +67,10 @@ class Segment:
             # The map has just moved: the velocity must come from poses of the same map.
             T_C_W = product(self.frames.T_C_K(-2), self.map.pose(self.frames.keyframe(-2)))
             previous = product(latest.T_C_W, se3_inverse(T_C_W))
-        self.tracker.start(frame, latest.T_C_W, latest.point[rows], latest.uv[rows])
+        seen = FrameObservations(latest.point[rows], latest.uv[rows])
+        self.tracker.start(frame, latest.T_C_W, seen)
         self.tracker.motion = previous
-        self._reference_points = int(np.isfinite(self.map.xyz[latest.point[rows], 0]).sum())
+        self._reference_points = int(np.isfinite(self.map.xyz[seen.point, 0]).sum())
 
     def lasting(self, count: int) -> bool:
         """Whether at least ``count`` of its key-frames will stay."""

@@ -3,7 +3,7 @@ pose."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..estimation.pycolmap_adapter import absolute_pose
 from ..frames import Frame
 from ..image.optical_flow import follow, follow_both_ways
-from ..image.patch_alignment import align, cut_patches, half_sized
-from ..mapping.map import Ints, Map
+from ..image.patch_alignment import Patches, align, cut_patches, half_sized
+from ..mapping.map import FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
 
 Array = NDArray[np.float64]
@@ -36,20 +36,62 @@ class TrackedFrame:
     reason: str = ""
 
 
+@dataclass(frozen=True)
+class FollowedPoints:
+    """n map points that are followed from the last key-frame.
+
+    ``point`` ``(n,)``: their numbers; ``anchor_uv`` ``(n, 2)``: pixels in the key-frame; ``patches``: what they look
+    like there; ``uv`` ``(n, 2)``: pixels where each was last found; ``found`` ``(n,)``: in the last frame.
+    """
+
+    point: Ints
+    anchor_uv: Array
+    patches: Patches
+    uv: Array
+    found: NDArray[np.bool_]
+
+    @classmethod
+    def at_keyframe(cls, seen: FrameObservations, image: list[NDArray[np.uint8]]) -> FollowedPoints:
+        """Begin with ``seen`` in the key-frame's ``image`` and its halvings."""
+        return cls(seen.point, seen.uv, cut_patches(image, seen.uv), seen.uv, np.ones(len(seen.point), dtype=bool))
+
+    @property
+    def seen(self) -> FrameObservations:
+        """Those found in the last frame."""
+        return FrameObservations(self.point[self.found], self.uv[self.found])
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A ``frame`` in which followed points are looked for, its ``image`` with halvings, and their positions ``xyz``
+    ``(n, 3)`` in the track's frame, NaN where unknown."""
+
+    frame: Frame
+    image: list[NDArray[np.uint8]]
+    xyz: Array
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The pose that explains where points were found. ``predicted``: the pose that told where to look; ``uv``
+    ``(n, 2)`` pixels, ``found`` ``(n,)``; ``inlier`` ``(n,)``: those that agree with ``result``."""
+
+    predicted: Array
+    uv: Array
+    found: NDArray[np.bool_]
+    result: TrackedFrame
+    inlier: NDArray[np.bool_]
+
+
 class Tracker:
-    """Owns what is followed: map points ``point`` ``(n,)``, where the last key-frame sees them (``anchor_uv`` ``(n,
-    2)``), what they look like there (``patches``), and where they were in the last frame (``uv`` ``(n, 2)``, ``found``
-    ``(n,)``)."""
+    """Owns the points that are followed, and the last frame: its image, time and pose ``T_C_W``."""
 
     def __init__(self, ranging: Ranging, config: OdometryConfig) -> None:
         self.ranging, self.config = ranging, config
-        self.patches = cut_patches([], np.zeros((0, 2)))
         self.image: list[NDArray[np.uint8]] = []
         self.stamp_ns = 0
-        self.point: Ints = np.zeros(0, dtype=np.int64)
-        self.anchor_uv: Array = np.zeros((0, 2))
-        self.uv: Array = np.zeros((0, 2))
-        self.found: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        nothing = FrameObservations(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+        self.followed = FollowedPoints.at_keyframe(nothing, [])
         self.anchor_T: Array = np.eye(4)
         self.T_C_W: Array = np.eye(4)
         self.motion: Array | None = None
@@ -57,50 +99,41 @@ class Tracker:
         self.step_s = 0.0
         """... and its duration; unknown is 0."""
 
-    def start(self, frame: Frame, T_C_W: Array, point: Ints, uv: Array) -> None:
-        """Follow ``point``, seen at ``uv`` in this frame, from here on."""
+    def start(self, frame: Frame, T_C_W: Array, seen: FrameObservations) -> None:
+        """Follow the points ``seen`` in this frame from here on."""
         if self.stamp_ns != frame.stamp_ns or not self.image:
             self.image = half_sized(frame.image, self.config.flow.align_levels)
         self.stamp_ns = frame.stamp_ns
         self.T_C_W, self.anchor_T = T_C_W, T_C_W
-        self.point, self.anchor_uv, self.uv = point, uv, uv
-        self.patches = cut_patches(self.image, uv)
-        self.found = np.ones(len(point), dtype=bool)
+        self.followed = FollowedPoints.at_keyframe(seen, self.image)
         self.motion = None
 
     def track(self, frame: Frame, map_: Map) -> TrackedFrame:
         """Find the points in ``frame`` and its pose. On failure the state stays as it was."""
         image = half_sized(frame.image, self.config.flow.align_levels)
+        search = _Search(frame, image, map_.xyz[self.followed.point])
         dt = (frame.stamp_ns - self.stamp_ns) / 1e9
-        xyz = map_.xyz[self.point]
-        predicted = self._predict(dt)
         # Patches of the key-frame, searched where the motion so far would put them ...
-        uv, ok = self._find(image, xyz, predicted)
-        result, inlier = self._pose(uv, ok, xyz, predicted)
-        seen = int(np.isfinite(xyz[:, 0]).sum())
-        if result.T_C_W is None or result.inliers < self.config.pose.trusted_share * seen:
+        fit = self._fit_from(search, self._predict(dt))
+        known = np.isfinite(search.xyz[:, 0])
+        if fit.result.T_C_W is None or fit.result.inliers < self.config.pose.trusted_share * int(known.sum()):
             # ... and where that finds too few, where flow from the previous frame has taken them.
-            rough = self._rough_pose(frame, xyz)
-            if rough is not None:
-                uv2, ok2 = self._find(image, xyz, rough)
-                result2, inlier2 = self._pose(uv2, ok2, xyz, rough)
-                if result2.inliers > result.inliers:
-                    predicted, uv, ok, result, inlier = rough, uv2, ok2, result2, inlier2
-        if result.T_C_W is None:
-            return result
-        uv, ok, result, inlier = self._look_again(image, xyz, predicted, uv, ok, result, inlier)
-        assert result.T_C_W is not None
-        uv, ok = self._follow_unknown(frame, xyz, uv, ok, result.T_C_W)
-        self.motion, self.step_s = product(result.T_C_W, se3_inverse(self.T_C_W)), dt
-        self.image, self.stamp_ns, self.T_C_W = image, frame.stamp_ns, result.T_C_W
-        known = np.isfinite(xyz[:, 0])
-        self.found = np.where(known, inlier, ok & self.found)
-        self.uv = np.where(self.found[:, None], uv, self.uv)
-        return result
-
-    def seen(self) -> tuple[Ints, Array]:
-        """Map points found in the last frame and where."""
-        return self.point[self.found], self.uv[self.found]
+            rough = self._rough_pose(search)
+            again = None if rough is None else self._fit_from(search, rough)
+            if again is not None and again.result.inliers > fit.result.inliers:
+                fit = again
+        if fit.result.T_C_W is None:
+            return fit.result
+        fit = self._look_again(search, fit)
+        T_C_W = fit.result.T_C_W
+        assert T_C_W is not None
+        uv, found = self._follow_unknown(search, fit, T_C_W)
+        self.motion, self.step_s = product(T_C_W, se3_inverse(self.T_C_W)), dt
+        self.image, self.stamp_ns, self.T_C_W = image, frame.stamp_ns, T_C_W
+        found = np.where(known, fit.inlier, found & self.followed.found)
+        uv = np.where(found[:, None], uv, self.followed.uv)
+        self.followed = replace(self.followed, uv=uv, found=found)
+        return fit.result
 
     def _predict(self, dt: float) -> Array:
         regular = (
@@ -108,20 +141,25 @@ class Tracker:
         )
         return product(self.motion, self.T_C_W) if self.motion is not None and regular else self.T_C_W
 
+    def _fit_from(self, search: _Search, T_C_W: Array) -> _Fit:
+        """The pose by points looked for where ``T_C_W`` predicts them."""
+        return self._fit(search, T_C_W, *self._find(search, T_C_W))
+
     def _find(
-        self, image: list[NDArray[np.uint8]], xyz: Array, T_C_W: Array, only: NDArray[np.bool_] | None = None
+        self, search: _Search, T_C_W: Array, only: NDArray[np.bool_] | None = None
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Points of known position looked for around their projection with ``T_C_W``."""
-        uv, ok = self.uv.copy(), np.zeros(len(self.uv), dtype=bool)
-        guess, warp = self._projected(xyz, T_C_W)
-        height, width = image[0].shape
+        """Points of known position looked for around their projection with ``T_C_W``: pixels ``(n, 2)``, found
+        ``(n,)``."""
+        uv, found = self.followed.uv.copy(), np.zeros(len(self.followed.uv), dtype=bool)
+        guess, warp = self._projected(search.xyz, T_C_W)
+        height, width = search.image[0].shape
         inside = (guess[:, 0] > 4) & (guess[:, 1] > 4) & (guess[:, 0] < width - 5) & (guess[:, 1] < height - 5)
         index = np.flatnonzero(inside if only is None else inside & only)
-        flow = self.config.flow
-        uv[index], ok[index] = align(
-            self.patches.take(index), image, warp[index], guess[index], flow.min_correlation, flow.reach_px
+        flow, patches = self.config.flow, self.followed.patches.take(index)
+        uv[index], found[index] = align(
+            patches, search.image, warp[index], guess[index], flow.min_correlation, flow.reach_px
         )
-        return uv, ok
+        return uv, found
 
     def _projected(self, xyz: Array, T_C_W: Array) -> tuple[Array, Array]:
         """Projection of points, and how a step around them in the key-frame projects there: as on a plane parallel to
@@ -136,75 +174,64 @@ class Tracker:
             warp[:, :, k] = self.ranging.project(T, step)[0] - guess
         return guess, warp
 
-    def _rough_pose(self, frame: Frame, xyz: Array) -> Array | None:
+    def _rough_pose(self, search: _Search) -> Array | None:
         """A pose without any prediction: wide flow from the previous frame, then RANSAC."""
-        index = np.flatnonzero(self.found & np.isfinite(xyz[:, 0]))
-        uv, ok = follow(self.image[0], frame.image, self.uv[index], self.uv[index], self.config.flow)
+        index = np.flatnonzero(self.followed.found & np.isfinite(search.xyz[:, 0]))
+        before = self.followed.uv[index]
+        uv, ok = follow(self.image[0], search.frame.image, before, before, self.config.flow)
         error_px = 8.0 * self.config.pose.pixel_sigma_px
-        return absolute_pose(xyz[index[ok]], self.ranging.ideal(uv[ok]), self.ranging.cam, error_px)
+        return absolute_pose(search.xyz[index[ok]], self.ranging.ideal(uv[ok]), self.ranging.cam, error_px)
 
-    def _look_again(
-        self,
-        image: list[NDArray[np.uint8]],
-        xyz: Array,
-        predicted: Array,
-        uv: Array,
-        ok: NDArray[np.bool_],
-        result: TrackedFrame,
-        inlier: NDArray[np.bool_],
-    ) -> tuple[Array, NDArray[np.bool_], TrackedFrame, NDArray[np.bool_]]:
-        assert result.T_C_W is not None
-        before, _ = self.ranging.project(predicted, xyz[inlier])
-        after, _ = self.ranging.project(result.T_C_W, xyz[inlier])
+    def _look_again(self, search: _Search, fit: _Fit) -> _Fit:
+        """Where the prediction was wrong, look from the pose found for the points that do not agree with it."""
+        assert fit.result.T_C_W is not None
+        before, _ = self.ranging.project(fit.predicted, search.xyz[fit.inlier])
+        after, _ = self.ranging.project(fit.result.T_C_W, search.xyz[fit.inlier])
         if np.median(np.linalg.norm(after - before, axis=1)) < _LOOK_AGAIN_PX:
-            return uv, ok, result, inlier
-        uv2, ok2 = self._find(image, xyz, result.T_C_W, ~inlier)
-        uv2, ok2 = np.where(inlier[:, None], uv, uv2), inlier | ok2
-        result2, inlier2 = self._pose(uv2, ok2, xyz, result.T_C_W)
-        return (uv2, ok2, result2, inlier2) if result2.inliers >= result.inliers else (uv, ok, result, inlier)
+            return fit
+        uv, found = self._find(search, fit.result.T_C_W, ~fit.inlier)
+        uv, found = np.where(fit.inlier[:, None], fit.uv, uv), fit.inlier | found
+        again = self._fit(search, fit.result.T_C_W, uv, found)
+        return again if again.result.inliers >= fit.result.inliers else fit
 
-    def _pose(
-        self, uv: Array, ok: NDArray[np.bool_], xyz: Array, predicted: Array
-    ) -> tuple[TrackedFrame, NDArray[np.bool_]]:
-        settings = self.config.pose
-        index = np.flatnonzero(ok)
-        inlier = np.zeros(len(uv), dtype=bool)
+    def _fit(self, search: _Search, predicted: Array, uv: Array, found: NDArray[np.bool_]) -> _Fit:
+        """The pose by the points ``found`` ``(n,)`` at ``uv`` ``(n, 2)``; with RANSAC where ``predicted`` misleads."""
+        settings, inlier = self.config.pose, np.zeros(len(uv), dtype=bool)
+        index = np.flatnonzero(found)
         n = len(index)
         if n < settings.min_inliers:
-            return TrackedFrame(None, 0, f"only {n} of {len(uv)} points found, need {settings.min_inliers}"), inlier
-        ideal = self.ranging.ideal(uv[index])
-        seen = SeenPoints.without_depth(xyz[index], ideal, np.full(n, settings.pixel_sigma_px))
+            reason = f"only {n} of {len(uv)} points found, need {settings.min_inliers}"
+            return _Fit(predicted, uv, found, TrackedFrame(None, 0, reason), inlier)
+        sigma = np.full(n, settings.pixel_sigma_px)
+        seen = SeenPoints.without_depth(search.xyz[index], self.ranging.ideal(uv[index]), sigma)
         T, good, _ = refine_pose(predicted, seen, self.ranging.cam, settings.outlier_sigmas, 4)
         if good.sum() < max(settings.min_inliers, 0.5 * n):
-            T_ransac = absolute_pose(xyz[index], ideal, self.ranging.cam, 4.0 * settings.pixel_sigma_px)
+            T_ransac = absolute_pose(seen.points, seen.uv, self.ranging.cam, 4.0 * settings.pixel_sigma_px)
             if T_ransac is not None:
                 T2, good2, _ = refine_pose(T_ransac, seen, self.ranging.cam, settings.outlier_sigmas, 4)
                 if good2.sum() > good.sum():
                     T, good = T2, good2
-        if good.sum() < settings.min_inliers or not np.isfinite(T).all():
-            return TrackedFrame(
-                None, int(good.sum()), f"only {good.sum()} of {n} points agree on a pose, need {settings.min_inliers}"
-            ), inlier
+        count = int(good.sum())
+        if count < settings.min_inliers or not np.isfinite(T).all():
+            reason = f"only {count} of {n} points agree on a pose, need {settings.min_inliers}"
+            return _Fit(predicted, uv, found, TrackedFrame(None, count, reason), inlier)
         inlier[index] = good
-        return TrackedFrame(T, int(good.sum())), inlier
+        return _Fit(predicted, uv, found, TrackedFrame(T, count), inlier)
 
-    def _follow_unknown(
-        self, frame: Frame, xyz: Array, uv: Array, ok: NDArray[np.bool_], T_C_W: Array
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Points of unknown position: flow from where the turn of the camera takes them; they must move along their
-        epipolar line."""
-        index = np.flatnonzero(np.isnan(xyz[:, 0]) & self.found)
+    def _follow_unknown(self, search: _Search, fit: _Fit, T_C_W: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Pixels ``(n, 2)`` and found ``(n,)`` of ``fit``, joined by the points of unknown position: flow from where
+        the turn of the camera takes them; they must move along their epipolar line."""
+        index = np.flatnonzero(np.isnan(search.xyz[:, 0]) & self.followed.found)
         if not len(index):
-            return uv, ok
+            return fit.uv, fit.found
         turn = product(T_C_W[:3, :3], self.T_C_W[:3, :3].T)
-        start = self.uv[index]
+        start = self.followed.uv[index]
         far, _ = self.ranging.project(se3(turn, np.zeros(3)), self.ranging.rays(start))
-        uv, ok = uv.copy(), ok.copy()
-        at, good = follow_both_ways(
-            self.image[0], frame.image, start, np.where(np.isfinite(far), far, start), self.config.flow
-        )
-        uv[index], ok[index] = at, good & self._on_epipolar_line(start, at, T_C_W)
-        return uv, ok
+        guess = np.where(np.isfinite(far), far, start)
+        at, good = follow_both_ways(self.image[0], search.frame.image, start, guess, self.config.flow)
+        uv, found = fit.uv.copy(), fit.found.copy()
+        uv[index], found[index] = at, good & self._on_epipolar_line(start, at, T_C_W)
+        return uv, found
 
     def _on_epipolar_line(self, before: Array, after: Array, T_C_W: Array) -> NDArray[np.bool_]:
         T = product(T_C_W, se3_inverse(self.T_C_W))
