@@ -1,11 +1,25 @@
-"""ORB matching near predicted positions: compiled, arrays in, arrays out."""
+"""ORB matching near predicted positions: compiled."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maslam._kernels import kernel
+
+from ..config import MappingConfig
+
+
+@dataclass(frozen=True)
+class OrbFeatures:
+    """n points with a look: ``uv`` ``(n, 2)`` pixels, ``level`` ``(n,)`` of the pyramid (predicted ones may be
+    fractions), ``descriptors`` ``(n, 32)``."""
+
+    uv: NDArray[np.float64]
+    level: NDArray[np.float64] | NDArray[np.int8]
+    descriptors: NDArray[np.uint8]
 
 
 @kernel
@@ -60,29 +74,24 @@ def _guided(
 
 
 def guided_match(
-    uv_a: NDArray[np.float64],
-    level_a: NDArray[np.float64],
-    descriptors_a: NDArray[np.uint8],
-    uv_b: NDArray[np.float64],
-    level_b: NDArray[np.int8],
-    descriptors_b: NDArray[np.uint8],
+    predicted: OrbFeatures,
     radius: NDArray[np.float64],
-    max_distance: int,
-    ratio: float,
+    keypoints: OrbFeatures,
+    settings: MappingConfig,
     level_slack: float = 1.5,
 ) -> NDArray[np.int64]:
-    """For each predicted point a the key-point b ``(n,)`` that matches best, -1 for none; no b is given twice.
+    """For each of n ``predicted`` points the key-point ``(n,)`` that matches best, -1 for none; none is given twice.
 
-    ``uv`` pixels, ``level`` pyramid level (predicted ones may be fractions), ``descriptors`` ``(n, 32)``; ``radius``
-    ``(n,)`` pixels.
+    ``radius`` ``(n,)`` pixels; ``level_slack``: largest difference of the levels.
     """
-    if not len(uv_a) or not len(uv_b):
-        return np.full(len(uv_a), -1, dtype=np.int64)
-    words_a = np.ascontiguousarray(descriptors_a).view(np.uint64)
-    words_b = np.ascontiguousarray(descriptors_b).view(np.uint64)
-    downwards = np.argsort(uv_b[:, 1])
-    rows = uv_b[downwards, 1]
-    first = np.searchsorted(rows, uv_a[:, 1] - radius)
-    last = np.searchsorted(rows, uv_a[:, 1] + radius, side="right")
-    points_a, points_b = (uv_a, level_a, words_a), (uv_b, level_b, words_b)
-    return _guided(*points_a, *points_b, radius, downwards, first, last, level_slack, max_distance, ratio)
+    if not len(predicted.uv) or not len(keypoints.uv):
+        return np.full(len(predicted.uv), -1, dtype=np.int64)
+    words_a, words_b = (np.ascontiguousarray(x.descriptors).view(np.uint64) for x in (predicted, keypoints))
+    downwards = np.argsort(keypoints.uv[:, 1])
+    rows = keypoints.uv[downwards, 1]
+    first = np.searchsorted(rows, predicted.uv[:, 1] - radius)
+    last = np.searchsorted(rows, predicted.uv[:, 1] + radius, side="right")
+    points_a = predicted.uv, np.asarray(predicted.level, dtype=np.float64), words_a
+    points_b = keypoints.uv, np.asarray(keypoints.level, dtype=np.int8), words_b
+    limits = level_slack, settings.match_distance, settings.match_ratio
+    return _guided(*points_a, *points_b, radius, downwards, first, last, *limits)

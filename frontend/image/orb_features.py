@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from maslam._kernels import kernel
 
 from ..config import FeatureConfig
+from .guided_matching import OrbFeatures
 
 EDGE_PX = 20
 """ORB's rotated sampling pattern reaches 18.4 pixels from its centre."""
@@ -43,6 +44,10 @@ class Keypoints:
 
     def __len__(self) -> int:
         return len(self.uv)
+
+    def features(self, rows: NDArray[np.int64] | slice = slice(None)) -> OrbFeatures:
+        """What ``rows`` are matched by."""
+        return OrbFeatures(self.uv[rows], self.level[rows], self.descriptors[rows])
 
 
 class Pyramid:

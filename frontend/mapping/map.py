@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product, se3_inverse, transform_points
 
 from ..estimation.depth_alignment import Surface
+from ..image.guided_matching import OrbFeatures
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -51,6 +52,10 @@ class MapKeyFrame:
     """False: supports the window only and goes when it leaves it; it has no descriptors."""
     surface: Surface | None = None
     """RGB-D: what the depth image showed."""
+
+    def features(self, rows: Ints) -> OrbFeatures:
+        """What observations ``rows`` are matched by."""
+        return OrbFeatures(self.uv[rows], self.level[rows], self.descriptors[rows])
 
     @property
     def T_W_C(self) -> Array:

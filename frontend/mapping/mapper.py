@@ -10,7 +10,7 @@ from ..config import OdometryConfig
 from ..estimation.bundle_adjustment import window_residuals
 from ..estimation.triangulation import triangulate
 from ..frames import Frame
-from ..image.guided_matching import guided_match
+from ..image.guided_matching import OrbFeatures, guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe, spread_cells, undescribed
 from ..stopwatch import Stopwatch, TimedStage
 from .local_bundle_adjustment import adjust_locally, window_keyframes
@@ -130,17 +130,8 @@ class Mapper:
         usable = np.flatnonzero(np.isfinite(keypoints.angle_deg[n:])) + n
         settings = self.config.mapping
         radius = settings.match_radius_px * self.config.features.scale_factor ** np.clip(level, 0, 8)
-        match = guided_match(
-            uv,
-            level,
-            self.map.descriptors[local],
-            keypoints.uv[usable],
-            keypoints.level[usable],
-            keypoints.descriptors[usable],
-            radius,
-            settings.match_distance,
-            settings.match_ratio,
-        )
+        predicted = OrbFeatures(uv, level, self.map.descriptors[local])
+        match = guided_match(predicted, radius, keypoints.features(usable), settings)
         hit = match >= 0
         out[usable[match[hit]] - n] = local[hit]
         return out
@@ -200,17 +191,9 @@ class Mapper:
         near = np.flatnonzero(depth > 0)
         local, uv, depth = local[near], uv[near], depth[near]
         settings = self.config.mapping
-        match = guided_match(
-            uv,
-            self._expected_level(keyframe.T_C_W, local),
-            self.map.descriptors[local],
-            keyframe.uv[rows],
-            keyframe.level[rows],
-            keyframe.descriptors[rows],
-            np.full(len(local), settings.fuse_radius_px),
-            settings.match_distance,
-            settings.match_ratio,
-        )
+        predicted = OrbFeatures(uv, self._expected_level(keyframe.T_C_W, local), self.map.descriptors[local])
+        radius = np.full(len(local), settings.fuse_radius_px)
+        match = guided_match(predicted, radius, keyframe.features(rows), settings)
         hit = np.flatnonzero(match >= 0)
         twins = keyframe.point[rows[match[hit]]]
         _, depth_twin = self.ranging.project(keyframe.T_C_W, self.map.xyz[twins])

@@ -19,7 +19,7 @@ from ..config import OdometryConfig
 from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..estimation.pycolmap_adapter import absolute_pose
 from ..frames import Frame
-from ..image.guided_matching import guided_match
+from ..image.guided_matching import OrbFeatures, guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe
 from ..mapping.map import Array, FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
@@ -138,23 +138,12 @@ class Relocaliser:
 
     def _from_keyframe(self, number: int, keypoints: Keypoints) -> _Support | None:
         """A pose from the points that one key-frame sees, matched wherever they may be in the image."""
-        map_, mapping = self.segment.map, self.config.mapping
+        map_ = self.segment.map
         keyframe = map_.keyframes[number]
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
         rows = rows[np.isfinite(map_.xyz[keyframe.point[rows], 0])]
         anywhere = np.full(len(rows), np.inf)
-        match = guided_match(
-            keyframe.uv[rows],
-            keyframe.level[rows].astype(np.float64),
-            keyframe.descriptors[rows],
-            keypoints.uv,
-            keypoints.level,
-            keypoints.descriptors,
-            anywhere,
-            mapping.match_distance,
-            mapping.match_ratio,
-            _ANY_LEVEL,
-        )
+        match = guided_match(keyframe.features(rows), anywhere, keypoints.features(), self.config.mapping, _ANY_LEVEL)
         hit = np.flatnonzero(match >= 0)
         ids = keyframe.point[rows[hit]]
         T = absolute_pose(map_.xyz[ids], self.ranging.ideal(keypoints.uv[match[hit]]), self.ranging.cam, _RANSAC_PX)
@@ -167,18 +156,8 @@ class Relocaliser:
         ids, uv = self._visible(map_, first, number)
         level = map_.level[ids].astype(np.float64)
         radius = mapping.match_radius_px * self.config.features.scale_factor**level
-        match = guided_match(
-            uv,
-            level,
-            map_.descriptors[ids],
-            keypoints.uv,
-            keypoints.level,
-            keypoints.descriptors,
-            radius,
-            mapping.match_distance,
-            mapping.match_ratio,
-            _LEVEL_SLACK,
-        )
+        predicted = OrbFeatures(uv, level, map_.descriptors[ids])
+        match = guided_match(predicted, radius, keypoints.features(), mapping, _LEVEL_SLACK)
         hit = np.flatnonzero(match >= 0)
         return self._refined(first.T_C_W, ids[hit], match[hit], keypoints)
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 import room
 
 from maslam.frontend.cameras.models import RigKind
-from maslam.frontend.config import FeatureConfig, FlowConfig, StereoConfig
+from maslam.frontend.config import FeatureConfig, FlowConfig, MappingConfig, StereoConfig
 from maslam.frontend.estimation.self_calibration import pair_shift
 from maslam.frontend.frames import Frame
-from maslam.frontend.image.guided_matching import guided_match
+from maslam.frontend.image.guided_matching import OrbFeatures, guided_match
 from maslam.frontend.image.optical_flow import follow, follow_both_ways
 from maslam.frontend.image.orb_features import EDGE_PX, Detector, Pyramid, describe, spread_cells
 from maslam.frontend.image.patch_alignment import align, cut_patches, half_sized
@@ -187,26 +189,14 @@ def test_guided_matching_takes_the_nearest_descriptor_within_reach_once() -> Non
     uv = rng.uniform(0, 300, (30, 2))
     level = np.zeros(30, dtype=np.int8)
     order = rng.permutation(30)
-    match = guided_match(
-        uv + 2.0, level.astype(float), descriptors, uv[order], level, descriptors[order], np.full(30, 5.0), 50, 0.9
-    )
+    settings = MappingConfig(match_distance=50, match_ratio=0.9)
+    known, shuffled = OrbFeatures(uv, level, descriptors), OrbFeatures(uv[order], level, descriptors[order])
+    match = guided_match(replace(known, uv=uv + 2.0), np.full(30, 5.0), shuffled, settings)
     np.testing.assert_array_equal(order[match], np.arange(30))
-    far = guided_match(
-        uv + 20.0, level.astype(float), descriptors, uv[order], level, descriptors[order], np.full(30, 5.0), 50, 0.9
-    )
+    far = guided_match(replace(known, uv=uv + 20.0), np.full(30, 5.0), shuffled, settings)
     assert (far[far >= 0] != np.argsort(order)[far >= 0]).all()
-    twice = guided_match(
-        np.repeat(uv[:1], 2, axis=0),
-        np.zeros(2),
-        np.repeat(descriptors[:1], 2, axis=0),
-        uv,
-        level,
-        descriptors,
-        np.full(2, 5.0),
-        50,
-        0.9,
-    )
+    pair = OrbFeatures(np.repeat(uv[:1], 2, axis=0), np.zeros(2), np.repeat(descriptors[:1], 2, axis=0))
+    twice = guided_match(pair, np.full(2, 5.0), known, settings)
     assert sorted(twice.tolist()) == [-1, 0]
-    assert guided_match(
-        np.zeros((0, 2)), np.zeros(0), descriptors[:0], uv, level, descriptors, np.zeros(0), 50, 0.9
-    ).shape == (0,)
+    nothing = OrbFeatures(np.zeros((0, 2)), np.zeros(0), descriptors[:0])
+    assert guided_match(nothing, np.zeros(0), known, settings).shape == (0,)
