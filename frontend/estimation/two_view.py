@@ -22,6 +22,20 @@ _AMBIGUOUS = 0.75
 
 
 @dataclass(frozen=True)
+class PointPairs:
+    """The same n points in two views of one camera: pixels ``uv1``, ``uv2`` ``(n, 2)`` with standard deviation
+    ``sigma_px``; ``K`` ``(3, 3)``."""
+
+    uv1: Array
+    uv2: Array
+    K: Array
+    sigma_px: float
+
+    def __len__(self) -> int:
+        return len(self.uv1)
+
+
+@dataclass(frozen=True)
 class TwoViews:
     """``T_2_1`` (translation of length 1) with the points ``(n, 3)`` in view 1 and which pairs ``good`` ``(n,)`` they
     belong to; or None and the reason with its numbers. ``homography_share``: score of the homography over the sum of
@@ -34,92 +48,123 @@ class TwoViews:
     homography_share: float = float("nan")
 
 
-def solve_two_views(uv1: Array, uv2: Array, K: Array, sigma_px: float, config: MonoConfig) -> TwoViews:
-    """From paired pixels ``(n, 2)``; refuses pure rotation and two-fold planar motion with the reason."""
-    none = np.zeros(len(uv1), dtype=bool)
+@dataclass(frozen=True)
+class _Motions:
+    """Rotations and directions of translation that one model allows, its ``inlier`` pairs ``(n,)``, and the
+    homography's ``share`` of both scores."""
+
+    model: str
+    candidates: list[tuple[Array, Array]]
+    inlier: NDArray[np.bool_]
+    share: float
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """One motion ``T_2_1``: a point ``(n, 3)`` for each pair, those in front of both views that reproject well
+    ``good`` ``(n,)``, and their median parallax."""
+
+    T_2_1: Array
+    points: Array
+    good: NDArray[np.bool_]
+    parallax_deg: float
+
+    @property
+    def count(self) -> int:
+        """Number of good points."""
+        return int(self.good.sum())
+
+
+def solve_two_views(pairs: PointPairs, config: MonoConfig) -> TwoViews:
+    """Motion and points; pure rotation and two-fold planar motion are refused with the reason."""
 
     def refuse(reason: str, share: float = float("nan")) -> TwoViews:
-        return TwoViews(None, np.zeros((0, 3)), none, reason, share)
+        return TwoViews(None, np.zeros((0, 3)), np.zeros(len(pairs), dtype=bool), reason, share)
 
-    rest = residual_after_rotation(uv1, uv2, K)
+    rest = residual_after_rotation(pairs)
     if rest < _ROTATION_PX:
         return refuse(
             f"pure rotation: but for the turn the points move by {rest:.2f} px (median), need {_ROTATION_PX} px"
         )
+    motions = _motions(pairs, config.homography_share)
+    if motions is None:
+        return refuse("no essential matrix fits the points")
+    share = motions.share
+    trials = sorted((_try(R, t, pairs, motions.inlier) for R, t in motions.candidates), key=lambda trial: -trial.count)
+    if not trials:
+        return refuse("the homography has no translation", share)
+    best, model = trials[0], f"{motions.model}, score share of the homography {share:.2f}"
+    if len(trials) > 1 and trials[1].count > _AMBIGUOUS * best.count:
+        return refuse(
+            f"ambiguous: {best.count} and {trials[1].count} points fit two different motions ({model})", share
+        )
+    if best.count < config.min_points:
+        return refuse(
+            f"only {best.count} of {len(pairs)} points in front of both views, need {config.min_points} ({model})",
+            share,
+        )
+    if best.parallax_deg < config.min_parallax_deg:
+        return refuse(f"parallax {best.parallax_deg:.2f} deg (median), need {config.min_parallax_deg} ({model})", share)
+    return TwoViews(best.T_2_1, best.points[best.good], best.good, "", share)
+
+
+def _motions(pairs: PointPairs, homography_share: float) -> _Motions | None:
+    """By a homography where its share of the scores is above ``homography_share``, else by an essential matrix."""
+    uv1, uv2, K, sigma_px = pairs.uv1, pairs.uv2, pairs.K, pairs.sigma_px
     H, _ = cv2.findHomography(uv1, uv2, cv2.RANSAC, 2.5 * sigma_px, maxIters=1000, confidence=0.999)
     E, _ = cv2.findEssentialMat(uv1, uv2, K, cv2.RANSAC, 0.999, 2.0 * sigma_px)
     if E is None or E.shape != (3, 3):
-        return refuse("no essential matrix fits the points")
+        return None
     K_inv = inverse3(K)
     F = product(product(K_inv.T, E), K_inv)
-    score_F, inlier_F = score_fundamental(F, uv1, uv2, sigma_px)
-    score_H, inlier_H = score_homography(H, uv1, uv2, sigma_px) if H is not None else (0.0, none)
+    score_F, inlier_F = score_fundamental(F, pairs)
+    score_H, inlier_H = score_homography(H, pairs) if H is not None else (0.0, np.zeros(len(pairs), dtype=bool))
     share = score_H / max(score_H + score_F, 1e-12)
-    planar = share > config.homography_share
-    if planar:
+    if share > homography_share:
         _, rotations, translations, _ = cv2.decomposeHomographyMat(H, K)
-        motions = [
+        candidates = [
             (r, t.ravel() / max(np.linalg.norm(t), 1e-12))
             for r, t in zip(rotations, translations, strict=True)
             if np.linalg.norm(t) > 1e-6
         ]
-        inlier = inlier_H
-    else:
-        r1, r2, t = cv2.decomposeEssentialMat(E)
-        motions = [(r, s * t.ravel()) for r in (r1, r2) for s in (1.0, -1.0)]
-        inlier = inlier_F
-    trials = sorted(
-        (_try(r, t, uv1, uv2, K, inlier, sigma_px) for r, t in motions), key=lambda trial: -int(trial[2].sum())
-    )
-    if not trials:
-        return refuse("the homography has no translation", share)
-    T, points, good, parallax = trials[0]
-    model = f"{'homography' if planar else 'fundamental matrix'}, score share of the homography {share:.2f}"
-    if len(trials) > 1 and trials[1][2].sum() > _AMBIGUOUS * good.sum():
-        return refuse(
-            f"ambiguous: {good.sum()} and {trials[1][2].sum()} points fit two different motions ({model})", share
-        )
-    if good.sum() < config.min_points:
-        return refuse(
-            f"only {good.sum()} of {len(uv1)} points in front of both views, need {config.min_points} ({model})", share
-        )
-    if parallax < config.min_parallax_deg:
-        return refuse(f"parallax {parallax:.2f} deg (median), need {config.min_parallax_deg} ({model})", share)
-    return TwoViews(T, points[good], good, "", share)
+        return _Motions("homography", candidates, inlier_H, share)
+    r1, r2, t = cv2.decomposeEssentialMat(E)
+    return _Motions("fundamental matrix", [(r, s * t.ravel()) for r in (r1, r2) for s in (1.0, -1.0)], inlier_F, share)
 
 
-def residual_after_rotation(uv1: Array, uv2: Array, K: Array) -> float:
+def residual_after_rotation(pairs: PointPairs) -> float:
     """Median distance in pixels between ``uv2`` and ``uv1`` turned by the rotation that fits best (robustly)."""
-    a, b = _rays(uv1, K), _rays(uv2, K)
+    a, b = _rays(pairs.uv1, pairs.K), _rays(pairs.uv2, pairs.K)
     a, b = a / np.linalg.norm(a, axis=1, keepdims=True), b / np.linalg.norm(b, axis=1, keepdims=True)
     weight = np.ones(len(a))
     rest = np.zeros(len(a))
     for _ in range(10):
         R = project_to_so3(product((b * weight[:, None]).T, a))
-        turned = product(product(a, R.T), K.T)
-        rest = np.linalg.norm(turned[:, :2] / turned[:, 2:] - uv2, axis=1)
+        turned = product(product(a, R.T), pairs.K.T)
+        rest = np.linalg.norm(turned[:, :2] / turned[:, 2:] - pairs.uv2, axis=1)
         weight = 1.0 / (1.0 + (rest / max(float(np.median(rest)), 0.1)) ** 2)
     return float(np.median(rest))
 
 
-def score_homography(H: Array, uv1: Array, uv2: Array, sigma_px: float) -> tuple[float, NDArray[np.bool_]]:
-    """Symmetric transfer score (Mur-Artal et al., ORB-SLAM, 2015, eq. 2) and the inliers."""
-    total, inlier = 0.0, np.ones(len(uv1), dtype=bool)
-    for M, a, b in ((H, uv1, uv2), (inverse3(H), uv2, uv1)):
+def score_homography(H: Array, pairs: PointPairs) -> tuple[float, NDArray[np.bool_]]:
+    """Symmetric transfer score (Mur-Artal et al., ORB-SLAM, 2015, eq. 2) of ``H`` (view 1 to view 2, pixels) and the
+    inliers ``(n,)``."""
+    total, inlier = 0.0, np.ones(len(pairs), dtype=bool)
+    for M, a, b in ((H, pairs.uv1, pairs.uv2), (inverse3(H), pairs.uv2, pairs.uv1)):
         p = product(np.c_[a, np.ones(len(a))], M.T)
-        e2 = ((p[:, :2] / p[:, 2:] - b) ** 2).sum(axis=1) / sigma_px**2
+        e2 = ((p[:, :2] / p[:, 2:] - b) ** 2).sum(axis=1) / pairs.sigma_px**2
         total += float(np.where(e2 < _CHI2_POINT, _CHI2_POINT - e2, 0.0).sum())
         inlier &= e2 < _CHI2_POINT
     return total, inlier
 
 
-def score_fundamental(F: Array, uv1: Array, uv2: Array, sigma_px: float) -> tuple[float, NDArray[np.bool_]]:
-    """Symmetric epipolar score, same scale as the homography's, and the inliers."""
-    total, inlier = 0.0, np.ones(len(uv1), dtype=bool)
-    for M, a, b in ((F, uv1, uv2), (F.T, uv2, uv1)):
+def score_fundamental(F: Array, pairs: PointPairs) -> tuple[float, NDArray[np.bool_]]:
+    """Symmetric epipolar score, same scale as the homography's, and the inliers ``(n,)``."""
+    total, inlier = 0.0, np.ones(len(pairs), dtype=bool)
+    for M, a, b in ((F, pairs.uv1, pairs.uv2), (F.T, pairs.uv2, pairs.uv1)):
         line = product(np.c_[a, np.ones(len(a))], M.T)
         distance = (line * np.c_[b, np.ones(len(b))]).sum(axis=1)
-        e2 = distance**2 / np.maximum((line[:, :2] ** 2).sum(axis=1), 1e-18) / sigma_px**2
+        e2 = distance**2 / np.maximum((line[:, :2] ** 2).sum(axis=1), 1e-18) / pairs.sigma_px**2
         total += float(np.where(e2 < _CHI2_LINE, _CHI2_POINT - e2, 0.0).sum())
         inlier &= e2 < _CHI2_LINE
     return total, inlier
@@ -129,19 +174,16 @@ def _rays(uv: Array, K: Array) -> Array:
     return np.stack([(uv[:, 0] - K[0, 2]) / K[0, 0], (uv[:, 1] - K[1, 2]) / K[1, 1], np.ones(len(uv))], axis=1)
 
 
-def _try(
-    R: Array, t: Array, uv1: Array, uv2: Array, K: Array, inlier: NDArray[np.bool_], sigma_px: float
-) -> tuple[Array, Array, NDArray[np.bool_], float]:
-    """Points of one candidate motion: in front of both views, reprojected well; and their median parallax in
-    degrees."""
-    n = len(uv1)
+def _try(R: Array, t: Array, pairs: PointPairs, inlier: NDArray[np.bool_]) -> _Trial:
+    """Triangulate all pairs under one motion; good ones are among ``inlier`` ``(n,)``."""
+    n = len(pairs)
     T = se3(R, t)
     rays = np.empty((2 * n, 3))
-    rays[0::2], rays[1::2] = _rays(uv1, K), _rays(uv2, K)
+    rays[0::2], rays[1::2] = _rays(pairs.uv1, pairs.K), _rays(pairs.uv2, pairs.K)
     points, parallax = triangulate(np.stack([np.eye(4), T]), np.arange(0, 2 * n + 1, 2), np.tile([0, 1], n), rays)
     good = inlier & np.isfinite(points[:, 0])
-    for pose, uv in ((np.eye(4), uv1), (T, uv2)):
-        p = product(transform_points(pose, points), K.T)
+    for pose, uv in ((np.eye(4), pairs.uv1), (T, pairs.uv2)):
+        p = product(transform_points(pose, points), pairs.K.T)
         with np.errstate(invalid="ignore", divide="ignore"):
-            good &= np.linalg.norm(p[:, :2] / p[:, 2:] - uv, axis=1) < 4.0 * sigma_px
-    return T, points, good, float(np.degrees(np.median(parallax[good]))) if good.any() else 0.0
+            good &= np.linalg.norm(p[:, :2] / p[:, 2:] - uv, axis=1) < 4.0 * pairs.sigma_px
+    return _Trial(T, points, good, float(np.degrees(np.median(parallax[good]))) if good.any() else 0.0)

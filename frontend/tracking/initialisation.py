@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..cameras.models import RigKind
 from ..config import OdometryConfig
-from ..estimation.two_view import TwoViews, solve_two_views
+from ..estimation.two_view import PointPairs, TwoViews, solve_two_views
 from ..frames import Frame
 from ..image.optical_flow import follow_both_ways
 from ..image.orb_features import Detector, Pyramid, spread_cells
@@ -96,7 +96,8 @@ class MonoStarter:
         if flow < need:
             return Start(None, f"static: the points have moved by {flow:.2f} px (median), need {need:.1f} px")
         ideal = self.ranging.ideal(self._first_uv), self.ranging.ideal(self._uv)
-        views = solve_two_views(*ideal, self.ranging.rig.camera.K, self.config.pose.pixel_sigma_px, settings)
+        pairs = PointPairs(*ideal, self.ranging.rig.camera.K, self.config.pose.pixel_sigma_px)
+        views = solve_two_views(pairs, settings)
         if views.T_2_1 is not None:
             return self._build(frame, views)
         if frame.index - self._first.index >= settings.max_frames:

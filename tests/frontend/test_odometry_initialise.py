@@ -10,6 +10,7 @@ from maslam.backend.geometry import rotation_angle_deg, se3, so3_exp
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import FlowConfig, MonoConfig, OdometryConfig, StereoConfig
 from maslam.frontend.estimation.two_view import (
+    PointPairs,
     residual_after_rotation,
     score_fundamental,
     score_homography,
@@ -44,7 +45,7 @@ def test_motion_and_structure_are_right_up_to_scale(planar: bool) -> None:
     points = cloud(planar)
     T = se3(so3_exp([0.02, -0.06, 0.01]), [-0.8, 0.1, 0.2])
     uv1, uv2 = views(points, T)
-    found = solve_two_views(uv1, uv2, K, SIGMA, MonoConfig())
+    found = solve_two_views(PointPairs(uv1, uv2, K, SIGMA), MonoConfig())
     assert (found.homography_share > 0.45) == planar
     if found.T_2_1 is None:
         # A plane may leave two motions open; then the refusal must say so.
@@ -60,15 +61,15 @@ def test_motion_and_structure_are_right_up_to_scale(planar: bool) -> None:
 
 def test_pure_rotation_is_refused_with_its_figure() -> None:
     uv1, uv2 = views(cloud(False), se3(so3_exp([0.03, 0.12, 0.02]), [0.0, 0, 0]))
-    found = solve_two_views(uv1, uv2, K, SIGMA, MonoConfig())
+    found = solve_two_views(PointPairs(uv1, uv2, K, SIGMA), MonoConfig())
     assert found.T_2_1 is None and "pure rotation" in found.reason and "px" in found.reason
-    assert residual_after_rotation(uv1, uv2, K) < 0.5
+    assert residual_after_rotation(PointPairs(uv1, uv2, K, SIGMA)) < 0.5
 
 
 def test_wrong_pairs_do_not_start_a_map() -> None:
     rng = np.random.default_rng(10)
     uv1, uv2 = rng.uniform(0, 480, (200, 2)), rng.uniform(0, 480, (200, 2))
-    found = solve_two_views(uv1, uv2, K, SIGMA, MonoConfig())
+    found = solve_two_views(PointPairs(uv1, uv2, K, SIGMA), MonoConfig())
     assert found.T_2_1 is None and found.reason
 
 
@@ -85,8 +86,8 @@ def test_scores_prefer_the_model_that_made_the_points() -> None:
         @ T[:3, :3]
         @ np.linalg.inv(K)
     )
-    score_h, inlier_h = score_homography(H, uv1, uv2, SIGMA)
-    score_f, inlier_f = score_fundamental(F, uv1, uv2, SIGMA)
+    score_h, inlier_h = score_homography(H, PointPairs(uv1, uv2, K, SIGMA))
+    score_f, inlier_f = score_fundamental(F, PointPairs(uv1, uv2, K, SIGMA))
     assert inlier_h.all() and inlier_f.all()
     assert score_h == pytest.approx(2 * 5.991 * len(uv1), rel=1e-6) and score_f == pytest.approx(score_h, rel=1e-6)
 
