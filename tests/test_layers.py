@@ -22,6 +22,12 @@ TORCH_SIDE = ("maslam.descriptors.training", "maslam.descriptors.published")
 FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
 FACE = [path for folder in ("maslam", "maslam/api") for path in sorted((ROOT / folder).glob("*.py"))]
 """Above and below the folders: the public face, errors, extensions."""
+ADAPTERS = {
+    "pycolmap": "maslam._pycolmap",
+    "gtsam": "maslam.backend.central.gtsam_adapter",
+    "open3d": "maslam.tools.worlds.rendering.renderer",
+}
+"""The one module that calls a library whose interface moves."""
 
 
 def name_of(path: Path) -> str:
@@ -90,6 +96,15 @@ def test_heavy_libraries_are_imported_where_they_are_used(path: Path) -> None:
 )
 def test_the_test_itself(package: str, code: str, wrong: int) -> None:
     assert len(imported_on_import(code, package, (*HEAVY, *TORCH_SIDE))) == wrong
+
+
+@pytest.mark.parametrize("library", ADAPTERS)
+def test_a_library_whose_interface_moves_has_one_adapter(library: str) -> None:
+    callers = set()
+    for path in FILES + FACE:
+        found = imports(ast.parse(path.read_text(encoding="utf-8")), name_of(path.with_name("__init__.py")))
+        callers |= {name_of(path) for _, name in found if is_under(name, (library,))}
+    assert callers == {ADAPTERS[library]}
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

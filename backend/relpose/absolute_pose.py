@@ -1,6 +1,6 @@
 """The pose of a camera that sees known points in known directions, its own depths unused: search and least squares.
 
-The only place of the back end that calls pycolmap. The points are the match's and bring their own noise: across their
+The points are the match's and bring their own noise: across their
 rays as any direction does, along them in inverse depth. Carried into the query camera, the latter shows only along the
 epipolar line, and grows with the parallax.
 """
@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+from maslam._pycolmap import RansacLimits, absolute_pose
 
 from ..geometry import Array, Sim3, skew, so3_exp
 from .alignment import (
@@ -32,26 +34,13 @@ def search_bearings(points_M: Array, rays_Q: Array, angle_deg: float, rng: np.ra
     ``points_M`` ``(k, 3)`` in the match's unit, ``rays_Q`` ``(k, 3)`` of any length; rays that point backwards are left
     out. The seed is drawn from ``rng``: same state, same pose.
     """
-    import pycolmap
-
     seed = int(rng.integers(2**31 - 1))
-    before = rays_Q[:, 2] > 1e-6 * np.linalg.norm(rays_Q, axis=1)
-    if before.sum() < _MIN_AGREE:
-        return []
-    options = pycolmap.AbsolutePoseEstimationOptions()
+    ahead = rays_Q[:, 2] > 1e-6 * np.linalg.norm(rays_Q, axis=1)
     # With focal length 1 a pixel is the tangent of an angle.
-    options.ransac.max_error = float(np.tan(np.radians(angle_deg)))
-    options.ransac.random_seed, options.ransac.confidence = seed, _CONFIDENCE
-    options.ransac.min_num_trials, options.ransac.max_num_trials = _MIN_TRIALS, _MAX_TRIALS
-    camera = pycolmap.Camera(model="PINHOLE", width=2, height=2, params=[1.0, 1.0, 0.0, 0.0])
-    plane = rays_Q[before, :2] / rays_Q[before, 2:]
-    found = pycolmap.estimate_absolute_pose(plane, points_M[before], camera, options)
-    if found is None or found["num_inliers"] < _MIN_AGREE:
-        return []
-    T_Q_M = found["cam_from_world"].matrix()
-    if not np.isfinite(T_Q_M).all():
-        return []
-    return [Sim3(T_Q_M[:, :3], T_Q_M[:, 3]).inverse()]
+    limits = RansacLimits(float(np.tan(np.radians(angle_deg))), _MIN_AGREE, _CONFIDENCE, _MIN_TRIALS, _MAX_TRIALS)
+    plane = rays_Q[ahead, :2] / rays_Q[ahead, 2:]
+    T_Q_M = absolute_pose(points_M[ahead], plane, (1.0, 1.0, 0.0, 0.0), limits, seed, refine=False)
+    return [] if T_Q_M is None else [Sim3(T_Q_M[:, :3], T_Q_M[:, 3]).inverse()]
 
 
 def lend_depths(T_M_Q: Sim3, points_M: Array, rays_Q: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Compiled kernels: pose, window bundle adjustment, triangulation, two views; the pycolmap adapter."""
+"""Compiled kernels: pose, window bundle adjustment, triangulation, two views; robust absolute pose."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import OdometryConfig
+from ..estimation.absolute_pose import absolute_pose
 from ..estimation.pose_refinement import SeenPoints, refine_pose
-from ..estimation.pycolmap_adapter import absolute_pose
 from ..frames import Frame
 from ..image.guided_matching import OrbFeatures, guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product, se3, se3_inverse, transform_points
 
 from ..config import OdometryConfig
+from ..estimation.absolute_pose import absolute_pose
 from ..estimation.pose_refinement import SeenPoints, refine_pose
-from ..estimation.pycolmap_adapter import absolute_pose
 from ..frames import Frame
 from ..image.optical_flow import follow, follow_both_ways
 from ..image.patch_alignment import Patches, align, cut_patches, half_sized

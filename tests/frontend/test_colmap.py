@@ -3,7 +3,7 @@
 import numpy as np
 
 from maslam.backend.geometry import rotation_angle_deg, se3_exp, se3_inverse, transform_points
-from maslam.frontend.estimation.pycolmap_adapter import absolute_pose
+from maslam.frontend.estimation.absolute_pose import absolute_pose
 
 CAMERA = np.array([400.0, 410.0, 319.5, 179.5, 0.0])
 
