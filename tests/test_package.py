@@ -26,6 +26,8 @@ from pathlib import Path
 import maslam
 from maslam.backend.geometry import Sim3
 from maslam.backend.config import SolverConfig
+from maslam.frontend.config import FeatureConfig, FlowConfig, KeyframeConfig, LostConfig, MappingConfig, MonoConfig
+from maslam.frontend.config import PoseConfig, StereoConfig
 from maslam.frontend.datasets import open_dataset
 from maslam.mas.config import MasConfig, OptimisationConfig, PlacesConfig
 
@@ -42,6 +44,9 @@ plain, named = MasConfig(), MasConfig(preset="default", places=PlacesConfig(code
 ours = MasConfig(optimisation=OptimisationConfig(solver=SolverConfig(method="elected")))
 version: str = maslam.__version__
 turned: Sim3 = Sim3.identity().inverse()
+settings = maslam.OdometryConfig()
+parts = (FeatureConfig(), FlowConfig(), StereoConfig(), PoseConfig(), KeyframeConfig())
+slower = maslam.OdometryConfig(mapping=MappingConfig(window=20), mono=MonoConfig(), lost=LostConfig())
 """
 
 
