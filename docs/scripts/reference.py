@@ -107,12 +107,12 @@ def common_options() -> set[str]:
 
 
 def _arguments(parser: argparse.ArgumentParser, wanted: Callable[[argparse.Action], bool]) -> list[str]:
-    own = [action for action in parser._actions if not is_setting(action) and _told(action) and wanted(action)]
+    own = [action for action in parser._actions if not is_setting(action) and _has_row(action) and wanted(action)]
     rows = [f"| {_names(action)} | {_cell(_help(parser, action))} |" for action in own]
     return ["| argument | meaning |", "|---|---|", *rows, ""] if rows else []
 
 
-def _told(action: argparse.Action) -> bool:
+def _has_row(action: argparse.Action) -> bool:
     return not isinstance(action, argparse._SubParsersAction | argparse._HelpAction)
 
 

@@ -29,7 +29,7 @@ from .schur import (
     robust_weights,
 )
 
-_SETTLED = 2e-4
+_CONVERGED = 2e-4
 """A step that lowers the cost by less than this share is the last: the window is adjusted again at the next
 key-frame."""
 
@@ -73,7 +73,7 @@ def _cost(r: Array, window: Window, calib: Array) -> float:
 
 
 @kernel
-def _take_out(seen: Observations, basis: Array, calib: Array) -> tuple[Array, Array]:
+def _without_calibration(seen: Observations, basis: Array, calib: Array) -> tuple[Array, Array]:
     """Positions and disparities without what the calibration adds to them."""
     uv, disparity = seen.uv.copy(), seen.disparity.copy()
     for i in range(len(uv)):
@@ -87,7 +87,7 @@ def _take_out(seen: Observations, basis: Array, calib: Array) -> tuple[Array, Ar
 @kernel
 def _residuals_and_cost(estimate: Estimate, window: Window) -> tuple[Array, float]:
     poses, points, calib = estimate
-    uv, disparity = _take_out(window.seen, window.basis, calib)
+    uv, disparity = _without_calibration(window.seen, window.basis, calib)
     r = window_residuals(poses, points, window.seen.kf, window.seen.pt, uv, disparity, window.cam)
     return r, _cost(r, window, calib)
 
@@ -145,7 +145,7 @@ def adjust_window(begin: Estimate, window: Window, aligned: DepthAlignment, iter
             now, r, cost = new, new_r, new_cost
             damping = max(damping * 0.2, 1e-8)
             relinearise = True
-            if gain < _SETTLED:
+            if gain < _CONVERGED:
                 break
         else:
             damping *= 10.0

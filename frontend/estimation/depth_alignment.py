@@ -1,9 +1,9 @@
-"""Surfaces of RGB-D key-frames against each other: what the whole depth image says about where key-frames stand.
+"""Alignment of the surfaces of RGB-D key-frames: whole depth images constrain relative poses.
 
-Points of interest are few and sit where there is texture; in a pan they tell a turn poorly from a move sideways. Whole
-surfaces tell it: point-to-plane distances of one key-frame's depth to another's, associated by projection (Chen and
-Medioni 1992, Rusinkiewicz and Levoy 2001). They enter the window's bundle adjustment as they are linearised, ``(6, 6)``
-information and gradient of a pair's relative pose, so that a lone wall says only what it knows: nothing along itself.
+Key-points are few and lie where there is texture; in a pan they hardly distinguish a rotation from a sideways
+translation. Whole surfaces do: point-to-plane distances of one key-frame's depth to another's, associated by projection
+(Chen and Medioni 1992, Rusinkiewicz and Levoy 2001). They enter the window's bundle adjustment as they are linearised,
+``(6, 6)`` information and gradient of a pair's relative pose, so that a single plane constrains nothing along itself.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ N_RADIAL, N_LENS, N_ALL = 1, len(LENS), len(LENS) + len(RIGHT)
 """Counts of leading parameters: a lone camera's, one lens's, a pair's."""
 _DRIFT = 0.02
 """Standard deviation of what a calibration may change from key-frame to key-frame, as a share of its prior's. Windows
-overlap, so their information is counted more than once: this also keeps an early belief from standing for ever."""
+overlap, so their information is counted more than once: this also keeps an early estimate from lasting for ever."""
 _GRID = 15
 _REWEIGHTED = 5
 
@@ -88,13 +88,13 @@ def basis(uv: Array, disparity: Array, cam: Array, count: int) -> Array:
     return out
 
 
-def straighten(uv: Array, cam: Array, parameters: Array) -> Array:
+def undistort(uv: Array, cam: Array, parameters: Array) -> Array:
     """Where an ideal pinhole would have seen what was measured at ``uv`` ``(n, 2)``."""
     return uv - lens_shift(uv, cam, parameters[:N_LENS])
 
 
-def bend(ideal: Array, cam: Array, parameters: Array) -> Array:
-    """The inverse of :func:`straighten`, to a hundredth of a pixel for the shifts that rectification leaves."""
+def distort(ideal: Array, cam: Array, parameters: Array) -> Array:
+    """The inverse of :func:`undistort`, to a hundredth of a pixel for the shifts that rectification leaves."""
     uv = ideal
     for _ in range(2):
         uv = ideal + lens_shift(uv, cam, parameters[:N_LENS])
@@ -121,8 +121,8 @@ def pair_shift(uv: Array, disparity: Array, cam: Array, parameters: Array) -> Ar
 
 
 def prior_information(width: int, height: int, cam: Array, shift_px: float, distortion_px: float, count: int) -> Array:
-    """``(count, count)``: says that the displacements, root mean square over the image, are about ``shift_px``; and
-    about ``distortion_px`` what is left of them without a shift and a roll of the right image."""
+    """Information ``(count, count)`` of the prior: the root mean square of the displacements over the image is about
+    ``shift_px``; without a shift and a roll of the right image, about ``distortion_px``. ``cam``: fx, fy, cx, cy."""
     grid = np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
     uv = np.stack([grid[0].ravel(), grid[1].ravel()], axis=1)
     rows = basis(uv, np.zeros(len(uv)), cam, count).reshape(-1, count)
@@ -154,7 +154,7 @@ def with_rows(
     uv: Array, disparity: Array, row: Array, cam: Array, information: Array, start: Array, sigma_px: float
 ) -> CalibrationEstimate:
     """The parameters by the prior ``information`` (mean 0) and the row
-    differences ``row`` ``(n,)``: these know nothing of poses and points, so they enter a bundle adjustment as a prior.
+    differences ``row`` ``(n,)``: these depend on no pose and no point, so they enter a bundle adjustment as a prior.
 
     Robust: weights of Cauchy's function, begun at the parameters ``start``.
     """
@@ -168,25 +168,25 @@ def with_rows(
 
 
 @dataclass(frozen=True)
-class Belief:
+class CalibrationFilter:
     """Estimate of the parameters by earlier windows, beginning with the prior; ``drift`` ``(C, C)`` is the covariance
     of their change from key-frame to key-frame.
 
-    One camera tells its lens by the turns it makes; between them only memory keeps the estimate, and with it the scale
-    of a monocular map.
+    The lens of one camera is observable while the camera turns; between turns earlier windows keep the estimate, and
+    with it the scale of a monocular map.
     """
 
     estimate: CalibrationEstimate
     drift: Array
 
     @classmethod
-    def at_start(cls, prior: Array) -> Belief:
+    def at_start(cls, prior: Array) -> CalibrationFilter:
         drift = np.asarray(_DRIFT**2 * solve_symmetric(prior, np.eye(len(prior))), dtype=np.float64)
         return cls(CalibrationEstimate(np.zeros(len(prior)), prior), drift)
 
-    def after(self, mean: Array, gained: Array) -> Belief:
+    def after(self, mean: Array, gained: Array) -> CalibrationFilter:
         """With an estimate and the information ``gained`` ``(C, C)`` by its window."""
         spread = solve_symmetric(self.estimate.information + gained, np.eye(len(gained))) + self.drift
         information = np.asarray(solve_symmetric(spread, np.eye(len(spread))), dtype=np.float64)
         symmetric = np.asarray(0.5 * (information + information.T), dtype=np.float64)
-        return Belief(CalibrationEstimate(mean, symmetric), self.drift)
+        return CalibrationFilter(CalibrationEstimate(mean, symmetric), self.drift)

@@ -98,8 +98,8 @@ def _calibration_prior(ranging: Ranging, keyframes: list[MapKeyFrame], count: in
     """The rig's residual calibration by its prior and by the rows of the stereo matches."""
     if not count:
         return CalibrationEstimate(np.zeros(0), np.zeros((0, 0)))
-    if ranging.belief is not None:
-        return ranging.belief.estimate
+    if ranging.calib_filter is not None:
+        return ranging.calib_filter.estimate
     uv, disparity, row = (np.concatenate([getattr(k, name) for k in keyframes]) for name in ("uv", "disparity", "row"))
     ok = np.isfinite(disparity) & np.isfinite(row)
     sigma = ranging.config.row_sigma_px

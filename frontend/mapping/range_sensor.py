@@ -15,12 +15,12 @@ from ..estimation.depth_alignment import Surface, surface
 from ..estimation.self_calibration import (
     N_ALL,
     N_RADIAL,
-    Belief,
-    bend,
+    CalibrationFilter,
+    distort,
     pair_shift,
     physical,
     prior_information,
-    straighten,
+    undistort,
 )
 from ..frames import Frame
 from ..image.patch_alignment import align, cut_patches, half_sized
@@ -176,11 +176,11 @@ class Ranging:
             prior_information(*size, self.cam, config.residual_prior_px, beyond, N_ALL)
             for beyond in (_FEW_DISTORT_PX, config.residual_prior_px)
         ]
-        self.belief: Belief | None = None
-        """What a lone camera's lens is known to be; a stereo pair tells its calibration anew in every window."""
+        self.calib_filter: CalibrationFilter | None = None
+        """Estimate over all windows of a camera without a second; a stereo pair is calibrated anew in every window."""
         if rig.kind is not RigKind.STEREO:
             prior = prior_information(*size, self.cam, config.lens_prior_px, np.inf, N_RADIAL)
-            self.belief = Belief.at_start(prior)
+            self.calib_filter = CalibrationFilter.at_start(prior)
 
     def measure(
         self, frame: Frame, uv: NDArray[np.float64], expected_depth: NDArray[np.float64]
@@ -212,7 +212,7 @@ class Ranging:
     def ideal(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Ideal pinhole positions ``(n, 2)``, pixels, of points measured at ``uv`` ``(n, 2)``: the residual calibration
         removed."""
-        return straighten(uv, self.cam, self.calib) if self.calib.any() else uv
+        return undistort(uv, self.cam, self.calib) if self.calib.any() else uv
 
     def corrected(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:
         """Raw disparity measured at raw ``uv`` with the residual calibration taken out."""
@@ -229,13 +229,13 @@ class Ranging:
         decides about the map, later now and then (it changes slowly and costs half a bundle adjustment)."""
         start = keyframes <= _STARTING // 2 or (keyframes <= _STARTING and keyframes % 2 == 0)
         due = start or keyframes % self.config.calibrate_every == 0
-        return self.config.estimate_calibration and (due or self.belief is not None)
+        return self.config.estimate_calibration and (due or self.calib_filter is not None)
 
     def learn(self, calib: NDArray[np.float64], gained: NDArray[np.float64]) -> None:
         """Take over an estimate; ``gained`` ``(C, C)``: the information of its window beyond the prior's."""
         self.calib = calib
-        if self.belief is not None:
-            self.belief = self.belief.after(calib, gained)
+        if self.calib_filter is not None:
+            self.calib_filter = self.calib_filter.after(calib, gained)
 
     def prior(self, keyframes: int) -> NDArray[np.float64]:
         """Prior information of the residual calibration in a bundle adjustment of so many key-frames: a few cannot tell
@@ -268,4 +268,4 @@ class Ranging:
         p = transform_points(T_C_W, points)
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
         ideal = np.stack([fx * p[:, 0] / z + cx, fy * p[:, 1] / z + cy], axis=1)
-        return bend(ideal, self.cam, self.calib) if self.calib.any() else ideal, p[:, 2]
+        return distort(ideal, self.cam, self.calib) if self.calib.any() else ideal, p[:, 2]

@@ -73,7 +73,7 @@ class _Search:
 
 @dataclass(frozen=True)
 class _Fit:
-    """The pose that explains where points were found. ``predicted``: the pose that told where to look; ``uv``
+    """The pose that explains where points were found. ``predicted``: the pose that the search began from; ``uv``
     ``(n, 2)`` pixels, ``found`` ``(n,)``; ``inlier`` ``(n,)``: those that agree with ``result``."""
 
     predicted: Array

@@ -10,13 +10,13 @@ from maslam.frontend.estimation.self_calibration import (
     N_ALL,
     N_LENS,
     RIGHT,
-    Belief,
+    CalibrationFilter,
     basis,
-    bend,
+    distort,
     pair_shift,
     physical,
     prior_information,
-    straighten,
+    undistort,
     with_rows,
 )
 
@@ -62,8 +62,8 @@ def test_the_model_is_that_of_a_camera_with_opencvs_lens_turned_a_little() -> No
 def test_bending_undoes_straightening_for_what_rectification_leaves() -> None:
     parameters = np.random.default_rng(0).normal(0.0, 4.0, N_ALL)
     uv, _ = pixels()
-    assert np.abs(straighten(uv, CAM, parameters) - uv).max() > 1.0
-    np.testing.assert_allclose(bend(straighten(uv, CAM, parameters), CAM, parameters), uv, atol=0.05)
+    assert np.abs(undistort(uv, CAM, parameters) - uv).max() > 1.0
+    np.testing.assert_allclose(distort(undistort(uv, CAM, parameters), CAM, parameters), uv, atol=0.05)
 
 
 def test_the_prior_speaks_of_pixels_not_of_parameters() -> None:
@@ -97,15 +97,15 @@ def test_rows_alone_tell_a_turn_of_the_right_camera_in_spite_of_wrong_matches() 
     assert abs(physical(mean, CAM)["right_turn_z_deg"] - np.degrees(-2.0 / CAM[0])) < 0.01
 
 
-def test_a_belief_adds_up_what_windows_tell_and_forgets_slowly() -> None:
-    prior, told = np.array([[4.0]]), np.array([[50.0]])
-    belief = Belief.at_start(prior)
-    first = belief.after(np.array([0.3]), told)
+def test_a_calibration_filter_adds_up_what_windows_gain_and_forgets_slowly() -> None:
+    prior, gained = np.array([[4.0]]), np.array([[50.0]])
+    filtered = CalibrationFilter.at_start(prior)
+    first = filtered.after(np.array([0.3]), gained)
     drift = 0.02**2 / 4.0
     np.testing.assert_allclose(first.estimate.information, 1.0 / (1.0 / 54.0 + drift))
     np.testing.assert_array_equal(first.estimate.mean, [0.3])
-    # Many windows: the variance settles where what is told makes up for the drift, v = 1 / (1 / v + told) + drift.
+    # Many windows: the variance settles where what is gained makes up for the drift, v = 1 / (1 / v + gained) + drift.
     for _ in range(2000):
-        belief = belief.after(np.array([0.3]), told)
-    v = 1.0 / belief.estimate.information[0, 0]
+        filtered = filtered.after(np.array([0.3]), gained)
+    v = 1.0 / filtered.estimate.information[0, 0]
     assert abs(v - drift - 1.0 / (1.0 / v + 50.0)) < 1e-12 and v > drift
