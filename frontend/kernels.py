@@ -61,6 +61,7 @@ _OF_RIG: dict[RigKind, tuple[TypedKernel, ...]] = {
 
 
 def odometry_kernels(rigs: Iterable[RigKind]) -> list[TypedKernel]:
-    """Of these rigs; what only a lost camera needs is compiled where that happens."""
+    """Kernels of the odometry of these rigs, with the types that they are called with; what only a lost camera needs is
+    compiled where that happens."""
     wanted = set(rigs)
     return [*(_COMMON if wanted else ()), *(kernel for rig in RigKind if rig in wanted for kernel in _OF_RIG[rig])]

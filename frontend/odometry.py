@@ -78,7 +78,7 @@ class OdometryResult:
 
 
 class Odometry:
-    """Visual odometry of one camera rig: stereo, RGB-D or one camera.
+    """Visual odometry of one camera rig: stereo, RGB-D or one camera (thesis sections 2.1.3 and 3.3).
 
     Pass frames to :meth:`process` in order of time, then call :meth:`finish`. The same frames give the same result, bit
     by bit. ``stopwatch`` holds processor and wall time by stage. ``rig`` is rectified; ``vocabulary`` gives the words
@@ -142,7 +142,10 @@ class Odometry:
         return [s.map for s in [*self._finished, *([self._segment] if self._segment else [])]]
 
     def finish(self) -> OdometryResult:
-        """Return all tracks after the last frame, with bundle-adjusted poses and points."""
+        """Return the tracks after the last frame, with bundle-adjusted poses and points.
+
+        A track with fewer key-frames than ``min_track_keyframes`` is left out.
+        """
         segments = [*self._finished, *([self._segment] if self._segment else [])]
         for segment in segments:
             segment.close()

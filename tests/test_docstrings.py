@@ -1,4 +1,4 @@
-"""Whoever may be imported says what it is: each public module, class, function, method and property of five rooms."""
+"""Whoever may be imported says what it is: each public module, class, function, method and property."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from types import ModuleType
 
 import pytest
 
-ROOMS = ("maslam.api", "maslam.backend", "maslam.descriptors", "maslam.mas", "maslam.tools")
+ROOMS = ("maslam.api", "maslam.backend", "maslam.descriptors", "maslam.frontend", "maslam.mas", "maslam.tools")
 
 
 def modules() -> list[str]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """An undistorted pinhole. Pixels, OpenCV convention: the centre of the top-left pixel is (0, 0)."""
+    """An undistorted pinhole: size of the image, focal lengths and principal point, all in pixels; the centre of the
+    top-left pixel is (0, 0), as in OpenCV."""
 
     width: int
     height: int
@@ -22,7 +23,7 @@ class PinholeCamera:
 
     @property
     def K(self) -> NDArray[np.float64]:
-        """Camera matrix ``(3, 3)``, pixels."""
+        """Camera matrix ``(3, 3)``, pixels; camera frame: +Z forward, +X right, +Y down."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
 

@@ -63,6 +63,7 @@ class Problems:
 class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
 
+    ``kind``: the reader's; ``name``: of the folder, unique in a data set.
     ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file per frame; ``right`` (stereo) and ``depth``
     (RGB-D, 16 bit, ``depth_unit_m`` metres per step) likewise, else empty. ``rectifier`` maps the images as stored to
     those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the camera of
@@ -181,9 +182,11 @@ def _timed(make: Callable[[], Value], watch: Stopwatch | None) -> Callable[[], V
 
 @dataclass(frozen=True)
 class Dataset:
-    """Contents of a folder: one sequence, or one for each agent of a multi-agent data set, in order of their names.
+    """Contents of the folder ``root``: one sequence, or one for each agent of a multi-agent data set, in order of their
+    names.
 
-    ``problems``: agents that could not be opened at all, so that no sequence can list them.
+    ``kind``: that of the sequences; ``problems``: agents that could not be opened at all, so that no sequence can list
+    them.
     """
 
     kind: str

@@ -66,11 +66,12 @@ class DepthAlignment:
 
     @classmethod
     def none(cls) -> DepthAlignment:
+        """Without a pair."""
         nothing = np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros((0, 6)), np.zeros(0)
         return cls(np.zeros((0, 2), dtype=np.int64), *nothing)
 
     def cost_at(self, poses: Array) -> float:
-        """Of the linearised pairs at ``poses`` ``(K, 4, 4)``."""
+        """Cost of the linearised pairs at ``poses`` ``(K, 4, 4)``, ``T_C_W``."""
         if not len(self.pairs):  # without depth images the kernels are not even compiled
             return 0.0
         return float(_alignment_cost(poses, self.pairs, self.T_A_B, self.information, self.gradient, self.cost))
@@ -82,7 +83,8 @@ class DepthAlignment:
 
 
 def surface(depth_m: Depth, cam: Array, max_depth_m: float, columns: int) -> Surface:
-    """Of a depth image ``(H, W)``, metres, 0 = unknown; about ``columns`` blocks wide."""
+    """Points and normals of a depth image ``(H, W)``, metres, 0 = unknown, up to ``max_depth_m``; about ``columns``
+    blocks wide. ``cam``: fx, fy, cx, cy, pixels."""
     block = max(1, round(depth_m.shape[1] / columns))
     places = np.full((depth_m.shape[0] // block, depth_m.shape[1] // block, 6), np.nan, dtype=np.float32)
     _average(np.ascontiguousarray(depth_m, dtype=np.float32), cam, block, max_depth_m, places)

@@ -89,12 +89,13 @@ def basis(uv: Array, disparity: Array, cam: Array, count: int) -> Array:
 
 
 def undistort(uv: Array, cam: Array, parameters: Array) -> Array:
-    """Where an ideal pinhole would have seen what was measured at ``uv`` ``(n, 2)``."""
+    """Ideal pinhole positions ``(n, 2)``, pixels, of those measured at ``uv`` ``(n, 2)`` by the first camera."""
     return uv - lens_shift(uv, cam, parameters[:N_LENS])
 
 
 def distort(ideal: Array, cam: Array, parameters: Array) -> Array:
-    """The inverse of :func:`undistort`, to a hundredth of a pixel for the shifts that rectification leaves."""
+    """Inverse of :func:`undistort` by two fixed-point steps: to a hundredth of a pixel for the displacements that
+    rectification leaves."""
     uv = ideal
     for _ in range(2):
         uv = ideal + lens_shift(uv, cam, parameters[:N_LENS])
@@ -181,11 +182,12 @@ class CalibrationFilter:
 
     @classmethod
     def at_start(cls, prior: Array) -> CalibrationFilter:
+        """Begin with mean 0 and the information ``prior`` ``(C, C)``."""
         drift = np.asarray(_DRIFT**2 * solve_symmetric(prior, np.eye(len(prior))), dtype=np.float64)
         return cls(CalibrationEstimate(np.zeros(len(prior)), prior), drift)
 
     def after(self, mean: Array, gained: Array) -> CalibrationFilter:
-        """With an estimate and the information ``gained`` ``(C, C)`` by its window."""
+        """Filter after a window that estimates ``mean`` ``(C,)`` and gained the information ``gained`` ``(C, C)``."""
         spread = solve_symmetric(self.estimate.information + gained, np.eye(len(gained))) + self.drift
         information = np.asarray(solve_symmetric(spread, np.eye(len(spread))), dtype=np.float64)
         symmetric = np.asarray(0.5 * (information + information.T), dtype=np.float64)

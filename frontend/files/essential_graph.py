@@ -38,7 +38,7 @@ def essential_graph(track: VoTrack, strong: int = STRONG) -> EssentialGraph:
     """Spanning tree, edges of key-frames that follow each other, and those that share at least ``strong`` map points.
 
     The parent of a key-frame in the tree is the earlier one that shares the most points with it, of equals the latest;
-    the one before it where none shares any.
+    the one before it where none shares any. Mur-Artal et al., ORB-SLAM, 2015, section III-D.
     """
     shared = shared_points(track)
     wanted = np.triu(shared >= strong, 1)

@@ -17,7 +17,7 @@ _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def stamp_ns_from_s(seconds: NDArray[np.float64] | float) -> NDArray[np.int64]:
-    """Nearest integer nanoseconds."""
+    """Nearest integer nanoseconds to ``seconds``, of the same shape."""
     return np.rint(np.asarray(seconds, dtype=np.float64) * NS_PER_S).astype(np.int64)
 
 

@@ -31,7 +31,8 @@ _ROTATION_TOLERANCE = 0.02  # of R R^T against the identity: 7-Scenes poses are 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """``stamps_ns`` ``(N,)`` int64, ascending; ``poses`` ``(N, 4, 4)``: ``T_W_C``, camera to world."""
+    """``stamps_ns`` ``(N,)`` int64, ascending; ``poses`` ``(N, 4, 4)``: ``T_W_C``, camera to world, in metres or in the
+    unit of a monocular track. ``ValueError`` for other shapes, and for stamps that do not ascend."""
 
     stamps_ns: NDArray[np.int64]
     poses: NDArray[np.float64]
@@ -47,11 +48,12 @@ class Trajectory:
 
     @property
     def centres(self) -> NDArray[np.float64]:
-        """Camera centres in the world, ``(N, 3)`` metres."""
+        """Camera centres in the world, ``(N, 3)``, in the unit of the poses."""
         return self.poses[:, :3, 3]
 
     def nearest(self, stamps_ns: NDArray[np.int64], tolerance_ns: int) -> NDArray[np.int64]:
-        """Index of the pose nearest in time to each stamp, -1 where none is within ``tolerance_ns``."""
+        """Index ``(M,)`` of the pose nearest in time to each of ``stamps_ns`` ``(M,)``, -1 where none is within
+        ``tolerance_ns``."""
         if not len(self):
             return np.full(len(stamps_ns), -1, dtype=np.int64)
         right = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, max(len(self) - 1, 1))
@@ -63,7 +65,7 @@ class Trajectory:
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """``time_s tx ty tz qx qy qz qw`` per line; nine decimals of time keep the nanoseconds."""
+    """``time_s tx ty tz qx qy qz qw`` (``T_W_C``) per line; nine decimals of time keep the nanoseconds."""
     q = quat_wxyz_from_rotation(trajectory.poses[:, :3, :3]) if len(trajectory) else np.zeros((0, 4))
     q = np.where(q[:, :1] < 0, -q, q)
     rows = np.concatenate([trajectory.centres, q[:, 1:], q[:, :1]], axis=1).tolist()
@@ -73,7 +75,11 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Inverse of :func:`write_tum`; comment lines start with ``#``. A broken line is an error with its number."""
+    """``T_W_C`` from lines ``time_s tx ty tz qx qy qz qw``; comment lines start with ``#``.
+
+    :class:`FrontendError` with the line for a broken one, a quaternion whose length is not 1, and times that do not
+    ascend.
+    """
     values = text_tables.read_table(path, 8, "a TUM line (time tx ty tz qx qy qz qw)")
     stamps = read_stamps(path)
     lengths = np.linalg.norm(values[:, 4:], axis=1)
@@ -91,8 +97,8 @@ def read_kitti_poses(path: Path) -> tuple[NDArray[np.float64] | None, NDArray[np
     """Rows of 12 numbers (3x4 row-major ``T_W_C``), or 13 with a leading time in seconds.
 
     Returns the times ``(N,)`` in seconds, or None where the file has none, and the poses ``(N, 4, 4)``, each
-    rotation made exactly orthonormal: files hold as few as seven digits. A rotation more than that away from one is
-    an error with its line.
+    rotation made exactly orthonormal: files hold as few as seven digits. :class:`FrontendError` with the line of a
+    matrix that is no rotation, and for a file without poses.
     """
     values = text_tables.read_table(path, (12, 13), "a KITTI pose (13 with a time)")
     if not len(values):
@@ -112,7 +118,7 @@ def rigid_rotations(rotations: NDArray[np.float64], path: Path) -> NDArray[np.fl
 
 
 def write_kitti_poses(path: Path, poses: NDArray[np.float64]) -> None:
-    """Rows of 12 numbers, 3x4 row-major ``T_W_C``."""
+    """Rows of 12 numbers, 3x4 row-major ``T_W_C``, of ``poses`` ``(N, 4, 4)``."""
     rows = np.asarray(poses, dtype=np.float64)[:, :3, :].reshape(-1, 12).tolist()
     line = " ".join(["%.12e"] * 12) + "\n"
     write_atomically(path, "".join(line % tuple(row) for row in rows))

@@ -33,6 +33,7 @@ _ROTATION_TOLERANCE = 1e-3  # of R R^T against the identity: files with few deci
 class VoTrack:
     """K key-frames, P map points, N observations, in the track's own world frame W.
 
+    Metres, or the track's own unit with one camera; the five files are those of dslam_open (ICRA 2018).
     ``stamps_s`` ``(K,)`` float64 seconds; ``poses`` ``(K, 4, 4)`` ``T_W_C``; ``points`` ``(P, 3)``; ``observations``
     ``(N, 2)`` int32: key-frame index, map-point index, sorted; ``descriptors`` ``(N, 32)`` uint8 ORB; ``words``
     ``(N, 2)`` int32: DBoW2 node id at level 3 and at level 4. Arrays of other shapes, and observations of what does

@@ -34,7 +34,8 @@ EMPTY = Footprint(0, 0, 0, 0, 0, 0)
 
 
 def footprint(map_: Map) -> Footprint:
-    """Counts of ``map_``; its bytes are those of its arrays and lists as Python keeps them (spare room included)."""
+    """Counts of ``map_`` and its bytes in memory: those of its arrays and lists as Python keeps them, spare room
+    included."""
     observations = sum(map(len, map_.observers))
     size = sum(value.nbytes for value in vars(map_).values() if isinstance(value, np.ndarray))
     size += sys.getsizeof(map_.observers) + sum(map(sys.getsizeof, map_.observers))

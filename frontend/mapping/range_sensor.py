@@ -153,7 +153,7 @@ _DEPTH_JUMP = 0.03
 
 
 class Ranging:
-    """The rig as the mapper sees it: disparities at points, and the residual calibration estimated so far.
+    """The rig as the mapper sees it: disparities at points, and the residual calibration estimated so far (pixels).
 
     ``cam``: ``[fx, fy, cx, cy, bf]``. Positions ``uv`` are as measured in the image; :meth:`ideal` and
     :meth:`corrected` take the residual calibration out.
@@ -215,7 +215,7 @@ class Ranging:
         return undistort(uv, self.cam, self.calib) if self.calib.any() else uv
 
     def corrected(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Raw disparity measured at raw ``uv`` with the residual calibration taken out."""
+        """Ideal disparities ``(n,)``, pixels, of those measured at ``uv`` ``(n, 2)``."""
         return disparity - pair_shift(uv, disparity, self.cam, self.calib)[:, 0] if self.calib.any() else disparity
 
     def measured(
@@ -248,13 +248,14 @@ class Ranging:
         return {"disparity_offset_px": float(at[0]), "row_offset_px": float(at[1]), **physical(self.calib, self.cam)}
 
     def back_project(self, uv: NDArray[np.float64], disparity: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(n, 3)`` in the camera frame; NaN where the disparity is unknown or too small."""
+        """Points ``(n, 3)`` in the camera frame, metres, measured at ``uv`` ``(n, 2)`` with ``disparity`` ``(n,)``; NaN
+        where the disparity is unknown or too small."""
         d = self.corrected(uv, disparity)
         z = np.where(d > self.min_disparity, self.cam[4] / np.where(d > 0, d, 1.0), np.nan)
         return self.rays(uv) * z[:, None]
 
     def rays(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Viewing rays ``(n, 3)`` with z = 1 of measured positions."""
+        """Viewing rays ``(n, 3)`` in the camera frame, with z = 1, of positions measured at ``uv`` ``(n, 2)``."""
         fx, fy, cx, cy, _ = self.cam
         ideal = self.ideal(uv)
         return np.stack([(ideal[:, 0] - cx) / fx, (ideal[:, 1] - cy) / fy, np.ones(len(uv))], axis=1)
@@ -262,8 +263,8 @@ class Ranging:
     def project(
         self, T_C_W: NDArray[np.float64], points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pixels ``(n, 2)`` where world points show, and depths ``(n,)``; pixels are NaN behind the camera or where the
-        point is unknown."""
+        """Pixels ``(n, 2)`` at which an image shows ``points`` ``(n, 3)`` of the world, and depths ``(n,)``; pixels are
+        NaN behind the camera and where the point is unknown."""
         fx, fy, cx, cy, _ = self.cam
         p = transform_points(T_C_W, points)
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)

@@ -78,7 +78,7 @@ class Vocabulary:
     @classmethod
     def load(cls, path: Path | None = None) -> Vocabulary:
         """A vocabulary of our own binary form (``.npz``) or of DBoW2's text form (any other name); None: the one
-        shipped."""
+        shipped. :class:`FrontendError` for a file that is broken or no tree."""
         path = DEFAULT_PATH if path is None else Path(path)
         tree = _load_npz(path) if path.suffix == ".npz" else read_text(path)
         try:

@@ -72,7 +72,7 @@ def build(
 ) -> Model:
     """``base`` (defaults or a preset), overlaid with a file's keys, overlaid with the options given.
 
-    An unknown key or a value out of range is an error that names it; ``origin`` is the file, for the message.
+    :class:`ToolError` that names an unknown key or a value out of range; ``origin`` is the file, for the message.
     """
     model = type(base)
     values = base.model_dump()
@@ -93,7 +93,8 @@ def build(
 def read_settings(path: Path | None, sections: Iterable[str] = ()) -> dict[str, Any]:
     """The settings in a YAML file, those of version 0.1 under today's names; none without a file.
 
-    ``sections``: the keys that the file may have; any, where none is named.
+    ``sections``: the keys that the file may have; any, where none is named. :class:`ToolError` for another, and for a
+    file that is not YAML.
     """
     if path is None:
         return {}

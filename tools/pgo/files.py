@@ -20,7 +20,7 @@ SUMMARY = "summary.json"
 
 
 def expand(paths: Sequence[Path]) -> list[Path]:
-    """Files as given; a folder stands for its g2o files, by number."""
+    """Files as given; a folder stands for its g2o files, by number. :class:`ToolError` for a folder without any."""
     out: list[Path] = []
     for path in paths:
         if path.is_dir():

@@ -41,7 +41,11 @@ class AgentData:
 
 @dataclass(frozen=True)
 class RunData:
-    """Everything a report shows."""
+    """Contents of a RUN folder that a report shows.
+
+    ``config``: the text of ``config.yaml``; ``matches``, ``traffic``: rows of the CSV files by column; ``timeline``:
+    columns ``(T,)``; ``optimised_s``: logical times of the optimisations, seconds.
+    """
 
     folder: Path
     summary: dict[str, Any]
@@ -78,7 +82,7 @@ class RunData:
 
     @cached_property
     def in_world(self) -> list[Array]:
-        """Positions ``(N, 3)`` of each agent in the world."""
+        """Positions ``(N, 3)`` of each agent in the world, metres."""
         return [T @ agent.estimate.centres for T, agent in zip(self.T_world_agent, self.agents, strict=True)]
 
     def alignment(self, pieces: Sequence[tuple[int, Trajectory]]) -> Sim3:

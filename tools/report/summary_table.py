@@ -40,7 +40,7 @@ def table_of(run: Path) -> str:
 
 
 def read_summary(run: Path) -> dict[str, Any]:
-    """``summary.json`` of a finished run."""
+    """``summary.json`` of a finished run; :class:`ToolError` where there is none, or where it is no JSON object."""
     if not (run / SUMMARY).is_file():
         raise ToolError(f"{run}: no {SUMMARY}: not the folder of a run, or the run did not finish")
     return _object(run / SUMMARY)

@@ -47,7 +47,7 @@ class VoSettings:
 
 @dataclass(frozen=True)
 class VoReport:
-    """``failed``: why sequences gave no result, a line each."""
+    """Results of the sequences that could be measured; ``failed``: for each of the others the reason, one line."""
 
     results: tuple[BenchResult, ...]
     failed: tuple[str, ...] = field(default=())
