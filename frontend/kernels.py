@@ -43,8 +43,8 @@ _COMMON: tuple[TypedKernel, ...] = (
     (bundle_adjustment._residuals_and_cost, (_estimate, _window)),
     (bundle_adjustment._updated, (_f3, _i1, _f1)),
     (schur.assemble, (_estimate, _window, _f2, _equations)),
-    (schur.reduce_points, (_window, _equations, _f)),
-    (schur.back_substitute, (_window, _equations, _f1, _f2)),
+    (schur.reduce_points, (_i1, _i1, _i1, _equations, _f)),
+    (schur.back_substitute, (_i1, _i1, _i1, _equations, _f1, _f2)),
 )
 _OF_RIG: dict[RigKind, tuple[TypedKernel, ...]] = {
     RigKind.MONO: ((triangulate, (_f3, _i1, _i1, _f2)),),

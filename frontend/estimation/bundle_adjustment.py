@@ -21,7 +21,6 @@ from .schur import (
     Estimate,
     Ints,
     NormalEquations,
-    Observations,
     Window,
     assemble,
     back_substitute,
@@ -58,8 +57,7 @@ def window_residuals(poses: Array, points: Array, kf: Ints, pt: Ints, uv: Array,
 
 
 @kernel
-def _cost(r: Array, window: Window, calib: Array) -> float:
-    sigma, sigma_d, mean, information = window.seen.sigma, window.seen.sigma_d, window.mean, window.information
+def _cost(r: Array, sigma: Array, sigma_d: Array, calib: Array, mean: Array, information: Array) -> float:
     total = 0.0
     for i in range(len(r)):
         if np.isnan(r[i, 0]):
@@ -73,9 +71,9 @@ def _cost(r: Array, window: Window, calib: Array) -> float:
 
 
 @kernel
-def _without_calibration(seen: Observations, basis: Array, calib: Array) -> tuple[Array, Array]:
+def _without_calibration(uv: Array, disparity: Array, basis: Array, calib: Array) -> tuple[Array, Array]:
     """Positions and disparities without what the calibration adds to them."""
-    uv, disparity = seen.uv.copy(), seen.disparity.copy()
+    uv, disparity = uv.copy(), disparity.copy()
     for i in range(len(uv)):
         for k in range(len(calib)):
             uv[i, 0] -= basis[i, 0, k] * calib[k]
@@ -86,10 +84,12 @@ def _without_calibration(seen: Observations, basis: Array, calib: Array) -> tupl
 
 @kernel
 def _residuals_and_cost(estimate: Estimate, window: Window) -> tuple[Array, float]:
-    poses, points, calib = estimate
-    uv, disparity = _without_calibration(window.seen, window.basis, calib)
-    r = window_residuals(poses, points, window.seen.kf, window.seen.pt, uv, disparity, window.cam)
-    return r, _cost(r, window, calib)
+    poses, points, calib = estimate.poses, estimate.points, estimate.calib
+    seen = window.seen
+    kf, pt, uv, disparity, sigma, sigma_d = seen.kf, seen.pt, seen.uv, seen.disparity, seen.sigma, seen.sigma_d
+    uv, disparity = _without_calibration(uv, disparity, window.basis, calib)
+    r = window_residuals(poses, points, kf, pt, uv, disparity, window.cam)
+    return r, _cost(r, sigma, sigma_d, calib, window.mean, window.information)
 
 
 @kernel
@@ -125,19 +125,20 @@ def adjust_window(begin: Estimate, window: Window, aligned: DepthAlignment, iter
     """
     window = window._replace(basis=np.ascontiguousarray(window.basis))
     equations = NormalEquations.room_for(window)
-    m, n_c = len(equations.b_c), window.basis.shape[2]
+    m, n_c, links = len(equations.b_c), window.basis.shape[2], (window.slot, window.seen.start, window.seen.kf)
     S, now = np.zeros((m, m)), begin
     r, cost = _residuals_and_cost(now, window)
     cost += aligned.cost_at(now.poses)
     first, damping, relinearise = cost, 1e-4, True
     for _ in range(iterations):
         if relinearise:
+            equations.clear()
             assemble(now, window, r, equations)
             aligned.add_to(equations.U, equations.b_c, now.poses, window.slot)
-        S, rhs = reduce_points(window, equations, damping)
+        S, rhs = reduce_points(*links, equations, damping)
         delta = solve_symmetric(S, -rhs.reshape(m, 1)).reshape(m)
         new = Estimate(_updated(now.poses, window.slot, delta), now.points.copy(), now.calib + delta[m - n_c :])
-        back_substitute(window, equations, delta, new.points)
+        back_substitute(*links, equations, delta, new.points)
         new_r, new_cost = _residuals_and_cost(new, window)
         new_cost += aligned.cost_at(new.poses)
         if new_cost < cost:

@@ -76,11 +76,16 @@ class NormalEquations(NamedTuple):
 
     @classmethod
     def room_for(cls, window: Window) -> NormalEquations:
-        """Arrays of the right size, not yet filled."""
+        """Arrays of the right size, filled by :meth:`clear` and :func:`assemble`."""
         n, n_points, n_c = len(window.seen.kf), len(window.seen.start) - 1, window.basis.shape[2]
         m = 6 * (int(window.slot.max()) + 1) + n_c
         V, b_p, V_inv = np.empty((n_points, 3, 3)), np.empty((n_points, 3)), np.empty((n_points, 3, 3))
         return cls(np.empty((m, m)), np.empty(m), V, b_p, np.empty((n, 6, 3)), np.empty((n_points, n_c, 3)), V_inv)
+
+    def clear(self) -> None:
+        """Fill with 0: here, as each kernel that does it takes longer to compile."""
+        for block in self:
+            block.fill(0.0)
 
 
 @kernel
@@ -136,20 +141,15 @@ def _invert3(A: Array, out: Array) -> None:
 
 @kernel
 def assemble(estimate: Estimate, window: Window, r: Array, equations: NormalEquations) -> None:
-    """Fill all blocks but ``V_inv`` at ``estimate``, whose residuals are ``r`` ``(N, 3)``.
+    """Add to all blocks but ``V_inv``, which are 0 before, at ``estimate``, whose residuals are ``r`` ``(N, 3)``.
 
     Of what is symmetric only the upper half is made, and mirrored at the end, where the calibration's prior joins.
     """
-    poses, points, calib = estimate
-    slot, seen, cam, basis, mean, information = window
-    start, kf, _, _, disparity, sigma, sigma_d = seen
-    U, b_c, V, b_p, W, Wc, _ = equations
-    U[:] = 0.0
-    b_c[:] = 0.0
-    V[:] = 0.0
-    b_p[:] = 0.0
-    W[:] = 0.0
-    Wc[:] = 0.0
+    poses, points, calib = estimate.poses, estimate.points, estimate.calib
+    slot, cam, basis, mean, information = window.slot, window.cam, window.basis, window.mean, window.information
+    seen = window.seen
+    start, kf, disparity, sigma, sigma_d = seen.start, seen.kf, seen.disparity, seen.sigma, seen.sigma_d
+    U, b_c, V, b_p, W, Wc = equations.U, equations.b_c, equations.V, equations.b_p, equations.W, equations.Wc
     Jc, Jp, e = np.zeros((3, 6)), np.zeros((3, 3)), np.zeros(3)
     root = np.zeros(3)
     n_c = basis.shape[2]
@@ -219,11 +219,10 @@ def _times(W: Array, Vi: Array, b: Array, rhs: Array, row: int, Y: Array) -> Non
 
 
 @kernel
-def reduce_points(window: Window, equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+def reduce_points(slot: Ints, start: Ints, kf: Ints, equations: NormalEquations, damping: float) -> tuple[Array, Array]:
     """Schur complement of the points: the reduced system of the cameras ``(m, m)`` and its right-hand side ``(m,)``.
 
     The blocks of :func:`assemble` are read, ``V_inv`` is filled."""
-    slot, start, kf = window.slot, window.seen.start, window.seen.kf
     U, b_c, V, b_p, W, Wc, V_inv = equations
     S, rhs = U.copy(), b_c.copy()
     n_c = Wc.shape[1]
@@ -258,10 +257,9 @@ def reduce_points(window: Window, equations: NormalEquations, damping: float) ->
 
 
 @kernel
-def back_substitute(window: Window, equations: NormalEquations, delta: Array, points: Array) -> None:
+def back_substitute(slot: Ints, start: Ints, kf: Ints, equations: NormalEquations, delta: Array, points: Array) -> None:
     """Move ``points`` ``(P, 3)`` in place by what the step ``delta`` ``(m,)`` of the cameras leaves to them."""
-    slot, start, kf = window.slot, window.seen.start, window.seen.kf
-    _, b_c, _, b_p, W, Wc, V_inv = equations
+    b_c, b_p, W, Wc, V_inv = equations.b_c, equations.b_p, equations.W, equations.Wc, equations.V_inv
     n_c = Wc.shape[1]
     base = len(b_c) - n_c
     g = np.zeros(3)
