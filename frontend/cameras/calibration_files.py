@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from maslam._suggestions import did_you_mean
 from maslam.backend.geometry import is_se3, product, se3, se3_inverse
 
 from ..errors import FrontendError
@@ -165,7 +166,15 @@ def load_fields(path: Path) -> Fields:
     return Fields(_load(path), path)
 
 
+_OWN_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "baseline_m", "depth_unit_m", "rate_hz")
+
+
 def _own(data: Fields) -> RawRig:
+    """Rectified cameras; a key that is not ours is refused: read as nothing, ``baseline: 0.5`` makes a pair one camera,
+    and ``k1: -0.3`` makes straight lines of bent ones."""
+    for key in map(str, data.data):
+        if key not in _OWN_KEYS:
+            raise FrontendError(f"{data.path}: {key}: no such key{did_you_mean(key, _OWN_KEYS)}")
     left = camera(
         data, [data.number(key) for key in ("fx", "fy", "cx", "cy")], data.size("width", "height"), "none", ()
     )

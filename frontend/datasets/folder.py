@@ -53,7 +53,11 @@ class FolderReader(Reader):
                 "(width, height, fx, fy, cx, cy)"
             )
         raw, source = calibration
-        right = _partners(folder, _RIGHT.get(inside or ""), images) if raw.right is not None else ()
+        right = _partners(folder, _RIGHT.get(inside or ""), images)
+        if right and raw.right is None:
+            if rig is None:
+                problems.warning(f"{source}: right images in {folder}, but no baseline of a pair: read as one camera")
+            right = ()
         if raw.right is not None and not right:
             problems.warning(f"{source}: a calibrated pair, but {folder} has no right images: read as mono")
         depth = next((files for name in _DEPTH if (files := _partners(folder, name, images))), ())

@@ -252,6 +252,8 @@ def test_a_pair_of_ros_files_stands_as_its_rectification_says(tmp_path: Path) ->
             KALIBR.replace("[0.0, 1.0, 0.0, 0.0]", "[0.0, 2.0, 0.0, 0.0]"),
             "cam1.T_cn_cnm1: a rigid 4x4 transform expected",
         ),
+        (OWN + "basline_m: 0.5\n", "camera.yaml: basline_m: no such key; did you mean 'baseline_m'"),
+        (OWN + "k1: -0.3\n", "camera.yaml: k1: no such key"),
         ("a: [1, 2", "camera.yaml: not YAML"),
         ("just words", "camera.yaml: not a calibration"),
         ("lens: good\n", "no camera in this file"),

@@ -176,3 +176,14 @@ def test_a_pair_without_any_right_image_is_mono_and_says_so(tmp_path: Path) -> N
     assert "a calibrated pair, but" in sequence.problems[0].message
     with pytest.raises(FrontendError, match="cannot be read as stereo; its files allow mono"):
         open_dataset(tmp_path, RigKind.STEREO)
+
+
+def test_right_images_without_a_baseline_are_told(tmp_path: Path) -> None:
+    write_rendered(tmp_path, make_scene(), "stereo")
+    file = tmp_path / "camera.yaml"
+    file.write_text("".join(line for line in file.read_text().splitlines(True) if not line.startswith("baseline_m")))
+    (sequence,) = open_dataset(tmp_path).sequences
+    assert sequence.rig.kind is RigKind.MONO
+    assert [p.message for p in sequence.problems if "right images" in p.message]
+    (chosen,) = open_dataset(tmp_path, RigKind.MONO).sequences
+    assert not [p for p in chosen.problems if "right images" in p.message], "one camera was asked for"
