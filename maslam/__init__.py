@@ -135,7 +135,7 @@ _PLACES = {
 _PLACE_OF = {name.partition("=")[0]: (place, name.partition("=")[2]) for place, ns in _PLACES.items() for name in ns}
 
 
-def __getattr__(name: str) -> object:
+def _load(name: str) -> object:
     """Load what is asked for (PEP 562)."""
     if name == "__version__":
         from importlib.metadata import version
@@ -147,6 +147,10 @@ def __getattr__(name: str) -> object:
     value = getattr(import_module(f".{place}", __name__), inside or name)
     globals()[name] = value
     return value
+
+
+if not TYPE_CHECKING:  # a type checker takes every name for known that a module's __getattr__ might give
+    __getattr__ = _load
 
 
 def __dir__() -> list[str]:

@@ -170,6 +170,11 @@ class PoseGraph:
         """The same graph with one weight in [0, 1] an edge, in the order of ``edges``."""
         return replace(self, edges=tuple(replace(e, weight=float(w)) for e, w in zip(self.edges, weights, strict=True)))
 
+    @property
+    def is_unweighted(self) -> bool:
+        """Whether every edge's information is the identity: nobody measured how good the edges are."""
+        return all(np.array_equal(e.information, np.eye(6)) for e in self.edges)
+
     def with_unit_weights(self) -> PoseGraph:
         """The same graph with information that makes both isotropic weights 1: cost F is then twice cost U."""
         rotation = 2.0 if self.dimension == 3 else 1.0

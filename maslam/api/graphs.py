@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, overload
 
@@ -17,11 +18,12 @@ from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.backend.robust.select import RobustMethod, RobustResult, optimise_robustly
 from maslam.tools.common.errors import UnknownName
 from maslam.tools.pgo.files import expand
-from maslam.tools.pgo.methods import ROBUST, solver_of
+from maslam.tools.pgo.methods import CENTRAL, METHODS, ROBUST, solver_of
 
 from .common import PathLike, Settings, changed, nested, on_one_thread
 
-Cost = Literal["F", "U", "E"]
+Cost = Literal["auto", "F", "U", "E"]
+Weights = Literal["auto", "information", "unit"]
 Loss = Literal["none", "huber", "cauchy"]
 Method = Literal["dgs", "jor", "sor", "quick", "rbcd", "rbcd-async", "elected"]
 
@@ -62,26 +64,27 @@ def write_g2o(path: PathLike, graph: PoseGraph, *, plain_ids: bool = False) -> N
 
 @overload
 def optimise(
-    graph: PoseGraph, *, cost: Cost = "F", robust: Loss = "none", settings: Settings | None = None
+    graph: PoseGraph, *, cost: Cost = "auto", robust: Loss = "none", settings: Settings | None = None
 ) -> OptimisationResult: ...
 
 
 @overload
 def optimise(
-    graph: PoseGraph, *, cost: Cost = "F", robust: RobustMethod, settings: Settings | None = None
+    graph: PoseGraph, *, cost: Cost = "auto", robust: RobustMethod, settings: Settings | None = None
 ) -> RobustResult: ...
 
 
 @on_one_thread
 def optimise(
-    graph: PoseGraph, *, cost: Cost = "F", robust: Loss | RobustMethod = "none", settings: Settings | None = None
+    graph: PoseGraph, *, cost: Cost = "auto", robust: Loss | RobustMethod = "none", settings: Settings | None = None
 ) -> OptimisationResult | RobustResult:
     """Optimise all poses in one place, as ``maslam pgo --method central`` does; the cost of the edges that are believed
     never ends higher than it began.
 
     Args:
         graph: the graph; in each connected part the first node stays where it is, unless priors say where it lies.
-        cost: F: chordal, by the edges' information (SE-Sync's); U: the same with unit weights; E: geodesic (gtsam's).
+        cost: F: chordal, by the edges' information (SE-Sync's); U: the same with unit weights; E: geodesic (gtsam's);
+            auto: U where every edge's information is the identity, else F.
         robust: what is done about wrong loops and edges between robots. ``pcm``: only the largest set that agrees
             with each other is used (pairwise consistency); ``gnc``: weights are found along with the solution
             (graduated non-convexity); ``pcm+gnc``: one after the other; ``huber``, ``cauchy``: all are used, under a
@@ -98,6 +101,8 @@ def optimise(
     """
     if robust not in ROBUST:
         raise UnknownName(f"robust: there is no {robust!r}, only {', '.join(ROBUST)}{hint(robust, ROBUST)}")
+    if cost == "auto":
+        cost = "U" if graph.is_unweighted else "F"
     given = nested(settings)
     selection = changed(RobustConfig(), given.pop("robust", {}))
     if robust == "none" or robust == "huber" or robust == "cauchy":
@@ -106,7 +111,9 @@ def optimise(
 
 
 @on_one_thread
-def optimise_distributed(graph: PoseGraph, *, method: Method = "rbcd", settings: Settings | None = None) -> GroupResult:
+def optimise_distributed(
+    graph: PoseGraph, *, method: Method = "rbcd", weights: Weights = "auto", settings: Settings | None = None
+) -> GroupResult:
     """Optimise the graph of several robots, each of which knows only its own poses and edges, by message alone.
 
     Args:
@@ -114,12 +121,20 @@ def optimise_distributed(graph: PoseGraph, *, method: Method = "rbcd", settings:
         method: ``dgs``, ``jor``, ``sor``: two-stage sweeps; ``quick``: fewest bytes within 1 %; ``rbcd``:
             block-coordinate descent to the optimum; ``rbcd-async``: the same without rounds; ``elected``: one robot
             solves for all.
+        weights: of the edges: ``information``: as the graph says (cost F); ``unit``: 1 (cost U); ``auto``: 1 where
+            every edge's information is the identity.
         settings: of ``maslam.backend.config.SolverConfig``, ``{"descent_sweeps": 100}``.
 
     Returns:
-        ``graph``; ``outcomes`` by robot; ``traffic``: messages, payload and wire bytes.
+        ``graph``, with its own information; ``outcomes`` by robot; ``traffic``: messages, payload and wire bytes.
 
     Raises:
         MaslamError: an unknown method or setting, a graph that has no odometry.
     """
-    return exchange.optimise_distributed(graph, changed(solver_of(method), nested(settings)))
+    if method not in METHODS or method == CENTRAL:
+        there = [name for name in METHODS if name != CENTRAL]
+        raise UnknownName(f"method: there is no {method!r}, only {', '.join(there)}{hint(method, there)}")
+    unit = weights == "unit" or (weights == "auto" and graph.is_unweighted)
+    config = changed(solver_of(method), nested(settings))
+    found = exchange.optimise_distributed(graph.with_unit_weights() if unit else graph, config)
+    return replace(found, graph=graph.with_poses(found.graph.poses))

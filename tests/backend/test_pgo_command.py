@@ -72,14 +72,46 @@ def test_a_file_that_is_there_is_not_replaced_unasked(folder, tmp_path, capsys):
     """``maslam pgo robots/*.g2o`` without OUT takes the last robot's file for it."""
     files = [str(folder / f"{r}.g2o") for r in range(3)]
     before = (folder / "2.g2o").read_bytes()
-    assert cli.main(["pgo", *files]) == 2
-    assert "2.g2o: is there already" in capsys.readouterr().err
-    assert cli.main(["pgo", files[0], str(folder)]) == 2
+    for words in (files, [*files, "--overwrite"], [files[0], str(folder), "--overwrite"]):
+        assert cli.main(["pgo", *words]) == 2
+        assert "is among the graphs that are read; the last path is OUT" in capsys.readouterr().err
     assert (folder / "2.g2o").read_bytes() == before and not (folder / "summary.json").exists()
-    assert cli.main(["pgo", *files, str(tmp_path / "out")]) == 0
+    for out in (tmp_path / "out", tmp_path / "out" / "one.g2o"):
+        out.parent.mkdir(exist_ok=True)
+        assert cli.main(["pgo", *files, str(out)]) == 0
     assert cli.main(["pgo", *files, str(tmp_path / "out")]) == 0, "its own result is made anew"
-    assert cli.main(["pgo", *files, "--overwrite"]) == 0
-    assert (folder / "2.g2o").read_bytes() != before
+    assert cli.main(["pgo", *files, str(tmp_path / "out" / "one.g2o")]) == 2
+    assert "replace it with --overwrite" in capsys.readouterr().err
+    assert cli.main(["pgo", *files, str(tmp_path / "out" / "one.g2o"), "--overwrite"]) == 0
+
+
+def test_a_picture_of_no_kind_is_refused_before_the_work(folder, tmp_path, capsys):
+    assert cli.main(["pgo", str(folder), str(tmp_path / "out"), "--plot", str(tmp_path / "plot.xyz")]) == 2
+    assert "must end in .png" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("weights", ["auto", "information", "unit"])
+@pytest.mark.parametrize("measured", [True, False])
+def test_robots_in_python_do_as_the_command_does(folder, tmp_path, weights, measured):
+    if not measured:
+        graph = read_g2o([folder / f"{r}.g2o" for r in range(3)])
+        plain = replace(graph, edges=tuple(replace(e, information=np.eye(6)) for e in graph.edges))
+        for robot in graph.robots:
+            write_g2o(folder / f"{robot}.g2o", plain.of_robot(robot))
+    out = tmp_path / "out.g2o"
+    (tmp_path / "in").mkdir()
+    for robot in range(3):
+        (folder / f"{robot}.g2o").rename(tmp_path / "in" / f"{robot}.g2o")
+    assert cli.main(["pgo", str(tmp_path / "in"), str(out), "--method", "elected", "--weights", weights]) == 0
+    found = maslam.optimise_distributed(maslam.read_g2o(tmp_path / "in"), method="elected", weights=weights)
+    maslam.write_g2o(tmp_path / "same.g2o", found.graph)
+    assert (tmp_path / "same.g2o").read_bytes() == out.read_bytes()
+
+
+def test_a_distributed_method_that_there_is_not_is_refused_with_the_nearest(folder):
+    for name in ("electd", "central"):
+        with pytest.raises(maslam.MaslamError, match=f"method: there is no '{name}', only dgs, jor"):
+            maslam.optimise_distributed(maslam.read_g2o(folder), method=name)
 
 
 def with_wrong_edges(folder):

@@ -9,6 +9,7 @@ from pathlib import Path
 from maslam._suggestions import did_you_mean
 
 from ..common.errors import UnknownName, UsageError
+from ..common.figures import check_picture
 from .relpose.command import add_relpose, run_relpose
 
 SECTION = "odometry"
@@ -156,7 +157,7 @@ def _pgo(arguments: argparse.Namespace) -> int:
         if method not in METHODS or method == CENTRAL:
             known = [one for one in METHODS if one != CENTRAL]
             raise UnknownName(f"--methods {method}: there is no such method{did_you_mean(method, known)}")
-    _check_picture(arguments.plot)
+    check_picture(arguments.plot)
     with progress_on(quiet=arguments.quiet) as progress:
         results = measure(sizes, arguments.poses, methods, arguments.seed, counter(progress, "solving"))
     if arguments.plot is not None:
@@ -172,7 +173,7 @@ def _memory(arguments: argparse.Namespace) -> int:
     from ..common.progress import progress_on
     from .memory import MemorySettings, bench_memory
 
-    _check_picture(arguments.plot)
+    check_picture(arguments.plot)
     width, height = size(arguments.size)
     settings = MemorySettings(
         odometry=build(OdometryConfig(), arguments, prefix=SECTION),
@@ -194,13 +195,6 @@ def _memory(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check_picture(path: Path | None) -> None:
-    from .vo.run import PICTURES
-
-    if path is not None and path.suffix not in PICTURES:
-        raise UsageError(f"--plot {path}: the name must end in {', '.join(PICTURES)}")
-
-
 def _vo(arguments: argparse.Namespace) -> int:
     from maslam.frontend.config import OdometryConfig
 
@@ -210,7 +204,7 @@ def _vo(arguments: argparse.Namespace) -> int:
 
     if arguments.runs is not None and arguments.runs < 1:
         raise UsageError(f"--runs {arguments.runs}: at least 1")
-    _check_picture(arguments.plot)
+    check_picture(arguments.plot)
     content = read_settings(arguments.config, [SECTION])
     settings = VoSettings(
         odometry=build(OdometryConfig(), arguments, content.get(SECTION), arguments.config, SECTION),

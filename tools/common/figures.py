@@ -12,6 +12,8 @@ from typing import Any
 
 from maslam._atomic import replacing
 
+from .errors import UsageError
+
 # Okabe and Ito's colours, distinguishable for colour-blind readers, without the yellow that vanishes on white.
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#6A51A3", "#8C6D31")
 DASHES = ((), (6, 3), (2, 3), (8, 3, 2, 3))  # points drawn and left out, when the colours are used up
@@ -56,6 +58,15 @@ def dash_of(index: int) -> tuple[int, ...]:
 def style_of(index: int) -> dict[str, Any]:
     """Colour and line pattern of series ``index``, as matplotlib's ``plot`` takes them."""
     return {"color": colour_of(index), "dashes": dash_of(index) or (None, None)}
+
+
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def check_picture(path: Path | None) -> None:
+    """UsageError where ``--plot`` names a file of no kind that can be drawn: before the work, not after it."""
+    if path is not None and path.suffix not in PICTURES:
+        raise UsageError(f"--plot {path}: the name must end in {', '.join(PICTURES)}")
 
 
 @contextmanager

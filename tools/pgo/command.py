@@ -77,6 +77,7 @@ def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from maslam.backend.pose_graph.g2o import read_g2o
 
+    from ..common.figures import check_picture
     from .files import check_free, expand, write
     from .methods import check
 
@@ -84,10 +85,11 @@ def main(arguments: argparse.Namespace) -> None:
     for path, instead in (("solver.method", "--method"), ("solver.robust", "--robust"), ("central.loss", "--robust")):
         if hasattr(arguments, DEST + path):
             raise UsageError(f"{option_name(path)} is chosen by {instead}")
-    if not arguments.overwrite:
-        check_free(arguments.out)
+    inputs = expand(arguments.files)
+    check_picture(arguments.plot)
+    check_free(arguments.out, inputs, arguments.overwrite)
     skipped: list[str] | None = [] if arguments.skip_broken_lines else None
-    graph = read_g2o(expand(arguments.files), skipped)
+    graph = read_g2o(inputs, skipped)
     for line in skipped or []:
         print(f"maslam: skipped: {line}", file=sys.stderr)
     if arguments.agents is not None:
@@ -105,7 +107,7 @@ def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
 
     from .methods import LOSSES, Request, solver_of
 
-    unit = arguments.weights == "unit" or (arguments.weights == "auto" and _is_unweighted(graph))
+    unit = arguments.weights == "unit" or (arguments.weights == "auto" and graph.is_unweighted)
     loss = arguments.robust if arguments.robust in LOSSES else "none"
     central = build(CentralConfig(cost="U" if unit else "F", loss=loss), arguments, prefix="central")
     solver = build(solver_of(arguments.method), arguments, prefix="solver")
@@ -182,12 +184,6 @@ def _proof(graph: PoseGraph, found: Solution) -> tuple[bool | None, float | None
         return None, None
     certificate = certify(graph, found.minimised)  # type: ignore[arg-type]
     return certificate.certified, certificate.gap if math.isfinite(certificate.gap) else None
-
-
-def _is_unweighted(graph: PoseGraph) -> bool:
-    import numpy as np
-
-    return all(np.array_equal(e.information, np.eye(6)) for e in graph.edges)
 
 
 def _costs(graph: PoseGraph) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -33,17 +34,25 @@ def expand(paths: Sequence[Path]) -> list[Path]:
     return out
 
 
-def check_free(out: Path) -> None:
+def check_free(out: Path, inputs: Sequence[Path], overwrite: bool) -> None:
     """UsageError where ``write`` would replace graphs that are not its own earlier results.
 
-    A result is known by the report beside it, which a single file does not have. Where ``OUT`` was left out on the
-    command line, the last robot's file stands in its place.
+    A result is known by the report beside it, which a single file does not have. Where OUT was left out on the command
+    line, the last robot's file stands in its place: a file that is named like those that are read is never replaced.
     """
-    kept = out.suffix == ".g2o" and out.exists()
-    if out.is_dir() and any(out.glob("*.g2o")) and not (out / SUMMARY).exists():
-        kept = True
-    if kept:
+    single = out.suffix == ".g2o"
+    if not single and out.is_file():
+        raise UsageError(f"{out}: OUT is a .g2o file, or a folder")
+    there = out.exists() if single else out.is_dir() and any(out.glob("*.g2o"))
+    like_inputs = {(path.parent.resolve(), _without_number(path) if single else "") for path in inputs}
+    if there and ((out.parent if single else out).resolve(), _without_number(out) if single else "") in like_inputs:
+        raise UsageError(f"{out}: is among the graphs that are read; the last path is OUT, and must be another")
+    if there and not overwrite and (single or not (out / SUMMARY).exists()):
         raise UsageError(f"{out}: is there already; name another OUT, or replace it with --overwrite")
+
+
+def _without_number(path: Path) -> str:
+    return re.sub(r"\d+", "#", path.stem)
 
 
 def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:

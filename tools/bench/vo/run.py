@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets import ImageSequence
 
-PICTURES = (".png", ".svg", ".pdf")
 _ENOUGH_FRAMES, _MOST_RUNS = 300, 5
 
 
