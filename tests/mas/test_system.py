@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
+import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from factory import town
+from numba.core import event
 
 from maslam.backend.pose_graph.g2o import read_g2o
 from maslam.frontend.files.trajectory import read_tum
+from maslam.mas import simulation
 from maslam.mas.config import MasConfig, MergeConfig
 from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
@@ -195,3 +199,20 @@ def test_the_table_and_the_report_tell_skipped_candidates_apart(played: tuple[Pa
         assert told.get(kind, "") == ", ".join(f"{reason} {count}" for reason, count in sorted(counts.items()))
     page = next(s.body for s in sections(read_run(out)) if s.title == "Candidate matches and their outcome")
     assert page.count('class="outcome skipped">skipped<') == sum(summary.matches.skipped.values())
+
+
+def test_what_a_run_takes_is_told_without_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    play = simulation._play
+
+    def compiling_first(*arguments: Any) -> int:
+        event.start_event("numba:compile")
+        time.sleep(0.5)
+        event.end_event("numba:compile")
+        return play(*arguments)
+
+    monkeypatch.setattr(simulation, "_play", compiling_first)
+    manifest, sequences = town(2, 6, spacing_m=14.0)
+    began = time.perf_counter()
+    run(manifest, sequences, SYSTEM, tmp_path / "run")
+    timing = json.loads((tmp_path / "run" / "timing.json").read_text(encoding="utf-8"))
+    assert 0.0 < timing["wall_s"] < time.perf_counter() - began - 0.49
