@@ -143,3 +143,6 @@ def test_a_users_script_is_type_checked(installed: Path) -> None:
     script.write_text(USER + "wrong: int = turned.inverse()\n")
     said = run(*mypy, script, cwd=installed, path=str(installed / "ros"), code=1)
     assert "Incompatible types in assignment" in said and "Found 1 error" in said
+    script.write_text(USER + 'import maslam\nmaslam.slm("images", "out")\n')
+    said = run(*mypy, script, cwd=installed, path=str(installed / "ros"), code=1)
+    assert 'Module has no attribute "slm"' in said and "Found 1 error" in said

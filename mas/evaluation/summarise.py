@@ -50,6 +50,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
     return Summary(
         version=_version(),
         preset=config.preset,
+        policy=config.policy,
         seed=config.seed,
         place_code=agents[0].state.profile.coder.key,
         place_code_bytes=agents[0].state.profile.coder.bytes,

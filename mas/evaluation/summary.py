@@ -112,6 +112,7 @@ class Summary(_Figures):
 
     version: str
     preset: str
+    policy: str = Field(default="", description="who decided; empty: a run before it was written")
     seed: int
     place_code: str = Field(default="float32", description="how place vectors travelled")
     place_code_bytes: int | None = Field(

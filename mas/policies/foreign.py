@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable
 from copy import deepcopy
+from numbers import Integral
 
 from maslam.extensions import ExtensionGroup, load_extension, made, name_of
 
@@ -66,6 +67,8 @@ class CheckedPolicy(Policy):
 
     def _agents(self, method: str, answer: Iterable[int], known: Collection[int]) -> list[int]:
         """The answer as plain numbers, each once."""
+        if not isinstance(answer, Iterable) or not all(isinstance(agent, Integral) for agent in answer):
+            raise MasError(f"policy {self.name}: {method}() gave {answer!r}; numbers of agents are meant")
         agents = list(dict.fromkeys(int(agent) for agent in answer))
         strange = [agent for agent in agents if agent not in known]
         if strange:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from factory import town
 from numpy.typing import NDArray
 
 import maslam
+from maslam.extensions import name_of
 from maslam.mas.policies.directory import Directory
 from maslam.mas.policies.presets import preset
 from maslam.mas.simulation import run
 from maslam.mas.transport.transport import InProcessTransport
+from maslam.tools.report.summary_table import table_of
 
 
 class Quiet(maslam.Policy):
@@ -40,6 +43,16 @@ class Dreamer(Quiet):
         return [7]
 
 
+class Vague(Quiet):
+    def ask(self, state: maslam.AgentState, outlook: maslam.Outlook, keyframe: int) -> list[int]:
+        return ["agent_01"]  # type: ignore[list-item]
+
+
+class Speechless(Quiet):
+    def ask(self, state: maslam.AgentState, outlook: maslam.Outlook, keyframe: int) -> list[int]:
+        return None  # type: ignore[return-value]
+
+
 class Absent(Quiet):
     def ask(self, state: maslam.AgentState, outlook: maslam.Outlook, keyframe: int) -> list[int]:
         return list(state.profile.others)
@@ -62,6 +75,8 @@ def test_each_agent_has_a_policy_of_its_own(tmp_path: Path) -> None:
     given = Quiet()
     run(*town(3, 6), preset("maslam"), tmp_path / "object", policy=given)
     assert given.spoke_for == set()
+    summary = json.loads((tmp_path / "object" / "summary.json").read_text())
+    assert summary["policy"] == name_of(Quiet()) and f"with policy {summary['policy']}" in table_of(tmp_path / "object")
     run(*town(3, 6), preset("maslam"), tmp_path / "class", policy=Quiet)
 
 
@@ -69,6 +84,8 @@ def test_each_agent_has_a_policy_of_its_own(tmp_path: Path) -> None:
     ("policy", "said"),
     [
         (Dreamer, r"Dreamer: ask\(\) named agent 7; it may name 0, 1, 2"),
+        (Vague, r"Vague: ask\(\) gave \['agent_01'\]; numbers of agents are meant"),
+        (Speechless, r"Speechless: ask\(\) gave None"),
         (Absent, r"Absent: optimise\(\) of agent \d leaves the agent itself out"),
         (Dizzy, r"Dizzy: worth\(\) gave nan"),
     ],
@@ -84,7 +101,8 @@ def test_what_a_bid_is_worth_decides_who_sells(tmp_path: Path) -> None:
     ours = run(*material, preset("maslam"), tmp_path / "ours", policy=Directory)
     poor = run(*material, preset("maslam"), tmp_path / "poor", policy=Miser())
     assert ours.map_copies and not poor.map_copies and poor.groups == ours.groups
-    assert ours == run(*material, preset("maslam"), tmp_path / "named")
+    named = run(*material, preset("maslam"), tmp_path / "named")
+    assert named.policy == "directory" and named == ours.model_copy(update={"policy": "directory"})
 
 
 def test_a_transport_is_counted_anew_in_each_run(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from .charts import (
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
 from .run_data import AgentData, RunData
+from .summary_table import who_decided
 
 MAX_MATCH_ROWS = 400
 
@@ -34,7 +35,7 @@ def headline(run: RunData) -> tuple[str, str]:
     """Title and the line below it."""
     s = run.summary
     title = f"{s['agents']} agent{'' if s['agents'] == 1 else 's'} in {Path(run.manifest.source).name}"
-    settings = f"preset {s['preset']}, seed {s['seed']}, scale {run.manifest.scale}"
+    settings = f"{who_decided(s)}, seed {s['seed']}, scale {run.manifest.scale}"
     return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}"
 
 

@@ -62,9 +62,19 @@ def _object(path: Path) -> dict[str, Any]:
     return content
 
 
+def who_decided(summary: dict[str, Any]) -> str:
+    """The preset, and the policy where it is another than the preset's own."""
+    from maslam.mas.policies.presets import PRESETS
+
+    policy, preset = summary.get("policy", ""), summary["preset"]
+    own = not policy or (preset in PRESETS and PRESETS[preset].policy == policy)
+    return f"preset {preset}" if own else f"preset {preset} with policy {policy}"
+
+
 def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
-    head = "preset {preset}, seed {seed}, {agents} agents, {keyframes} key-frames".format(**summary)
+    agents = "1 agent" if summary["agents"] == 1 else f"{summary['agents']} agents"
+    head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {summary['keyframes']} key-frames"
     return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary), _time(timing)])
 
 
