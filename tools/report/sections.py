@@ -148,7 +148,8 @@ def _errors(run: RunData) -> Section:
             ("Own map and all copies held", maps, "ATE RMSE, m"),
         )
     ]
-    note = "Position error after alignment, of what each agent had at that moment. Dotted lines: an optimisation ended."
+    note = "Position error after alignment, of the key-frames that each agent had at that moment (the table counts all "
+    note += "frames). Dotted lines: an optimisation ended."
     mean: list[tuple[str, str, tuple[int, ...]]] = [("mean", INK, ())] if len(run.agents) > 1 else []
     key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
     return Section("Error over time", note, f'{key}<div class="columns">{"".join(charts)}</div>{_error_table(run)}')
