@@ -245,6 +245,7 @@ def test_graphs_are_read_optimised_and_written(tmp_path: Path) -> None:
     assert central.cost_before > 0.1 and central.cost_after < 1e-9
     shared = maslam.optimise_distributed(graph, method="rbcd", settings={"cost_tolerance": 1e-12})
     assert shared.traffic.wire_bytes > 0 and len(shared.outcomes) == 2
+    assert len(repr(shared)) < 2000 and "2 robots, 12 poses, 14 edges" in repr(shared), "a notebook prints it"
     maslam.write_g2o(tmp_path / "solved.g2o", central.graph)
     assert maslam.optimise(maslam.read_g2o(tmp_path / "solved.g2o"), cost="U").cost_before < 1e-9
     with pytest.raises(maslam.MaslamError, match="did you mean 'iterations'"):

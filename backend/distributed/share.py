@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ..errors import BackendError
 from ..geometry import Array
@@ -95,14 +95,14 @@ class SolverOutcome:
     robot: int
     accepted: bool
     reason: str
-    poses: dict[NodeId, Array]
+    poses: dict[NodeId, Array] = field(repr=False)
     scales: dict[int, float]
     cost_before: float
     cost_after: float
     rotation_sweeps: int
     pose_sweeps: int
     unreached: tuple[NodeId, ...]
-    judged: tuple[JudgedEdge, ...] = ()
+    judged: tuple[JudgedEdge, ...] = field(default=(), repr=False)
 
 
 def shares(graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset()) -> dict[int, Share]:

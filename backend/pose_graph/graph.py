@@ -133,6 +133,13 @@ class PoseGraph:
             if prior.node not in self.poses:
                 raise BackendError(f"prior on {prior.node}: there is no pose for this node")
 
+    def __repr__(self) -> str:
+        """The counts: all numbers of a graph fill pages of a notebook."""
+        parts = (
+            f"{len(self.robots)} robots, {len(self.poses)} poses, {len(self.edges)} edges, {len(self.priors)} priors"
+        )
+        return f"<PoseGraph: {parts}, {self.dimension}-D>"
+
     def arrays(self) -> EdgeArrays:
         """Edges and poses as arrays, nodes in sorted order."""
         nodes = self.nodes

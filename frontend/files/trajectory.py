@@ -46,6 +46,11 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def __repr__(self) -> str:
+        """Its length and duration; the numbers would fill a page."""
+        seconds = (self.stamps_ns[-1] - self.stamps_ns[0]) / 1e9 if len(self) else 0.0
+        return f"<Trajectory: {len(self)} poses, {seconds:.1f} s>"
+
     @property
     def centres(self) -> NDArray[np.float64]:
         """Camera centres in the world, ``(N, 3)``, in the unit of the poses."""
