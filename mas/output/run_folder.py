@@ -72,20 +72,33 @@ _MATCH_COLUMNS = [
 ]
 
 
+def check_out(out: Path) -> None:
+    """Raise ``MasError`` where a run may not be written to ``out``: an earlier run may be replaced and an empty folder
+    filled, anybody else's files may not be touched.
+    """
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise MasError(f"{out}: is a file, not a folder")
+    names = {path.name for path in out.iterdir()}
+    if not (names & {SUMMARY, _EARLIER} or names <= _BESIDE):
+        raise MasError(f"{out}: exists and is not an earlier run; choose another folder")
+
+
 class Recorder:
     """``with Recorder(out) as recorder``: files appear under ``out`` only when the block ends without an exception."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
-        self.folder = out.with_name(out.name + ".part")
+        place = out.resolve()  # "." has no name of its own
+        self.folder = place.parent / f"{place.name}.part"
         self._files: list[IO[str]] = []
         self._traffic: Any = None
         self._timeline: Any = None
         self._cameras: dict[int, CameraEntry] = {}
 
     def __enter__(self) -> Recorder:
-        if self.out.exists() and not self._may_replace():
-            raise MasError(f"{self.out}: exists and is not an earlier run; choose another folder")
+        check_out(self.out)
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
         self._traffic = self._csv("traffic.csv")
@@ -102,13 +115,6 @@ class Recorder:
             shutil.rmtree(self.folder, ignore_errors=True)
             return
         self._put_in_place()
-
-    def _may_replace(self) -> bool:
-        """An earlier run may be replaced, and an empty folder filled; anybody else's files may not be touched."""
-        if not self.out.is_dir():
-            return False
-        names = {path.name for path in self.out.iterdir()}
-        return bool(names & {SUMMARY, _EARLIER}) or names <= _BESIDE
 
     def _put_in_place(self) -> None:
         """Replace an earlier run's files. Its summary goes first, the new one comes last: between, this is no run."""

@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from maslam.frontend.config import OdometryConfig
+    from maslam.mas.output.run_folder import check_out
     from maslam.mas.policies.presets import preset
 
     from ..common.compiling import COMPILING
@@ -37,6 +38,7 @@ def main(arguments: argparse.Namespace) -> None:
     from .run import DEFAULT_PRESET
     from .slam import slam
 
+    check_out(arguments.out)
     began = time.monotonic()
     town = RenderConfig(world="town", seed=arguments.seed, agents=AGENTS, frames=FRAMES, width=WIDTH, height=HEIGHT)
     with progress_on(quiet=arguments.quiet) as progress:

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 from maslam.extensions import name_of
 
 from ..common.errors import ToolError, UsageError, describe
+from ..common.folders import check_apart, making
 from ..common.names import check_name
 from ..common.options import add_model_options, build, read_settings
 from ..common.progress import Progress, progress_on
 
 if TYPE_CHECKING:
+    from maslam.descriptors.base import PlaceDescriptor
     from maslam.descriptors.choice import DescriptorLike
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import Dataset
@@ -170,14 +172,11 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.datasets import open_dataset
-    from maslam.frontend.kernels import odometry_kernels
 
-    from ..common.compiling import compile_for
-    from ..common.parallel import core_count, run_jobs
-    from .agent_folder import write_sequences
     from .split import check_shares
-    from .tracking_cache import is_tracked, take_tracked, track_job
 
+    check_apart(source, out)
+    _check_free(out)
     model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
     rig = RigKind(settings.rig) if settings.rig else None
     dataset = open_dataset(source, rig, strict=False, readers=settings.readers, kind=settings.dataset)
@@ -186,7 +185,21 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
     if settings.agents is not None and dataset.sequences:
         check_shares(len(dataset.sequences[0]), settings.agents)
-    _claim(out)
+    with making(out):
+        return _made(dataset, out, settings, model, progress)
+
+
+def _made(
+    dataset: Dataset, out: Path, settings: PreprocessSettings, model: PlaceDescriptor, progress: Progress
+) -> Manifest:
+    """Track the sequences of ``dataset`` that can be used, and write them as agents."""
+    from maslam.frontend.kernels import odometry_kernels
+
+    from ..common.compiling import compile_for
+    from ..common.parallel import core_count, run_jobs
+    from .agent_folder import write_sequences
+    from .tracking_cache import is_tracked, take_tracked, track_job
+
     jobs, problems = _plan(dataset, out, settings)
     compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
@@ -197,20 +210,19 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
     if not tracked:
         count = len(dataset.sequences)
-        said = problems[0] if len(problems) == 1 else f"{source}: none of {count} sequences can be used: {problems[0]}"
+        said = problems[0] if len(problems) == 1 else f"{dataset.root}: none of {count} sequences can be used: {problems[0]}"
         raise ToolError(said) from next(iter(errors.values()), None)
     for problem in problems:
         progress.say(f"warning: {problem}")
     return write_sequences(out, dataset, tracked, model, _split(settings), {**_as_set(settings), "problems": problems})
 
 
-def _claim(out: Path) -> None:
+def _check_free(out: Path) -> None:
     """Refuse a folder with somebody else's files in it."""
     from maslam.mas.sequence import MANIFEST
 
     if out.is_dir() and any(out.iterdir()) and not (out / FRONTEND).is_dir() and not (out / MANIFEST).is_file():
         raise ToolError(f"{out}: not empty, and no folder of agent sequences")
-    out.mkdir(parents=True, exist_ok=True)
 
 
 def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[list[TrackingJob], list[str]]:

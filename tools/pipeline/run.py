@@ -67,6 +67,7 @@ def _check_extensions(config: MasConfig, arguments: argparse.Namespace) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from maslam.mas.kernels import agent_kernels
+    from maslam.mas.output.run_folder import check_out
     from maslam.mas.sequence import load_sequences
     from maslam.mas.simulation import run
 
@@ -74,6 +75,7 @@ def main(arguments: argparse.Namespace) -> None:
     from ..report.summary_table import table_of
 
     config = config_from(arguments, read_settings(arguments.config))
+    check_out(arguments.out)
     manifest, sequences = load_sequences(arguments.sequences)
     with progress_on(quiet=arguments.quiet) as progress:
         compile_for(agent_kernels(len(sequences)), progress)

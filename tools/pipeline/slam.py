@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..common.folders import check_apart
 from ..common.options import read_settings
 from ..common.progress import Progress, counter, progress_on
 from .preprocess import (
@@ -70,12 +71,15 @@ def slam(
     ``policy``, ``transport``: a user's own instead of those that ``config`` names.
     """
     from maslam.mas.kernels import agent_kernels
+    from maslam.mas.output.run_folder import check_out
     from maslam.mas.sequence import load_sequences
     from maslam.mas.simulation import run
 
     from ..common.compiling import compile_for
     from ..report.command import write_report
 
+    check_apart(source, out)
+    check_out(out)
     manifest = preprocess(source, out / SEQUENCES, settings, progress)
     progress.say(summary_line(manifest, out / SEQUENCES))
     compile_for(agent_kernels(len(manifest.agents)), progress)

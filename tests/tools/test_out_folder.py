@@ -1,0 +1,79 @@
+"""OUT of the commands: what cannot be written to is refused before any work, and a failure leaves no empty folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from dataset_makers import make_scene, write_rendered
+
+import maslam
+from maslam.mas.output.run_folder import SUMMARY, check_out
+from maslam.tools import cli
+
+
+@pytest.fixture
+def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two agents' images; whatever reads them before OUT is checked fails the test."""
+
+    def read_too_early(*_: object, **__: object) -> None:
+        pytest.fail("the images are read before OUT is checked")
+
+    for name in ("agent_00", "agent_01"):
+        write_rendered(tmp_path / "town" / name, make_scene(), "stereo")
+    monkeypatch.setattr("maslam.frontend.datasets.open_dataset", read_too_early)
+    monkeypatch.setattr("maslam.tools.worlds.dataset.render_dataset", read_too_early)
+    monkeypatch.setattr("maslam.mas.sequence.load_sequences", read_too_early)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ud").mkdir()
+    (tmp_path / "ud" / "thesis.tex").write_text("years of work")
+    (tmp_path / "out.txt").write_text("a note")
+    return tmp_path / "town"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("slam town ud", "ud: exists and is not an earlier run; choose another folder"),
+        ("demo --out ud", "ud: exists and is not an earlier run; choose another folder"),
+        ("run seqs ud", "ud: exists and is not an earlier run; choose another folder"),
+        ("preprocess town ud", "ud: not empty, and no folder of agent sequences"),
+        ("slam town town", "town: is the folder of the images; choose another folder for the results"),
+        ("preprocess town ./town/", "town: is the folder of the images; choose another folder for the results"),
+        (
+            "slam town town/agent_00",
+            "town/agent_00: is inside the folder of the images, town; choose a folder outside it",
+        ),
+        ("preprocess town town/new", "town/new: is inside the folder of the images, town; choose a folder outside it"),
+        ("slam . new", "new: is inside the folder of the images, .; choose a folder outside it"),
+        ("slam town out.txt", "out.txt: is a file, not a folder"),
+        ("preprocess town out.txt", "out.txt: is a file, not a folder"),
+        ("run seqs out.txt", "out.txt: is a file, not a folder"),
+        ("demo --out out.txt", "out.txt: is a file, not a folder"),
+    ],
+)
+def test_out_is_checked_before_the_work(
+    words: str, said: str, town: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(town.parent.rglob("*"))
+    assert cli.main([*words.split(), "--quiet"]) == 1
+    assert capsys.readouterr().err == f"maslam: {said}\n"
+    assert sorted(town.parent.rglob("*")) == before
+
+
+def test_python_refuses_the_same(town: Path) -> None:
+    with pytest.raises(maslam.MaslamError, match="ud: exists and is not an earlier run"):
+        maslam.slam("town", "ud")
+    with pytest.raises(maslam.MaslamError, match="agent_00: is inside the folder of the images"):
+        maslam.slam("town", "town/agent_00")
+    assert [path.name for path in Path("ud").iterdir()] == ["thesis.tex"]
+
+
+def test_an_earlier_run_an_empty_folder_and_what_a_command_left_are_free(tmp_path: Path) -> None:
+    check_out(tmp_path / "new")
+    check_out(tmp_path)
+    (tmp_path / "sequences").mkdir()
+    check_out(tmp_path)  # slam was interrupted
+    (tmp_path / SUMMARY).write_text("{}")
+    (tmp_path / "notes.txt").write_text("mine, beside an earlier run")
+    check_out(tmp_path)
