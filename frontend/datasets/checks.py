@@ -21,6 +21,12 @@ _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from sq
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
 
 
+def check_count(images: int, folder: Path, problems: Problems) -> None:
+    """Check that there are images to follow a camera through."""
+    if images == 1:
+        problems.error(f"{folder}: one image is too few; a camera is followed from image to image")
+
+
 def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Path, problems: Problems) -> None:
     """Check that ``stamps_ns`` ``(N,)`` ascend, at a rate that a camera has; ``names`` names each frame in messages."""
     intervals = np.diff(stamps_ns)

@@ -52,9 +52,7 @@ def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("demo --out out.txt", "out.txt: is a file, not a folder"),
     ],
 )
-def test_out_is_checked_before_the_work(
-    words: str, said: str, town: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_out_is_checked_before_the_work(words: str, said: str, town: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = sorted(town.parent.rglob("*"))
     assert cli.main([*words.split(), "--quiet"]) == 1
     assert capsys.readouterr().err == f"maslam: {said}\n"

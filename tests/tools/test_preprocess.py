@@ -193,7 +193,31 @@ def test_nothing_to_track_is_an_error_and_leaves_no_manifest(
 ) -> None:
     assert preprocess(write_agent(tmp_path / "drive", dark=True), tmp_path / "seqs") == 1
     assert capsys.readouterr().err.splitlines()[-1].endswith("no frame of 12 could be tracked: too dark (12 x)")
-    assert not (tmp_path / "seqs" / "manifest.json").exists()
+    assert not (tmp_path / "seqs").exists()
+
+
+def test_fewer_agents_than_asked_for_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs", "--agents", 9, "--overlap", 0) == 0
+    manifest, agents = load_sequences(tmp_path / "seqs")
+    # Blocks of 12 frames for 9 begin at 0 1 2 4 5 6 8 9 10; the key-frames are 0 2 4 6 8 10.
+    assert len(agents) == 6
+    said = "12 frames make 6 agents, not 9: the others have no key-frame"
+    assert manifest.settings["problems"] == [said]
+    assert f"warning: {said}" in capsys.readouterr().err
+
+
+def test_one_image_is_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = write_agent(tmp_path / "drive")
+    for image in sorted((source / "image_0").iterdir())[1:]:
+        image.unlink()
+    for name in ("times.txt", "poses.txt"):
+        (source / name).write_text((source / name).read_text().splitlines()[0] + "\n")
+    camera = source / "camera.yaml"  # of a pair, whose missing half is a warning and not the reason
+    camera.write_text(camera.read_text().replace("}", ", baseline_m: 0.5}"))
+    assert preprocess(source, tmp_path / "out" / "sequences") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"maslam: drive: {source}: one image is too few; a camera is followed from image to image"
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_truncated_image_is_left_out_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

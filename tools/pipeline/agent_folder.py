@@ -43,7 +43,9 @@ from .tracking import Tracked
 
 
 @dataclass(frozen=True)
-class _AgentPlan:
+class AgentPlan:
+    """One agent to be: its share of a tracked sequence."""
+
     name: str
     sequence: ImageSequence
     tracked: Tracked
@@ -57,22 +59,19 @@ class _AgentPlan:
 def write_sequences(
     out: Path,
     dataset: Dataset,
-    tracked: Sequence[tuple[ImageSequence, Tracked]],
+    plans: Sequence[AgentPlan],
     model: PlaceDescriptor,
     split: SplitEntry | None,
     settings: dict[str, Any],
 ) -> Manifest:
-    """Share the tracked sequences out to agents and write the SEQS folder ``out``; ``settings`` are noted in its
-    manifest.
-    """
-    metric = {sequence.rig.metric for sequence, _ in tracked}
+    """Write the SEQS folder ``out``; ``settings`` are noted in its manifest."""
+    metric = {plan.sequence.rig.metric for plan in plans}
     if len(metric) > 1:
         raise ToolError(
             f"{dataset.root}: some agents have one camera, others stereo or depth; --rig mono makes them alike"
         )
-    plans = _plans(tracked, split or SplitEntry(agents=1, overlap=0))
     (out / MANIFEST).unlink(missing_ok=True)
-    entries = [_write_agent(out, plan, model) for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
+    entries = [_write_agent(out, plan, model) for plan in plans]
     left = {*out.glob("agent_[0-9]*"), *out.glob(".agent_[0-9]*.part")}  # of another split, of a run that was killed
     for stale in sorted(left - {out / entry.name for entry in entries}):
         shutil.rmtree(stale)
@@ -96,16 +95,19 @@ def write_sequences(
     return manifest
 
 
-def _plans(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry) -> list[_AgentPlan]:
+def plan_agents(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry | None) -> list[AgentPlan]:
+    """Share the tracked sequences out to agents; who would get no key-frame is left out."""
+    split = split or SplitEntry(agents=1, overlap=0)
     shares = [
         (sequence, one, share)
         for sequence, one in tracked
         for share in share_out(len(sequence), list(one.keyframes), split.agents, split.overlap)
     ]
-    return [_AgentPlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
+    plans = [AgentPlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
+    return [plan for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
 
 
-def _write_agent(out: Path, plan: _AgentPlan, model: PlaceDescriptor) -> AgentEntry:
+def _write_agent(out: Path, plan: AgentPlan, model: PlaceDescriptor) -> AgentEntry:
     """The agent's folder, put in place whole; times become relative to its first frame."""
     used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
     places = _places(plan, used, model)
@@ -132,7 +134,7 @@ def _write_agent(out: Path, plan: _AgentPlan, model: PlaceDescriptor) -> AgentEn
     )
 
 
-def _write_track(folder: Path, number: int, plan: _AgentPlan, k: int) -> Trajectory:
+def _write_track(folder: Path, number: int, plan: AgentPlan, k: int) -> Trajectory:
     """The five files and the essential graph of track ``k`` as the agent's track ``number``; returns all its frames,
     in the same origin and clock.
     """
@@ -155,11 +157,11 @@ def _essential(track: VoTrack) -> PoseGraph:
     )
 
 
-def _keyframe_stamps_ns(plan: _AgentPlan, k: int) -> NDArray[np.int64]:
+def _keyframe_stamps_ns(plan: AgentPlan, k: int) -> NDArray[np.int64]:
     return plan.sequence.stamps_ns[plan.tracked.keyframes[k][plan.share.keyframes[k]]] - plan.start_ns
 
 
-def _places(plan: _AgentPlan, used: list[int], model: PlaceDescriptor) -> PlaceVectors:
+def _places(plan: AgentPlan, used: list[int], model: PlaceDescriptor) -> PlaceVectors:
     begins = np.cumsum([0, *(len(keyframes) for keyframes in plan.tracked.keyframes)])
     kept = [plan.share.keyframes[k] for k in used]
     rows = np.concatenate([np.arange(begins[k] + s.start, begins[k] + s.stop) for k, s in zip(used, kept, strict=True)])
@@ -173,14 +175,14 @@ def _places(plan: _AgentPlan, used: list[int], model: PlaceDescriptor) -> PlaceV
     )
 
 
-def _during(plan: _AgentPlan, trajectory: Trajectory) -> Trajectory:
+def _during(plan: AgentPlan, trajectory: Trajectory) -> Trajectory:
     """The poses between the agent's first and last frame, on its own clock."""
     first, last = plan.sequence.stamps_ns[[plan.share.first, plan.share.last]]
     inside = (trajectory.stamps_ns >= first) & (trajectory.stamps_ns <= last)
     return Trajectory(trajectory.stamps_ns[inside] - plan.start_ns, trajectory.poses[inside])
 
 
-def _lost(plan: _AgentPlan) -> tuple[LostEntry, ...]:
+def _lost(plan: AgentPlan) -> tuple[LostEntry, ...]:
     first, last = plan.share.first, plan.share.last
     return tuple(
         LostEntry(

@@ -197,24 +197,30 @@ def _made(
 
     from ..common.compiling import compile_for
     from ..common.parallel import core_count, run_jobs
-    from .agent_folder import write_sequences
+    from .agent_folder import plan_agents, write_sequences
     from .tracking_cache import is_tracked, take_tracked, track_job
 
-    jobs, problems = _plan(dataset, out, settings)
+    jobs, problems, refused = _plan(dataset, out, settings)
     compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
     outcomes = run_jobs(track_job, named, settings.workers or core_count(), progress)
     errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
-    problems += [f"{name}: {describe(error)}" for name, error in errors.items()]
+    untracked = [f"{name}: {describe(error)}" for name, error in errors.items()]
+    problems += untracked
     tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
     problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
     if not tracked:
-        count = len(dataset.sequences)
-        said = problems[0] if len(problems) == 1 else f"{dataset.root}: none of {count} sequences can be used: {problems[0]}"
+        why, count = [*refused, *untracked], len(dataset.sequences)
+        said = why[0] if len(why) == 1 else f"{dataset.root}: none of {count} sequences can be used: {why[0]}"
         raise ToolError(said) from next(iter(errors.values()), None)
+    split = _split(settings)
+    plans = plan_agents(tracked, split)
+    if split is not None and len(plans) < split.agents:
+        frames = sum(len(sequence) for sequence, _ in tracked)
+        problems.append(f"{frames} frames make {len(plans)} agents, not {split.agents}: the others have no key-frame")
     for problem in problems:
         progress.say(f"warning: {problem}")
-    return write_sequences(out, dataset, tracked, model, _split(settings), {**_as_set(settings), "problems": problems})
+    return write_sequences(out, dataset, plans, model, split, {**_as_set(settings), "problems": problems})
 
 
 def _check_free(out: Path) -> None:
@@ -225,19 +231,24 @@ def _check_free(out: Path) -> None:
         raise ToolError(f"{out}: not empty, and no folder of agent sequences")
 
 
-def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[list[TrackingJob], list[str]]:
-    """A job for each sequence that can be used, and what is wrong with the data."""
+def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[list[TrackingJob], list[str], list[str]]:
+    """A job for each sequence that can be used; all that is wrong with the data; of that, what makes a sequence
+    unusable.
+    """
     from maslam.frontend.datasets.base import Severity
 
     from .tracking_cache import make_job
 
     jobs, problems = [], [problem.message for problem in dataset.problems]
+    refused = list(problems)
     for sequence in dataset.sequences:
         problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
-        if all(problem.severity is not Severity.ERROR for problem in sequence.problems):
+        fatal = [problem.message for problem in sequence.problems if problem.severity is Severity.ERROR]
+        refused += [f"{sequence.name}: {message}" for message in fatal]
+        if not fatal:
             of = (sequence, settings.odometry, settings.model, settings.vocabulary, settings.store or out / FRONTEND)
             jobs.append(make_job(*of, settings.provider))
-    return jobs, problems
+    return jobs, problems, refused
 
 
 def _split(settings: PreprocessSettings) -> SplitEntry | None:
