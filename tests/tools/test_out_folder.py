@@ -8,7 +8,7 @@ import pytest
 from dataset_makers import make_scene, write_rendered
 
 import maslam
-from maslam.mas.output.run_folder import SUMMARY, check_out
+from maslam.mas.output.run_folder import SUMMARY, Recorder, check_out
 from maslam.tools import cli
 
 
@@ -75,3 +75,13 @@ def test_an_earlier_run_an_empty_folder_and_what_a_command_left_are_free(tmp_pat
     (tmp_path / SUMMARY).write_text("{}")
     (tmp_path / "notes.txt").write_text("mine, beside an earlier run")
     check_out(tmp_path)
+
+
+def test_a_run_may_be_written_to_where_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    with Recorder(Path()):
+        pass
+    assert (here / "traffic.csv").is_file()
+    assert [path.name for path in tmp_path.iterdir()] == ["here"]
