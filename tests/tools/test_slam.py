@@ -164,7 +164,7 @@ def test_slam_again_replaces_the_run_and_keeps_the_sequences(run: Path, house: P
     [
         (["--preset", "best"], 2, "no preset 'best'; there are"),
         (["--seed", "-1"], 2, "--seed -1: seed: input should be greater than or equal to 0"),
-        (["--config", "missing.yaml"], 1, "missing.yaml: No such file or directory"),
+        (["--config", "missing.yaml"], 2, "missing.yaml: no such file"),
         (["--relpose.min-inlierz", "3"], 2, "did you mean '--relpose.min-inliers'?"),
     ],
 )

@@ -31,6 +31,8 @@ def test_cells_are_the_product_and_a_town_has_its_own_numbers_of_agents() -> Non
 
 
 def test_names_of_sequences_keep_their_zeros(tmp_path: Path) -> None:
+    for name in ("00", "07", "08"):
+        (tmp_path / f"{name}.txt").write_text("")  # found, and of no use
     assert cli.main(["sweep", str(tmp_path / "new"), "--sequences", "00,07,08", "--poses", str(tmp_path)]) == 1
     assert "sequences:\n- '00'\n- '07'\n- 08\n" in (tmp_path / "new" / "plan.yaml").read_text().replace("'08'", "08")
 
@@ -120,3 +122,21 @@ def test_what_cannot_be_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
     assert "there is no preset 'best'" in capsys.readouterr().err
     assert cli.main(["sweep", str(tmp_path / "new"), "--sequences", "99", "--poses", str(tmp_path), "--quiet"]) == 1
     assert "99.txt: no such pose file" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_without_poses_and_images_the_options_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("MASLAM_DATA", raising=False)
+    assert cli.main(["sweep", str(tmp_path / "sw"), "--experiment", "quick"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == (
+        "maslam: sequence 07: --poses names the folder of KITTI pose files to render along, "
+        "--kitti that of your own KITTI images"
+    )
+    assert not (tmp_path / "sw").exists()
+    assert cli.main(["sweep", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert "--poses DIR" in shown and "--kitti DIR" in shown
+    assert "--sequences NAME,..." in shown and "--agents INT,..." in shown and "TUPLE" not in shown

@@ -70,6 +70,7 @@ ESSENTIAL: dict[str, tuple[str, ...]] = {
         "--agents",
         "--presets",
         "--seeds",
+        "--poses",
         "--kitti",
         "--no-reference",
         "--workers",

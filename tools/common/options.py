@@ -90,14 +90,23 @@ def build(
     return _validate(model, values, _File(None, prefix))
 
 
+def overlaid(base: Model, changes: Mapping[str, Any], given: str) -> Model:
+    """``base`` with ``changes`` that one option makes together; ``given``: option and value, for the message."""
+    values = base.model_dump()
+    _overlay(values, changes)
+    return _validate(type(base), values, _Option(given))
+
+
 def read_settings(path: Path | None, sections: Iterable[str] = ()) -> dict[str, Any]:
     """The settings in a YAML file, those of version 0.1 under today's names; none without a file.
 
     ``sections``: the keys that the file may have; any, where none is named. :class:`ToolError` for another, and for a
-    file that is not YAML.
+    file that is not YAML; :class:`UsageError` where there is no such file.
     """
     if path is None:
         return {}
+    if not path.exists():
+        raise UsageError(f"{path}: no such file")
     content, known = modernised(read_yaml(path), path), list(sections)
     for name in content:
         if known and name not in known:
@@ -246,6 +255,10 @@ def _metavar(annotation: Any) -> str:
             words += ["true", "false"]
         elif kind is type(None):
             words.append("none")
+        elif typing.get_origin(kind) is tuple:
+            words.append(f"{_metavar(typing.get_args(kind)[0])},...")
+        elif kind is str:
+            words.append("NAME")
         else:
             words.append(getattr(typing.get_origin(kind) or kind, "__name__", "value").upper())
     return "|".join(words)

@@ -16,6 +16,17 @@ from .essential_options import ESSENTIAL
 EVERYWHERE = "every command"  # title of the options that all commands share
 
 
+def at_least_one(text: str) -> int:
+    """For argparse: a whole number from 1 on."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"at least 1, not {number}")
+    return number
+
+
+at_least_one.__name__ = "int"  # argparse names the type where the text is no number
+
+
 class CommandParser(argparse.ArgumentParser):
     """``--help`` shows the options in :data:`ESSENTIAL`, ``--help-all`` all of them; an unknown option, command or
     choice raises ``UnknownName`` with the nearest ones.

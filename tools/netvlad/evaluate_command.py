@@ -131,9 +131,10 @@ def _benchmarks(arguments: argparse.Namespace, progress: Progress) -> list[Place
     rendered = render_worlds(list(worlds.values()), arguments.places, arguments.cache, arguments.workers, progress)
     made += [benchmark(f"{kind}_{seed}", places, config_for(kind), 0.0) for (kind, seed), places in rendered.items()]
     if not made:
+        data = _data(arguments)
         raise ToolError(
-            f"{_data(arguments)}: holds no place-recognition set, and neither a rendered world (--worlds) nor a "
-            "sequence (--sequence) is asked for"
+            f"{f'{data}: holds no place-recognition set' if data else 'no folder of real sets (--data)'}, and neither "
+            "a rendered world (--worlds) nor a sequence (--sequence) is asked for"
         )
     return made
 
@@ -178,15 +179,16 @@ def _fit_images(
     from ..place_benchmarks.rendered import TRAINING_SEEDS
     from .train import KINDS, MaterialConfig, render_worlds
 
-    folder = arguments.photos or _data(arguments) / "photos"
-    photos = list(read_photos(folder)) if arguments.photos or folder.is_dir() else []
+    data = _data(arguments)
+    folder = arguments.photos or (data / "photos" if data else None)
+    photos = list(read_photos(folder)) if folder and (arguments.photos or folder.is_dir()) else []
     wanted = [(kind, TRAINING_SEEDS + k) for kind in KINDS for k in range(arguments.fit_worlds)]
     rendered = render_worlds(wanted, MaterialConfig().places, arguments.cache, arguments.workers, progress)
     views = [visit.image for places in rendered.values() for visits in places for visit in visits]
     if not photos and not views:
         raise ToolError(
-            f"{folder}: no photographs to fit the baselines on, and no training worlds either (--photos, --fit-worlds, "
-            "or --methods without rootsift-vlad and random-weights)"
+            f"{f'{folder}: ' if folder else ''}no photographs to fit the baselines on, and no training worlds either "
+            "(--photos, --fit-worlds, or --methods without rootsift-vlad and random-weights)"
         )
     progress.say(f"baselines are fitted on {len(photos)} photographs and {len(views)} views of training worlds")
     return photos, views
@@ -206,7 +208,8 @@ def _photographed(arguments: argparse.Namespace, progress: Progress, colour: boo
     from ..place_benchmarks.revisits import posed_benchmark
     from .scores import public_benchmarks
 
-    made = public_benchmarks(_data(arguments), colour=colour)
+    data = _data(arguments)
+    made = public_benchmarks(data, colour=colour) if data else []
     for folder in arguments.sequence:
         tick = counter(progress, f"reading {folder}{' in colour' if colour else ''}")
         made.append(posed_benchmark(folder, revisits_of(arguments), tick, colour))
@@ -215,8 +218,9 @@ def _photographed(arguments: argparse.Namespace, progress: Progress, colour: boo
     return made
 
 
-def _data(arguments: argparse.Namespace) -> Path:
-    return Path(arguments.data or os.environ.get("MASLAM_DATA", "../shared/data"))
+def _data(arguments: argparse.Namespace) -> Path | None:
+    named = arguments.data or os.environ.get("MASLAM_DATA")
+    return Path(named) if named else None
 
 
 @contextmanager

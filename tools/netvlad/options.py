@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from maslam._suggestions import did_you_mean
 
 from ..common.errors import ToolError, UnknownName, UsageError
+from ..common.parser import at_least_one
 
 if TYPE_CHECKING:
     from ..place_benchmarks.revisits import RevisitSettings
@@ -23,7 +24,7 @@ def add_world_options(parser: argparse.ArgumentParser) -> None:
         "--cache", type=Path, default=CACHE, metavar="DIR", help="rendered places, kept (default: %(default)s)"
     )
     parser.add_argument(
-        "--workers", type=int, default=0, metavar="N", help="processes that render (default: one per core)"
+        "--workers", type=at_least_one, default=0, metavar="N", help="processes that render (default: one per core)"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
 

@@ -14,6 +14,7 @@ from maslam._atomic import replacing, write_atomically
 from ..common.earlier_settings import modernised
 from ..common.errors import ToolError
 from ..common.options import add_model_options, build, read_settings
+from ..common.parser import at_least_one
 from ..common.progress import Progress, progress_on
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from .plan import SweepPlan
     from .rows import Row
 
+PLAN = "plan.yaml"  # in OUT
 SETTINGS = "settings"  # in a plan: those of its runs
 
 
@@ -43,7 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--kitti", type=Path, metavar="DIR", help="your own KITTI images instead of rendered ones")
     parser.add_argument("--no-reference", action="store_true", help="without the omniscient reference")
-    parser.add_argument("--workers", type=int, default=0, metavar="N", help="processes (default: one per core)")
+    parser.add_argument(
+        "--workers", type=at_least_one, default=0, metavar="N", help="processes (default: one per core)"
+    )
     parser.add_argument(
         "--ray", metavar="ADDRESS", nargs="?", const="", help="runs on a Ray cluster that sees the same folders"
     )
@@ -63,7 +67,8 @@ def main(arguments: argparse.Namespace) -> None:
     plan = build(base, arguments, read_plan(arguments.plan), arguments.plan)
     for name in plan.presets:  # a wrong setting is reported now, not after the images are rendered
         build(preset(name), argparse.Namespace(), plan.settings, arguments.plan, SETTINGS)
-    poses = arguments.poses or Path(os.environ.get("MASLAM_DATA", "../shared/data")) / "kitti_poses"
+    data = os.environ.get("MASLAM_DATA")
+    poses = arguments.poses or (Path(data) / "kitti_poses" if data else None)
     workshop = Workshop(arguments.out, poses, arguments.kitti, arguments.workers)
     with progress_on(quiet=arguments.quiet) as progress:
         rows, page = sweep(plan, workshop, progress, not arguments.no_reference, arguments.ray)
@@ -89,12 +94,14 @@ def sweep(
     plan: SweepPlan, workshop: Workshop, progress: Progress, with_reference: bool = True, ray: str | None = None
 ) -> tuple[list[Row], Path]:
     """Everything; returns the rows and the page with the tables."""
-    from .execute import execute, prepare, references
+    from .execute import check_sources, execute, prepare, references
     from .pictures import draw_all
     from .rows import grouped, row_of
     from .tables import report
 
-    _claim(workshop.out, plan)
+    _check_free(workshop.out)
+    check_sources(plan, workshop)
+    _write_plan(workshop.out, plan)
     prepare(plan, workshop, progress)
     known: dict[str, dict[str, Any]] = references(plan, workshop, progress) if with_reference else {}
     figures = execute(plan, workshop, progress, ray)
@@ -110,15 +117,20 @@ def sweep(
     return rows, page
 
 
-def _claim(out: Path, plan: SweepPlan) -> None:
-    """The folder, with the plan in it; refused where it holds something else."""
+def _check_free(out: Path) -> None:
+    """Refuse a folder that holds something else."""
+    if out.exists() and not out.is_dir():
+        raise ToolError(f"{out}: is a file, not a folder")
+    if out.exists() and not (out / PLAN).is_file() and any(out.iterdir()):
+        raise ToolError(f"{out}: exists and is no sweep; choose an empty or new folder")
+
+
+def _write_plan(out: Path, plan: SweepPlan) -> None:
+    """The folder, with the plan in it."""
     import yaml
 
-    path = out / "plan.yaml"
-    if out.exists() and not path.is_file() and (not out.is_dir() or any(out.iterdir())):
-        raise ToolError(f"{out}: exists and is no sweep; choose an empty or new folder")
     out.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, yaml.safe_dump(plan.model_dump(mode="json"), sort_keys=False))
+    write_atomically(out / PLAN, yaml.safe_dump(plan.model_dump(mode="json"), sort_keys=False))
 
 
 def _write_rows(out: Path, rows: list[Row]) -> None:

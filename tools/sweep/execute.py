@@ -28,10 +28,10 @@ STAMP = "cell.json"
 @dataclass(frozen=True)
 class Workshop:
     """Folders of a sweep under ``out``; ``poses``: KITTI pose files; ``kitti``: the user's own KITTI images, in their
-    place (``sequences/NN`` or ``NN`` under it)."""
+    place (``sequences/NN`` or ``NN`` under it). A sweep of the town needs neither."""
 
     out: Path
-    poses: Path
+    poses: Path | None
     kitti: Path | None = None
     workers: int = 0
 
@@ -44,6 +44,18 @@ class Workshop:
             return found[0]
         return self.out / "images" / (cell.material if cell.sequence == TOWN else cell.sequence)
 
+    def pose_file(self, cell: Cell) -> Path:
+        """The KITTI pose file along which a cell's images are rendered."""
+        if self.poses is None:
+            raise ToolError(
+                f"sequence {cell.sequence}: --poses names the folder of KITTI pose files to render along, "
+                "--kitti that of your own KITTI images"
+            )
+        path = self.poses / f"{cell.sequence}.txt"
+        if not path.is_file():
+            raise ToolError(f"{path}: no such pose file; --poses names the folder of KITTI pose files")
+        return path
+
     def sequences(self, cell: Cell) -> Path:
         """Folder of a cell's agent sequences."""
         return self.out / "sequences" / cell.material
@@ -51,6 +63,13 @@ class Workshop:
     def run(self, cell: Cell) -> Path:
         """Folder of a cell's results."""
         return self.out / "runs" / cell.name
+
+
+def check_sources(plan: SweepPlan, workshop: Workshop) -> None:
+    """Refuse a plan whose images or pose files are missing."""
+    for cell in plan.cells():
+        if cell.sequence != TOWN:
+            _ = workshop.images(cell) if workshop.kitti is not None else workshop.pose_file(cell)
 
 
 def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
@@ -178,9 +197,7 @@ def _rendering(plan: SweepPlan, workshop: Workshop, cell: Cell) -> Any:
     size = {"width": plan.width, "height": plan.height, "seed": plan.world_seed}
     if cell.sequence == TOWN:
         return RenderConfig(world="town", agents=cell.agents, frames=plan.frames or 300, **size)
-    poses = workshop.poses / f"{cell.sequence}.txt"
-    if not poses.is_file():
-        raise ToolError(f"{poses}: no such pose file; --poses names the folder of KITTI pose files")
+    poses = workshop.pose_file(cell)
     frames = plan.frames or 1_000_000
     return RenderConfig(
         world="town", agents=1, frames=frames, poses_file=poses, poses_step=plan.step, rate_hz=10.0 / plan.step, **size
