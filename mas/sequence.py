@@ -182,6 +182,8 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 def read_manifest(folder: Path) -> Manifest:
     """The manifest of a SEQS folder; a folder without one was not finished or is something else."""
     path = folder / MANIFEST
+    if not folder.exists():
+        raise MasError(f"{folder}: no such folder")
     if not path.is_file():
         raise MasError(f"{folder}: no {MANIFEST}: not a folder of agent sequences, or its preprocessing did not finish")
     try:

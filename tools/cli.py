@@ -84,7 +84,10 @@ def _run(arguments: argparse.Namespace) -> int:
         _say(str(error), usage)
         return USAGE
     except KeyboardInterrupt:
-        _say("interrupted; nothing half-written; the same command again goes on from here", "\n")
+        _say(
+            "interrupted; nothing half-written; finished sequences are kept; the same command goes on with the others",
+            "\n",
+        )
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output has enough: `maslam eval RUN | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

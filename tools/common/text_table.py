@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
+def counted(number: int, noun: str) -> str:
+    """``"1 agent"``, ``"2 agents"``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """One line per row: the first column set left, the others right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

@@ -19,7 +19,9 @@ from ..common.errors import ToolError, UsageError, describe
 from ..common.folders import check_apart, making
 from ..common.names import check_name
 from ..common.options import add_model_options, build, read_settings
+from ..common.parser import at_least_one
 from ..common.progress import Progress, progress_on
+from ..common.text_table import counted
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
@@ -61,7 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` shows what is read"
     )
     parser.add_argument(
-        "out", metavar="OUT", type=Path, help="folder for the agent sequences; unfinished work in it is taken up again"
+        "out",
+        metavar="OUT",
+        type=Path,
+        help="for the agent sequences: a new folder, or an earlier result, whose files are replaced",
     )
     add_preprocess_arguments(parser)
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
@@ -107,7 +112,7 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--workers",
-        type=int,
+        type=at_least_one,
         default=0,
         metavar="N",
         help="processes (default: one per core, at most one per sequence)",
@@ -160,7 +165,7 @@ def main(arguments: argparse.Namespace) -> None:
 def summary_line(manifest: Manifest, out: Path) -> str:
     """The result in one line."""
     keyframes, frames = (sum(getattr(a, n) for a in manifest.agents) for n in ("keyframes", "frames"))
-    agents = f"{len(manifest.agents)} agent{'s' if len(manifest.agents) > 1 else ''}"
+    agents = counted(len(manifest.agents), "agent")
     return f"{out}: {agents}, {frames} frames, {keyframes} key-frames, scale {manifest.scale}"
 
 
@@ -217,7 +222,8 @@ def _made(
     plans = plan_agents(tracked, split)
     if split is not None and len(plans) < split.agents:
         frames = sum(len(sequence) for sequence, _ in tracked)
-        problems.append(f"{frames} frames make {len(plans)} agents, not {split.agents}: the others have no key-frame")
+        made = counted(len(plans), "agent")
+        problems.append(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame")
     for problem in problems:
         progress.say(f"warning: {problem}")
     return write_sequences(out, dataset, plans, model, split, {**_as_set(settings), "problems": problems})

@@ -24,7 +24,12 @@ DEFAULT_PRESET = "maslam"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SEQS OUT`` and everything that can be set."""
     parser.add_argument("sequences", metavar="SEQS", type=Path, help="folder that `maslam preprocess` made")
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder for the results")
+    parser.add_argument(
+        "out",
+        metavar="OUT",
+        type=Path,
+        help="for the results: a new folder, or an earlier run, whose files are replaced",
+    )
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="YAML with settings; a run's config.yaml repeats it"
     )

@@ -33,7 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` shows what is read"
     )
     parser.add_argument(
-        "out", metavar="OUT", type=Path, help=f"folder for the results; OUT/{SEQUENCES} holds the agent sequences"
+        "out",
+        metavar="OUT",
+        type=Path,
+        help=f"for the results: a new folder, or an earlier run, whose files are replaced; OUT/{SEQUENCES} holds the "
+        "agent sequences",
     )
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help=f"YAML with settings of `run`, and `{SECTION}: {{...}}`"

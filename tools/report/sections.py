@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.figures import INK, TRUTH, colour_of, dash_of
+from ..common.text_table import counted
 from .charts import (
     OPERATION_COLOUR,
     OPERATIONS,
@@ -34,7 +35,7 @@ MAX_MATCH_ROWS = 400
 def headline(run: RunData) -> tuple[str, str]:
     """Title and the line below it."""
     s = run.summary
-    title = f"{s['agents']} agent{'' if s['agents'] == 1 else 's'} in {Path(run.manifest.source).name}"
+    title = f"{counted(s['agents'], 'agent')} in {Path(run.manifest.source).name}"
     settings = f"{who_decided(s)}, seed {s['seed']}, scale {run.manifest.scale}"
     return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}"
 

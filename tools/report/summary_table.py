@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import ToolError
-from ..common.text_table import aligned
+from ..common.text_table import aligned, counted
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -41,6 +41,8 @@ def table_of(run: Path) -> str:
 
 def read_summary(run: Path) -> dict[str, Any]:
     """``summary.json`` of a finished run; :class:`ToolError` where there is none, or where it is no JSON object."""
+    if not run.exists():
+        raise ToolError(f"{run}: no such folder")
     if not (run / SUMMARY).is_file():
         raise ToolError(f"{run}: no {SUMMARY}: not the folder of a run, or the run did not finish")
     return _object(run / SUMMARY)
@@ -73,8 +75,8 @@ def who_decided(summary: dict[str, Any]) -> str:
 
 def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
-    agents = "1 agent" if summary["agents"] == 1 else f"{summary['agents']} agents"
-    head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {summary['keyframes']} key-frames"
+    agents, keyframes = counted(summary["agents"], "agent"), counted(summary["keyframes"], "key-frame")
+    head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {keyframes}"
     return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary), _time(timing)])
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.figures import FAINT, colour_of, dress, plain_powers, saved_figure
+from ..common.text_table import counted
 from ..report.charts import OPERATIONS, draw_bytes, draw_lines, draw_map, top_view
 from ..report.run_data import RunData, read_run
 from .rows import Group
@@ -27,8 +28,8 @@ def draw_all(groups: Sequence[Group], runs: dict[tuple[str, int, str], Path], ou
         made.append(_regret(groups, out / "regret.png"))
     for (sequence, agents, preset), run in runs.items():
         data, stem = read_run(run), f"{sequence}_{agents:03d}_{preset}"
-        made.append(_trajectories(data, f"{sequence}, {agents} agents, {preset}", out / f"map_{stem}.png"))
-        made.append(_over_time(data, f"{sequence}, {agents} agents, {preset}", out / f"time_{stem}.png"))
+        made.append(_trajectories(data, f"{sequence}, {counted(agents, 'agent')}, {preset}", out / f"map_{stem}.png"))
+        made.append(_over_time(data, f"{sequence}, {counted(agents, 'agent')}, {preset}", out / f"time_{stem}.png"))
     return made
 
 

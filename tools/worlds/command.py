@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..common.options import DEST, add_model_options, build, size
+from ..common.options import DEST, add_model_options, build, overlaid, size
+from ..common.parser import at_least_one
 from ..common.progress import counter, progress_on
+from ..common.text_table import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a KITTI pose file to drive, as --poses-file (default: a path through the world)",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="threads (default: one per core)")
+    parser.add_argument("--workers", type=at_least_one, metavar="N", help="threads (default: one per core)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_model_options(parser, RenderConfig())
 
@@ -34,14 +36,15 @@ def main(arguments: argparse.Namespace) -> None:
     from .config import RenderConfig
     from .dataset import render_dataset
 
-    changes: dict[str, object] = {}
+    base = RenderConfig()
     if arguments.size is not None:
-        changes["width"], changes["height"] = size(arguments.size)
+        width, height = size(arguments.size)
+        base = overlaid(base, {"width": width, "height": height}, f"--size {arguments.size}")
     if arguments.poses is not None:
         setattr(arguments, f"{DEST}poses_file", str(arguments.poses))
-    config = build(RenderConfig(), arguments, changes)
+    config = build(base, arguments)
     with progress_on(quiet=arguments.quiet) as progress:
         count = counter(progress, "images")
         render_dataset(config, arguments.out, count, arguments.workers, counter(progress, COMPILING))
     pictures = f"{config.rig} {config.width}x{config.height}"
-    print(f"{arguments.out}: {config.world}, {config.agents} agents, {pictures}, seed {config.seed}")
+    print(f"{arguments.out}: {config.world}, {counted(config.agents, 'agent')}, {pictures}, seed {config.seed}")
