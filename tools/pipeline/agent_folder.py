@@ -43,7 +43,7 @@ from .tracking import Tracked
 
 
 @dataclass(frozen=True)
-class AgentPlan:
+class SharePlan:
     """One agent to be: its share of a tracked sequence."""
 
     name: str
@@ -53,13 +53,14 @@ class AgentPlan:
 
     @property
     def start_ns(self) -> int:
+        """Time stamp of its first frame, in the source."""
         return int(self.sequence.stamps_ns[self.share.first])
 
 
 def write_sequences(
     out: Path,
     dataset: Dataset,
-    plans: Sequence[AgentPlan],
+    plans: Sequence[SharePlan],
     model: PlaceDescriptor,
     split: SplitEntry | None,
     settings: dict[str, Any],
@@ -95,7 +96,7 @@ def write_sequences(
     return manifest
 
 
-def plan_agents(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry | None) -> list[AgentPlan]:
+def plan_agents(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry | None) -> list[SharePlan]:
     """Share the tracked sequences out to agents; who would get no key-frame is left out."""
     split = split or SplitEntry(agents=1, overlap=0)
     shares = [
@@ -103,11 +104,11 @@ def plan_agents(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEn
         for sequence, one in tracked
         for share in share_out(len(sequence), list(one.keyframes), split.agents, split.overlap)
     ]
-    plans = [AgentPlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
+    plans = [SharePlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
     return [plan for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
 
 
-def _write_agent(out: Path, plan: AgentPlan, model: PlaceDescriptor) -> AgentEntry:
+def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor) -> AgentEntry:
     """The agent's folder, put in place whole; times become relative to its first frame."""
     used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
     places = _places(plan, used, model)
@@ -134,7 +135,7 @@ def _write_agent(out: Path, plan: AgentPlan, model: PlaceDescriptor) -> AgentEnt
     )
 
 
-def _write_track(folder: Path, number: int, plan: AgentPlan, k: int) -> Trajectory:
+def _write_track(folder: Path, number: int, plan: SharePlan, k: int) -> Trajectory:
     """The five files and the essential graph of track ``k`` as the agent's track ``number``; returns all its frames,
     in the same origin and clock.
     """
@@ -157,11 +158,11 @@ def _essential(track: VoTrack) -> PoseGraph:
     )
 
 
-def _keyframe_stamps_ns(plan: AgentPlan, k: int) -> NDArray[np.int64]:
+def _keyframe_stamps_ns(plan: SharePlan, k: int) -> NDArray[np.int64]:
     return plan.sequence.stamps_ns[plan.tracked.keyframes[k][plan.share.keyframes[k]]] - plan.start_ns
 
 
-def _places(plan: AgentPlan, used: list[int], model: PlaceDescriptor) -> PlaceVectors:
+def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor) -> PlaceVectors:
     begins = np.cumsum([0, *(len(keyframes) for keyframes in plan.tracked.keyframes)])
     kept = [plan.share.keyframes[k] for k in used]
     rows = np.concatenate([np.arange(begins[k] + s.start, begins[k] + s.stop) for k, s in zip(used, kept, strict=True)])
@@ -175,14 +176,14 @@ def _places(plan: AgentPlan, used: list[int], model: PlaceDescriptor) -> PlaceVe
     )
 
 
-def _during(plan: AgentPlan, trajectory: Trajectory) -> Trajectory:
+def _during(plan: SharePlan, trajectory: Trajectory) -> Trajectory:
     """The poses between the agent's first and last frame, on its own clock."""
     first, last = plan.sequence.stamps_ns[[plan.share.first, plan.share.last]]
     inside = (trajectory.stamps_ns >= first) & (trajectory.stamps_ns <= last)
     return Trajectory(trajectory.stamps_ns[inside] - plan.start_ns, trajectory.poses[inside])
 
 
-def _lost(plan: AgentPlan) -> tuple[LostEntry, ...]:
+def _lost(plan: SharePlan) -> tuple[LostEntry, ...]:
     first, last = plan.share.first, plan.share.last
     return tuple(
         LostEntry(
