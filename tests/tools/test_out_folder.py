@@ -8,22 +8,22 @@ import pytest
 from dataset_makers import make_scene, write_rendered
 
 import maslam
+from maslam.frontend.datasets.folder import FolderReader
 from maslam.mas.output.run_folder import SUMMARY, Recorder, check_out
 from maslam.tools import cli
 
 
 @pytest.fixture
 def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two agents' images; whatever reads them before OUT is checked fails the test."""
+    """Two agents' images; whatever reads or renders any before OUT is checked fails the test. ``seqs`` is missing."""
 
     def read_too_early(*_: object, **__: object) -> None:
-        pytest.fail("the images are read before OUT is checked")
+        pytest.fail("the work begins before OUT is checked")
 
     for name in ("agent_00", "agent_01"):
         write_rendered(tmp_path / "town" / name, make_scene(), "stereo")
-    monkeypatch.setattr("maslam.frontend.datasets.open_dataset", read_too_early)
-    monkeypatch.setattr("maslam.tools.worlds.dataset.render_dataset", read_too_early)
-    monkeypatch.setattr("maslam.mas.sequence.load_sequences", read_too_early)
+    monkeypatch.setattr(FolderReader, "open", read_too_early)
+    monkeypatch.setattr("maslam.tools.worlds.dataset.load_open3d", read_too_early)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ud").mkdir()
     (tmp_path / "ud" / "thesis.tex").write_text("years of work")
