@@ -13,6 +13,7 @@ from maslam.frontend.datasets.readers import ReaderLike
 from maslam.mas import simulation
 from maslam.mas.config import MasConfig
 from maslam.mas.kernels import agent_kernels
+from maslam.mas.output.run_folder import check_out
 from maslam.mas.policies.foreign import PolicyLike
 from maslam.mas.policies.presets import check_policy
 from maslam.mas.policies.presets import preset as preset_named
@@ -108,6 +109,7 @@ def run(
         MaslamError: a folder that is not of agent sequences, an unknown setting, somebody else's files in ``out``.
     """
     config = _config(preset, seed, nested(settings), policy, transport)
+    check_out(Path(out))
     manifest, loaded = load_sequences(sequences.folder if isinstance(sequences, Sequences) else Path(sequences))
     tasks = CallbackProgress(progress)
     compile_for(agent_kernels(len(loaded)), tasks)

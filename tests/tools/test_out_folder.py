@@ -11,6 +11,7 @@ import maslam
 from maslam.frontend.datasets.folder import FolderReader
 from maslam.mas.output.run_folder import SUMMARY, Recorder, check_out
 from maslam.tools import cli
+from maslam.tools.common.folders import check_apart
 
 
 @pytest.fixture
@@ -42,10 +43,20 @@ def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("preprocess town ./town/", "town: is the folder of the images; choose another folder for the results"),
         (
             "slam town town/agent_00",
-            "town/agent_00: is inside the folder of the images, town; choose a folder outside it",
+            "town/agent_00: would be read as an agent of town; choose another folder for the results",
         ),
-        ("preprocess town town/new", "town/new: is inside the folder of the images, town; choose a folder outside it"),
-        ("slam . new", "new: is inside the folder of the images, .; choose a folder outside it"),
+        (
+            "preprocess town town/agent_07",
+            "town/agent_07: would be read as an agent of town; choose another folder for the results",
+        ),
+        (
+            "slam town/agent_00 town/agent_00/image_0",
+            "town/agent_00/image_0: exists and is not an earlier run; choose another folder",
+        ),
+        (
+            "preprocess town/agent_00 town/agent_00/image_0",
+            "town/agent_00/image_0: not empty, and no folder of agent sequences",
+        ),
         ("slam town out.txt", "out.txt: is a file, not a folder"),
         ("preprocess town out.txt", "out.txt: is a file, not a folder"),
         ("run seqs out.txt", "out.txt: is a file, not a folder"),
@@ -62,9 +73,16 @@ def test_out_is_checked_before_the_work(words: str, said: str, town: Path, capsy
 def test_python_refuses_the_same(town: Path) -> None:
     with pytest.raises(maslam.MaslamError, match="ud: exists and is not an earlier run"):
         maslam.slam("town", "ud")
-    with pytest.raises(maslam.MaslamError, match="agent_00: is inside the folder of the images"):
+    with pytest.raises(maslam.MaslamError, match="ud: exists and is not an earlier run"):
+        maslam.run("town", "ud")
+    with pytest.raises(maslam.MaslamError, match="agent_00: would be read as an agent"):
         maslam.slam("town", "town/agent_00")
     assert [path.name for path in Path("ud").iterdir()] == ["thesis.tex"]
+
+
+def test_a_new_folder_beside_the_images_is_free(tmp_path: Path) -> None:
+    write_rendered(tmp_path / "drive", make_scene(), "stereo")
+    check_apart(tmp_path / "drive", tmp_path / "drive" / "out")
 
 
 def test_an_earlier_run_an_empty_folder_and_what_a_command_left_are_free(tmp_path: Path) -> None:

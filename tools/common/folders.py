@@ -10,13 +10,16 @@ from .errors import ToolError
 
 
 def check_apart(source: Path, out: Path) -> None:
-    """Refuse results among the images: ``out`` may not be ``source``, inside it, or a file."""
+    """Refuse ``out`` where it is ``source``, would be read as one of its agents, or is a file.
+
+    Another new folder inside ``source`` is free; what is there already is looked at by who writes to it.
+    """
     if out.exists() and not out.is_dir():
         raise ToolError(f"{out}: is a file, not a folder")
     if out.resolve() == source.resolve():
         raise ToolError(f"{out}: is the folder of the images; choose another folder for the results")
-    if out.resolve().is_relative_to(source.resolve()):
-        raise ToolError(f"{out}: is inside the folder of the images, {source}; choose a folder outside it")
+    if out.resolve().parent == source.resolve() and out.name.startswith("agent"):
+        raise ToolError(f"{out}: would be read as an agent of {source}; choose another folder for the results")
 
 
 @contextmanager
