@@ -123,8 +123,11 @@ def test_policy_and_transport_by_name_do_what_the_objects_do(tmp_path: Path) -> 
     named = preset("maslam").model_copy(update={"policy": "likeliest", "transport": "plain"})
     run(manifest, sequences, named, tmp_path / "named")
     run(manifest, sequences, preset("maslam"), tmp_path / "given", policy=AskTheLikeliest())
-    for name in ("traffic.csv", "matches.csv", "summary.json"):
+    for name in ("traffic.csv", "matches.csv"):
         assert (tmp_path / "named" / name).read_bytes() == (tmp_path / "given" / name).read_bytes(), name
+    summaries = [json.loads((tmp_path / name / "summary.json").read_text()) for name in ("named", "given")]
+    assert [s.pop("policy") for s in summaries] == ["likeliest", "foreign_package.policy:AskTheLikeliest"]
+    assert summaries[0] == summaries[1]
     settings = [yaml.safe_load((tmp_path / name / "config.yaml").read_text()) for name in ("named", "given")]
     assert [s["policy"] for s in settings] == ["likeliest", "foreign_package.policy:AskTheLikeliest"]
     assert [s["transport"] for s in settings] == ["plain", "in_process"]
