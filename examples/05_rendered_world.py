@@ -6,18 +6,14 @@ python examples/05_rendered_world.py OUT [AGENTS FRAMES]
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import maslam
-from maslam.tools.worlds.config import RenderConfig
-from maslam.tools.worlds.dataset import render_dataset
 
 
 def main(out: str, agents: str = "3", frames: str = "60") -> None:
-    world = RenderConfig(world="town", seed=1, agents=int(agents), frames=int(frames), width=320, height=180)
-    render_dataset(world, Path(out) / "images")
+    world = maslam.render(f"{out}/images", seed=1, agents=int(agents), frames=int(frames), size=(320, 180), workers=2)
 
-    run = maslam.slam(f"{out}/images", f"{out}/run", workers=2)
+    run = maslam.slam(world.root, f"{out}/run", workers=2)
     figures = maslam.evaluate(run)
     print(f"groups {figures.groups}, {figures.matches.accepted} matches, {figures.matches.false_accepted} false")
     print(f"mean ATE {figures.ate_rmse_m.mean_agents:.3f} m, odometry alone {figures.odometry_mean_rmse_m:.3f} m")

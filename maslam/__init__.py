@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .api.odometry import Odometry
     from .api.pipeline import preprocess, run, slam
     from .api.results import AgentResult, MatchResult, Run, Sequences
+    from .api.worlds import render
     from .backend.central.optimise import OptimisationResult
     from .backend.distributed.exchange import GroupResult
     from .backend.geometry import Sim3
@@ -97,6 +98,7 @@ __all__ = [
     "preprocess",
     "preset",
     "read_g2o",
+    "render",
     "run",
     "slam",
     "write_g2o",
@@ -109,6 +111,7 @@ _PLACES = {
     "api.odometry": ("Odometry",),
     "api.pipeline": ("preprocess", "run", "slam"),
     "api.results": ("AgentResult", "MatchResult", "Run", "Sequences"),
+    "api.worlds": ("render",),
     "backend.central.optimise": ("OptimisationResult",),
     "backend.distributed.exchange": ("GroupResult",),
     "backend.geometry": ("Sim3",),

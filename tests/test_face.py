@@ -250,3 +250,32 @@ def test_graphs_are_read_optimised_and_written(tmp_path: Path) -> None:
     assert maslam.optimise(maslam.read_g2o(tmp_path / "solved.g2o"), cost="U").cost_before < 1e-9
     with pytest.raises(maslam.MaslamError, match="did you mean 'iterations'"):
         maslam.optimise(graph, settings={"iteration": 3})
+
+
+def test_a_world_is_rendered_as_the_command_renders_it(tmp_path: Path) -> None:
+    pytest.importorskip("open3d")
+    told: list[tuple[str, int, int]] = []
+    world = maslam.render(
+        tmp_path / "face",
+        agents=2,
+        frames=1,
+        rig="rgbd",
+        size=(64, 48),
+        seed=3,
+        settings={"cheap": True, "rate_hz": 5.0},
+        progress=lambda *step: told.append(step),
+    )
+    words = "--agents 2 --frames 1 --rig rgbd --size 64x48 --seed 3 --cheap true --rate-hz 5 --workers 1 --quiet"
+    assert cli.main(["render", str(tmp_path / "command"), *words.split()]) == 0
+    made, same = (
+        {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        for folder in (tmp_path / "face", tmp_path / "command")
+    )
+    assert made and made == same
+    assert [s.rig.kind for s in world.sequences] == [maslam.RigKind.RGBD] * 2 and told[-1] == ("images", 2, 2)
+    with pytest.raises(maslam.MaslamError, match="did you mean 'light_change'"):
+        maslam.render(tmp_path / "face", settings={"light_chang": 0.5})
+    with pytest.raises(maslam.MaslamError, match="agents"):
+        maslam.render(tmp_path / "face", agents=0)
+    with pytest.raises(maslam.MaslamError, match="face"):
+        maslam.render(tmp_path / "face", agents=3)
