@@ -61,22 +61,40 @@ def _called(function: FunctionType) -> list[FunctionType]:
 def _made_of(function: FunctionType) -> Iterator[str]:
     package = function.__module__.partition(".")[0]
     yield _digest(inspect.getfile(function))
+    if function.__closure__:
+        raise TypeError(f"{function.__qualname__}: variables of a function around it, whose changes are not told")
     for name, value in _globals(function).items():
         if isinstance(value, Dispatcher):
             continue  # its own file is told
         if isinstance(value, ModuleType):
             if value.__name__.partition(".")[0] == package:
                 raise TypeError(f"{function.__qualname__}: import what it uses of {value.__name__} by name")
-        elif isinstance(value, (bool, int, float, complex, str, bytes, tuple, np.generic)):
-            yield f"{name}={value!r}"
-        elif isinstance(value, np.ndarray):
-            yield f"{name}={value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
+        elif isinstance(value, (*_PLAIN, tuple, np.ndarray)):
+            yield f"{name}={_constant(function, name, value)}"
         elif callable(value):  # a class, a function of another library, an intrinsic of numba's
             module = inspect.getmodule(value)
             if module is not None and module.__name__.partition(".")[0] == package:
                 yield _digest(inspect.getfile(module))
         else:
-            raise TypeError(f"{function.__qualname__}: {name} is a {type(value).__name__}, whose changes are not told")
+            raise _not_told(function, name, value)
+
+
+_PLAIN = (bool, int, float, complex, str, bytes, np.generic)
+
+
+def _constant(function: FunctionType, name: str, value: Any) -> str:
+    """Every digit of a constant: numpy's ``repr`` leaves out most of a long array, also inside a tuple."""
+    if isinstance(value, tuple):
+        return f"({', '.join(_constant(function, name, one) for one in value)})"
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, _PLAIN):
+        return repr(value)
+    raise _not_told(function, name, value)
+
+
+def _not_told(function: FunctionType, name: str, value: Any) -> TypeError:
+    return TypeError(f"{function.__qualname__}: {name} is a {type(value).__name__}, whose changes are not told")
 
 
 def _globals(function: FunctionType) -> dict[str, Any]:

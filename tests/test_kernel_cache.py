@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from maslam._kernels import kernel
+
 INNER = """
 import numpy as np
 from maslam._kernels import kernel
@@ -93,6 +95,24 @@ def test_older_code_is_neither_taken_nor_kept(package: Path) -> None:
     for file, data in old.items():
         file.write_bytes(data)
     assert called(package) == (1350.0, True)
+
+
+def test_every_digit_of_a_long_array_is_told_also_in_a_tuple(package: Path) -> None:
+    long = "TABLE = (np.arange(3000.0), np.arange(3000.0))\nFACTOR = 0.5\n"
+    (package / "values.py").write_text("import numpy as np\n" + long, encoding="utf-8")
+    changed(package / "inner.py", "TABLE[1]", "TABLE[1][1500]")
+    assert called(package) == (150250.0, True)
+    changed(package / "values.py", "np.arange(3000.0))", "np.where(np.arange(3000) == 1500, 7.0, np.arange(3000.0)))")
+    assert called(package) == (950.0, True)
+
+
+def test_variables_of_a_function_around_a_kernel_are_refused() -> None:
+    factor = 2.0
+    with pytest.raises(TypeError, match="scaled: variables of a function around it"):
+
+        @kernel
+        def scaled(x: float) -> float:
+            return factor * x
 
 
 def test_a_global_whose_changes_cannot_be_told_is_refused(package: Path) -> None:

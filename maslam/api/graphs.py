@@ -18,7 +18,7 @@ from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.backend.robust.select import RobustMethod, RobustResult, optimise_robustly
 from maslam.tools.common.errors import UnknownName
 from maslam.tools.pgo.files import expand
-from maslam.tools.pgo.methods import CENTRAL, METHODS, ROBUST, solver_of
+from maslam.tools.pgo.methods import CENTRAL, METHODS, ROBUST, WEIGHTS, solver_of, takes_unit_weights
 
 from .common import PathLike, Settings, changed, nested, on_one_thread
 
@@ -99,8 +99,7 @@ def optimise(
     Raises:
         MaslamError: an unknown setting, or no such ``robust``.
     """
-    if robust not in ROBUST:
-        raise UnknownName(f"robust: there is no {robust!r}, only {', '.join(ROBUST)}{hint(robust, ROBUST)}")
+    _check_known("robust", robust, ROBUST)
     if cost == "auto":
         cost = "U" if graph.is_unweighted else "F"
     given = nested(settings)
@@ -131,10 +130,14 @@ def optimise_distributed(
     Raises:
         MaslamError: an unknown method or setting, a graph that has no odometry.
     """
-    if method not in METHODS or method == CENTRAL:
-        there = [name for name in METHODS if name != CENTRAL]
-        raise UnknownName(f"method: there is no {method!r}, only {', '.join(there)}{hint(method, there)}")
-    unit = weights == "unit" or (weights == "auto" and graph.is_unweighted)
+    _check_known("method", method, [name for name in METHODS if name != CENTRAL])
+    _check_known("weights", weights, WEIGHTS)
+    unit = takes_unit_weights(weights, graph)
     config = changed(solver_of(method), nested(settings))
     found = exchange.optimise_distributed(graph.with_unit_weights() if unit else graph, config)
     return replace(found, graph=graph.with_poses(found.graph.poses))
+
+
+def _check_known(what: str, name: str, there: Sequence[str]) -> None:
+    if name not in there:
+        raise UnknownName(f"{what}: there is no {name!r}, only {', '.join(there)}{hint(name, there)}")

@@ -112,6 +112,8 @@ def test_a_distributed_method_that_there_is_not_is_refused_with_the_nearest(fold
     for name in ("electd", "central"):
         with pytest.raises(maslam.MaslamError, match=f"method: there is no '{name}', only dgs, jor"):
             maslam.optimise_distributed(maslam.read_g2o(folder), method=name)
+    with pytest.raises(maslam.MaslamError, match=r"weights: there is no 'unity', only .*did you mean 'unit'"):
+        maslam.optimise_distributed(maslam.read_g2o(folder), weights="unity")
 
 
 def with_wrong_edges(folder):

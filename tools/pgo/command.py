@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``FILES… OUT``, the method, and all settings of its solver."""
     from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
 
-    from .methods import METHODS, ROBUST
+    from .methods import METHODS, ROBUST, WEIGHTS
 
     parser.epilog = _METHODS
     parser.add_argument(
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(
         "--weights",
-        choices=("auto", "information", "unit"),
+        choices=WEIGHTS,
         default="auto",
         help="of edges: the files' information (cost F), 1 (cost U), or auto: 1 where every matrix is the identity "
         "(default: %(default)s)",
@@ -105,9 +105,9 @@ def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
     """The request of the command line for this graph."""
     from maslam.backend.config import CentralConfig, RobustConfig
 
-    from .methods import LOSSES, Request, solver_of
+    from .methods import LOSSES, Request, solver_of, takes_unit_weights
 
-    unit = arguments.weights == "unit" or (arguments.weights == "auto" and graph.is_unweighted)
+    unit = takes_unit_weights(arguments.weights, graph)
     loss = arguments.robust if arguments.robust in LOSSES else "none"
     central = build(CentralConfig(cost="U" if unit else "F", loss=loss), arguments, prefix="central")
     solver = build(solver_of(arguments.method), arguments, prefix="solver")

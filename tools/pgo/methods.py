@@ -26,6 +26,7 @@ METHODS = (CENTRAL, *TWO_STAGE, "quick", *TO_THE_OPTIMUM)
 LOSSES = ("huber", "cauchy")
 SELECTIONS = ("pcm", "gnc", "pcm+gnc")
 ROBUST = ("none", *LOSSES, *SELECTIONS)
+WEIGHTS = ("auto", "information", "unit")
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ def solver_of(method: str) -> SolverConfig:
     if method == CENTRAL:
         return SolverConfig()
     return SolverConfig.quick() if method == "quick" else SolverConfig.model_validate({"method": method})
+
+
+def takes_unit_weights(weights: str, graph: PoseGraph) -> bool:
+    """Whether cost U is minimised: ``weights`` is ``unit``, ``information``, or ``auto`` (by what the graph says)."""
+    return weights == "unit" or (weights == "auto" and graph.is_unweighted)
 
 
 def check(method: str, robust: str) -> None:
