@@ -277,5 +277,7 @@ def test_a_world_is_rendered_as_the_command_renders_it(tmp_path: Path) -> None:
         maslam.render(tmp_path / "face", settings={"light_chang": 0.5})
     with pytest.raises(maslam.MaslamError, match="agents"):
         maslam.render(tmp_path / "face", agents=0)
+    with pytest.raises(maslam.MaslamError, match="workers: at least 1, not 0"):
+        maslam.render(tmp_path / "other", workers=0)
     with pytest.raises(maslam.MaslamError, match="face"):
         maslam.render(tmp_path / "face", agents=3)

@@ -72,3 +72,9 @@ def rig_kind(rig: RigKind | str | None) -> RigKind | None:
         return None if rig is None else RigKind(rig)
     except ValueError:
         raise ToolError(f"rig: {rig!r}: one of {', '.join(RigKind)} is meant") from None
+
+
+def check_least(name: str, value: int, least: int) -> None:
+    """Refuse a count below ``least``."""
+    if value < least:
+        raise ToolError(f"{name}: at least {least}, not {value}")

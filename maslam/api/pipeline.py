@@ -27,7 +27,7 @@ from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, SECTION, PreprocessSettings
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
-from .common import PathLike, ProgressCallback, Settings, changed, nested, on_one_thread, rig_kind
+from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
 from .results import Run, Sequences
 
 
@@ -179,9 +179,8 @@ def _preprocess_settings(
     strange = sorted(set(content) - {SECTION})
     if strange:
         raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows '{SECTION}.…'")
-    for name, value, least in (("overlap", overlap, 0), ("workers", workers, 1)):
-        if value < least:
-            raise ToolError(f"{name}: at least {least}, not {value}")
+    check_least("overlap", overlap, 0)
+    check_least("workers", workers, 1)
     kind = rig_kind(rig)
     return PreprocessSettings(
         odometry=changed(OdometryConfig(), content.get(SECTION, {})),

@@ -13,7 +13,7 @@ from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.worlds.config import RenderConfig
 from maslam.tools.worlds.dataset import render_dataset
 
-from .common import PathLike, ProgressCallback, Settings, changed, nested, on_one_thread
+from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread
 
 
 @on_one_thread
@@ -51,6 +51,7 @@ def render(
     Raises:
         MaslamError: a library that is missing, a setting that is unknown or out of range, other files in ``out``.
     """
+    check_least("workers", workers, 1)
     width, height = size
     named = {"world": world, "agents": agents, "frames": frames, "rig": str(rig), "width": width, "height": height}
     config = changed(RenderConfig(), {**named, "seed": seed, **nested(settings)})
