@@ -106,7 +106,7 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
 def believable(outcome: SolverOutcome) -> bool:
     """Whether poses and scales are numbers that a map may have: a member's nonsense may have spoilt them."""
     numbers = np.concatenate([np.asarray(T).ravel() for T in outcome.poses.values()] or [np.zeros(0)])
-    scales = np.array(list(outcome.scales.values()))
+    scales = np.array(list(outcome.units.values()))
     small = np.isfinite(numbers).all() and np.abs(numbers).max(initial=0.0) <= MAX_TRANSLATION
     return bool(small and (scales >= 1.0 / MAX_SCALE).all() and (scales <= MAX_SCALE).all())
 
@@ -115,7 +115,7 @@ def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adop
     """Take the optimised poses over; key-frames that came later are carried along rigidly with the last optimised
     one."""
     before = {i: state.pose(i) for i in range(len(state.keyframes))}
-    unit = outcome.scales[state.me] * task.unit
+    unit = float(np.median(list(outcome.units.values()))) * task.unit
     for track in task.tracks:
         piece = state.piece(track)
         state.pieces[state.pieces.index(piece)] = Piece(track, piece.first, task.frame, unit)
