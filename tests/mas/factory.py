@@ -24,6 +24,7 @@ SHA256 = "ab" * 32
 DIM = 32
 THRESHOLD = 0.35
 CAMERA = CameraEntry(kind="stereo", width=640, height=360, fx=320, fy=320, cx=319.5, cy=179.5, baseline_m=0.5)
+ONE_CAMERA = CAMERA.model_copy(update={"kind": "mono", "baseline_m": None})
 FRAMES_A_KEYFRAME = 3
 FRAME_NS = 100_000_000
 
@@ -224,7 +225,7 @@ def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Man
     return Manifest(
         source="made up",
         kind="synthetic",
-        scale="metric" if all(s.metric for s in sequences) else "arbitrary",
+        scale="metric" if any(s.metric for s in sequences) else "arbitrary",
         descriptor=DescriptorEntry(name=MODEL, sha256=sha256, dim=DIM, threshold=THRESHOLD, min_std=0.0),
         agents=tuple(
             AgentEntry(
@@ -235,7 +236,7 @@ def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Man
                 keyframes=len(s.places.vectors),
                 tracks=len(s.tracks),
                 start_ns=s.start_ns,
-                camera=CAMERA,
+                camera=CAMERA if s.metric else ONE_CAMERA,
             )
             for s in sequences
         ),

@@ -116,7 +116,7 @@ def examples() -> list[Message]:
     links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), rows, rows)
     bodies = [
         Call(OperationKind.DOPT, 5_000_000_000, (0, 1)),
-        Bid(100, 0, links, (PieceTerms(0, FrameId(0, 0), 1.0),)),
+        Bid(100, 0, links, (PieceTerms(0, FrameId(0, 0), True, True),)),
         Refusal("busy"),
         Award(PlaceQuery(3, 0xAB12CD34, vector)),
         Award(OwnerQuery(3, 0xAB12CD34, vector)),

@@ -113,18 +113,23 @@ def test_a_match_seen_from_the_other_side_says_the_same() -> None:
 
 
 def bid(
-    agent: int, rows: list[tuple[MatchId, bool, Sim3, Sim3]], unit: float = 1.0, tracks: tuple[int, ...] = (0,)
+    agent: int,
+    rows: list[tuple[MatchId, bool, Sim3, Sim3]],
+    tracks: tuple[int, ...] = (0,),
+    metric: bool = True,
+    frame: FrameId | None = None,
 ) -> Bid:
-    """Rows: match, whether this agent asked, its key-frame's pose, ``T_M_Q``."""
+    """Rows: match, whether this agent asked, its key-frame's pose, ``T_M_Q``. ``frame``: the coordinates of all; its
+    own if None."""
     links = Links(
         tuple(m for m, *_ in rows),
         tuple(0 for _ in rows),
-        tuple(FrameId(agent, 0) for _ in rows),
+        tuple(frame or FrameId(agent, 0) for _ in rows),
         tuple(asked for _, asked, *_ in rows),
         pack_sim3s([pose for *_, pose, _ in rows], LINK_DTYPE),
         pack_sim3s([T_M_Q for _, asked, _, T_M_Q in rows if asked], LINK_DTYPE),
     )
-    return Bid(0, 0, links, tuple(PieceTerms(t, FrameId(agent, t), unit) for t in tracks))
+    return Bid(0, 0, links, tuple(PieceTerms(t, frame or FrameId(agent, t), metric, metric) for t in tracks))
 
 
 def random_sim3(rng: np.random.Generator, unit: float) -> Sim3:
@@ -144,7 +149,7 @@ def test_everyone_is_placed_in_the_lowest_members_frame() -> None:
         T_M_Q = pose_m.inverse() @ T_2_frame[m].inverse() @ T_2_frame[q] @ pose_q
         rows[m].append((match, False, pose_m, T_M_Q))
         rows[q].append((match, True, pose_q, T_M_Q))
-    found = plan(9, {a: bid(a, rows[a]) for a in units})
+    found = plan(9, {a: bid(a, rows[a], metric=False) for a in units})
     assert found.members == (2, 5, 9)
     for agent, task in found.tasks.items():
         assert task.frame == FrameId(2, 0)
