@@ -99,15 +99,20 @@ def pose_blocks(R_i: Array, R_j: Array, T_ij: Array, kappa: Array, tau: Array) -
     jacobian = np.zeros((m, 12, 12))
     jacobian[:, :3, :3], jacobian[:, :3, 6:9] = -np.eye(3), np.eye(3)
     jacobian[:, :3, 3:6] = R_i @ skew(t_ij)
-    turned_i = -np.einsum("mab,kbc,mcd->mkad", R_i, _GENERATORS, R_ij)
-    turned_j = np.einsum("mab,kbc->mkac", R_j, _GENERATORS)
-    jacobian[:, 3:, 3:6] = turned_i.reshape(m, 3, 9).transpose(0, 2, 1)
-    jacobian[:, 3:, 9:] = turned_j.reshape(m, 3, 9).transpose(0, 2, 1)
+    jacobian[:, 3:, 3:6], jacobian[:, 3:, 9:] = turn_derivatives(R_i, R_j, R_ij)
     residual = np.concatenate([-(R_i @ t_ij[:, :, None])[:, :, 0], (R_j - R_i @ R_ij).reshape(m, 9)], axis=1)
     weights = np.concatenate([np.repeat(tau[:, None], 3, axis=1), np.repeat(kappa[:, None], 9, axis=1)], axis=1)
     weighted = jacobian * weights[:, :, None]
     hessian = np.swapaxes(jacobian, 1, 2) @ weighted
     return hessian, -(np.swapaxes(weighted, 1, 2) @ residual[:, :, None])
+
+
+def turn_derivatives(R_i: Array, R_j: Array, R_ij: Array) -> tuple[Array, Array]:
+    """Derivatives ``(m, 9, 3)`` of ``R_j - R_i R_ij``, row by row, by the turns of i and of j."""
+    m = len(R_i)
+    turned_i = -np.einsum("mab,kbc,mcd->mkad", R_i, _GENERATORS, R_ij)
+    turned_j = np.einsum("mab,kbc->mkac", R_j, _GENERATORS)
+    return turned_i.reshape(m, 3, 9).transpose(0, 2, 1), turned_j.reshape(m, 3, 9).transpose(0, 2, 1)
 
 
 class BlockSystem:

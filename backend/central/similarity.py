@@ -16,14 +16,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..config import SimilarityConfig
 from ..geometry import Array, Sim3, project_to_so3, se3, skew, so3_exp, so3_log, umeyama
-from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
-from .chordal import two_stage_poses
+from ..pose_graph.graph import NodeId, PoseGraph
 from .linear import BlockSystem, isotropic_weights, positive_information
-from .relaxation import Relaxation
+from .similarity_edges import SimilarityEdges, linear_start, scale_precisions
 from .trust_region import anchors, named_parts
 
 _HALVINGS = 12
@@ -117,7 +115,9 @@ class _Problem:
         self.log_scale = np.log(np.array(scale, dtype=np.float64))
         self.information = np.zeros((len(a.ends), 7, 7))
         self.information[:, :6, :6] = positive_information(a.information)
-        self.information[:, 6, 6] = a.weight * _scale_precisions(graph, config)
+        # Priors say nothing of a node's unit.
+        precision = np.concatenate([scale_precisions(graph.edges, config), np.zeros(len(graph.priors))])
+        self.information[:, 6, 6] = a.weight * precision
         self._held, part = anchors(a), named_parts(a)
         is_metric = np.array([n.robot in metric for n in a.nodes] + [True] * (a.origin is not None), dtype=bool)
         self._fixed = np.zeros((self._count, 7), dtype=bool)
@@ -195,37 +195,11 @@ class _Problem:
 
     def linear_start(self, given: _State) -> _State:
         """Chordal rotations; log scales from the edges' scales; translations with both held."""
-        poses = se3(given.rotation, given.translation)
-        R = two_stage_poses(self.ends, self.measured, self._weights, poses, 0, self._held)[:, :3, :3]
-        log_scale = np.zeros(self._count)
-        fixed = np.flatnonzero(self._fixed[:, 6])
-        if len(fixed) < self._count:
-            log_scale = self._differences(self.log_scale[:, None], self.information[:, 6, 6], log_scale[:, None], fixed)
-            log_scale = log_scale[:, 0]
-        i = self.ends[:, 0]
-        size = np.exp(log_scale[i])
-        shift = _apply(R[i], self.measured[:, :3, 3]) * size[:, None]
-        held = np.array(self._held, dtype=np.intp)
-        translation = self._differences(shift, self._weights[1] / size**2, given.translation, held)
-        return _State(R, translation, log_scale)
-
-    def _differences(self, wanted: Array, weight: Array, values: Array, given: NDArray[np.intp]) -> Array:
-        """Values ``(n, c)`` whose differences along the edges are ``wanted`` ``(m, c)`` in the least squares; rows
-        ``given`` are those of ``values``.
-        """
-        unknown = np.full((self._count, 1, wanted.shape[1]), np.nan)
-        unknown[given, 0] = values[given]
-        hessian = weight[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        rhs = weight[:, None, None] * np.stack([-wanted, wanted], axis=1)
-        stage = Relaxation(self.ends, (hessian, rhs), unknown, self._count, given.tolist())
-        stage.sweep(1.0)
-        return np.where(np.isfinite(stage.values[:, 0]), stage.values[:, 0], values)
-
-
-def _scale_precisions(graph: PoseGraph, config: SimilarityConfig) -> Array:
-    """Of the edges' scales, then of the priors', which say nothing of a node's unit."""
-    sigma = [config.drift_sigma if e.kind is EdgeKind.ODOMETRY else config.match_sigma for e in graph.edges]
-    return np.concatenate([np.array(sigma, dtype=np.float64) ** -2.0, np.zeros(len(graph.priors))])
+        kappa, tau = self._weights
+        edges = SimilarityEdges(self.ends, self.measured, self.log_scale, kappa, tau, self.information[:, 6, 6])
+        poses, units = se3(given.rotation, given.translation), np.zeros(self._count)
+        poses, log_scale = linear_start(edges, poses, units, self._held, self._fixed[:, 6])
+        return _State(poses[:, :3, :3], poses[:, :3, 3], log_scale)
 
 
 def _moved(x: _State, step: Array) -> _State:
@@ -251,13 +225,6 @@ def _inverse_right_jacobian(phi: Array) -> Array:
 def _result(graph: PoseGraph, x: _State, before: float, after: float, iterations: int) -> SimilarityResult:
     scales = np.exp(x.log_scale)
     poses = {n: Sim3(x.rotation[k], x.translation[k], float(scales[k])) for k, n in enumerate(graph.nodes)}
-    edges = []
-    for e in graph.edges:
-        s_i, s_j = poses[e.i].scale, poses[e.j].scale
-        T, information = e.T_i_j.copy(), e.information.copy()
-        T[:3, 3] *= s_i
-        information[:3] /= s_i
-        information[:, :3] /= s_i
-        edges.append(replace(e, T_i_j=T, information=information, scale=e.scale * s_i / s_j))
-    rigid = replace(graph, poses={n: S.se3() for n, S in poses.items()}, edges=tuple(edges))
+    units = {n: S.scale for n, S in poses.items()}
+    rigid = graph.in_one_unit({n: S.se3() for n, S in poses.items()}, units)
     return SimilarityResult(rigid, poses, before, after, iterations)

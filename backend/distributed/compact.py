@@ -12,7 +12,6 @@ from ..errors import BackendError
 from ..geometry import Array, se3, se3_inverse, so3_exp, so3_log
 
 _POSE = struct.Struct("<6d")
-_WEIGHTS = struct.Struct("<ff")
 _START = struct.Struct("<6f")
 
 
@@ -53,9 +52,10 @@ class CompactWriter:
         """Of a pose's six :func:`numbers_of` it, in single precision."""
         self._out += _START.pack(*numbers)
 
-    def weights(self, kappa: float, tau: float) -> None:
-        """Two weights in single precision: 8 bytes."""
-        self._out += _WEIGHTS.pack(kappa, tau)
+    def weights(self, *weights: float) -> None:
+        """Weights in single precision: 4 bytes each."""
+        for weight in weights:
+            self.rough(weight)
 
     def steps(self, values: Iterable[float]) -> None:
         """Whole numbers that come as floating-point ones."""
@@ -108,14 +108,13 @@ class CompactReader:
         """The six numbers of a pose."""
         return _START.unpack(self._take(_START.size))
 
-    def weights(self) -> tuple[float, float]:
+    def weights(self, count: int) -> tuple[float, ...]:
         """See :meth:`CompactWriter.weights`."""
-        kappa, tau = _WEIGHTS.unpack(self._take(_WEIGHTS.size))
-        return kappa, tau
+        return tuple(self.rough() for _ in range(count))
 
-    def steps(self) -> list[int]:
+    def steps(self, count: int) -> list[int]:
         """See :meth:`CompactWriter.steps`."""
-        return [self.signed() for _ in range(6)]
+        return [self.signed() for _ in range(count)]
 
     def _take(self, size: int) -> bytes:
         part = self._data[self._at : self._at + size]

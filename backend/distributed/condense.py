@@ -8,92 +8,105 @@ nothing; ``longest`` 1 condenses nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..central.chordal import two_stage_poses
-from ..central.linear import edge_costs, isotropic_weights
-from ..central.trust_region import newton
+from ..central.minimum import minimum, near_minimum
+from ..central.similarity_edges import SimilarityEdges, edges_of
 from ..components import first_of_parts, parts
 from ..geometry import Array, se3_inverse
-from ..pose_graph.graph import Edge, NodeId
+from ..pose_graph.graph import NodeId
 from .share import Share
 
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """``nodes`` that stay, sorted; edges between them: ``ends`` ``(m, 2)`` rows of these, ``measured`` ``(m, 4, 4)``,
-    ``kappa`` and ``tau`` ``(m,)``.
-    """
+    """``nodes`` that stay, sorted; ``edges`` between them."""
 
     nodes: list[NodeId]
-    ends: NDArray[np.intp]
-    measured: Array
-    kappa: Array
-    tau: Array
+    edges: SimilarityEdges
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Nodes that have a place: poses ``T_O_i`` and, where units are variables, their logarithms (0 if not named)."""
+
+    poses: dict[NodeId, Array] = field(default_factory=dict)
+    log_units: dict[NodeId, float] = field(default_factory=dict)
+
+    def also(self, other: Known) -> Known:
+        """These, and the other's over them."""
+        return Known({**self.poses, **other.poses}, {**self.log_units, **other.log_units})
 
 
 class OwnGraph:
-    """A robot's own nodes and the edges between them, as arrays."""
+    """A robot's own nodes and the ``edges`` between them, as arrays; ``fixed`` ``(n,)``: nodes whose unit stays."""
 
     def __init__(self, share: Share) -> None:
         self.nodes = sorted(share.poses)
         self.row = {n: k for k, n in enumerate(self.nodes)}
         self.poses = np.array([share.poses[n] for n in self.nodes])
+        self.log_units = share.log_units(self.nodes)
+        self.fixed = np.full(len(self.nodes), share.robot not in share.arbitrary_scale)
         own = [e for e in share.edges if e.i.robot == e.j.robot]
         self._dimension = share.dimension
         self._separators = {n for e in share.edges if e.is_separator for n in (e.i, e.j) if n in self.row}
-        self.ends = np.array([(self.row[e.i], self.row[e.j]) for e in own], dtype=np.intp).reshape(-1, 2)
-        self.measured = np.array([e.T_i_j for e in own]).reshape(-1, 4, 4)
-        self.kappa, self.tau = weights_of(own, share.dimension)
+        ends = np.array([(self.row[e.i], self.row[e.j]) for e in own], dtype=np.intp).reshape(-1, 2)
+        self.edges = edges_of(own, ends, share.dimension)
 
-    def cost(self, poses: Array) -> float:
-        """F over the own edges, of poses ``(n, 4, 4)`` of all own nodes."""
-        i, j = self.ends.T
-        return float(edge_costs(poses[i], poses[j], self.measured, self.kappa, self.tau).sum())
+    def cost(self, poses: Array, log_units: Array) -> float:
+        """F over the own edges, of poses ``(n, 4, 4)`` and log units ``(n,)`` of all own nodes."""
+        return float(self.edges.costs(poses, log_units).sum())
+
+    def known(self, nodes: Sequence[NodeId]) -> Known:
+        """Where these own nodes are now."""
+        rows = [self.row[n] for n in nodes]
+        poses, log_units = self.poses[rows], self.log_units[rows].tolist()
+        return Known(dict(zip(nodes, poses, strict=True)), dict(zip(nodes, log_units, strict=True)))
 
     def noise(self) -> float:
         """The residuals' standard deviation over the stated one, at the optimum of the own edges; 1 where these close
         no loop.
         """
-        used = self.kappa > 0
-        ends, measured, weights = self.ends[used], self.measured[used], (self.kappa[used], self.tau[used])
-        held = first_of_parts(ends, len(self.poses))
-        freedom = 6 * (len(ends) - len(self.poses) + len(held))
+        edges = self.edges.only(self.edges.kappa > 0)
+        held = first_of_parts(edges.ends, len(self.poses))
+        freedom = freedom_of(edges.ends, self.fixed, held)
         if freedom <= 0:
             return 1.0
-        poses = two_stage_poses(ends, measured, weights, self.poses, 2)
-        i, j = ends.T
-        return noise_of(float(edge_costs(poses[i], poses[j], measured, *weights).sum()), freedom)
+        found = near_minimum(edges, self.poses, self.log_units, held, self._kept(held), steps=2)
+        return noise_of(float(edges.costs(found.poses, found.log_units).sum()), freedom)
+
+    def _kept(self, held: Sequence[int]) -> NDArray[np.bool_]:
+        kept = self.fixed.copy()
+        kept[list(held)] = True
+        return kept
 
     def condensed(self, longest: int) -> Condensed:
         """At most ``longest`` edges made into one."""
-        used = self.kappa > 0
-        degree = np.bincount(self.ends[used].ravel(), minlength=len(self.nodes))
-        following = np.abs(self.ends[:, 0] - self.ends[:, 1]) == 1
+        ends, used = self.edges.ends, self.edges.kappa > 0
+        degree = np.bincount(ends[used].ravel(), minlength=len(self.nodes))
+        following = np.abs(ends[:, 0] - ends[:, 1]) == 1
         kept = degree != 2
         kept[0] = True
         kept[[self.row[n] for n in self._separators]] = True
         # Loops' ends stay; so what goes has the node before and the node after as its only neighbours.
-        kept[self.ends[used & ~following].ravel()] = True
+        kept[ends[used & ~following].ravel()] = True
         rows: list[tuple[int, int, list[int]]] = [
-            (int(i), int(j), [k]) for k, (i, j) in enumerate(self.ends) if used[k] and kept[i] and kept[j]
+            (int(i), int(j), [k]) for k, (i, j) in enumerate(ends) if used[k] and kept[i] and kept[j]
         ]
-        between = {int(min(p)): k for k, p in enumerate(self.ends) if used[k] and following[k]}
+        between = {int(min(p)): k for k, p in enumerate(ends) if used[k] and following[k]}
         rows += self._stretches(kept, between, longest)
         stays = np.flatnonzero(kept)
         position = np.full(len(kept), -1)
         position[stays] = np.arange(len(stays))
+        new_ends = position[np.array([(i, j) for i, j, _ in rows], dtype=np.intp).reshape(-1, 2)]
         merged = [self._merged(i, edges) for i, _, edges in rows]
-        return Condensed(
-            nodes=[self.nodes[k] for k in stays],
-            ends=position[np.array([(i, j) for i, j, _ in rows], dtype=np.intp).reshape(-1, 2)],
-            measured=np.array([T for T, _, _ in merged]).reshape(-1, 4, 4),
-            kappa=np.array([kappa for _, kappa, _ in merged]),
-            tau=np.array([tau for _, _, tau in merged]),
-        )
+        measured = np.array([T for T, _ in merged]).reshape(-1, 4, 4)
+        numbers = np.array([numbers for _, numbers in merged], dtype=np.float64).reshape(-1, 4)
+        return Condensed([self.nodes[k] for k in stays], SimilarityEdges(new_ends, measured, *numbers.T))
 
     def _stretches(
         self, kept: NDArray[np.bool_], between: dict[int, int], longest: int
@@ -118,54 +131,67 @@ class OwnGraph:
                 stretch = [*stretch, between[n]]
         return out
 
-    def _merged(self, start: int, edges: list[int]) -> tuple[Array, float, float]:
-        """Measurement and weights of edges in a row from node ``start``: variances add up, and each turn's noise is a
-        shift of the end by its distance.
+    def _merged(self, start: int, stretch: list[int]) -> tuple[Array, tuple[float, float, float, float]]:
+        """Measurement, log scale and weights of edges in a row from node ``start``: variances add up, and each turn's
+        noise is a shift of the end by its distance, each unit's one along it.
         """
-        if len(edges) == 1:
-            k = edges[0]
-            return self.measured[k], float(self.kappa[k]), float(self.tau[k])
-        T, at = np.eye(4), start
+        e = self.edges
+        if len(stretch) == 1:
+            k = stretch[0]
+            return e.measured[k], (float(e.log_scale[k]), float(e.kappa[k]), float(e.tau[k]), float(e.precision[k]))
+        T, at, log_scale = np.eye(4), start, 0.0
         steps = []
-        for k in edges:
-            i, j = self.ends[k]
-            T = T @ (self.measured[k] if i == at else se3_inverse(self.measured[k]))
+        for k in stretch:
+            i, j = e.ends[k]
+            step, grown = e.measured[k], float(e.log_scale[k])
+            if i != at:
+                step, grown = se3_inverse(step), -grown
+                step[:3, 3] *= np.exp(grown)
+            step = step.copy()
+            step[:3, 3] *= np.exp(log_scale)
+            T, log_scale = T @ step, log_scale + grown
             at = int(j if i == at else i)
             steps.append(T[:3, 3].copy())
         distance2 = ((T[:3, 3] - np.array(steps)) ** 2).sum(axis=1)
-        kappa, tau = self.kappa[edges], self.tau[edges]
+        kappa, tau, precision = e.kappa[stretch], e.tau[stretch], e.precision[stretch]
         # Variance of the turn about each axis is 1 / (2 kappa); about all of them it moves the end in two directions
-        # of three (in the plane: about one axis, in one direction of two).
+        # of three (in the plane: about one axis, in one direction of two); a unit's moves it in one.
         share = 1.0 / 3.0 if self._dimension == 3 else 1.0 / 4.0
-        return T, float(1.0 / (1.0 / kappa).sum()), float(1.0 / (1.0 / tau + share * distance2 / kappa).sum())
+        spread = 1.0 / tau + share * distance2 / kappa
+        if not self.fixed[start]:
+            spread = spread + distance2 / precision / self._dimension
+        numbers = (log_scale, 1.0 / (1.0 / kappa).sum(), 1.0 / spread.sum(), 1.0 / (1.0 / precision).sum())
+        return T, (numbers[0], float(numbers[1]), float(numbers[2]), float(numbers[3]))
 
-    def completed(self, known: dict[NodeId, Array]) -> tuple[Array, NDArray[np.bool_]]:
-        """Poses ``(n, 4, 4)`` of all own nodes that minimise F with the ``known`` ones held, and which ``(n,)`` they
-        are tied to; the others keep theirs.
+    def completed(self, known: Known) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Poses ``(n, 4, 4)`` and log units ``(n,)`` of all own nodes that minimise F with the ``known`` ones held, and
+        which ``(n,)`` they are tied to; the others keep theirs.
         """
-        poses = self.poses.copy()
-        held = np.array(sorted(self.row[n] for n in known), dtype=np.intp)
-        for n, T in known.items():
+        poses, log_units = self.poses.copy(), self.log_units.copy()
+        held = np.array(sorted(self.row[n] for n in known.poses), dtype=np.intp)
+        for n, T in known.poses.items():
             poses[self.row[n]] = T
-        used = self.kappa > 0
-        ends, measured = self.ends[used], self.measured[used]
-        label = parts(ends, len(poses))
+            log_units[self.row[n]] = known.log_units.get(n, 0.0)
+        edges = self.edges.only(self.edges.kappa > 0)
+        label = parts(edges.ends, len(poses))
         reached = np.isin(label, label[held])
         fixed = sorted({*held.tolist(), *np.flatnonzero(~reached).tolist()})
         if len(fixed) == len(poses):
-            return poses, reached
-        weights = self.kappa[used], self.tau[used]
-        start = two_stage_poses(ends, measured, weights, poses, 1, fixed)
-        return newton(ends, measured, weights, start, fixed).poses, reached
+            return poses, log_units, reached
+        found = minimum(edges, poses, log_units, fixed, self._kept(fixed))
+        return found.poses, found.log_units, reached
+
+
+def freedom_of(ends: NDArray[np.intp], fixed: NDArray[np.bool_], held: Sequence[int]) -> int:
+    """Degrees of freedom that residuals of edges have left, with the nodes ``held`` given and the units of those
+    ``fixed`` ``(n,)`` no variables."""
+    turns = 6 * (len(ends) - len(fixed) + len(held))
+    free = ~fixed
+    free[list(held)] = False
+    measured = int((~fixed[ends].all(axis=1)).sum())
+    return turns + measured - int(free.sum())
 
 
 def noise_of(cost: float, freedom: int) -> float:
     """Standard deviation of residuals over the stated one, from F and its degrees of freedom; within 1e-4 and 1."""
     return float(np.clip(np.sqrt(cost / freedom), 1e-4, 1.0)) if freedom > 0 else 1.0
-
-
-def weights_of(edges: list[Edge], dimension: int) -> tuple[Array, Array]:
-    """``kappa``, ``tau`` ``(m,)`` of edges, their own ``weight`` multiplied in."""
-    kappa, tau = isotropic_weights(np.array([e.information for e in edges]), dimension)
-    weight = np.array([e.weight for e in edges])
-    return kappa * weight, tau * weight

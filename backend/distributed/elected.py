@@ -18,13 +18,12 @@ import numpy as np
 from ..config import SolverConfig
 from ..errors import BackendError
 from ..geometry import Array
-from ..pose_graph.graph import NodeId
 from . import contribution as parcel
-from .condense import Condensed, OwnGraph
+from .condense import Condensed, Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
 from .gathered import Gathered, cost_between, solve
-from .share import Share, SolverOutcome
+from .share import Share, SolverOutcome, anchor_of
 
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
@@ -40,8 +39,6 @@ class ElectedNode:
     """
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
-        if share.arbitrary_scale:
-            raise BackendError(f"robots {sorted(share.arbitrary_scale)} have units of their own: not with an election")
         self.share = share
         self.outcome: SolverOutcome | None = None
         self._config = config
@@ -55,8 +52,8 @@ class ElectedNode:
         self._left_out: set[int] = set()
         self._gathered: Gathered | None = None
         self._sent: Condensed
-        self._known: dict[NodeId, Array] = {}
-        self._poses: Array | None = None
+        self._known = Known()
+        self._completed: tuple[Array, Array] | None = None
         self._reached = np.zeros(len(self._own.nodes), dtype=bool)
         self._said: list[ElectedMessage] = []
         self._early: list[ElectedMessage] = []
@@ -123,13 +120,13 @@ class ElectedNode:
         if not self._order:
             self._order = sorted(self.share.members, key=lambda r: (-self._sizes.get(r, -1), r))
         self._term, self._silent, self._said = term, 0, []
-        self._costs, self._gathered, self._poses = {}, None, None
+        self._costs, self._gathered, self._completed = {}, None, None
         self._left_out = {r for r in self._order[: min(term, len(self._order))] if r != self.leader}
         me = self.share.robot
         if self.leader != me:
             assert self.leader is not None
             body = parcel.encode(self._mine(self.leader))
-            self._sent = parcel.decode(body, me).graph
+            self._sent = parcel.decode(body, me, self.share.scaled).graph
             return self._say(self._to([self.leader], Kind.CONTRIBUTION, body))
         self._contributions = {me: self._mine(me)}
         return self._try_solve()
@@ -150,12 +147,12 @@ class ElectedNode:
                 return self._try_decide()
             if message.sender not in self._contributions:
                 self._silent = 0
-                self._contributions[message.sender] = parcel.decode(message.body, message.sender)
+                self._contributions[message.sender] = parcel.decode(message.body, message.sender, self.share.scaled)
             return self._try_solve()
         if message.sender != self.leader or leads:
             return []
         self._silent = 0
-        if message.kind is Kind.SOLUTION and self._poses is None:
+        if message.kind is Kind.SOLUTION and self._completed is None:
             return self._finish_own(message.body)
         if message.kind is Kind.DECISION:
             self._end(*_unpack(_DECISION, message.body))
@@ -182,33 +179,33 @@ class ElectedNode:
             return []
         me = self.share.robot
         given = {r: self._contributions[r] for r in self._members()}
-        self._gathered = solve(given)
+        self._gathered = solve(given, self.share.arbitrary_scale)
         fineness = self._config.elected_fineness / self._gathered.noise
-        self._known = {}
+        self._known = Known()
         out = []
         for robot, c in given.items():
-            poses, reached = self._gathered.of(c.graph.nodes)
+            places = self._gathered.of(c.graph.nodes)
             if robot == me:
-                mine = {n: T for n, T, ok in zip(c.graph.nodes, poses, reached, strict=True) if ok}
-                self._known |= mine
-                self._costs[me] = self._complete(mine)
+                self._known = self._known.also(places)
+                self._costs[me] = self._complete(places)
                 continue
-            body, known = parcel.encode_solution(c.graph, poses, reached, fineness)
-            self._known |= known
+            body, known = parcel.encode_solution(c.graph, places, fineness, self.share.scaled)
+            self._known = self._known.also(known)
             out += self._to([robot], Kind.SOLUTION, body)
         self._say(out)
         return [*out, *self._try_decide()]
 
-    def _complete(self, known: dict[NodeId, Array]) -> float:
+    def _complete(self, known: Known) -> float:
         """Own poses with the ``known`` ones held; returns F over the own edges."""
-        first = self._own.nodes[0]
-        if self.share.robot == min(self._members()) and first in known:
-            known = {**known, first: self._own.poses[0]}
-        self._poses, self._reached = self._own.completed(known)
-        return self._own.cost(self._poses)
+        own, first = self._own, self._own.nodes[:1]
+        if self.share.robot == anchor_of(self._members(), self.share.arbitrary_scale) and first[0] in known.poses:
+            known = known.also(own.known(first))
+        poses, log_units, self._reached = own.completed(known)
+        self._completed = poses, log_units
+        return own.cost(poses, log_units)
 
     def _finish_own(self, body: bytes) -> list[ElectedMessage]:
-        cost = self._complete(parcel.decode_solution(body, self._sent))
+        cost = self._complete(parcel.decode_solution(body, self._sent, self.share.scaled))
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
 
@@ -217,10 +214,12 @@ class ElectedNode:
         if self._gathered is None or any(r not in self._costs for r in self._members()):
             return []
         given = [self._contributions[r] for r in self._members()]
-        start = {n: T for c in given for n, T in c.start.items()}
+        start = Known()
+        for c in given:
+            start = start.also(c.start)
         outside, doubt = cost_between(self._gathered.between, start)
         before = sum(c.cost for c in given) + outside
-        outside, more_doubt = cost_between(self._gathered.between, {**start, **self._known})
+        outside, more_doubt = cost_between(self._gathered.between, start.also(self._known))
         after = sum(self._costs[r] for r in self._members()) + outside
         accepted = after + doubt + more_doubt <= before
         body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF))
@@ -244,19 +243,21 @@ class ElectedNode:
 
     def _end(self, accepted: bool, before: float, after: float, iterations: int) -> None:
         own = self._own
-        mine = accepted and self._poses is not None
+        mine = accepted and self._completed is not None
         reason = "accepted"
         if not accepted:
             reason = f"the cost would rise: {before:.6g} to {after:.6g}" if after == after else "a member fell silent"
         elif not mine:
             reason = "left out: others received nothing from this robot"
-        poses = self._poses if mine and self._poses is not None else own.poses
+        poses, log_units = own.poses, own.log_units
+        if mine and self._completed is not None:
+            poses, log_units = self._completed
         self.outcome = SolverOutcome(
             robot=self.share.robot,
             accepted=mine,
             reason=reason,
             poses={n: poses[k].copy() for k, n in enumerate(own.nodes)},
-            scales=dict.fromkeys((self.share.robot, *self.share.neighbours), 1.0),
+            units=dict(zip(own.nodes, np.exp(log_units).tolist(), strict=True)),
             cost_before=before,
             cost_after=after if accepted else before,
             rotation_sweeps=0,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ..config import SolverConfig
 from ..errors import BackendError
-from ..pose_graph.graph import EdgeKind, PoseGraph
+from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from .elected_messages import ElectedMessage
 from .messages import Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values, decode, encode
 from .methods import node_for
@@ -37,11 +37,13 @@ class GroupTraffic:
 
 @dataclass(frozen=True, eq=False)
 class GroupResult:
-    """Result of a group of nodes."""
+    """Result of a group of nodes: ``graph`` in one unit of length, that of the anchor's first node, or the metre;
+    ``units``: the size of each node's own unit there, 1 for metric robots."""
 
     graph: PoseGraph
     outcomes: Mapping[int, SolverOutcome]
     traffic: GroupTraffic
+    units: Mapping[NodeId, float] = field(default_factory=dict)
 
     @property
     def judged(self) -> tuple[JudgedEdge | None, ...]:
@@ -133,6 +135,6 @@ def optimise_distributed(
     """Cut ``graph`` into its robots' shares and solve it by messages alone. ``arbitrary_scale``: robots whose unit of
     length is their own."""
     outcomes, traffic = solve_group(shares(graph, arbitrary_scale), config)
-    scales = {robot: outcome.scales[robot] for robot, outcome in outcomes.items()}
+    units = {node: unit for outcome in outcomes.values() for node, unit in outcome.units.items()}
     poses = {node: T for outcome in outcomes.values() for node, T in outcome.poses.items()}
-    return GroupResult(graph.rescaled(scales).with_poses(poses), outcomes, traffic)
+    return GroupResult(graph.in_one_unit(poses, units), outcomes, traffic, units)

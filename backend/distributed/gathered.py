@@ -2,80 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..central.chordal import two_stage_poses
-from ..central.linear import edge_costs
-from ..central.trust_region import newton
+from ..central.minimum import minimum
 from ..components import parts
-from ..geometry import Array
 from ..pose_graph.graph import NodeId
-from .condense import noise_of
+from .condense import Known, freedom_of, noise_of
 from .contribution import Between, Contribution
+from .share import anchor_of
 
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """The group's solution: ``poses`` of every node that was contributed, ``reached`` those joined to the anchor;
-    ``iterations`` of the solver; ``between``: all edges between members, once each; ``noise``: the residuals' standard
-    deviation over the stated one.
+    """The group's solution: ``places`` of the nodes that are joined to the anchor; ``iterations`` of the solver;
+    ``between``: edges between members, as each sent them; ``noise``: the residuals' standard deviation over the stated
+    one.
     """
 
-    poses: Mapping[NodeId, Array]
-    reached: frozenset[NodeId]
+    places: Known
     iterations: int
     between: tuple[Between, ...]
     noise: float
 
-    def of(self, nodes: Sequence[NodeId]) -> tuple[Array, NDArray[np.bool_]]:
-        """Poses ``(n, 4, 4)`` of a member's nodes, and which ``(n,)`` are reached."""
-        return np.array([self.poses[n] for n in nodes]), np.array([n in self.reached for n in nodes], dtype=bool)
+    def of(self, nodes: Sequence[NodeId]) -> Known:
+        """Those of a member's nodes that have a place."""
+        reached = [n for n in nodes if n in self.places.poses]
+        return Known({n: self.places.poses[n] for n in reached}, {n: self.places.log_units[n] for n in reached})
 
 
-def solve(contributions: Mapping[int, Contribution]) -> Gathered:
-    """F's optimum over what was contributed; the lowest robot's first node stays where it is.
+def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[int] = frozenset()) -> Gathered:
+    """F's optimum over what was contributed; the anchor's first node stays where it is.
 
     Edges to robots that contributed nothing are left out.
     """
     members = sorted(contributions)
     nodes = [n for robot in members for n in contributions[robot].graph.nodes]
     row = {n: k for k, n in enumerate(nodes)}
-    between = tuple(b for robot in members for b in contributions[robot].between if b.i in row and b.j in row)
     graphs = [contributions[robot].graph for robot in members]
+    between = tuple(_inside(contributions[robot].between, row) for robot in members)
     first = np.cumsum([0, *(len(g.nodes) for g in graphs)])
-    ends = [g.ends + start for g, start in zip(graphs, first, strict=False)]
-    ends.append(np.array([(row[b.i], row[b.j]) for b in between], dtype=np.intp).reshape(-1, 2))
-    ends_all = np.concatenate(ends)
-    measured = np.concatenate([*(g.measured for g in graphs), np.array([b.T_i_j for b in between]).reshape(-1, 4, 4)])
-    kappa = np.concatenate([*(g.kappa for g in graphs), [b.kappa for b in between]])
-    tau = np.concatenate([*(g.tau for g in graphs), [b.tau for b in between]])
-    poses = np.tile(np.eye(4), (len(nodes), 1, 1))
-    poses[0] = contributions[members[0]].first_pose
-    label = parts(ends_all, len(nodes))
-    held = np.unique(label, return_index=True)[1].tolist()
-    start = two_stage_poses(ends_all, measured, (kappa, tau), poses, 1, held)
-    refined = newton(ends_all, measured, (kappa, tau), start, held)
-    i, j = ends_all.T
-    cost = float(edge_costs(refined.poses[i], refined.poses[j], measured, kappa, tau).sum())
-    noise = noise_of(cost, 6 * (len(ends_all) - len(nodes) + len(held)))
-    reached = frozenset(n for n, k in row.items() if label[k] == label[0])
-    return Gathered(dict(zip(nodes, refined.poses, strict=True)), reached, refined.steps, between, noise)
+    placed = [g.edges.moved_to(np.arange(a, b)) for g, a, b in zip(graphs, first[:-1], first[1:], strict=True)]
+    placed += [b.edges.moved_to(np.array([row[n] for pair in b.nodes for n in pair], dtype=np.intp)) for b in between]
+    edges = placed[0]
+    for more in placed[1:]:
+        edges = edges.and_also(more)
+    anchor = contributions[anchor_of(members, arbitrary_scale)]
+    poses, log_units = np.tile(np.eye(4), (len(nodes), 1, 1)), np.zeros(len(nodes))
+    anchored = row[anchor.graph.nodes[0]]
+    poses[anchored] = anchor.first.poses[anchor.graph.nodes[0]]
+    log_units[anchored] = anchor.first.log_units[anchor.graph.nodes[0]]
+    label = parts(edges.ends, len(nodes))
+    held = np.unique(label, return_index=True)[1]
+    held[label[anchored]] = anchored
+    fixed = np.array([n.robot not in arbitrary_scale for n in nodes], dtype=bool)
+    freedom = freedom_of(edges.ends, fixed, held.tolist())
+    kept = fixed.copy()
+    kept[held] = True
+    found = minimum(edges, poses, log_units, sorted(held.tolist()), kept)
+    cost = float(edges.costs(found.poses, found.log_units).sum())
+    reached = [(n, k) for n, k in row.items() if label[k] == label[anchored]]
+    places = Known({n: found.poses[k] for n, k in reached}, {n: float(found.log_units[k]) for n, k in reached})
+    return Gathered(places, found.steps, between, noise_of(cost, freedom))
 
 
-def cost_between(edges: Iterable[Between], poses: Mapping[NodeId, Array]) -> tuple[float, float]:
+def _inside(between: Between, row: Mapping[NodeId, int]) -> Between:
+    """The edges both of whose ends were contributed."""
+    return between.only([i in row and j in row for i, j in between.nodes])
+
+
+def cost_between(groups: Sequence[Between], places: Known) -> tuple[float, float]:
     """F over edges between members, and by how much the rounding of their measurements may have changed it, at most.
 
-    Edges whose ends are not both in ``poses`` are left out.
+    Edges whose ends are not both in ``places`` are left out.
     """
-    used = [b for b in edges if b.i in poses and b.j in poses]
-    if not used:
-        return 0.0, 0.0
-    T_i, T_j = np.array([poses[b.i] for b in used]), np.array([poses[b.j] for b in used])
-    weights = np.array([b.kappa for b in used]), np.array([b.tau for b in used])
-    costs = edge_costs(T_i, T_j, np.array([b.T_i_j for b in used]), *weights)
-    off = np.array([b.off for b in used])
-    return float(costs.sum()), float((2.0 * np.sqrt(costs) * off + off**2).sum())
+    total = doubt = 0.0
+    for between in groups:
+        used = between.only([i in places.poses and j in places.poses for i, j in between.nodes])
+        if not used.nodes:
+            continue
+        nodes = [n for pair in used.nodes for n in pair]
+        poses = np.array([places.poses[n] for n in nodes])
+        log_units = np.array([places.log_units.get(n, 0.0) for n in nodes])
+        costs = used.edges.costs(poses, log_units)
+        total += float(costs.sum())
+        doubt += float((2.0 * np.sqrt(costs) * used.off + used.off**2).sum())
+    return total, doubt

@@ -35,6 +35,7 @@ class LocalProblem:
         self.counted = np.array([min(e.i.robot, e.j.robot) == share.robot for e in edges], dtype=bool)
         self.poses = np.full((len(self.nodes), 4, 4), np.nan)
         self.poses[: self.own_count] = [share.poses[n] for n in own]
+        self.log_units = np.concatenate([share.log_units(own), np.full(len(ghosts), 0.0)])
         self.sent_rows: dict[int, list[int]] = {}
         self.received_rows: dict[int, list[int]] = {}
         for neighbour in share.neighbours:

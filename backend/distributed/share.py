@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from ..errors import BackendError
 from ..geometry import Array
@@ -14,11 +16,13 @@ from ..pose_graph.graph import Edge, NodeId, PoseGraph
 class Share:
     """Input of one robot to its group.
 
-    ``members``: all robots of the group, this one among them; the lowest is the anchor: the result is in the frame of
-    its poses. ``poses`` ``T_O_i`` ``(4, 4)`` of its own nodes, in any frame. ``edges``: those between its own nodes,
-    and every edge it shares with another member, exactly as that member holds it. ``arbitrary_scale``: the members
-    whose unit of length is their own (monocular); their scale is found from the separator edges' ``scale``.
+    ``members``: all robots of the group, this one among them. ``poses`` ``T_O_i`` ``(4, 4)`` of its own nodes, in any
+    frame; ``units``: the size of each node's own unit of length there (1 where not named). ``edges``: those between its
+    own nodes, and every edge it shares with another member, exactly as that member holds it. ``arbitrary_scale``: the
+    members whose units are their own (monocular), one for each node, as they drift; the others' are 1 and stay.
     ``members`` and ``arbitrary_scale`` are the same for everyone.
+
+    The first node of the :attr:`anchor` keeps its pose and unit: the result is in the frame of its poses.
     """
 
     robot: int
@@ -27,6 +31,7 @@ class Share:
     edges: tuple[Edge, ...]
     arbitrary_scale: frozenset[int] = frozenset()
     dimension: int = 3
+    units: Mapping[NodeId, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.robot not in self.members or tuple(sorted(set(self.members))) != self.members:
@@ -48,6 +53,20 @@ class Share:
                     )
             if self.robot not in (edge.i.robot, edge.j.robot):
                 raise BackendError(f"robot {self.robot} brings an edge of others: {edge.i} - {edge.j}")
+
+    @property
+    def anchor(self) -> int:
+        """The member whose first node stays where it is."""
+        return anchor_of(self.members, self.arbitrary_scale)
+
+    @property
+    def scaled(self) -> bool:
+        """Whether nodes' units are variables."""
+        return bool(self.arbitrary_scale)
+
+    def log_units(self, nodes: Sequence[NodeId]) -> Array:
+        """Logarithms ``(n,)`` of the units of own nodes."""
+        return np.log(np.array([self.units.get(n, 1.0) for n in nodes], dtype=np.float64))
 
     @property
     def neighbours(self) -> list[int]:
@@ -84,10 +103,9 @@ class SolverOutcome:
     """Result of a node; acceptance, reason and costs are the same at every member, as are sweep counts where all
     work in rounds.
 
-    ``poses`` of its own nodes in the anchor's frame and unit; where ``accepted`` is False, or in ``unreached``, the
-    old ones. ``scales``: for this robot and its neighbours, the factor from their unit to the common one (all 1
-    without monocular members); a robot that adopts the result passes it to :meth:`PoseGraph.rescaled` before the next
-    run. Costs: F over the group's edges; with robust selection each judged edge counts up to its bound only.
+    ``poses`` of its own nodes in the anchor's frame, and ``units``, the size of each one's own unit there (all 1 for
+    metric robots); where ``accepted`` is False, or in ``unreached``, the old ones. Costs: F over the group's edges;
+    with robust selection each judged edge counts up to its bound only.
     ``unreached``: own nodes that no chain of edges joins to the anchor. ``judged``: every edge of its share that robust
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
     """
@@ -96,13 +114,19 @@ class SolverOutcome:
     accepted: bool
     reason: str
     poses: dict[NodeId, Array] = field(repr=False)
-    scales: dict[int, float]
+    units: dict[NodeId, float] = field(repr=False)
     cost_before: float
     cost_after: float
     rotation_sweeps: int
     pose_sweeps: int
     unreached: tuple[NodeId, ...]
     judged: tuple[JudgedEdge, ...] = field(default=(), repr=False)
+
+
+def anchor_of(members: Iterable[int], arbitrary_scale: frozenset[int]) -> int:
+    """The lowest metric member, or the lowest where there is none: its first node's unit is the common one."""
+    members = list(members)
+    return min([m for m in members if m not in arbitrary_scale] or members)
 
 
 def shares(graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset()) -> dict[int, Share]:

@@ -116,7 +116,7 @@ class StagedNode(Rounds):
             accepted=accepted,
             reason=reason,
             poses={n: poses[k].copy() for k, n in enumerate(own)},
-            scales=dict(self._scales),
+            units=dict(zip(own, np.exp(problem.log_units[: problem.own_count]).tolist(), strict=True)),
             cost_before=self._cost_before,
             cost_after=cost_after if accepted else self._cost_before,
             rotation_sweeps=self._sweeps[SolverStage.ROTATION],

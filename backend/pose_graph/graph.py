@@ -50,8 +50,9 @@ class Edge:
     """A measured relative pose.
 
     ``T_i_j`` ``(4, 4)`` rigid; ``information`` ``(6, 6)``; ``scale``: size of j's unit of length in i's (1 unless a
-    monocular robot takes part; ``T_i_j``'s translation is in i's unit); ``weight`` in [0, 1] multiplies the
-    information: the hook by which robust selection (GNC, switchable edges) turns an edge down without dropping it.
+    monocular robot takes part; ``T_i_j``'s translation is in i's unit); ``scale_sigma``: standard deviation of the log
+    of ``scale``, None: that of the settings for its kind; ``weight`` in [0, 1] multiplies the information: the hook by
+    which robust selection (GNC, switchable edges) turns an edge down without dropping it.
     """
 
     i: NodeId
@@ -61,6 +62,7 @@ class Edge:
     kind: EdgeKind = EdgeKind.ODOMETRY
     scale: float = 1.0
     weight: float = 1.0
+    scale_sigma: float | None = None
 
     def __post_init__(self) -> None:
         if self.i == self.j:
@@ -68,6 +70,8 @@ class Edge:
         _check(f"edge {self.i} - {self.j}", self.T_i_j, self.information, self.weight)
         if not (self.scale > 0 and np.isfinite(self.scale)):
             raise BackendError(f"edge {self.i} - {self.j}: scale {self.scale} is not positive")
+        if self.scale_sigma is not None and not (self.scale_sigma > 0 and np.isfinite(self.scale_sigma)):
+            raise BackendError(f"edge {self.i} - {self.j}: a scale's sigma of {self.scale_sigma} is not positive")
 
     @property
     def is_separator(self) -> bool:
@@ -172,6 +176,17 @@ class PoseGraph:
     def with_poses(self, poses: Mapping[NodeId, Array]) -> PoseGraph:
         """The same edges with ``poses`` put over the old ones; nodes not named keep theirs."""
         return replace(self, poses={**self.poses, **poses})
+
+    def in_one_unit(self, poses: Mapping[NodeId, Array], units: Mapping[NodeId, float]) -> PoseGraph:
+        """The graph with ``poses`` in the origin's unit and every edge's translation brought into it: ``units`` holds
+        the size of each node's own unit there (1 where not named). An edge's ``scale`` becomes what is left of it.
+        """
+        edges = []
+        for e in self.edges:
+            u_i, u_j = units.get(e.i, 1.0), units.get(e.j, 1.0)
+            stretched, information = _stretched(e.T_i_j, u_i), _of_longer_unit(e.information, u_i)
+            edges.append(replace(e, T_i_j=stretched, information=information, scale=e.scale * u_i / u_j))
+        return replace(self, poses={**self.poses, **poses}, edges=tuple(edges))
 
     def with_weights(self, weights: Iterable[float]) -> PoseGraph:
         """The same graph with one weight in [0, 1] an edge, in the order of ``edges``."""

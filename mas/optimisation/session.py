@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from maslam._replaced import replaced
 from maslam.backend.config import SolverConfig
 from maslam.backend.distributed.methods import SolverNode, node_for
 from maslam.backend.distributed.share import Share, SolverOutcome
@@ -142,8 +141,5 @@ class Backoff:
 
 
 def solver_node(share: Share, config: SolverConfig) -> SolverNode:
-    """This agent's part in the method that is set. Members with units of their own find these in agreed rounds: an
-    elected solver knows one unit."""
-    if share.arbitrary_scale and config.method == "elected":
-        config = replaced(config, method="sor")
+    """This agent's part in the method that is set."""
     return node_for(share, config)
