@@ -75,14 +75,14 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         raise UnknownPart(f"a track it does not have: {min(strange)}")
     placed = dict(zip(task.present, unpack_sim3s(task.placements), strict=True))
     poses: dict[NodeId, Array] = {}
-    scales: dict[NodeId, float] = {}
+    units: dict[NodeId, float] = {}
     edges: list[Edge] = []
     for track in task.tracks:
         T_F_present = placed.get(state.piece(track).frame, Sim3.identity())
         for index in state.members(track):
             poses[NodeId(state.me, index)] = T_F_present.transform_poses(state.poses[index])
             if not state.profile.metric:
-                scales[NodeId(state.me, index)] = T_F_present.scale * state.units[index]
+                units[NodeId(state.me, index)] = T_F_present.scale * state.units[index]
         edges += odometry_edges(state, track)
     missing = [m for m in task.matches if m not in state.verified]
     if missing:
@@ -93,17 +93,17 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         members=task.members,
         poses=poses,
         edges=tuple(edges),
-        scales=scales,
+        units=units,
         arbitrary_scale=frozenset(task.arbitrary),
     )
 
 
 def believable(outcome: SolverOutcome) -> bool:
-    """Whether poses and scales are numbers that a map may have: a member's nonsense may have spoilt them."""
+    """Whether poses and units are numbers that a map may have: a member's nonsense may have spoilt them."""
     numbers = np.concatenate([np.asarray(T).ravel() for T in outcome.poses.values()] or [np.zeros(0)])
-    scales = np.array(list(outcome.scales.values()))
+    units = np.array(list(outcome.units.values()))
     small = np.isfinite(numbers).all() and np.abs(numbers).max(initial=0.0) <= MAX_TRANSLATION
-    return bool(small and (scales >= 1.0 / MAX_SCALE).all() and (scales <= MAX_SCALE).all())
+    return bool(small and (units >= 1.0 / MAX_SCALE).all() and (units <= MAX_SCALE).all())
 
 
 def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adoption:
@@ -117,7 +117,7 @@ def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adop
             node = NodeId(state.me, index)
             if node in outcome.poses:
                 state.poses[index] = outcome.poses[node]
-                state.units[index] = 1.0 if state.profile.metric else outcome.scales[node]
+                state.units[index] = 1.0 if state.profile.metric else outcome.units[node]
             else:
                 step = state.odometry_step(state.keyframes[index])
                 state.units[index] = state.units[index - 1]
