@@ -129,10 +129,10 @@ class ConsistencyConfig(_Section):
         default=0.6, ge=0, description="plus this for each median depth of path between the matches, degrees"
     )
     scale: float = Field(
-        default=0.15, gt=0, description="and, with one camera, scales of matches within this, difference of logarithms"
+        default=0.1, gt=0, description="and, with one camera, scales of matches within this, difference of logarithms"
     )
     scale_per_depth: float = Field(
-        default=0.004, ge=0, description="plus this for each median depth of path between the matches"
+        default=0.01, ge=0, description="plus this for each median depth of path between the matches"
     )
 
 

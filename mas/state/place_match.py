@@ -124,8 +124,9 @@ class Agreement:
     relative to depth, so that it holds for any unit.
 
     With one camera the unit drifts as well: the scales of two matches differ by at most ``scale`` (logarithm) plus
-    ``scale_per_depth`` for each median depth of way. On the way between them the unit then was what it is at both, in
-    the mean: their geometric mean carries one match's position to the other.
+    ``scale_per_depth`` for each median depth of way. Their geometric mean then carries one match's position to the
+    other. Where the logarithm drifts evenly by d over a way, that is off by at most a quarter of d times the way (out
+    by one scale and back by another): so much more is allowed.
 
     Rule "earlier" is the predecessor's consistency group instead: a match counts when at least ``min_support`` (its
     value: 2) of those made in the last ``earlier_m`` of the way put the query within ``earlier_apart_m`` of where it
@@ -174,7 +175,7 @@ class Agreement:
             return np.asarray(recent & (apart <= self.config.earlier_apart_m))
         cosine = (np.einsum("nij,ij->n", R, last.rotation) - 1.0) / 2.0
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        near = apart <= self.config.depth_share * deeper + self.config.drift * travelled
+        near = apart <= self.config.depth_share * deeper + (self.config.drift + 0.25 * drifted) * travelled
         aligned = angle <= self.config.angle_deg + self.config.angle_deg_per_depth * travelled / deeper
         alike = drifted <= self.config.scale + self.config.scale_per_depth * travelled / deeper
         agree: NDArray[np.bool_] = near & aligned & alike
