@@ -159,7 +159,8 @@ class Agreement:
         R, t, s = (np.array([getattr(j, name) for j in joins]) for name in ("rotation", "translation", "scale"))
         queries = np.array([m.query for m in self._all])
         way_M, way_Q, depth = np.array([(m.way_M, m.way_Q, m.depth) for m in self._all]).T
-        travelled = np.abs(way_M - way_M[-1]) + np.maximum(s, last.scale) * np.abs(way_Q - way_Q[-1])
+        between_M, between_Q = np.abs(way_M - way_M[-1]), np.maximum(s, last.scale) * np.abs(way_Q - way_Q[-1])
+        travelled = between_M + between_Q
         deeper = np.maximum(depth, depth[-1])
         by_others = s[:, None] * (R @ query) + t - last @ query
         of_others = s[:, None] * np.einsum("nij,nj->ni", R, queries) + t - last @ queries
@@ -175,7 +176,8 @@ class Agreement:
             return np.asarray(recent & (apart <= self.config.earlier_apart_m))
         cosine = (np.einsum("nij,ij->n", R, last.rotation) - 1.0) / 2.0
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        near = apart <= self.config.depth_share * deeper + (self.config.drift + 0.25 * drifted) * travelled
+        allowed = self.config.depth_share * deeper + self.config.drift * travelled
+        near = apart <= allowed + 0.25 * drifted * np.maximum(between_M, between_Q)
         aligned = angle <= self.config.angle_deg + self.config.angle_deg_per_depth * travelled / deeper
         alike = drifted <= self.config.scale + self.config.scale_per_depth * travelled / deeper
         agree: NDArray[np.bool_] = near & aligned & alike

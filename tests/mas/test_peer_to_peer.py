@@ -121,7 +121,7 @@ def bids_of(
             pack_sim3s([random_sim3(rng, 1.0) for _ in mine], LINK_DTYPE),
             pack_sim3s([random_sim3(rng, 1.0) for _, q in mine if q], LINK_DTYPE),
         )
-        made[agent] = Bid(0, 0, links, (PieceTerms(0, frames[agent], 1.0),), peer_to_peer=peer)
+        made[agent] = Bid(0, 0, links, (PieceTerms(0, frames[agent], True, True),), peer_to_peer=peer)
     return made
 
 
