@@ -157,10 +157,10 @@ def decode(
         except StepsError as error:
             raise CodingError(str(error)) from error
         base = empty_map(owner, frame, steps)
-    old = len(base.keyframes)
-    fresh, mode = bits.one(_HEAD, MAX_KEYFRAMES - old), bits.one(_HEAD, ANEW)
     if base.poses.shape[1] > columns:
         raise CodingError("a drifting map whose key-frames have no units")
+    old = len(base.keyframes)
+    fresh, mode = bits.one(_HEAD, MAX_KEYFRAMES - old), bits.one(_HEAD, ANEW)
     moved = widened(base.poses, columns)
     if mode == ANCHORS:
         moved = moved + _read_moves(bits, old, columns)
