@@ -137,9 +137,9 @@ class AgentSequence:
 
     All its times count from its own first frame, so that all agents start at 0; ``start_ns`` is that frame's time stamp
     in the source. ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own
-    world frame (that of its first key-frame); ``metric``: in metres. ``places``: one unit vector a key-frame, all tracks in order.
-    ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image sequence.
-    ``groundtruth`` is for :mod:`maslam.mas.evaluation.ground_truth` alone; no agent ever sees it.
+    world frame (that of its first key-frame); ``metric``: in metres. ``places``: one unit vector a key-frame, all
+    tracks in order. ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image
+    sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation.ground_truth` alone; no agent ever sees it.
     """
 
     name: str

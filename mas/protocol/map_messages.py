@@ -55,9 +55,10 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
 
     ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``, or
     ``(K, 8)`` Sim(3) where each key-frame has a unit of its own; ``references`` ``(P,)`` int32: row of the key-frame
-    that saw the point first; ``points`` ``(P, 3)`` float32 in that camera and its unit; ``descriptors`` ``(P, 32)``; ``matches``: the owner's accepted ones, with
-    ``transforms`` ``(m, 8)``: their ``T_M_Q``. ``known``: key-frames whose points were left out because the buyer has
-    them, with the checksum ``check`` of all points (:mod:`maslam.mas.map_exchange.full_map_increments`).
+    that saw the point first; ``points`` ``(P, 3)`` float32 in that camera and its unit; ``descriptors`` ``(P, 32)``;
+    ``matches``: the owner's accepted ones, with ``transforms`` ``(m, 8)``: their ``T_M_Q``. ``known``: key-frames whose
+    points were left out because the buyer has them, with the checksum ``check`` of all points
+    (:mod:`maslam.mas.map_exchange.full_map_increments`).
     """
 
     owner: AgentId

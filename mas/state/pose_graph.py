@@ -19,7 +19,6 @@ from ..protocol.tensors import MAX_SCALE, MAX_TRANSLATION, pack_sim3s, unpack_si
 from .agent_state import AgentState, Piece, stretched
 from .place_match import Match
 
-
 # 1 sigma of the log scale of a match that says nothing about it.
 _UNKNOWN_SCALE = 100.0
 

@@ -45,7 +45,7 @@ def same_map(a: QuantisedMap, b: QuantisedMap) -> bool:
     return all(np.array_equal(x, y) if isinstance(x, np.ndarray) else x == y for x, y in pairs)
 
 
-# -- one camera ---------------------------------------------------------------------------------------------------------
+# -- one camera --------------------------------------------------------------------------------------------------------
 
 
 def seen(

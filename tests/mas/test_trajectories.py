@@ -36,8 +36,8 @@ def bent(
     lengths = travelled_by(sequence.trajectory.poses)
     true_lengths = travelled_by(sequence.groundtruth.poses)
     for k, keyframe in enumerate(state.keyframes):
-        here = min(FRAMES_A_KEYFRAME * k, len(lengths) - 2)
-        state.units[keyframe.index] = (true_lengths[here + 1] - true_lengths[here]) / (lengths[here + 1] - lengths[here])
+        step = slice(FRAMES_A_KEYFRAME * k, FRAMES_A_KEYFRAME * k + 2)
+        state.units[keyframe.index] = float(np.diff(true_lengths[step])[0] / np.diff(lengths[step])[0])
     return state, sequence
 
 

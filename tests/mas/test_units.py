@@ -118,7 +118,9 @@ def test_the_graph_for_export_is_in_one_unit() -> None:
 # -- plans of mixed teams ---------------------------------------------------------------------------------------------
 
 
-def joined(units: dict[int, float], pairs: list[tuple[int, int]], metric: set[int], noise: float = 0.0) -> dict[int, Bid]:
+def joined(
+    units: dict[int, float], pairs: list[tuple[int, int]], metric: set[int], noise: float = 0.0
+) -> dict[int, Bid]:
     """Bids of agents, each in its own frame, whose matches agree up to a scale that is ``noise`` (logarithm) off."""
     rng = np.random.default_rng(5)
     T_W = {a: random_sim3(rng, unit) for a, unit in units.items()}

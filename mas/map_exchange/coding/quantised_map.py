@@ -77,8 +77,9 @@ class QuantisedMap:
 
     ``keyframes``, ``ticks`` (milliseconds) ``(K,)``; ``poses`` ``(K, 6)``: position and rotation vector of ``T_F_C``;
     ``(K, 7)`` where it is drifting, then with the log of the key-frame's own unit in ``unit``. What a key-frame sees is
-    in its own unit and is never sold again, whatever an optimisation does to that. ``counts`` ``(K,)``: points of each key-frame, whose ``cells`` ``(P, 2)`` are row and column of their direction and
-    ``depths`` ``(P,)`` the logarithm of z; ``descriptors`` ``(P, 32)`` or None; ``matches`` ``(m, 3)``: own key-frame
+    in its own unit and is never sold again, whatever an optimisation does to that. ``counts`` ``(K,)``: points of each
+    key-frame, whose ``cells`` ``(P, 2)`` are row and column of their direction and ``depths`` ``(P,)`` the logarithm of
+    z; ``descriptors`` ``(P, 32)`` or None; ``matches`` ``(m, 3)``: own key-frame
     (query), agent and key-frame of the match; ``transforms`` ``(m, 7)``: ``T_M_Q`` in the owner's unit, and log scale.
     """
 
@@ -146,7 +147,7 @@ def empty_map(owner: int, frame: FrameId, steps: Steps) -> QuantisedMap:
 
 
 def quantised(poses: Array, steps: Steps, units: Array | None = None) -> Ints:
-    """``(K, 6)`` of ``(K, 4, 4)`` in the owner's unit; ``(K, 7)`` with ``units`` ``(K,)``, the key-frames' own in it."""
+    """``(K, 6)`` of ``(K, 4, 4)`` in the owner's unit; ``(K, 7)`` with the key-frames' own ``units`` ``(K,)``."""
     t = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
     rotation = size(steps.rotation)
     rows = [t[:, :3, 3] / size(steps.position), so3_log(t[:, :3, :3]).reshape(-1, 3) / rotation]
