@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 from factory import circuit, make_sequence, make_world, manifest_of, rescaled, travelled_by
 
-from maslam.backend.geometry import Array, umeyama
+from maslam.backend.geometry import Array, Sim3, se3_inverse, umeyama
 from maslam.backend.trajectory_error import path_length
 from maslam.frontend.files.trajectory import Trajectory, read_tum
+from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
 from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import MatchId
 from maslam.mas.sequence import AgentSequence
-from maslam.mas.simulation import run
+from maslam.mas.simulation import make_agents, run
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.state.place_match import Match, MatchEnd
 
 OURS = preset("maslam")
 
@@ -91,6 +95,25 @@ def test_a_team_knows_the_metre_where_one_of_it_does(tmp_path: Path, metric: int
     assert error_m(np.concatenate([t.centres for t in found]), np.concatenate(truth), with_scale=False) < 0.4
     for trajectory, true in zip(found, truth, strict=True):
         assert path_length(trajectory.centres) == pytest.approx(path_length(true), rel=0.03)
+
+
+@pytest.mark.parametrize("at", [3, 30, 55])
+def test_a_match_is_held_against_the_truth_in_the_unit_of_its_key_frame(at: int) -> None:
+    """Right but for 0.3 m, on either track, wherever the unit has drifted to."""
+    way = circuit(0.0, 90.0)
+    alone = make_sequence(make_world(3, points=6000), way, 3, scale=0.4, cuts=(60,), drifting=0.0, unit_drift=0.002)
+    agent = make_agents(manifest_of([alone]), [alone], OURS)[0]
+    for keyframe in keyframes_of(alone):
+        agent.observe(keyframe)
+    first = 3 * at
+    scale = 0.4 * (1.0 if at < 20 else 1.5) * np.exp(0.002 * travelled_by(way[0 if at < 20 else 60 : first + 1])[-1])
+    T_M_Q = se3_inverse(way[first]) @ way[first + 3]
+    T_M_Q[2, 3] += 0.3
+    end = MatchEnd(0, np.eye(4), 0.0)
+    found = Sim3(T_M_Q[:3, :3], scale * T_M_Q[:3, 3])
+    match = Match(MatchId(0, at + 1, 0, at), end, end, found, np.eye(6), 50, 10.0 * scale)
+    error = GroundTruthEvaluator([alone]).match_error(match, [agent])
+    assert error is not None and error.metres == pytest.approx(0.3, abs=0.04) and error.allowed_m > 2.0
 
 
 def test_made_up_units_drift_as_they_should() -> None:
