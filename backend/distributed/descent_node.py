@@ -13,11 +13,11 @@ import numpy as np
 
 from ..config import SolverConfig
 from ..errors import BackendError
-from ..geometry import Array, se3, so3_exp
 from ..robust.schedule import settled
 from .descent import BlockDescent, stepped
 from .messages import Decision, Deltas, Round, SolverStage, Values, number_type
 from .mixing import Mixer, MixingRule
+from .places import Places, places_of
 from .rounds import Separators
 from .selection import Selection
 from .share import Share, SolverOutcome
@@ -40,18 +40,20 @@ class DescentNode(StagedNode):
         super().__init__(share, config)
         robust = config.robust == "gnc"
         self._selection = Selection(self._problem, config.gnc_confidence, config.gnc_noise) if robust else None
-        self._mixer = Mixer(config.mixed_sweeps, np.zeros((self._problem.own_count, 6)))
+        self._mixer = Mixer(config.mixed_sweeps, np.zeros((self._problem.own_count, self._problem.width)))
         self._rule = MixingRule()
         self._costs: list[float] = []
-        self._best: tuple[float, Array] | None = None
+        self._best: tuple[float, Places] | None = None
         self._final = self._selection is None
         self._announced = self._warm
         self._message: Values | Deltas | None = None
 
     def _after_start(self) -> Round:
-        trusted = np.ones(len(self._problem.ends), dtype=bool) if self._selection is None else self._selection.odometry
+        trusted = (
+            np.ones(len(self._problem.edges.ends), dtype=bool) if self._selection is None else self._selection.odometry
+        )
         bound = None if self._selection is None else self._selection.bound
-        self._elsewhere = self._problem.poses.copy()
+        self._elsewhere = self._problem.places.copy()
         self._descent = BlockDescent(self._problem, self._warm, trusted, bound)
         self._mixer = Mixer(self._config.mixed_sweeps, self._descent.metric())
         if self._warm:
@@ -65,7 +67,7 @@ class DescentNode(StagedNode):
         self._costs.clear()
         self._best = None
         self._mixer.restart()
-        self._mixer.begin(self._problem.poses)
+        self._mixer.begin(self._problem.places)
 
     @property
     def _judging(self) -> bool:
@@ -77,9 +79,7 @@ class DescentNode(StagedNode):
         return self._selection is not None and self._round.step == 0
 
     def _waits_for_lower(self) -> bool:
-        return self._round.stage is SolverStage.SCALE or (
-            self._round.stage is SolverStage.DESCENT and not self._judging
-        )
+        return self._round.stage is SolverStage.DESCENT and not self._judging
 
     def _receivers(self) -> list[int]:
         return [] if self._judging else super()._receivers()
@@ -95,7 +95,7 @@ class DescentNode(StagedNode):
         if self._judging:
             return self._judge()
         descent, shared = self._descent, self._descent.shared
-        public = self._problem.poses[shared].copy()
+        public = self._problem.places.at(shared)
         new = descent.place()
         change = 0.0 if self._placing else descent.sweep(self._config.descent_relaxation if self._costs else 1.0)
         me, at = self.share.robot, self._round
@@ -129,12 +129,12 @@ class DescentNode(StagedNode):
             super()._receive(neighbour, message)
             return
         rows = np.array(self._problem.received_rows[neighbour], dtype=np.intp)
-        poses = self._problem.poses
+        places = self._problem.places
         if isinstance(message, Deltas):
-            poses[rows] = stepped(poses[rows], message.scales, message.steps)
+            places.put(rows, stepped(places.at(rows), message.scales, message.steps))
         elif len(message.values):
             known = np.isfinite(message.values).all(axis=1)
-            poses[rows[known]] = se3(so3_exp(message.values[known, 3:]), message.values[known, :3])
+            places.put(rows[known], places_of(message.values[known]))
             self._descent.placed[rows[known]] = True
 
     def _found(self) -> tuple[float, tuple[float, ...]]:
@@ -142,7 +142,7 @@ class DescentNode(StagedNode):
             return super()._found()
         if self._judging:
             return 0.0, ()
-        return self._descent.cost(), self._mixer.end(self._problem.poses)
+        return self._descent.cost(), self._mixer.end(self._problem.places)
 
     def _cost(self) -> float:
         return super()._cost() if self._selection is None else self._selection.cost()
@@ -177,17 +177,17 @@ class DescentNode(StagedNode):
             self._take_weights(decision.cost)
             return
         self._take_cost(decision.cost)
-        poses = self._problem.poses
+        places = self._problem.places
         if np.isinf(decision.cost):
             self._mixer.restart()
         elif self._best is not None and decision.cost > self._best[0]:
             # A mix that led uphill: back to the best sweep, which every member remembers alike.
-            poses[:] = self._best[1]
+            places.put(slice(None), self._best[1])
             self._mixer.restart()
         elif decision.numbers:
-            free = np.isfinite(poses).all(axis=(1, 2))
-            poses[free] = self._mixer.mix(decision.numbers)[free]
-        self._mixer.begin(poses)
+            free = places.known
+            places.put(free, self._mixer.mix(decision.numbers).at(free))
+        self._mixer.begin(places)
 
     def _take_weights(self, found: float) -> None:
         """``found``: the group's largest squared residual, or how undecided its least decided edge is."""
@@ -206,7 +206,7 @@ class DescentNode(StagedNode):
             return
         self._costs.append(cost)
         if self._best is None or cost < self._best[0]:
-            self._best = (cost, self._problem.poses.copy())
+            self._best = (cost, self._problem.places.copy())
 
     def _leave(self, decision: Decision) -> None:
         if self._round.stage is not SolverStage.DESCENT:
@@ -214,13 +214,13 @@ class DescentNode(StagedNode):
             return
         self._take_cost(decision.cost)
         if self._best is not None:
-            self._problem.poses[:] = self._best[1]
+            self._problem.places.put(slice(None), self._best[1])
         if not self._final:
             self._round = Round(SolverStage.DESCENT, self._round.step + 1)
             return
         # What found no place stays where it was, at its neighbours' side too.
         lost = ~self._descent.placed
-        self._problem.poses[lost] = self._elsewhere[lost]
+        self._problem.places.put(lost, self._elsewhere.at(lost))
         self._reached = self._descent.placed
         self._round = Round(SolverStage.COST)
 

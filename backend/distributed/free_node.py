@@ -13,10 +13,10 @@ import numpy as np
 
 from ..config import SolverConfig
 from ..errors import BackendError
-from ..geometry import Array, se3, so3_exp
+from ..geometry import Array
 from .descent_node import DescentNode
 from .messages import Decision, NodeMessage, Round, SeparatorState, SolverStage, Standing, Status, number_type
-from .mixing import moved
+from .places import Places, moved, places_of
 from .share import Share
 
 # Ticks between sending again what nobody has confirmed.
@@ -113,12 +113,13 @@ class FreeNode(DescentNode):
             self._adopt(neighbour, self._latest[neighbour])
         if self._quiet and not newer:
             return
-        descent, poses = self._descent, self._problem.poses
-        public = poses[descent.shared].copy()
+        descent, places = self._descent, self._problem.places
+        public = places.at(descent.shared)
         new = descent.place() or (self._version == 0 and bool(descent.placed[: self._problem.own_count].any()))
-        inner = poses[: self._problem.own_count].copy()
+        own = slice(self._problem.own_count)
+        inner = places.at(own)
         descent.sweep(_RELAXATION if newer else 1.0)
-        shift = self._largest(public, poses[descent.shared], self._metric[descent.shared])
+        shift = self._largest(public, places.at(descent.shared), self._metric[descent.shared])
         limit = self._config.free_threshold
         may_move = self._version < self._config.descent_sweeps
         if new or (shift > (limit if newer else max(limit, _LEFTOVER * self._shift)) and may_move):
@@ -129,22 +130,21 @@ class FreeNode(DescentNode):
             self._quiet, self._idle = False, 0
         else:
             # Its inside may go on settling where nobody sees it.
-            poses[descent.shared] = public
+            places.put(descent.shared, public)
             self._idle += 1
-            change = self._largest(inner, poses[: self._problem.own_count], self._metric)
+            change = self._largest(inner, places.at(own), self._metric)
             self._quiet = change <= limit or self._idle > _MOST_IDLE
         self._stand()
 
     @staticmethod
-    def _largest(before: Array, after: Array, metric: Array) -> float:
+    def _largest(before: Places, after: Places, metric: Array) -> float:
         """The largest move, in standard deviations."""
-        return float(np.abs(np.nan_to_num(moved(before, after)) * metric).max(initial=0.0))
+        return float(np.abs(np.nan_to_num(moved(before, after, metric.shape[1])) * metric).max(initial=0.0))
 
     def _adopt(self, neighbour: int, state: SeparatorState) -> None:
         rows = np.array(self._problem.received_rows[neighbour], dtype=np.intp)
         known = np.isfinite(state.values).all(axis=1)
-        values = state.values[known]
-        self._problem.poses[rows[known]] = se3(so3_exp(values[:, 3:]), values[:, :3])
+        self._problem.places.put(rows[known], places_of(state.values[known]))
         self._descent.placed[rows[known]] = True
         self._used[neighbour] = state.version
 

@@ -5,17 +5,21 @@ on them.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..central.linear import edge_costs, isotropic_weights, pose_blocks, rotation_blocks
+from ..central.linear import pose_blocks, rotation_blocks
 from ..central.relaxation import Relaxation
-from ..geometry import Array, project_to_so3, se3, so3_exp, so3_log
+from ..central.similarity_edges import edges_of
+from ..geometry import Array, project_to_so3, se3, so3_exp
 from ..pose_graph.graph import NodeId
+from .places import RIGID, SCALED, Places, places_of
 from .share import Share
 
 
 class LocalProblem:
-    """Poses ``(n, 4, 4)`` of own nodes (the first ``own_count`` rows) and separators of neighbours (NaN until received
-    of).
+    """``places`` of own nodes (the first ``own_count`` rows) and of neighbours' separators (NaN until received of).
+
+    ``fixed`` ``(n,)``: nodes whose unit of length is no variable; ``width``: unknowns of a node.
     """
 
     def __init__(self, share: Share) -> None:
@@ -24,42 +28,49 @@ class LocalProblem:
         ghosts = sorted({n for e in share.edges for n in (e.i, e.j)} - set(own))
         self.nodes: list[NodeId] = own + ghosts
         self.own_count = len(own)
+        self.width = SCALED if share.scaled else RIGID
         row = {n: k for k, n in enumerate(self.nodes)}
-        edges = share.edges
-        self.ends = np.array([(row[e.i], row[e.j]) for e in edges], dtype=np.intp).reshape(-1, 2)
-        self.measured = np.array([e.T_i_j for e in edges]).reshape(-1, 4, 4)
-        self.kappa, self.tau = isotropic_weights(np.array([e.information for e in edges]), share.dimension)
-        weights = np.array([e.weight for e in edges])
-        self.kappa, self.tau = self.kappa * weights, self.tau * weights
+        ends = np.array([(row[e.i], row[e.j]) for e in share.edges], dtype=np.intp).reshape(-1, 2)
+        self.edges = edges_of(share.edges, ends, share.dimension)
         # An edge between two robots stands in both shares and is counted by the lower one.
-        self.counted = np.array([min(e.i.robot, e.j.robot) == share.robot for e in edges], dtype=bool)
-        self.poses = np.full((len(self.nodes), 4, 4), np.nan)
-        self.poses[: self.own_count] = [share.poses[n] for n in own]
-        self.log_units = np.concatenate([share.log_units(own), np.full(len(ghosts), 0.0)])
+        self.counted = np.array([min(e.i.robot, e.j.robot) == share.robot for e in share.edges], dtype=bool)
+        self.places = Places(np.full((len(self.nodes), 4, 4), np.nan), np.zeros(len(self.nodes)))
+        self.places.poses[: self.own_count] = [share.poses[n] for n in own]
+        self.places.log_units[: self.own_count] = share.log_units(own)
+        self.fixed = np.array([n.robot not in share.arbitrary_scale for n in self.nodes], dtype=bool)
         self.sent_rows: dict[int, list[int]] = {}
         self.received_rows: dict[int, list[int]] = {}
         for neighbour in share.neighbours:
             mine, theirs = share.separators_with(neighbour)
             self.sent_rows[neighbour] = [row[n] for n in mine]
             self.received_rows[neighbour] = [row[n] for n in theirs]
-        # The anchor robot's first node stays where it is.
-        self.given = [0] if share.robot == share.members[0] else []
-
-    def rescale(self, scales: dict[int, float]) -> None:
-        """Bring poses and measurements into the common unit: ``scales`` of this robot and its neighbours."""
-        s_node = np.array([scales[n.robot] for n in self.nodes])
-        s_edge = np.array([scales[e.i.robot] for e in self.share.edges])
-        self.poses[:, :3, 3] *= s_node[:, None]
-        self.measured[:, :3, 3] *= s_edge[:, None]
-        self.tau = self.tau / s_edge**2
+        # The anchor's first node stays where it is.
+        self.given = [0] if share.robot == share.anchor else []
 
     def cost(self) -> float:
         """F over the edges this robot counts; edges to nodes without a pose are left out."""
-        i, j = self.ends[self.counted].T
-        costs = edge_costs(
-            self.poses[i], self.poses[j], self.measured[self.counted], self.kappa[self.counted], self.tau[self.counted]
-        )
+        costs = self.edges.only(self.counted).costs(self.places.poses, self.places.log_units)
         return float(costs[np.isfinite(costs)].sum())
+
+    def scale_stage(self, warm: bool) -> Relaxation:
+        """Log units from the edges' scales alone; those of metric robots and the anchor's first one stand fixed.
+
+        Nothing else is known, or, ``warm``, the present ones.
+        """
+        values = np.full((len(self.nodes), 1, 1), np.nan)
+        values[self.fixed] = 0.0
+        start = slice(self.own_count) if warm else self.given
+        values[start, 0, 0] = self.places.log_units[start]
+        weight, wanted = self.edges.precision, self.edges.log_scale
+        hessian = weight[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        rhs = (weight * wanted)[:, None, None] * np.array([[-1.0], [1.0]])
+        given = np.union1d(np.flatnonzero(self.fixed[: self.own_count]), self.given).astype(np.intp).tolist()
+        return Relaxation(self.edges.ends, (hessian, rhs), values, self.own_count, given)
+
+    def take_log_units(self, stage: Relaxation) -> None:
+        """Nodes that the stage did not reach keep theirs."""
+        reached = stage.known()
+        self.places.log_units[reached] = stage.values[reached, 0, 0]
 
     def rotation_stage(self, warm: bool) -> Relaxation:
         """The relaxed rotation problem; nothing known but the anchor, or, ``warm``, starting from the current
@@ -67,69 +78,56 @@ class LocalProblem:
         """
         values = np.full((len(self.nodes), 3, 3), np.nan)
         start = slice(None) if warm else self.given
-        values[start] = np.swapaxes(self.poses[start, :3, :3], 1, 2)
-        blocks = rotation_blocks(self.measured[:, :3, :3], self.kappa)
-        return Relaxation(self.ends, blocks, values, self.own_count, self.given)
+        values[start] = np.swapaxes(self.places.poses[start, :3, :3], 1, 2)
+        blocks = rotation_blocks(self.edges.measured[:, :3, :3], self.edges.kappa)
+        return Relaxation(self.edges.ends, blocks, values, self.own_count, self.given)
 
     def take_rotations(self, stage: Relaxation) -> None:
         """Project the relaxed rotations; nodes the stage did not reach keep their pose."""
         reached = stage.known()
         reached[self.given] = False
-        self.poses[reached, :3, :3] = project_to_so3(np.swapaxes(stage.values[reached], 1, 2))
+        self.places.poses[reached, :3, :3] = project_to_so3(np.swapaxes(stage.values[reached], 1, 2))
 
-    def pose_stage(self, reached: np.ndarray, warm: bool) -> Relaxation:
-        """One Gauss-Newton step around the current rotations; ``warm``: starting from the current translations."""
-        values = np.full((len(self.nodes), 6, 1), np.nan)
+    def pose_stage(self, reached: NDArray[np.bool_], warm: bool) -> Relaxation:
+        """One Gauss-Newton step around the current rotations (and units); ``warm``: starting from the current
+        translations.
+        """
+        poses, width = self.places.poses, self.width
+        values = np.full((len(self.nodes), width, 1), np.nan)
         start = reached.copy() if warm else np.zeros(len(self.nodes), dtype=bool)
         start[self.given] = True
         values[start] = 0.0
-        values[start, :3, 0] = self.poses[start, :3, 3]
-        i, j = self.ends.T
+        values[start, :3, 0] = poses[start, :3, 3]
+        i, j = self.edges.ends.T
         usable = reached[i] & reached[j]
-        hessian, rhs = np.zeros((len(i), 12, 12)), np.zeros((len(i), 12, 1))
-        R = self.poses[:, :3, :3]
-        hessian[usable], rhs[usable] = pose_blocks(
-            R[i[usable]], R[j[usable]], self.measured[usable], self.kappa[usable], self.tau[usable]
-        )
-        return Relaxation(self.ends, (hessian, rhs), values, self.own_count, self.given)
+        hessian, rhs = np.zeros((len(i), 2 * width, 2 * width)), np.zeros((len(i), 2 * width, 1))
+        hessian[usable], rhs[usable] = self._pose_blocks(usable, warm)
+        return Relaxation(self.edges.ends, (hessian, rhs), values, self.own_count, self.given)
+
+    def _pose_blocks(self, usable: NDArray[np.bool_], warm: bool) -> tuple[Array, Array]:
+        poses, edges = self.places.poses, self.edges.only(usable)
+        if self.width == SCALED:
+            if not warm:  # where nodes are is not known yet: what was measured stands in for it
+                poses = poses.copy()
+                poses[:, :3, 3] = np.nan
+            return edges.blocks(poses, self.places.log_units, self.fixed)
+        i, j = edges.ends.T
+        R = poses[:, :3, :3]
+        return pose_blocks(R[i], R[j], edges.measured, edges.kappa, edges.tau)
 
     def take_poses(self, stage: Relaxation) -> None:
         """Apply the step; nodes the stage did not reach keep their pose."""
         reached = stage.known()
         reached[self.given] = False
-        x = stage.values[reached, :, 0]
-        self.poses[reached] = se3(self.poses[reached, :3, :3] @ so3_exp(x[:, 3:]), x[:, :3])
+        x, poses = stage.values[reached, :, 0], self.places.poses
+        poses[reached] = se3(poses[reached, :3, :3] @ so3_exp(x[:, 3:6]), x[:, :3])
+        if self.width == SCALED:
+            self.places.log_units[reached] += x[:, 6]
 
-    def separator_poses(self, neighbour: int) -> Array:
-        """Translation and rotation vector ``(k, 6)`` of the own separators this neighbour shares."""
-        T = self.poses[self.sent_rows[neighbour]]
-        return np.concatenate([T[:, :3, 3], so3_log(T[:, :3, :3])], axis=1)
+    def separator_places(self, neighbour: int) -> Array:
+        """Numbers ``(k, width)`` of the own separators this neighbour shares."""
+        return self.places.at(self.sent_rows[neighbour]).numbers(self.width)
 
-    def receive_poses(self, neighbour: int, values: Array) -> None:
-        """Inverse of :meth:`separator_poses` at the receiver."""
-        self.poses[self.received_rows[neighbour]] = se3(so3_exp(values[:, 3:]), values[:, :3])
-
-
-def scale_stage(share: Share) -> Relaxation:
-    """Log scales of this robot (row 0) and its neighbours, from the separators' ``scale``: one unknown per robot.
-
-    Each pair of robots counts once, by the median of its edges, so that one wrong scale among several does no harm;
-    metric members (or, where there are none, the anchor) stand fixed at 0.
-    """
-    robots = [share.robot, *share.neighbours]
-    fixed = set(share.members) - share.arbitrary_scale or {share.members[0]}
-    values = np.full((len(robots), 1, 1), np.nan)
-    values[[k for k, r in enumerate(robots) if r in fixed]] = 0.0
-    hessian, rhs = np.zeros((len(robots) - 1, 2, 2)), np.zeros((len(robots) - 1, 2, 1))
-    for k, neighbour in enumerate(share.neighbours):
-        # log of the neighbour's unit in this robot's: T_i_j holds the size of j's unit in i's.
-        logs = [
-            np.log(e.scale) * (1.0 if e.i.robot == share.robot else -1.0)
-            for e in share.edges
-            if {e.i.robot, e.j.robot} == {share.robot, neighbour}
-        ]
-        difference, weight = float(np.median(logs)), float(len(logs))
-        hessian[k] = weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        rhs[k, :, 0] = weight * np.array([-difference, difference])
-    ends = np.array([(0, k + 1) for k in range(len(robots) - 1)], dtype=np.intp).reshape(-1, 2)
-    return Relaxation(ends, (hessian, rhs), values, 1, [0] if share.robot in fixed else [])
+    def receive_places(self, neighbour: int, values: Array) -> None:
+        """Inverse of :meth:`separator_places` at the receiver."""
+        self.places.put(self.received_rows[neighbour], places_of(values))

@@ -22,8 +22,8 @@ from ..geometry import Array
 class SolverStage(IntEnum):
     """Unknowns that a sweep works on, in this order."""
 
-    SCALE = 0
-    START = 1
+    START = 0
+    SCALE = 1
     ROTATION = 2
     POSE = 3
     FREE = 4
@@ -31,16 +31,24 @@ class SolverStage(IntEnum):
     COST = 6
 
 
-# Numbers that one separator pose (one robot, for SCALE) costs each sweep.
+# Numbers that one separator pose costs each sweep.
 WIDTH = {
-    SolverStage.SCALE: 1,
     SolverStage.START: 6,
+    SolverStage.SCALE: 1,
     SolverStage.ROTATION: 9,
     SolverStage.POSE: 6,
     SolverStage.DESCENT: 6,
     SolverStage.FREE: 6,
     SolverStage.COST: 0,
 }
+
+
+_WITH_UNIT = (SolverStage.START, SolverStage.POSE, SolverStage.FREE, SolverStage.DESCENT)
+
+
+def width_of(stage: SolverStage, scaled: bool) -> int:
+    """Numbers of a separator; ``scaled``: with one more for its unit of length."""
+    return WIDTH[stage] + (scaled and stage in _WITH_UNIT)
 
 
 @dataclass(frozen=True, order=True)
@@ -92,8 +100,8 @@ class Values(_SolverMessage):
     """One robot's separator values after one sweep, for one neighbour.
 
     ``values`` ``(k, width)``: a row for each of the sender's nodes that share an edge with the receiver, sorted by
-    index, which both sides know; rotations row by row (9), translation and turn (6), log scale (1). A row without an
-    estimate yet is NaN, and ``k`` is 0 where no row has one.
+    index, which both sides know; rotations row by row (9), translation and turn (6, with the log unit 7), log unit (1).
+    A row without an estimate yet is NaN, and ``k`` is 0 where no row has one.
     """
 
     sender: int
@@ -107,32 +115,35 @@ class Values(_SolverMessage):
         return np.dtype(number_type(self.round.stage)).itemsize * int(self.values.size)
 
     def check(self) -> None:
-        _check_rows(self.values, WIDTH[self.round.stage])
+        _check_rows(self.values, self.round.stage)
 
 
 @dataclass(frozen=True, eq=False)
 class Deltas(_SolverMessage):
-    """Moves of one robot's separators in a sweep, coarse: ``steps`` ``(k, 6)`` int8, translation then turn.
+    """Moves of one robot's separators in a sweep, coarse: ``steps`` ``(k, 6)`` int8, translation then turn, or
+    ``(k, 7)`` with the log unit.
 
-    ``scales`` (float32 exactly): a step of translation in metres and of the turn ``R exp(delta)`` in radians. Both
-    sides go on from the pose that these steps lead to, so what rounding left out is in the next message.
+    ``scales`` (float32 exactly): a step of translation in metres, of the turn ``R exp(delta)`` in radians, and of the
+    log unit. Both sides go on from the pose that these steps lead to, so what rounding left out is in the next message.
     """
 
     sender: int
     receiver: int
     round: Round
-    scales: tuple[float, float]
+    scales: tuple[float, ...]
     steps: NDArray[np.int8]
 
     @property
     def payload_bytes(self) -> int:
-        return 8 + int(self.steps.size)
+        return 4 * len(self.scales) + int(self.steps.size)
 
     def check(self) -> None:
         if self.round.stage is not SolverStage.DESCENT:
             raise BackendError("steps of a stage that has none")
         if not np.isfinite(self.scales).all():
             raise BackendError("a scale of steps is not finite")
+        if len(self.scales) != self.steps.shape[1] - 4:
+            raise BackendError(f"{len(self.scales)} scales of {self.steps.shape[1]} steps")
 
 
 @dataclass(frozen=True)
@@ -219,7 +230,7 @@ class SeparatorState(_SolverMessage):
     def check(self) -> None:
         if self.round != Round(SolverStage.FREE):
             raise BackendError("separators without rounds, of a round")
-        _check_rows(self.values, WIDTH[SolverStage.FREE])
+        _check_rows(self.values, SolverStage.FREE)
 
 
 @dataclass(frozen=True)
@@ -282,19 +293,22 @@ _MOST_SUMS = 64
 _HEADER = struct.Struct("<BBHHHH")
 _REPORT = struct.Struct("<dd")
 _DECISION = struct.Struct("<?d")
-_SCALES = struct.Struct("<ff")
+# In the kind: rows have one number more than their stage, the log unit.
+_SCALED = 0x40
 
 
 def encode(message: NodeMessage) -> bytes:
     """The message as bytes, little endian: a header of 10, then its numbers."""
     r = message.round
     kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
+    if _columns(message) > WIDTH[r.stage]:
+        kind |= _SCALED
     head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
     match message:
         case Values():
             return head + np.ascontiguousarray(message.values, dtype=number_type(r.stage)).tobytes()
         case Deltas():
-            return head + _SCALES.pack(*message.scales) + np.ascontiguousarray(message.steps, dtype="<i1").tobytes()
+            return head + _pack(message.scales) + np.ascontiguousarray(message.steps, dtype="<i1").tobytes()
         case Report():
             return head + _REPORT.pack(message.change, message.cost) + _pack(message.numbers)
         case Decision():
@@ -311,7 +325,8 @@ def decode(data: bytes) -> NodeMessage:
     try:
         kind, stage, step, sweep, sender, receiver = _HEADER.unpack_from(data)
         body, round_ = data[_HEADER.size :], Round(SolverStage(stage), step, sweep)
-        width = max(WIDTH[round_.stage], 1)
+        kind, scaled = kind & ~_SCALED, bool(kind & _SCALED)
+        width = max(width_of(round_.stage, scaled), 1)
         if kind == 0:
             values = np.frombuffer(body, dtype=number_type(round_.stage)).reshape(-1, width).astype(np.float64)
             return Values(sender, receiver, round_, values)
@@ -322,8 +337,9 @@ def decode(data: bytes) -> NodeMessage:
             go_on, cost = _DECISION.unpack_from(body)
             return Decision(sender, receiver, round_, go_on, cost, _unpack(body[_DECISION.size :]))
         if kind == 3:
-            steps = np.frombuffer(body[_SCALES.size :], dtype="<i1").reshape(-1, width)
-            return Deltas(sender, receiver, round_, _SCALES.unpack_from(body), steps)
+            scales = 4 * (width - 4)
+            steps = np.frombuffer(body[scales:], dtype="<i1").reshape(-1, width)
+            return Deltas(sender, receiver, round_, _unpack(body[:scales]), steps)
         if kind == 4:
             values = np.frombuffer(body[_USED.size :], dtype=number_type(round_.stage)).reshape(-1, width)
             version, used = _USED.unpack_from(body)
@@ -335,10 +351,20 @@ def decode(data: bytes) -> NodeMessage:
     raise BackendError(f"not a solver message: unknown kind {kind}")
 
 
-def _check_rows(values: Array, width: int) -> None:
-    """Rows of this width without infinity; NaN stands for what has no estimate yet."""
-    if values.size and values.shape[1] != width:
-        raise BackendError(f"rows of {values.shape[1]} numbers, not {width}")
+def _columns(message: NodeMessage) -> int:
+    """Numbers in a row of its separators; 0 where it has none."""
+    match message:
+        case Values() | SeparatorState():
+            return message.values.shape[1]
+        case Deltas():
+            return message.steps.shape[1]
+    return 0
+
+
+def _check_rows(values: Array, stage: SolverStage) -> None:
+    """Rows of a width that the stage has, without infinity; NaN stands for what has no estimate yet."""
+    if values.size and values.shape[1] not in (width_of(stage, False), width_of(stage, True)):
+        raise BackendError(f"rows of {values.shape[1]} numbers, not {WIDTH[stage]}")
     if np.isinf(values).any():
         raise BackendError("an infinite value")
 

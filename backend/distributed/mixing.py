@@ -12,44 +12,34 @@ import itertools
 
 import numpy as np
 
-from ..geometry import Array, se3, so3_exp, so3_log
+from ..geometry import Array
 from .messages import as_sent
+from .places import Places, move, moved
 
 # Inner products travel in single precision: what they cannot tell apart is not to be mixed.
 _REGULARISATION = 1e-6
 
 
-def moved(T_from: Array, T_to: Array) -> Array:
-    """Translation and turn ``(n, 6)`` from poses ``T_from`` to ``T_to`` ``(n, 4, 4)``; the turn acts from the right."""
-    turn = so3_log(np.swapaxes(T_from[:, :3, :3], 1, 2) @ T_to[:, :3, :3])
-    return np.concatenate([T_to[:, :3, 3] - T_from[:, :3, 3], turn], axis=1)
-
-
-def move(T_from: Array, delta: Array) -> Array:
-    """Inverse of :func:`moved`."""
-    return se3(T_from[:, :3, :3] @ so3_exp(delta[:, 3:]), T_from[:, :3, 3] + delta[:, :3])
-
-
 class Mixer:
-    """One robot's part: the last sweeps' starts and results ``(n, 6)`` as moves from a common base."""
+    """One robot's part: the last sweeps' starts and results ``(n, width)`` as moves from a common base."""
 
     def __init__(self, depth: int, metric: Array) -> None:
-        """``depth``: sweeps mixed, besides the last; ``metric`` ``(own, 6)``: square roots of weights of own rows."""
+        """``depth``: sweeps mixed, besides the last; ``metric`` ``(own, width)``: roots of weights of own rows."""
         self._depth, self._metric = depth, metric
-        self._base: Array | None = None
+        self._base: Places | None = None
         self._started: list[Array] = []
         self._ended: list[Array] = []
 
-    def begin(self, poses: Array) -> None:
+    def begin(self, places: Places) -> None:
         """Note where a sweep starts."""
         if self._base is None:
-            self._base = poses.copy()
-        self._started.append(moved(self._base, poses))
+            self._base = places.copy()
+        self._started.append(moved(self._base, places, self._metric.shape[1]))
 
-    def end(self, poses: Array) -> tuple[float, ...]:
+    def end(self, places: Places) -> tuple[float, ...]:
         """Note where it ended; returns this robot's part of the sums that the group needs."""
         assert self._base is not None
-        self._ended.append(moved(self._base, poses))
+        self._ended.append(moved(self._base, places, self._metric.shape[1]))
         del self._started[: -self._depth - 1], self._ended[: -self._depth - 1]
         residuals = [self._residual(k) for k in range(len(self._ended))]
         steps = [b - a for a, b in itertools.pairwise(residuals)]
@@ -63,8 +53,8 @@ class Mixer:
         self._started.clear()
         self._ended.clear()
 
-    def mix(self, weights: tuple[float, ...]) -> Array:
-        """The mixed poses ``(n, 4, 4)``; sums run in one order, so both owners of a separator get the same bits."""
+    def mix(self, weights: tuple[float, ...]) -> Places:
+        """The mixed places; sums run in one order, so both owners of a separator get the same bits."""
         assert self._base is not None
         result = self._ended[-1].copy()
         first = len(self._ended) - 1 - len(weights)

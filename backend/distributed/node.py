@@ -10,25 +10,27 @@ import numpy as np
 
 from ..central.relaxation import Relaxation
 from ..geometry import Array
-from .messages import WIDTH, Decision, Round, SolverStage, Values
+from .messages import Decision, Round, SolverStage, Values
 from .rounds import Separators
 from .staged import StagedNode
 
-_SWEPT = (SolverStage.ROTATION, SolverStage.POSE)
+_SWEPT = (SolverStage.SCALE, SolverStage.ROTATION, SolverStage.POSE)
 
 
 class Node(StagedNode):
     """Distributed Gauss-Seidel (Choudhary et al., IJRR 2017), Jacobi and over-relaxed; see :class:`Rounds` for its
-    use.
+    use. Where units of length are variables, sweeps over their logarithms come first.
     """
 
     _stage: Relaxation
 
     def _after_start(self) -> Round:
-        return Round(SolverStage.ROTATION)
+        return Round(SolverStage.SCALE if self.share.scaled else SolverStage.ROTATION)
 
     def _enter(self) -> None:
-        if self._round.stage is SolverStage.ROTATION:
+        if self._round.stage is SolverStage.SCALE:
+            self._stage = self._problem.scale_stage(self._warm)
+        elif self._round.stage is SolverStage.ROTATION:
             self._stage = self._problem.rotation_stage(self._warm)
         elif self._round.stage is SolverStage.POSE:
             self._stage = self._problem.pose_stage(self._reached, self._warm or self._round.step > 0)
@@ -36,7 +38,7 @@ class Node(StagedNode):
             super()._enter()
 
     def _waits_for_lower(self) -> bool:
-        return self._round.stage in (*_SWEPT, SolverStage.SCALE) and self._config.method != "jor"
+        return self._round.stage in _SWEPT and self._config.method != "jor"
 
     def _work(self) -> float:
         if self._round.stage not in _SWEPT:
@@ -51,6 +53,7 @@ class Node(StagedNode):
 
     def _decide(self, change: float, cost: float, numbers: tuple[float, ...]) -> Decision:
         limits = {
+            SolverStage.SCALE: (self._config.scale_sweeps, self._config.scale_threshold),
             SolverStage.ROTATION: (self._config.rotation_sweeps, self._config.rotation_threshold),
             SolverStage.POSE: (self._config.pose_sweeps, self._config.pose_threshold),
         }
@@ -62,12 +65,15 @@ class Node(StagedNode):
         return self._decision(spreading or (self._round.sweep + 1 < sweeps and change >= threshold), cost)
 
     def _stay(self, decision: Decision) -> None:
-        if self._round.stage in _SWEPT:
+        if self._round.stage in self._sweeps:
             self._sweeps[self._round.stage] += 1
 
     def _leave(self, decision: Decision) -> None:
         self._stay(decision)
-        if self._round.stage is SolverStage.ROTATION:
+        if self._round.stage is SolverStage.SCALE:
+            self._problem.take_log_units(self._stage)
+            self._round = Round(SolverStage.ROTATION)
+        elif self._round.stage is SolverStage.ROTATION:
             self._reached = self._stage.known()
             self._problem.take_rotations(self._stage)
             self._round = Round(SolverStage.POSE)
@@ -85,7 +91,7 @@ class Node(StagedNode):
         values = self._stage.values[rows]
         if self._round.stage is SolverStage.ROTATION:
             values = np.swapaxes(values, 1, 2)
-        flat: Array = values.reshape(len(rows), WIDTH[self._round.stage])
+        flat: Array = values.reshape(len(rows), self._width())
         known = flat.copy() if np.isfinite(flat).any() else flat[:0].copy()
         return Values(self.share.robot, neighbour, self._round, known)
 

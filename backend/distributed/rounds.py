@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from ..errors import BackendError
-from .messages import WIDTH, Decision, Deltas, NodeMessage, Report, Round, SolverStage, Values
+from .messages import Decision, Deltas, NodeMessage, Report, Round, Values, width_of
 from .share import Share, SolverOutcome
 
 Separators = Values | Deltas
@@ -118,6 +118,10 @@ class Rounds(ABC):
         """Return the messages of the last two rounds again."""
         return [m for r in sorted(self._recent) for m in self._recent[r]]
 
+    def _width(self) -> int:
+        """Numbers of a separator in this round."""
+        return width_of(self._round.stage, self.share.scaled)
+
     def _check_tree(self, sender: int, allowed: Sequence[int | None]) -> None:
         if sender not in allowed:
             raise BackendError(f"robot {sender} is not next to robot {self.share.robot} in the tree of members")
@@ -129,7 +133,7 @@ class Rounds(ABC):
             )
         stage, rows = message.round.stage, self._expected[message.sender]
         values = message.values if isinstance(message, Values) else message.steps
-        expected = (1 if stage is SolverStage.SCALE else rows, WIDTH[stage])
+        expected = (rows, width_of(stage, self.share.scaled))
         if values.shape != expected and len(values):
             raise BackendError(
                 f"robot {message.sender} sent {values.shape} values to robot {self.share.robot}, "

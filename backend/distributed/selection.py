@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..central.linear import edge_costs
 from ..geometry import Array
 from ..pose_graph.graph import EdgeKind
 from ..robust.schedule import first_mu, next_mu, tls_weight, truncation
@@ -22,15 +21,16 @@ class Selection:
     def __init__(self, problem: LocalProblem, confidence: float, noise: float) -> None:
         """``noise``: how many of the stated standard deviations one true one is."""
         self._problem = problem
-        self.bound = noise**2 * truncation(confidence, 6 if problem.share.dimension == 3 else 3)
+        freedom = problem.width if problem.share.dimension == 3 else problem.width - 3
+        self.bound = noise**2 * truncation(confidence, freedom)
         self.odometry = np.array([e.kind is EdgeKind.ODOMETRY for e in problem.share.edges], dtype=bool)
         self.weights = np.ones(len(self.odometry))
         self._mu: float | None = None
 
     def squared(self) -> Array:
         """Squared residuals ``(m,)`` in standard deviations; NaN where an end has no pose yet."""
-        p = self._problem
-        return edge_costs(p.poses[p.ends[:, 0]], p.poses[p.ends[:, 1]], p.measured, p.kappa, p.tau)
+        places = self._problem.places
+        return self._problem.edges.costs(places.poses, places.log_units)
 
     def largest(self) -> float:
         """The largest squared residual of a judged edge."""

@@ -53,6 +53,21 @@ def loops(rng, robots=4, length=100, separators=8, sigma_t=0.02, sigma_deg=0.1, 
     return PoseGraph(poses, tuple(edges)), truth
 
 
+def constant_units(graph):
+    """The same graph, whose edges' scales are exact: units do not drift."""
+    return replace(graph, edges=tuple(replace(e, scale_sigma=1e-4) for e in graph.edges))
+
+
+def drifting(graph, truth, units):
+    """Exact edges of ``truth`` as nodes with these ``units`` measure them, scale included; poses as they are."""
+    edges = []
+    for e in graph.edges:
+        T = se3_inverse(truth[e.i]) @ truth[e.j]
+        T[:3, 3] /= units[e.i]
+        edges.append(replace(e, T_i_j=T, scale=units[e.j] / units[e.i]))
+    return replace(graph, edges=tuple(edges))
+
+
 def town(rng, robots=10, length=200, separators=4, sigma_t=0.02, sigma_deg=0.2):
     """Robots on a lattice of blocks, each driving round its own (closed by two loops), metre by metre; crossings with
     the next blocks give ``separators`` matches each. Returns the graph, poses by odometry in own frames, and the truth.

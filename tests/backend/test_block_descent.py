@@ -10,7 +10,8 @@ from maslam.backend.central.costs import cost, edge_cost
 from maslam.backend.central.optimise import optimise
 from maslam.backend.config import CentralConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
-from maslam.backend.distributed.mixing import Mixer, MixingRule, move, moved
+from maslam.backend.distributed.mixing import Mixer, MixingRule
+from maslam.backend.distributed.places import Places, move, moved
 from maslam.backend.geometry import se3_exp
 from maslam.backend.pose_graph.graph import EdgeKind
 from maslam.backend.robust.schedule import first_mu, next_mu, settled, tls_weight, truncation
@@ -120,20 +121,21 @@ def test_mixing_solves_a_linear_problem_in_as_many_sweeps_as_it_has_unknowns():
     rng = np.random.default_rng(8)
     A = 0.9 * np.linalg.qr(rng.normal(size=(3, 3)))[0]
     target = rng.normal(size=3)
-    poses = np.tile(np.eye(4), (1, 1, 1))
+    origin = Places(np.eye(4)[None], np.zeros(1))
+    places = origin
     mixer, rule = Mixer(6, np.ones((1, 6))), MixingRule()
 
     def shifted(x):
-        return move(np.eye(4)[None], np.concatenate([x, np.zeros(3)])[None])
+        return move(origin, np.concatenate([x, np.zeros(3)])[None])
 
     for _ in range(5):
-        mixer.begin(poses)
-        x = moved(np.eye(4)[None], poses)[0, :3]
-        poses = shifted(target + A @ (x - target))
-        weights = rule.weights(mixer.end(poses))
+        mixer.begin(places)
+        x = moved(origin, places, 6)[0, :3]
+        places = shifted(target + A @ (x - target))
+        weights = rule.weights(mixer.end(places))
         if weights:
-            poses = mixer.mix(weights)
-    np.testing.assert_allclose(poses[0, :3, 3], target, atol=1e-4)
+            places = mixer.mix(weights)
+    np.testing.assert_allclose(places.poses[0, :3, 3], target, atol=1e-4)
 
 
 def test_many_robots_run_through():

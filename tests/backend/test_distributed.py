@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from graphs import grid, loops, measured
+from graphs import constant_units, grid, loops, measured
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -123,17 +123,17 @@ def test_robots_with_units_of_their_own_find_them():
     rng = np.random.default_rng(8)
     graph, truth = loops(rng, robots=3, length=30, sigma_t=0.005, sigma_deg=0.05)
     units = {0: 1.0, 1: 2.5, 2: 0.4}
-    own = graph.rescaled({r: 1.0 / u for r, u in units.items()})
+    own = constant_units(graph.rescaled({r: 1.0 / u for r, u in units.items()}))
     result = optimise_distributed(own, SolverConfig(start="flagged"), arbitrary_scale=frozenset({0, 1, 2}))
     for robot, outcome in result.outcomes.items():
-        assert outcome.scales[robot] == pytest.approx(units[robot], rel=1e-3)
+        assert outcome.units[NodeId(robot, 3)] == pytest.approx(units[robot], rel=1e-3)
     expected = in_frame_of(truth, NodeId(0, 0), own.poses[NodeId(0, 0)])
     errors = [np.linalg.norm((result.graph.poses[n] - expected[n])[:3, 3]) for n in truth]
     assert max(errors) < 0.25
     # With one metric robot the unit is the metre, whoever is the anchor.
     mixed = optimise_distributed(own, SolverConfig(), arbitrary_scale=frozenset({0, 2}))
-    assert mixed.outcomes[1].scales[1] == 1.0
-    assert mixed.outcomes[0].scales[0] == pytest.approx(1.0 / 2.5, rel=1e-3)
+    assert mixed.outcomes[1].units[NodeId(1, 3)] == 1.0
+    assert mixed.outcomes[0].units[NodeId(0, 3)] == pytest.approx(1.0 / 2.5, rel=1e-3)
 
 
 def test_a_share_that_contradicts_itself_is_an_error():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from graphs import grid, loops
+from graphs import constant_units, drifting, grid, loops
 from scipy.stats import chi2
 from transports import faulty
 
@@ -134,10 +134,27 @@ class SolverContract:
     def test_robots_with_units_of_their_own_find_them(self):
         graph, _ = loops(np.random.default_rng(8), robots=3, length=30, sigma_t=0.005, sigma_deg=0.05)
         units = {0: 1.0, 1: 2.5, 2: 0.4}
-        own = graph.rescaled({r: 1.0 / u for r, u in units.items()})
+        own = constant_units(graph.rescaled({r: 1.0 / u for r, u in units.items()}))
         result = optimise_distributed(own, self.config, arbitrary_scale=frozenset({0, 1, 2}))
         for robot, outcome in result.outcomes.items():
-            assert outcome.scales[robot] == pytest.approx(units[robot], rel=1e-3)
+            assert outcome.units[NodeId(robot, 3)] == pytest.approx(units[robot], rel=1e-3)
+
+    def test_units_that_drift_are_found_where_edges_measure_them(self):
+        graph, truth = loops(np.random.default_rng(14), robots=3, length=30, sigma_t=0.0, sigma_deg=0.0)
+        rng = np.random.default_rng(15)
+        units = {n: np.exp(0.3 * n.robot + 0.2 * np.sin(n.index / 5) + 0.01 * rng.normal()) for n in graph.nodes}
+        units |= {n: 1.0 for n in graph.nodes if n.robot == 1}
+        own = drifting(graph, truth, units)
+        result = optimise_distributed(own, self.exact, frozenset({0, 2}))
+        # The metric robot is the anchor, whatever its number; its unit is everybody's.
+        anchor = NodeId(1, 0)
+        assert np.array_equal(result.graph.poses[anchor], own.poses[anchor])
+        for node, T in truth.items():
+            expected = own.poses[anchor] @ se3_inverse(truth[anchor]) @ T
+            np.testing.assert_allclose(result.graph.poses[node], expected, atol=20 * self.nearness)
+            assert result.units[node] == pytest.approx(units[node], rel=20 * self.nearness)
+        assert all(result.units[n] == 1.0 for n in graph.nodes if n.robot == 1)
+        assert all(o.accepted and not o.unreached for o in result.outcomes.values())
 
     def test_the_same_graph_gives_the_same_bytes(self):
         graph, _ = loops(np.random.default_rng(12), robots=4, length=16)
