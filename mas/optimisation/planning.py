@@ -44,15 +44,23 @@ class Joint:
 @dataclass(frozen=True)
 class Plan:
     """``members``: agents whose tracks matches join, sorted; the first is the anchor. ``tasks``: one for each.
-    ``contradicted``: matches left out because the group's other matches say otherwise."""
+    ``contradicted``: matches left out because the group's other matches say otherwise; ``elsewhere``: those that join
+    other tracks, apart from these."""
 
     members: tuple[int, ...]
     tasks: dict[int, OptimiseTask]
     contradicted: frozenset[MatchId] = frozenset()
+    elsewhere: frozenset[MatchId] = frozenset()
 
 
-def plan(manager: int, bids: Mapping[int, Bid], depths: Mapping[Track, float] | None = None) -> Plan:
-    """Tasks for the agents whose tracks hang together with the manager's largest set of joined tracks.
+def plan(
+    manager: int,
+    bids: Mapping[int, Bid],
+    depths: Mapping[Track, float] | None = None,
+    fresh: Set[MatchId] = frozenset(),
+) -> Plan:
+    """Tasks for the agents whose tracks hang together with the manager's largest set of joined tracks, of those sets
+    that hold a ``fresh`` match if any does: tracks that are apart get their turns.
 
     Only matches that both owners list are used: both must hold the same edges, and who bids peer-to-peer lists those
     with the manager only. All are brought into the lowest coordinates among them (the lowest metric ones, where there
@@ -63,7 +71,7 @@ def plan(manager: int, bids: Mapping[int, Bid], depths: Mapping[Track, float] | 
     held = _usable(bids)
     wrong = contradicted(held, depths or {})
     joints = {m: j for m, j in held.items() if m not in wrong}
-    component = _joined_with(manager, bids, joints)
+    component = _joined_with(manager, bids, joints, fresh)
     members = tuple(sorted({agent for agent, _ in component}))
     terms = {(a, p.track): p for a, bid in bids.items() for p in bid.pieces}
     in_metres = {terms[t].frame for t in component if terms[t].frame_metric}
@@ -78,7 +86,7 @@ def plan(manager: int, bids: Mapping[int, Bid], depths: Mapping[Track, float] | 
         present = tuple(sorted({terms[agent, t].frame for t in tracks} & set(placed)))
         where = pack_sim3s([placed[f] for f in present])
         tasks[agent] = OptimiseTask(members, frame, frame in in_metres, tracks, mine, present, where, arbitrary)
-    return Plan(members, tasks, wrong)
+    return Plan(members, tasks, wrong, frozenset(set(joints) - set(inside)))
 
 
 def _usable(bids: Mapping[int, Bid]) -> dict[MatchId, Joint]:
@@ -99,8 +107,11 @@ def _usable(bids: Mapping[int, Bid]) -> dict[MatchId, Joint]:
     return {m: Joint(matched[m], *queries[m]) for m in both}
 
 
-def _joined_with(manager: int, bids: Mapping[int, Bid], joints: Mapping[MatchId, Joint]) -> set[Track]:
-    """The largest set of tracks joined by matches that holds a track of the manager (ties: the older track)."""
+def _joined_with(
+    manager: int, bids: Mapping[int, Bid], joints: Mapping[MatchId, Joint], fresh: Set[MatchId]
+) -> set[Track]:
+    """The largest set of tracks joined by matches that holds a track of the manager (ties: the older track), one with a
+    fresh match before all others."""
     tracks = {(a, p.track) for a, bid in bids.items() for p in bid.pieces}
     around: dict[Track, set[Track]] = {t: set() for t in tracks}
     for joint in joints.values():
@@ -108,6 +119,7 @@ def _joined_with(manager: int, bids: Mapping[int, Bid], joints: Mapping[MatchId,
         if a in tracks and b in tracks:
             around[a].add(b)
             around[b].add(a)
+    new = {j.match.track for m, j in joints.items() if m in fresh}
     best: set[Track] = set()
     for start in sorted(t for t in tracks if t[0] == manager):
         found, queue = {start}, deque([start])
@@ -115,7 +127,7 @@ def _joined_with(manager: int, bids: Mapping[int, Bid], joints: Mapping[MatchId,
             for neighbour in sorted(around[queue.popleft()] - found):
                 found.add(neighbour)
                 queue.append(neighbour)
-        if len(found) > len(best):
+        if (not found.isdisjoint(new), len(found)) > (not best.isdisjoint(new), len(best)):
             best = found
     return best
 

@@ -29,10 +29,12 @@ class UnknownPart(MasError):
 
 @dataclass(frozen=True, eq=False)
 class Adoption:
-    """Effect of an optimisation on the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used."""
+    """Effect of an optimisation on the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used;
+    ``elsewhere``: those that it left for another one, because they join other tracks."""
 
     before: dict[int, Sim3]
     matches: frozenset[MatchId]
+    elsewhere: frozenset[MatchId] = frozenset()
 
 
 def terms(state: AgentState, now_ns: int, peer: int | None = None) -> Bid:
@@ -105,7 +107,9 @@ def believable(outcome: SolverOutcome) -> bool:
     return bool(small and (units >= 1.0 / MAX_SCALE).all() and (units <= MAX_SCALE).all())
 
 
-def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adoption:
+def adopt(
+    state: AgentState, task: OptimiseTask, outcome: SolverOutcome, elsewhere: frozenset[MatchId] = frozenset()
+) -> Adoption:
     """Take the optimised poses and units over; key-frames that came later are carried along rigidly with the last
     optimised one, in its unit."""
     before = {i: state.pose(i) for i in range(len(state.keyframes))}
@@ -122,7 +126,7 @@ def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adop
                 state.units[index] = state.units[index - 1]
                 state.poses[index] = state.poses[index - 1] @ stretched(step, state.units[index])
     state.version += 1
-    return Adoption(before, frozenset(task.matches))
+    return Adoption(before, frozenset(task.matches), elsewhere)
 
 
 def odometry_edges(state: AgentState, track: int) -> list[Edge]:

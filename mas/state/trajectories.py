@@ -45,7 +45,7 @@ def _corrected(state: AgentState, track: int, odometry: Trajectory) -> Array:
     keyframes = [state.keyframes[i] for i in members]
     times = np.array([k.time_ns for k in keyframes], dtype=np.int64)
     at = odometry.nearest(times, STAMP_TOLERANCE_NS)
-    # Odometry may have corrected a key-frame after it had told the frame's pose: the frames' own poses go together.
+    # Odometry may have corrected a key-frame after the frame's pose was written: the frames' own poses go together.
     leaders = np.array([odometry.poses[a] if a >= 0 else k.T_T_C for a, k in zip(at, keyframes, strict=True)])
     after = np.searchsorted(times, odometry.stamps_ns + STAMP_TOLERANCE_NS, side="right")
     left, right = np.maximum(after - 1, 0), np.minimum(after, len(members) - 1)
