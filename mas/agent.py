@@ -169,7 +169,7 @@ class Agent:
         members = self.policy.optimise(self.state, outlook)
         if members:
             self.pending.offered(members)
-            return self.optimisation.start(members)
+            return self.optimisation.start(members, self._pending())
         sellers = self.policy.buy(self.state, outlook)
         if not self.context.closing:
             return self.maps.buy(sellers) if sellers else NOTHING
@@ -277,7 +277,7 @@ class Agent:
             return NOTHING
         if isinstance(change, TrustChange):
             return self._trust(change)
-        self.pending.used(change.matches)
+        self.pending.used(change.matches, change.elsewhere)
         self.final_round.reopen()
         return self.maps.realign(change)
 

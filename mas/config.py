@@ -134,6 +134,8 @@ class ConsistencyConfig(_Section):
     angle_deg_per_depth: float = Field(
         default=0.6, ge=0, description="plus this for each median depth of path between the matches, degrees"
     )
+    scale: float = Field(default=0.1, gt=0, description="and, with one camera, the logarithms of scales within this")
+    scale_per_depth: float = Field(default=0.01, ge=0, description="plus this for each median depth of path between")
 
 
 class OptimisationConfig(_Section):
@@ -151,10 +153,12 @@ class OptimisationConfig(_Section):
         default=0.0005, gt=0, description="plus this share of the key-frame's median depth"
     )
     odometry_sigma_deg: float = Field(default=0.03, gt=0, description="1 sigma of an odometry step's rotation, degrees")
+    odometry_sigma_scale: float = Field(default=0.01, gt=0, description="one camera: 1 sigma of a step's log scale")
     match_sigma_depth: float = Field(
         default=0.005, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
     )
     match_sigma_deg: float = Field(default=0.1, gt=0, description="floor of a place match's rotation sigma, degrees")
+    match_sigma_scale: float = Field(default=0.005, gt=0, description="floor of a place match's log scale sigma")
     # Members' poses share a frame when an optimisation starts (the task places them), so it can go on from there.
     solver: SolverConfig = SolverConfig(start="warm")
 

@@ -88,6 +88,11 @@ class AgentEntry(_Entry):
     camera: CameraEntry
     lost: tuple[LostEntry, ...] = ()
 
+    @property
+    def metric(self) -> bool:
+        """Whether its lengths are metres; with one camera each of its tracks has a unit of its own, which drifts."""
+        return self.camera.kind != "mono"
+
 
 class DescriptorEntry(_Entry):
     """The place descriptor that made the vectors; vectors of another model are refused."""
@@ -117,7 +122,9 @@ class Manifest(_Entry):
     version: Literal[1] = 1
     source: str = Field(description="dataset folder the images came from")
     kind: str = Field(description="kind of dataset that was found there")
-    scale: Literal["metric", "arbitrary"]
+    scale: Literal["metric", "arbitrary"] = Field(
+        description="arbitrary: all agents have one camera, and units of length of their own; else metric"
+    )
     descriptor: DescriptorEntry
     agents: tuple[AgentEntry, ...]
     split: SplitEntry | None = None
@@ -130,9 +137,9 @@ class AgentSequence:
 
     All its times count from its own first frame, so that all agents start at 0; ``start_ns`` is that frame's time stamp
     in the source. ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own
-    world frame (that of its first key-frame). ``places``: one unit vector a key-frame, all tracks in order.
-    ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image sequence.
-    ``groundtruth`` is for :mod:`maslam.mas.evaluation.ground_truth` alone; no agent ever sees it.
+    world frame (that of its first key-frame); ``metric``: in metres. ``places``: one unit vector a key-frame, all
+    tracks in order. ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image
+    sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation.ground_truth` alone; no agent ever sees it.
     """
 
     name: str
@@ -221,7 +228,7 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
         tracks=tuple(t for t in read_tracks(folder) if len(t)),
         places=places,
         trajectory=read_tum(folder / TRAJECTORY),
-        metric=manifest.scale == "metric",
+        metric=manifest.scale == "metric" and entry.metric,
         start_ns=entry.start_ns,
         source=entry.sequence,
         groundtruth=read_tum(truth) if truth.is_file() else None,

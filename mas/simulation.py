@@ -198,7 +198,7 @@ def make_transport(config: MasConfig, record: Callable[[Sent], None], given: Tra
 def make_agents(
     manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, policy: PolicyLike | None = None
 ) -> list[Agent]:
-    """One agent a sequence; sequences of different descriptor models or scales do not go together."""
+    """One agent a sequence; sequences of different descriptor models do not go together."""
     if not sequences:
         raise MasError("no agents to run")
     wanted = manifest.descriptor
@@ -214,8 +214,6 @@ def make_agents(
                 f"{sequence.name}: place vectors of model {sequence.places.name} ({sequence.places.sha256[:12]}, "
                 f"{sequence.places.dim} numbers), the others have {wanted.name} ({wanted.sha256[:12]}, {wanted.dim})"
             )
-        if sequence.metric != (manifest.scale == "metric"):
-            raise MasError(f"{sequence.name}: its scale is not {manifest.scale} like that of the others")
         others = tuple(a for a in range(len(sequences)) if a != me)
         limits = (wanted.threshold, coder, ownership, centres, wanted.strict_threshold)
         profile = Profile(me, others, sequence.metric, wanted.sha256, *limits)

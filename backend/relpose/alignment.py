@@ -43,11 +43,24 @@ class Alignment:
     @property
     def information(self) -> Array:
         """Information ``(6, 6)`` of the rigid part, the scale marginalised."""
-        full = self.full_information
-        rigid = full[:6, :6]
-        if full[6, 6] > 0:
-            rigid = rigid - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
-        return np.asarray(0.5 * (rigid + rigid.T))
+        return rigid_information(self.full_information)
+
+
+def rigid_information(full: Array) -> Array:
+    """Information ``(6, 6)`` of the rigid part in that of a similarity ``(7, 7)``, the scale marginalised."""
+    rigid = full[:6, :6]
+    if full[6, 6] > 0:
+        rigid = rigid - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
+    return np.asarray(0.5 * (rigid + rigid.T))
+
+
+def scale_sigma(full: Array) -> float:
+    """1 sigma of the log scale in the information of a similarity ``(7, 7)``, the rigid part marginalised: 0 where no
+    scale was estimated, infinite where nothing determines it."""
+    if full[6, 6] <= 0:
+        return 0.0
+    rest = full[6, 6] - full[6, :6] @ np.linalg.pinv(full[:6, :6]) @ full[:6, 6]
+    return float(1.0 / np.sqrt(rest)) if rest > 1e-12 * full[6, 6] else float("inf")
 
 
 def refine(

@@ -12,7 +12,7 @@ from ..config import RelPoseConfig
 from ..errors import BackendError
 from ..geometry import Array, Sim3
 from .acceptance import FoundPose, problem_of
-from .alignment import ITERATIONS, Alignment
+from .alignment import ITERATIONS, Alignment, rigid_information, scale_sigma
 from .evidence import Evidence, weigh
 from .matching import (
     FAR,
@@ -130,17 +130,12 @@ class Verdict:
     @property
     def information(self) -> Array | None:
         """``(6, 6)`` of the rigid part, translation first, in the match's unit; the scale is marginalised."""
-        full = self.full_information
-        return None if full is None or self.T_M_Q is None else Alignment(self.T_M_Q, full, 0.0, 0.0).information
+        return None if self.full_information is None else rigid_information(self.full_information)
 
     @property
     def scale_sigma(self) -> float:
         """Standard deviation of the log scale; 0 where none was estimated, infinite where nothing determines it."""
-        full = self.full_information
-        if full is None or full[6, 6] <= 0:
-            return 0.0
-        rest = full[6, 6] - full[6, :6] @ np.linalg.pinv(full[:6, :6]) @ full[:6, 6]
-        return float(1.0 / np.sqrt(rest)) if rest > 1e-12 * full[6, 6] else float("inf")
+        return 0.0 if self.full_information is None else scale_sigma(self.full_information)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from ..agent import Agent
 from ..map_exchange.map_copy import MapCopy
 from ..sequence import STAMP_TOLERANCE_NS, AgentSequence
 from ..state.agent_state import AgentState
+from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
 from ..state.trajectories import keyframe_trajectory
 
@@ -31,6 +32,8 @@ FALSE_M = 2.0
 FALSE_DEPTH_SHARE = 0.2
 FALSE_SHARE = 0.05
 FALSE_DEG = 10.0
+# Key-frames before and after one that tell its unit of length.
+_AROUND = 10
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ class GroundTruthEvaluator:
 
     def __init__(self, sequences: Sequence[AgentSequence]) -> None:
         self.sequences = list(sequences)
-        self._scales: dict[int, float] = {}
+        self._scales: dict[tuple[int, int], float] = {}
         self._own_pairs: dict[int, _OwnPositions] = {}
         self._copy_pairs: dict[tuple[int, int], _CopyPositions] = {}  # by holder and owner
         self._frames = [self._frame_names(i) for i in range(len(self.sequences))]
@@ -167,14 +170,14 @@ class GroundTruthEvaluator:
     # -- matches ------------------------------------------------------------------------------------------------------
 
     def match_error(self, match: Match, agents: Sequence[Agent]) -> MatchError | None:
-        """The match against the truth, None without; a monocular match is scaled by the match agent's own alignment."""
+        """The match against the truth, None without; one of one camera is scaled as its track was around it."""
         i = match.id
         ends = ((i.match_agent, i.match), (i.query_agent, i.query))
         poses = [self._true_pose(a, agents[a].state.keyframes[k].time_ns) for a, k in ends]
         if poses[0] is None or poses[1] is None:
             return None
         T_M_Q = se3_inverse(poses[0]) @ poses[1]
-        metres = self._metres(i.match_agent, agents[i.match_agent])
+        metres = self._metres(agents[i.match_agent], i.match)
         estimate = match.T_M_Q.translation * metres
         apart = float(np.linalg.norm(estimate - T_M_Q[:3, 3]))
         angle = float(rotation_angle_deg(T_M_Q[:3, :3].T @ match.T_M_Q.rotation))
@@ -183,14 +186,17 @@ class GroundTruthEvaluator:
         )
         return MatchError(apart, angle, allowed)
 
-    def _metres(self, agent: int, participant: Agent) -> float:
-        """Metres in one of the agent's own units of length."""
-        if not self.with_scale:
+    def _metres(self, agent: Agent, index: int) -> float:
+        """Metres in a key-frame's own unit of length: with one camera each track has one, and it drifts."""
+        me = agent.state.me
+        if self.sequences[me].metric:
             return 1.0
-        if agent not in self._scales:
-            error = self.error_of(agent, odometry_keyframes(participant))
-            self._scales[agent] = 1.0 if error is None else error.T_truth_estimate.scale
-        return self._scales[agent]
+        if (me, index) not in self._scales:
+            keyframes, track = agent.state.keyframes, agent.state.keyframes[index].track
+            near = [k for k in keyframes[max(index - _AROUND, 0) : index + _AROUND + 1] if k.track == track]
+            error = self.error_of(me, _trajectory_of(near))
+            self._scales[me, index] = 1.0 if error is None else error.T_truth_estimate.scale
+        return self._scales[me, index]
 
     # -- pairing ------------------------------------------------------------------------------------------------------
 
@@ -247,11 +253,10 @@ class GroundTruthEvaluator:
         return None if row < 0 else truth.poses[row]
 
 
-def odometry_keyframes(agent: Agent) -> Trajectory:
-    """The key-frames of the agent's longest track as odometry left them: before any optimisation."""
-    chosen = [k for k in agent.state.keyframes if k.track == longest_track(agent)]
-    stamps = np.array([k.time_ns for k in chosen], dtype=np.int64)
-    return Trajectory(stamps, np.array([k.T_T_C for k in chosen]).reshape(-1, 4, 4))
+def _trajectory_of(keyframes: Sequence[KeyFrame]) -> Trajectory:
+    """Key-frames of one track as odometry left them."""
+    stamps = np.array([k.time_ns for k in keyframes], dtype=np.int64)
+    return Trajectory(stamps, np.array([k.T_T_C for k in keyframes]).reshape(-1, 4, 4))
 
 
 def odometry_frames(agent: Agent, sequence: AgentSequence) -> Trajectory:

@@ -170,6 +170,4 @@ def tolerance(value_m: float | None, state: AgentState) -> float | None:
     the median depth counts as one."""
     if value_m is None or state.profile.metric or not state.keyframes:
         return value_m
-    placed = state.placed()
-    depth = float(np.median([state.keyframes[i].depth * state.piece_of(i).unit for i in placed]))
-    return value_m * 0.1 * depth
+    return value_m * 0.1 * float(np.median([state.depth(i) for i in state.placed()]))

@@ -23,14 +23,16 @@ def own_submap(state: AgentState, max_points: int) -> SubMap:
     counts = [len(rows) for rows in fresh]
     stack = [k.points_C[rows] for k, rows in zip(keyframes, fresh, strict=True)]
     descriptors = [k.descriptors[rows] for k, rows in zip(keyframes, fresh, strict=True)]
-    main = next(p for p in state.pieces if p.frame == state.frame)
+    unit = state.units[indices[0]]
+    drifting = any(state.units[i] != unit for i in indices)
+    poses = np.array([state.poses[i] for i in indices]).reshape(-1, 4, 4)
     return SubMap(
         owner=state.me,
         version=state.version,
-        unit=main.unit,
+        unit=unit,
         keyframes=Tensor.of(indices, "<i4"),
         stamps_ns=Tensor.of([k.stamp_ns for k in keyframes], "<i8"),
-        poses=pack_poses(np.array([state.poses[i] for i in indices]).reshape(-1, 4, 4)),
+        poses=pack_sim3s([state.pose(i) for i in indices]) if drifting else pack_poses(poses),
         references=Tensor.of(np.repeat(np.arange(len(indices)), counts), "<i4"),
         points=Tensor.of(np.concatenate([np.zeros((0, 3)), *stack]), "<f4"),
         descriptors=Tensor.of(np.concatenate([np.zeros((0, 32), dtype=np.uint8), *descriptors]), "|u1"),

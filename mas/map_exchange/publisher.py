@@ -13,7 +13,16 @@ from ..state.place_match import Match
 from .coding.map_delta import encode, is_prefix
 from .coding.point_selection import sellable, well_spread
 from .coding.pose_corrections import Bound
-from .coding.quantised_map import TICK_NS, QuantisedMap, Steps, empty_map, quantised, quantised_match, quantised_points
+from .coding.quantised_map import (
+    TICK_NS,
+    QuantisedMap,
+    Steps,
+    empty_map,
+    quantised,
+    quantised_match,
+    quantised_points,
+    widened,
+)
 from .versions import MapVersion, make_patch
 
 # A change of unit below this is none.
@@ -71,7 +80,7 @@ class Publisher:
         return base.frame == self.state.frame and abs(base.unit - unit) <= _SAME_UNIT * unit
 
     def _unit(self) -> float:
-        return next(p for p in self.state.pieces if p.frame == self.state.frame).unit
+        return self.state.units[self.state.placed()[0]]
 
     def _wanted(self, placed: list[int], base: QuantisedMap | None) -> QuantisedMap:
         state, unit, config = self.state, self._unit(), self._config
@@ -83,6 +92,9 @@ class Publisher:
             old = base
         else:
             self._sold = set()
+        poses = np.array([stretched(state.poses[i], 1.0 / unit) for i in placed])
+        own = np.array([state.units[i] / unit for i in placed])
+        drifting = unit != 1.0 or bool((own != 1.0).any()) or (base is not None and base.drifting)
         points = [self._points(i, steps) for i in placed[len(old.keyframes) :]]
         matches = [m for m in state.accepted_matches() if m.id.query_agent == state.me != m.id.match_agent]
         matches = _in_old_order(old, matches)
@@ -95,7 +107,7 @@ class Publisher:
             steps=steps,
             keyframes=np.array(placed, dtype=np.int64),
             ticks=np.array([round(k.stamp_ns / TICK_NS) for k in keyframes], dtype=np.int64),
-            poses=quantised(np.array([stretched(state.poses[i], 1.0 / unit) for i in placed]), steps),
+            poses=quantised(poses, steps, own if drifting else None),
             counts=np.concatenate([old.counts, np.array([len(p.depths) for p in points], dtype=np.int64)]),
             cells=np.concatenate([old.cells, *(p.cells for p in points)]),
             depths=np.concatenate([old.depths, *(p.depths for p in points)]),
@@ -133,4 +145,5 @@ def _says_nothing_new(base: QuantisedMap, wanted: QuantisedMap) -> bool:
         return False
     if not np.array_equal(base.matches, wanted.matches):
         return False
-    return bool(Bound().worst(wanted.poses - base.poses).max(initial=0.0) <= 1.0)
+    moves = wanted.poses - widened(base.poses, wanted.poses.shape[1])
+    return bool(Bound().worst(moves).max(initial=0.0) <= 1.0)

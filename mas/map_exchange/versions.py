@@ -56,7 +56,7 @@ def _applied(known: MapVersion | None, owner: int, patch: MapPatch) -> MapVersio
         have = "none" if known is None else f"version {known.map.version}"
         raise StaleBase(f"a patch for version {patch.base} of agent {owner}'s map, but {have} is here")
     base = known.map if known is not None and patch.base else None
-    made = decode(owner, patch.version, patch.frame, patch.unit or 1.0, base, patch.bits)
+    made = decode(owner, patch.version, patch.frame, patch.unit, base, patch.bits)
     old = None if base is None else base.descriptors
     if patch.descriptors is not None:
         new = patch.descriptors.array()
@@ -81,6 +81,6 @@ def make_patch(base: QuantisedMap | None, made: QuantisedMap, bits: bytes) -> Ma
     """The bits that make a version, with what its holders need to know beside them."""
     known = 0 if base is None else len(base.depths)
     described = None if made.descriptors is None else Tensor.of(made.descriptors[known:], "|u1")
-    unit = None if made.unit == 1.0 else made.unit
+    unit = made.unit if made.drifting else None
     number = 0 if base is None else base.version
     return MapPatch(number, made.version, made.frame, unit, checksum(made), bits, described)

@@ -23,6 +23,9 @@ from ..protocol.ids import MatchId
 _TOLERANCE = 0.15
 # And by this share of the median depth in any case: matches at one spot cover no ground.
 _TOLERANCE_DEPTH = 0.5
+# With one camera the unit of length drifts on the way as well. A way round may come back with another scale, up to this
+# logarithm; and by as much of the ground positions may differ more.
+_TOLERANCE_SCALE = 0.4
 
 Track = tuple[int, int]
 
@@ -36,7 +39,7 @@ class EndLike(Protocol):
 
     @property
     def pose(self) -> Sim3:
-        """``T_F_C`` of the key-frame; scale: the agent's unit there."""
+        """``T_F_C`` of the key-frame; scale: its own unit there."""
 
 
 class JointLike(Protocol):
@@ -52,7 +55,7 @@ class JointLike(Protocol):
 
     @property
     def T_M_Q(self) -> Sim3:
-        """Query camera to match camera, in the match agent's unit."""
+        """Query camera to match camera, in the unit of the match's key-frame."""
 
     @property
     def T_Fm_Fq(self) -> Sim3:
@@ -103,8 +106,10 @@ def _judge(joints: Mapping[MatchId, JointLike], depths: Mapping[Track, float]) -
         mine = [m for m in joints if roots[m] == root]
         a = np.array([there[m].translation for m in mine])
         b = np.array([by_query[m].translation for m in mine])
+        drifted = np.abs(np.log([there[m].scale / by_query[m].scale for m in mine]))
         ground = max(_extents(joints, mine, placed))
-        if np.linalg.norm(a - b, axis=1).max() > max(_TOLERANCE * ground, floors[root]):
+        allowed = np.maximum((_TOLERANCE + drifted) * ground, floors[root])
+        if (np.linalg.norm(a - b, axis=1) > allowed).any() or drifted.max() > _TOLERANCE_SCALE:
             return _Verdict(len(joints), agree=False, judged=True)
     return _Verdict(len(joints), agree=True, judged=bool(floors))
 

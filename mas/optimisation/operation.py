@@ -3,7 +3,7 @@ only."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from maslam.backend.distributed.wire import SolverMessage
 from maslam.backend.errors import BackendError
@@ -14,7 +14,7 @@ from ..contracts.effects import NOTHING, Effects, MembersMissed, total
 from ..contracts.operation import Answer, Operation, WorkError
 from ..errors import ProtocolError
 from ..policies.utility import ENVELOPE_BYTES
-from ..protocol.ids import REASON_LENGTH, ContractId, OperationKind
+from ..protocol.ids import REASON_LENGTH, ContractId, MatchId, OperationKind
 from ..protocol.messages import Award, Begin, Bid, Call, Confirmation, Failure, Refusal, Rejection, Result
 from ..protocol.solver_messages import SolverBody
 from ..protocol.tasks import OptimiseAnswer, OptimiseTask
@@ -63,16 +63,16 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
-    def start(self, members: list[int]) -> Effects:
-        """Call for an optimisation with these agents; alone if nobody else is named."""
+    def start(self, members: list[int], fresh: Iterable[MatchId] = ()) -> Effects:
+        """Call for an optimisation with these agents, alone if no other is named; ``fresh``: matches not used yet."""
         others = [a for a in members if a != self.state.me and self.context.may_call(a, OperationKind.DOPT)]
         mine = self._estimator.bid()
         if not others:
-            return self._award(OptimisationTender(None, set(), {self.state.me: mine}))
+            return self._award(OptimisationTender(None, set(), {self.state.me: mine}, fresh=frozenset(fresh)))
         call = self.context.call(OperationKind.DOPT, others, tuple(sorted(members)))
         if call.contractors:
-            called = set(call.contractors)
-            self.tender = OptimisationTender(call.identity, called, {self.state.me: mine}, set(others) - called)
+            called, bids = set(call.contractors), {self.state.me: mine}
+            self.tender = OptimisationTender(call.identity, called, bids, set(others) - called, frozenset(fresh))
         return call.effects
 
     def on_bid(self, contract: Contract, bid: Bid) -> Effects:
@@ -97,7 +97,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def _award(self, tender: OptimisationTender) -> Effects:
         """Everyone has answered: plan, award to those who are connected, reject the others."""
         me = self.state.me
-        found = plan(me, tender.bids, self.state.depths())
+        found = plan(me, tender.bids, self.state.depths(), tender.fresh)
         effects = NOTHING if tender.identity is None else self._answer_bids(tender.identity, found)
         if tender.missing and found.members == (me,):
             self.attempts.failed(self.context.now_ns, me)
@@ -106,8 +106,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         task = found.tasks[me]
         node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
         others = set(found.members) - {me}
-        session = OptimisationSession(tender.identity if others else None, task, node, unconfirmed=others)
-        self.session = session
+        identity = tender.identity if others else None
+        self.session = session = OptimisationSession(identity, task, node, None, others, found.elsewhere)
         return effects if others else effects + self._run(session)
 
     def _answer_bids(self, identity: ContractId, found: Plan) -> Effects:
@@ -292,7 +292,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self.attempts.succeeded()
         self._before.remember(session.identity, session)
         self._estimator.ended(session)
-        effects = Effects(changes=(adopt(self.state, session.task, outcome),)) + self._idle()
+        effects = Effects(changes=(adopt(self.state, session.task, outcome, session.elsewhere),)) + self._idle()
         if session.contract is None:
             return effects + self.context.event("optimised", **session.figures(outcome))
         sweeps = outcome.rotation_sweeps + outcome.pose_sweeps

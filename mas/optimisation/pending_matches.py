@@ -30,12 +30,13 @@ class PendingMatches:
         among = {self.state.me, *members}
         self._offered = {m for m in self.state.accepted if among.issuperset(m.agents)}
 
-    def used(self, matches: frozenset[MatchId]) -> None:
-        """An optimisation was adopted."""
+    def used(self, matches: frozenset[MatchId], elsewhere: frozenset[MatchId] = frozenset()) -> None:
+        """An optimisation was adopted; matches ``elsewhere`` join other tracks, and stay what they were."""
         if matches - self._once_used:
             self._called_again = 0
         self._once_used |= matches
-        self._used = set(matches) | (self._offered & self.state.accepted)
+        before = self._used & elsewhere
+        self._used = set(matches) | ((self._offered - elsewhere | before) & self.state.accepted)
         self.optimised_at = len(self.state.keyframes)
 
     def call_again(self) -> None:

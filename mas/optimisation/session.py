@@ -13,7 +13,7 @@ from maslam.backend.distributed.wire import SolverMessage
 from ..config import LinkConfig
 from ..contracts.contract import Contract
 from ..contracts.rtt import RttEstimator
-from ..protocol.ids import ContractId
+from ..protocol.ids import ContractId, MatchId
 from ..protocol.messages import Bid
 from ..protocol.tasks import OptimiseTask
 from .solver_retransmission import SolverLink
@@ -24,12 +24,13 @@ _REMEMBERED = 16
 @dataclass
 class OptimisationTender:
     """The manager's side until the award: who still has to answer, what was bid, who did not bid; alone: no
-    contract."""
+    contract. ``fresh``: matches that no optimisation has used yet."""
 
     identity: ContractId | None
     pending: set[int]
     bids: dict[int, Bid]
     missing: set[int] = field(default_factory=set)
+    fresh: frozenset[MatchId] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -51,14 +52,15 @@ class SessionStart:
 @dataclass
 class OptimisationSession:
     """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
-    ``link``: what the others may have missed;
-    ``sent_bytes``, ``began_ns``: what it cost, for the next bid."""
+    ``link``: what the others may have missed; ``sent_bytes``, ``began_ns``: what it cost, for the next bid;
+    ``elsewhere``: matches of the group that join other tracks, as far as the manager knows."""
 
     identity: ContractId | None
     task: OptimiseTask
     node: SolverNode
     contract: Contract | None = None
     unconfirmed: set[int] = field(default_factory=set)
+    elsewhere: frozenset[MatchId] = frozenset()
     begun: bool = False
     sent_bytes: int = 0
     began_ns: int = 0

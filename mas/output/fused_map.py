@@ -40,7 +40,7 @@ def fused(maps: Sequence[MapCopy]) -> FusedMap:
     """Duplicates among an agent's maps merged (:mod:`maslam.backend.fusion`): closer than a hundredth of the median
     depth and, where both have descriptors, alike."""
     parts = [PointMap(m.points(), np.full(len(m.references), m.owner, dtype=np.int32), m.descriptors) for m in maps]
-    depths = np.concatenate([np.zeros(0), *(m.points_C[:, 2] * m.unit for m in maps)])
+    depths = np.concatenate([np.zeros(0), *(m.points_C[:, 2] * m.units[m.references] for m in maps)])
     radius = _SAME_POINT * float(np.median(depths)) if len(depths) else 1.0
     one, labels = fuse(parts, radius)
     return FusedMap(tuple(maps), one.points, one.owners, labels)

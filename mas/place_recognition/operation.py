@@ -270,9 +270,10 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
     def _verify_own(self, candidate: Candidate, query: KeyFrame, match: KeyFrame) -> Effects:
         verdict = verify(self.state, candidate.id, view_of(self.state, query), match)
         reason, learned = verdict.reason, None
-        if verdict.accepted and verdict.T_M_Q is not None and verdict.information is not None:
-            ends, information = (match_end(self.state, query), match_end(self.state, match)), verdict.information
-            learned = Match(candidate.id, *ends, verdict.T_M_Q, information, verdict.inliers, match.depth)
+        full = verdict.full_information
+        if verdict.accepted and verdict.T_M_Q is not None and full is not None:
+            ends = match_end(self.state, query), match_end(self.state, match)
+            learned = Match.of(candidate.id, *ends, verdict.T_M_Q, full, verdict.inliers, match.depth)
             if not self._plausible(learned):
                 learned, reason = None, "beyond odometry's drift"
         check = MatchCheck(

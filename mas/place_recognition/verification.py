@@ -95,7 +95,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         query = match_end(self.state, self.state.keyframes[match_id.query])
         match = MatchEnd(outcome.track, unpack_poses(outcome.T_T_M.array()), outcome.way)
         information = unpack_information(outcome.information)
-        return self.learn(Match(match_id, query, match, transform, information, outcome.inliers, outcome.depth))
+        return self.learn(Match.of(match_id, query, match, transform, information, outcome.inliers, outcome.depth))
 
     def on_end(self, contract: Contract) -> Effects:
         match = self._running.pop(contract.id, None) if contract.manager == self.state.me else None
@@ -132,8 +132,6 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
             raise WorkError("not a verification of the manager's own key-frame")
         if task.match.match_agent != self.state.me or task.match.match >= len(self.state.keyframes):
             raise WorkError("no such key-frame")
-        if task.metric != self.state.profile.metric:
-            raise WorkError("one scale is metric, the other arbitrary")
         mine = self.state.keyframes[task.match.match]
         try:
             query = self._view_of(task)
@@ -149,7 +147,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         known = match_end(self.state, mine)
         # The information as it travels, so that both owners weigh the match alike.
         information = unpack_information(answer.information)
-        match = Match(task.match, asked, known, verdict.T_M_Q, information, verdict.inliers, mine.depth)
+        match = Match.of(task.match, asked, known, verdict.T_M_Q, information, verdict.inliers, mine.depth)
         return effects + self.learn(match)
 
     def _view_of(self, task: VerifyTask) -> PlaceView:
@@ -274,6 +272,10 @@ def _width(view: PlaceView) -> int:
 
 def _answer(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verdict) -> VerifyAnswer:
     good = verdict.accepted
+    information = None
+    if good and verdict.full_information is not None:
+        with_scale = verdict.full_information[6, 6] > 0
+        information = pack_information(verdict.full_information if with_scale else verdict.full_information[:6, :6])
     return VerifyAnswer(
         match=task.match,
         accepted=good,
@@ -282,7 +284,7 @@ def _answer(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verdic
         inliers=verdict.inliers,
         rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
         T_M_Q=pack_sim3(verdict.T_M_Q) if verdict.T_M_Q is not None else None,
-        information=pack_information(verdict.information) if good and verdict.information is not None else None,
+        information=information,
         track=mine.track,
         stamp_ns=mine.stamp_ns,
         T_T_M=pack_poses(mine.T_T_C),

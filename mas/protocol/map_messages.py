@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .accounting import Counted
 from .ids import MAX_AGENTS, AgentId, FrameId, Index, MatchId, Members, OperationKind
-from .tensors import MessageError, Tensor, Unit, check, check_points, check_poses, check_sim3, check_sim3s
+from .tensors import SIM3_WIDTH, MessageError, Tensor, Unit, check, check_points, check_poses, check_sim3, check_sim3s
 
 Runs = Annotated[tuple[Index, ...], msgspec.Meta(max_length=8192)]
 """Ascending key-frame indices, as first and count of each run without a gap."""
@@ -53,11 +53,12 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
     """A copy of one agent's map, in the seller's coordinates; ``unit``: what the owner's own unit of length is worth
     there; ``route``: the agents that sold it before, the owner first.
 
-    ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``;
-    ``references`` ``(P,)`` int32: row of the key-frame that saw the point first; ``points`` ``(P, 3)`` float32 in that
-    camera, owner's unit; ``descriptors`` ``(P, 32)``; ``matches``: the owner's accepted ones, with
-    ``transforms`` ``(m, 8)``: their ``T_M_Q``. ``known``: key-frames whose points were left out because the buyer has
-    them, with the checksum ``check`` of all points (:mod:`maslam.mas.map_exchange.full_map_increments`).
+    ``keyframes`` ``(K,)`` int32 indices; ``stamps_ns`` ``(K,)`` int64; ``poses`` ``(K, 7)`` float64 ``T_F_C``, or
+    ``(K, 8)`` Sim(3) where each key-frame has a unit of its own; ``references`` ``(P,)`` int32: row of the key-frame
+    that saw the point first; ``points`` ``(P, 3)`` float32 in that camera and its unit; ``descriptors`` ``(P, 32)``;
+    ``matches``: the owner's accepted ones, with ``transforms`` ``(m, 8)``: their ``T_M_Q``. ``known``: key-frames whose
+    points were left out because the buyer has them, with the checksum ``check`` of all points
+    (:mod:`maslam.mas.map_exchange.full_map_increments`).
     """
 
     owner: AgentId
@@ -78,7 +79,10 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
     def __post_init__(self) -> None:
         k = len(check("keyframes", self.keyframes, "<i4", (None,)))
         check("stamps_ns", self.stamps_ns, "<i8", (k,))
-        check_poses("poses", self.poses, "<f8", (k,))
+        if self.poses.shape[1:] == (SIM3_WIDTH,):
+            check_sim3s("poses", self.poses, k)
+        else:
+            check_poses("poses", self.poses, "<f8", (k,))
         references = check("references", self.references, "<i4", (None,))
         check_points("points", self.points, len(references))
         check("descriptors", self.descriptors, "|u1", (len(references), 32))
@@ -113,7 +117,8 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
 
 class MapPatch(msgspec.Struct, frozen=True, array_like=True):
     """The change from version ``base`` of an owner's map (0: nothing, so the whole map) to ``version``, as bits
-    (:mod:`maslam.mas.map_exchange.coding.map_delta`); ``unit`` None: 1. ``check``: CRC-32 of the version, so
+    (:mod:`maslam.mas.map_exchange.coding.map_delta`); ``unit``: what the owner's reference unit is worth in ``frame``;
+    None: it is the frame's, and all key-frames have it. ``check``: CRC-32 of the version, so
     that a copy that went wrong is noticed. ``descriptors`` ``(new points, 32)`` where the owner sells them."""
 
     base: Index

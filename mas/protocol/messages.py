@@ -16,9 +16,9 @@ from .accounting import Counted, Traffic
 from .ids import MAX_AGENTS, AgentId, ContractId, FrameId, Index, MatchId, Members, OperationKind, Reason, Stamp
 from .solver_messages import SolverBody
 from .tasks import Outcome, Task
-from .tensors import MessageError, Tensor, Unit, check_sim3s, pack_sim3s
+from .tensors import MessageError, Tensor, check_sim3s, pack_sim3s
 
-VERSION = 4
+VERSION = 5
 LINK_DTYPE = "<f4"
 _NO_ROWS = pack_sim3s([], LINK_DTYPE)
 
@@ -28,7 +28,7 @@ _NO_ROWS = pack_sim3s([], LINK_DTYPE)
 class Links(msgspec.Struct, frozen=True, array_like=True):
     """Accepted matches as one of their owners holds them, one row for each own end.
 
-    ``poses`` ``(n, 8)``: the owner's key-frames in ``frames`` as it believes now, Sim(3) with the owner's unit as
+    ``poses`` ``(n, 8)``: the owner's key-frames in ``frames`` as it believes now, Sim(3) with the key-frame's unit as
     scale; ``query``: which rows are the query's end, and for those, in order, ``transforms`` ``(q, 8)``: ``T_M_Q``.
     Single precision: they tell how members stand to each other when an optimisation starts, and what contradicts what.
     """
@@ -49,11 +49,17 @@ class Links(msgspec.Struct, frozen=True, array_like=True):
 
 
 class PieceTerms(msgspec.Struct, frozen=True, array_like=True):
-    """A track that its agent would bring into an optimisation: the coordinates it is in, and its unit there."""
+    """A track that its agent would bring into an optimisation, and the coordinates it is in. ``metric``: the agent's
+    unit is the metre; ``frame_metric``: that of the coordinates is, even if the agent's is not."""
 
     track: Index
     frame: FrameId
-    unit: Unit
+    metric: bool
+    frame_metric: bool
+
+    def __post_init__(self) -> None:
+        if self.metric and not self.frame_metric:
+            raise MessageError("pieces: a metric track in coordinates that are not")
 
 
 class Offer(msgspec.Struct, frozen=True, array_like=True):

@@ -28,13 +28,12 @@ from .ids import (
 from .map_messages import MapDelivery, MapOrder
 from .tensors import (
     MAX_TRANSLATION,
-    TRIANGLE,
     Depth,
     Length,
     MessageError,
     Tensor,
-    Unit,
     check,
+    check_information,
     check_points,
     check_poses,
     check_sim3,
@@ -134,22 +133,28 @@ class VerifyTask(Counted, frozen=True, array_like=True, tag=2):
 class OptimiseTask(Counted, frozen=True, array_like=True, tag=3):
     """Take part in a distributed optimisation of ``members``, with the recipient's ``tracks`` and ``matches``.
 
-    The result is in ``frame``, where one of the anchor's own units is worth ``unit``. ``placements``
-    ``(n, 8)``: how the recipient's ``present`` coordinates stand in that frame before optimising, ``T_frame_present``.
+    The result is in ``frame``; ``metric``: in metres. ``placements`` ``(n, 8)``: how the recipient's ``present``
+    coordinates stand in that frame before optimising, ``T_frame_present``. ``arbitrary``: members with one camera,
+    whose key-frames' units of length are looked for, too.
     """
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.DOPT
 
     members: Members
     frame: FrameId
-    unit: Unit
+    metric: bool
     tracks: Annotated[tuple[Index, ...], msgspec.Meta(max_length=4096)]
     matches: Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=100_000)]
     present: Annotated[tuple[FrameId, ...], msgspec.Meta(max_length=4096)]
     placements: Tensor
+    arbitrary: Members = ()
 
     def __post_init__(self) -> None:
         check_sim3s("placements", self.placements, len(self.present))
+        if not set(self.members).issuperset(self.arbitrary):
+            raise MessageError("arbitrary: of an agent that is no member")
+        if not self.metric and set(self.arbitrary) != set(self.members):
+            raise MessageError("metric: a metric member in coordinates that are not")
 
 
 Task = PlaceQuery | OwnerQuery | VerifyTask | OptimiseTask | MapOrder
@@ -209,10 +214,10 @@ class PlaceRedirect(Counted, frozen=True, array_like=True, tag=6):
 
 
 class VerifyAnswer(Counted, frozen=True, array_like=True, tag=2):
-    """The verdict on a match: ``T_M_Q`` (Sim(3)) and ``information``, the upper triangle ``(21,)`` of the 6x6 matrix in
-    float32, where it holds; the match camera in its own track by odometry, its way so far and its median depth, so that
-    both sides can judge whether matches agree with each other. ``wants_more``: not decided, the points kept back are
-    asked for."""
+    """The verdict on a match: ``T_M_Q`` (Sim(3)) and, where it holds, ``information`` in float32: the upper triangle
+    ``(21,)`` of the 6x6 matrix, ``(28,)`` of the 7x7 one (log scale last) where a scale was estimated; the match camera
+    in its own track by odometry, its way so far and its median depth, so that both sides can judge whether matches
+    agree with each other. ``wants_more``: not decided, the points kept back are asked for."""
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.RELPOSE
 
@@ -238,7 +243,7 @@ class VerifyAnswer(Counted, frozen=True, array_like=True, tag=2):
         if self.T_M_Q is not None:
             check_sim3("T_M_Q", self.T_M_Q)
         if self.information is not None:
-            check("information", self.information, "<f4", (TRIANGLE,))
+            check_information("information", self.information)
         if self.accepted and self.wants_more:
             raise MessageError("wants_more: of an accepted match")
 

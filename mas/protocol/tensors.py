@@ -156,16 +156,23 @@ def check_sim3(name: str, tensor: Tensor) -> None:
     check_sim3s(name, Tensor(tensor.dtype, (1, SIM3_WIDTH), tensor.data), 1)
 
 
-TRIANGLE = 21
+_TRIANGLES = {21: 6, 28: 7}
 
 
 def pack_information(matrix: NDArray[np.float64]) -> Tensor:
-    """The upper triangle of a symmetric ``(6, 6)`` matrix, float32."""
-    return Tensor.of(matrix[np.triu_indices(6)], "<f4")
+    """The upper triangle of a symmetric ``(6, 6)`` or ``(7, 7)`` matrix, float32."""
+    return Tensor.of(matrix[np.triu_indices(len(matrix))], "<f4")
 
 
 def unpack_information(tensor: Tensor) -> NDArray[np.float64]:
     """Inverse of :func:`pack_information`."""
-    out = np.zeros((6, 6))
-    out[np.triu_indices(6)] = tensor.array()
+    n = _TRIANGLES[tensor.shape[0]]
+    out = np.zeros((n, n))
+    out[np.triu_indices(n)] = tensor.array()
     return np.asarray(out + np.triu(out, 1).T)
+
+
+def check_information(name: str, tensor: Tensor) -> None:
+    """A triangle as :func:`pack_information` makes it."""
+    if len(check(name, tensor, "<f4", (None,))) not in _TRIANGLES:
+        raise MessageError(f"{name}: {tensor.shape[0]} numbers, not a triangle of 21 or 28")

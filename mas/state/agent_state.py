@@ -26,14 +26,14 @@ from .place_match import Agreement, Match
 class Piece:
     """One uninterrupted track as a rigid piece of the agent's graph, until an optimisation bends it.
 
-    ``frame``: the coordinates its estimates are in; ``unit``: what one of the track's own units of length is worth
-    there (1 if metric); ``first``: index of its first key-frame.
+    ``first``: index of its first key-frame; ``frame``: the coordinates its estimates are in; ``metric``: whether these
+    are in metres, as those are that a metric agent has a share in.
     """
 
     track: int
     first: int
     frame: FrameId
-    unit: float = 1.0
+    metric: bool
 
 
 class Ownership(StrEnum):
@@ -81,12 +81,18 @@ class Profile:
 
 @dataclass
 class AgentState:
-    """The mutable state of an agent; changed by the agent and its operations only."""
+    """The mutable state of an agent; changed by the agent and its operations only.
+
+    ``poses``: ``T_F_C`` ``(4, 4)`` of each key-frame in its piece's coordinates; ``units``: what one of the key-frame's
+    own units of length is worth there. With one camera the unit drifts on the way, so each key-frame has its own; a
+    metric agent's are all 1.
+    """
 
     profile: Profile
     config: MasConfig
     keyframes: list[KeyFrame] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
+    units: list[float] = field(default_factory=list)
     pieces: list[Piece] = field(default_factory=list)
     travelled: list[float] = field(default_factory=list)
     verified: dict[MatchId, Match] = field(default_factory=dict)
@@ -109,17 +115,20 @@ class AgentState:
         return self.profile.me
 
     def observe(self, keyframe: KeyFrame) -> None:
-        """Add a key-frame: chained rigidly to the one before, or the start of a new piece."""
+        """Add a key-frame: chained rigidly to the one before, in its unit, or the start of a new piece."""
         if keyframe.index != len(self.keyframes):
             raise ValueError(f"agent {self.me}: key-frame {keyframe.index} after {len(self.keyframes)} of them")
         if not self.pieces or self.pieces[-1].track != keyframe.track:
-            self.pieces.append(Piece(keyframe.track, keyframe.index, FrameId(self.me, keyframe.track)))
+            own = FrameId(self.me, keyframe.track)
+            self.pieces.append(Piece(keyframe.track, keyframe.index, own, self.profile.metric))
             self.poses.append(keyframe.T_T_C)
+            self.units.append(1.0)
             self.travelled.append(self.travelled[-1] if self.travelled else 0.0)
         else:
             step = self.odometry_step(keyframe)
             self.travelled.append(self.travelled[-1] + float(np.linalg.norm(step[:3, 3])))
-            self.poses.append(self.poses[-1] @ stretched(step, self.pieces[-1].unit))
+            self.poses.append(self.poses[-1] @ stretched(step, self.units[-1]))
+            self.units.append(self.units[-1])
         self.keyframes.append(keyframe)
         self.version += 1
 
@@ -154,8 +163,12 @@ class AgentState:
 
     def depths(self) -> dict[tuple[int, int], float]:
         """Median depth of each track's key-frames, in the units of its coordinates."""
-        found = {p: [self.keyframes[i].depth for i in self.members(p.track)] for p in self.pieces}
-        return {(self.me, p.track): float(np.median(d)) * p.unit for p, d in found.items()}
+        found = {p.track: [self.depth(i) for i in self.members(p.track)] for p in self.pieces}
+        return {(self.me, track): float(np.median(depths)) for track, depths in found.items()}
+
+    def depth(self, index: int) -> float:
+        """Median depth of a key-frame, in the units of its coordinates."""
+        return self.keyframes[index].depth * self.units[index]
 
     def placed(self) -> list[int]:
         """Key-frames in :attr:`frame`; the others belong to tracks that no match has joined yet."""
@@ -163,9 +176,9 @@ class AgentState:
         return [i for p in self.pieces if p.frame == frame for i in self.members(p.track)]
 
     def pose(self, index: int) -> Sim3:
-        """``T_F_C`` with the camera's own unit of length: scale is the piece's unit."""
+        """``T_F_C`` with the key-frame's own unit of length as scale."""
         pose = self.poses[index]
-        return Sim3(pose[:3, :3], pose[:3, 3], self.piece_of(index).unit)
+        return Sim3(pose[:3, :3], pose[:3, 3], self.units[index])
 
     # -- matches ------------------------------------------------------------------------------------------------------
 
@@ -230,8 +243,8 @@ def thinned(rows: NDArray[np.int64], limit: int) -> NDArray[np.int64]:
     return rows if len(rows) <= limit else rows[np.linspace(0, len(rows) - 1, limit).astype(np.int64)]
 
 
-def stretched(transform: Array, factor: float) -> Array:
-    """A rigid transform with its translation times ``factor``."""
+def stretched(transform: Array, factor: float | Array) -> Array:
+    """A rigid transform with its translation times ``factor``; of many ``(n, 4, 4)``, factors ``(n, 1)``."""
     out = transform.copy()
     out[..., :3, 3] *= factor
     return out

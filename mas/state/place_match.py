@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam.backend.geometry import Array, Sim3
+from maslam.backend.relpose.alignment import rigid_information, scale_sigma
 
 from ..config import ConsistencyConfig
 from ..protocol.ids import MatchId
@@ -44,8 +45,9 @@ class MatchEnd:
 class Match:
     """A geometrically verified place match, own loops included (then both agents are the same).
 
-    ``T_M_Q``: query camera in match camera, in M's unit; ``information`` ``(6, 6)`` of it; ``inliers`` of the
-    verification; ``depth``: median depth at M, M's unit.
+    ``T_M_Q``: query camera in match camera, in M's unit; ``information`` ``(6, 6)`` of its rigid part; ``inliers`` of
+    the verification; ``depth``: median depth at M, M's unit; ``scale_sigma``: of its log scale, None where both views
+    are metric, so that none was estimated.
     """
 
     id: MatchId
@@ -55,6 +57,17 @@ class Match:
     information: Array
     inliers: int
     depth: float
+    scale_sigma: float | None = None
+
+    @classmethod
+    def of(
+        cls, id: MatchId, query: MatchEnd, match: MatchEnd, T_M_Q: Sim3, full: Array, inliers: int, depth: float
+    ) -> Match:
+        """The match with its information as verification tells it: ``full`` ``(6, 6)``, or ``(7, 7)`` with the log
+        scale's, of which each part gets what is left when the other is not known."""
+        if len(full) == 6 or full[6, 6] <= 0:
+            return cls(id, query, match, T_M_Q, full[:6, :6], inliers, depth)
+        return cls(id, query, match, T_M_Q, rigid_information(full), inliers, depth, scale_sigma(full))
 
     @property
     def tracks(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -110,6 +123,11 @@ class Agreement:
     thesis's consistency (3.3) as settled: it compares through ``T_M_Q``, not the two camera centres directly. All is
     relative to depth, so that it holds for any unit.
 
+    With one camera the unit drifts as well: the scales of two matches differ by at most ``scale`` (logarithm) plus
+    ``scale_per_depth`` for each median depth of way. Their geometric mean then carries one match's position to the
+    other. Where the logarithm drifts evenly by d over a way, that is off by at most a quarter of d times the way (out
+    by one scale and back by another): so much more is allowed.
+
     Rule "earlier" is the predecessor's consistency group instead: a match counts when at least ``min_support`` (its
     value: 2) of those made in the last ``earlier_m`` of the way put the query within ``earlier_apart_m`` of where it
     does; rotations are not compared, and lengths are metres.
@@ -141,19 +159,28 @@ class Agreement:
         R, t, s = (np.array([getattr(j, name) for j in joins]) for name in ("rotation", "translation", "scale"))
         queries = np.array([m.query for m in self._all])
         way_M, way_Q, depth = np.array([(m.way_M, m.way_Q, m.depth) for m in self._all]).T
-        travelled = np.abs(way_M - way_M[-1]) + np.maximum(s, last.scale) * np.abs(way_Q - way_Q[-1])
+        between_M, between_Q = np.abs(way_M - way_M[-1]), np.maximum(s, last.scale) * np.abs(way_Q - way_Q[-1])
+        travelled = between_M + between_Q
         deeper = np.maximum(depth, depth[-1])
         by_others = s[:, None] * (R @ query) + t - last @ query
         of_others = s[:, None] * np.einsum("nij,nj->ni", R, queries) + t - last @ queries
+        drifted = np.abs(np.log(s / last.scale))
+        if self.config.rule == "together" and drifted.any():
+            # The way between by a scale between, not by the one at the start.
+            between, mean = query - queries, np.sqrt(s * last.scale)
+            by_others += (mean - s)[:, None] * np.einsum("nij,nj->ni", R, between)
+            of_others += (mean - last.scale)[:, None] * (between @ last.rotation.T)
         apart = np.linalg.norm([by_others, of_others], axis=2).max(axis=0)
         if self.config.rule == "earlier":
             recent = np.abs(way_Q - way_Q[-1]) <= self.config.earlier_m
             return np.asarray(recent & (apart <= self.config.earlier_apart_m))
         cosine = (np.einsum("nij,ij->n", R, last.rotation) - 1.0) / 2.0
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        near = apart <= self.config.depth_share * deeper + self.config.drift * travelled
+        allowed = self.config.depth_share * deeper + self.config.drift * travelled
+        near = apart <= allowed + 0.25 * drifted * np.maximum(between_M, between_Q)
         aligned = angle <= self.config.angle_deg + self.config.angle_deg_per_depth * travelled / deeper
-        agree: NDArray[np.bool_] = near & aligned
+        alike = drifted <= self.config.scale + self.config.scale_per_depth * travelled / deeper
+        agree: NDArray[np.bool_] = near & aligned & alike
         agree[-1] = True
         return agree
 

@@ -19,6 +19,9 @@ from ..protocol.tensors import MAX_SCALE, MAX_TRANSLATION, pack_sim3s, unpack_si
 from .agent_state import AgentState, Piece, stretched
 from .place_match import Match
 
+# 1 sigma of the log scale of a match that says nothing about it.
+_UNKNOWN_SCALE = 100.0
+
 
 class UnknownPart(MasError):
     """A task names a track or match that the agent does not have."""
@@ -26,41 +29,34 @@ class UnknownPart(MasError):
 
 @dataclass(frozen=True, eq=False)
 class Adoption:
-    """Effect of an optimisation on the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used."""
+    """Effect of an optimisation on the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used;
+    ``elsewhere``: those that it left for another one, because they join other tracks."""
 
     before: dict[int, Sim3]
     matches: frozenset[MatchId]
+    elsewhere: frozenset[MatchId] = frozenset()
 
 
 def terms(state: AgentState, now_ns: int, peer: int | None = None) -> Bid:
     """A bid for an optimisation: the agent's tracks and its accepted matches with the key-frames' present poses;
-    peer-to-peer those with ``peer`` only, beside its own loops.
-
-    A monocular agent brings its longest track only: the tracks of one agent have different units of length, and the
-    solver knows one for each agent.
-    """
-    pieces = state.pieces
-    if not state.profile.metric and pieces:
-        pieces = [max(pieces, key=lambda p: (len(state.members(p.track)), -p.track))]
+    peer-to-peer those with ``peer`` only, beside its own loops."""
     around = {state.me, peer} if peer is not None else None
     matches = [m for m in sorted(state.accepted) if around is None or around.issuperset(m.agents)]
-    links = _links(state, {p.track for p in pieces}, matches)
     return Bid(
         cost_bytes=0,
         ready_ns=now_ns,
-        links=links,
-        pieces=tuple(PieceTerms(p.track, p.frame, p.unit) for p in pieces),
+        links=_links(state, matches),
+        pieces=tuple(PieceTerms(p.track, p.frame, state.profile.metric, p.metric) for p in state.pieces),
         peer_to_peer=peer is not None,
     )
 
 
-def _links(state: AgentState, tracks: set[int], matches: list[MatchId]) -> Links:
+def _links(state: AgentState, matches: list[MatchId]) -> Links:
     """Both ends of own loops, the own end of all others."""
     rows: list[tuple[MatchId, int, bool]] = []
     for m in matches:
         ends = ((m.match_agent, m.match, False), (m.query_agent, m.query, True))
         rows += [(m, index, query) for agent, index, query in ends if agent == state.me]
-    rows = [r for r in rows if state.keyframes[r[1]].track in tracks]
     pieces = [state.piece_of(index) for _, index, _ in rows]
     return Links(
         matches=tuple(m for m, _, _ in rows),
@@ -73,65 +69,69 @@ def _links(state: AgentState, tracks: set[int], matches: list[MatchId]) -> Links
 
 
 def share_of(state: AgentState, task: OptimiseTask) -> Share:
-    """The agent's part of the group's graph, in its own unit of length; :class:`UnknownPart` if the task names what it
+    """The agent's part of the group's graph, in the task's coordinates; :class:`UnknownPart` if the task names what it
     does not have."""
     strange = set(task.tracks) - {p.track for p in state.pieces}
     if strange:
         raise UnknownPart(f"a track it does not have: {min(strange)}")
     placed = dict(zip(task.present, unpack_sim3s(task.placements), strict=True))
     poses: dict[NodeId, Array] = {}
+    units: dict[NodeId, float] = {}
     edges: list[Edge] = []
     for track in task.tracks:
-        piece = state.piece(track)
-        T_F_present = placed.get(piece.frame, Sim3.identity())
-        unit = piece.unit * T_F_present.scale
+        T_F_present = placed.get(state.piece(track).frame, Sim3.identity())
         for index in state.members(track):
-            pose = T_F_present.transform_poses(state.poses[index])
-            poses[NodeId(state.me, index)] = stretched(pose, 1.0 / unit)
+            poses[NodeId(state.me, index)] = T_F_present.transform_poses(state.poses[index])
+            if not state.profile.metric:
+                units[NodeId(state.me, index)] = T_F_present.scale * state.units[index]
         edges += odometry_edges(state, track)
     missing = [m for m in task.matches if m not in state.verified]
     if missing:
         raise UnknownPart(f"a match it does not know: {missing[0]}")
     edges += [match_edge(state.verified[m], state.config.optimisation) for m in task.matches]
-    members = task.members
     return Share(
         robot=state.me,
-        members=members,
+        members=task.members,
         poses=poses,
         edges=tuple(edges),
-        arbitrary_scale=frozenset() if state.profile.metric else frozenset(members),
+        units=units,
+        arbitrary_scale=frozenset(task.arbitrary),
     )
 
 
 def believable(outcome: SolverOutcome) -> bool:
-    """Whether poses and scales are numbers that a map may have: a member's nonsense may have spoilt them."""
+    """Whether poses and units are numbers that a map may have: a member's nonsense may have spoilt them."""
     numbers = np.concatenate([np.asarray(T).ravel() for T in outcome.poses.values()] or [np.zeros(0)])
-    scales = np.array(list(outcome.units.values()))
+    units = np.array(list(outcome.units.values()))
     small = np.isfinite(numbers).all() and np.abs(numbers).max(initial=0.0) <= MAX_TRANSLATION
-    return bool(small and (scales >= 1.0 / MAX_SCALE).all() and (scales <= MAX_SCALE).all())
+    return bool(small and (units >= 1.0 / MAX_SCALE).all() and (units <= MAX_SCALE).all())
 
 
-def adopt(state: AgentState, task: OptimiseTask, outcome: SolverOutcome) -> Adoption:
-    """Take the optimised poses over; key-frames that came later are carried along rigidly with the last optimised
-    one."""
+def adopt(
+    state: AgentState, task: OptimiseTask, outcome: SolverOutcome, elsewhere: frozenset[MatchId] = frozenset()
+) -> Adoption:
+    """Take the optimised poses and units over; key-frames that came later are carried along rigidly with the last
+    optimised one, in its unit."""
     before = {i: state.pose(i) for i in range(len(state.keyframes))}
-    unit = float(np.median(list(outcome.units.values()))) * task.unit
     for track in task.tracks:
         piece = state.piece(track)
-        state.pieces[state.pieces.index(piece)] = Piece(track, piece.first, task.frame, unit)
+        state.pieces[state.pieces.index(piece)] = Piece(track, piece.first, task.frame, task.metric)
         for index in state.members(track):
-            optimised = outcome.poses.get(NodeId(state.me, index))
-            if optimised is not None:
-                state.poses[index] = stretched(optimised, task.unit)
+            node = NodeId(state.me, index)
+            if node in outcome.poses:
+                state.poses[index] = outcome.poses[node]
+                state.units[index] = 1.0 if state.profile.metric else outcome.units[node]
             else:
                 step = state.odometry_step(state.keyframes[index])
-                state.poses[index] = state.poses[index - 1] @ stretched(step, unit)
+                state.units[index] = state.units[index - 1]
+                state.poses[index] = state.poses[index - 1] @ stretched(step, state.units[index])
     state.version += 1
-    return Adoption(before, frozenset(task.matches))
+    return Adoption(before, frozenset(task.matches), elsewhere)
 
 
 def odometry_edges(state: AgentState, track: int) -> list[Edge]:
-    """Edges between key-frames of one track that follow each other, as odometry measured them, own unit."""
+    """Edges between key-frames of one track that follow each other, as odometry measured them, own unit: as far as
+    odometry knows the same at both."""
     later = state.members(track)[1:]
     for index in later:
         if index not in state.odometry:
@@ -146,7 +146,8 @@ def _odometry_edge(state: AgentState, index: int) -> Edge:
     length = float(np.linalg.norm(step[:3, 3]))
     sigma = config.odometry_sigma_share * length + config.odometry_sigma_depth * keyframe.depth
     information = _diagonal(sigma, config.odometry_sigma_deg)
-    return Edge(NodeId(state.me, index - 1), NodeId(state.me, index), step, information)
+    drift = None if state.profile.metric else config.odometry_sigma_scale
+    return Edge(NodeId(state.me, index - 1), NodeId(state.me, index), step, information, scale_sigma=drift)
 
 
 def match_edge(match: Match, config: OptimisationConfig) -> Edge:
@@ -155,6 +156,9 @@ def match_edge(match: Match, config: OptimisationConfig) -> Edge:
     floor = _diagonal(config.match_sigma_depth * match.depth, config.match_sigma_deg)
     spread = np.linalg.inv(_definite(match.information)) + np.linalg.inv(floor)
     information = np.linalg.inv(spread)
+    scale_sigma = None
+    if match.scale_sigma is not None:
+        scale_sigma = min(float(np.hypot(match.scale_sigma, config.match_sigma_scale)), _UNKNOWN_SCALE)
     m = match.id
     return Edge(
         NodeId(m.match_agent, m.match),
@@ -163,6 +167,7 @@ def match_edge(match: Match, config: OptimisationConfig) -> Edge:
         0.5 * (information + information.T),
         EdgeKind.LOOP if m.query_agent == m.match_agent else EdgeKind.SEPARATOR,
         scale=match.T_M_Q.scale,
+        scale_sigma=scale_sigma,
     )
 
 
@@ -174,7 +179,7 @@ def own_graph(state: AgentState) -> PoseGraph:
     edges = []
     for piece in state.pieces:
         if piece.frame == state.frame:
-            edges += [_in_unit(e, piece.unit) for e in odometry_edges(state, piece.track)]
+            edges += [_in_unit(e, state.units[e.i.index]) for e in odometry_edges(state, piece.track)]
     for match in state.accepted_matches():
         edge = match_edge(match, state.config.optimisation)
         ends = [n for n in (edge.i, edge.j) if n.robot == me]
@@ -182,10 +187,10 @@ def own_graph(state: AgentState) -> PoseGraph:
             continue
         own = ends[0].index
         if edge.i.robot == me:
-            edge = _in_unit(edge, state.piece_of(own).unit)
+            edge = _in_unit(edge, state.units[own])
             poses.setdefault(edge.j, poses[edge.i] @ edge.T_i_j)
         else:
-            edge = _in_unit(edge, state.piece_of(own).unit / match.T_M_Q.scale)
+            edge = _in_unit(edge, state.units[own] / match.T_M_Q.scale)
             poses.setdefault(edge.i, poses[edge.j] @ se3_inverse(edge.T_i_j))
         edges.append(edge)
     return PoseGraph(poses, tuple(edges))

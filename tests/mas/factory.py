@@ -24,6 +24,7 @@ SHA256 = "ab" * 32
 DIM = 32
 THRESHOLD = 0.35
 CAMERA = CameraEntry(kind="stereo", width=640, height=360, fx=320, fy=320, cx=319.5, cy=179.5, baseline_m=0.5)
+ONE_CAMERA = CAMERA.model_copy(update={"kind": "mono", "baseline_m": None})
 FRAMES_A_KEYFRAME = 3
 FRAME_NS = 100_000_000
 
@@ -97,6 +98,19 @@ def drift(truth: Array, rng: np.random.Generator, share: float = 0.01, yaw_deg: 
     return np.array(poses)
 
 
+def travelled_by(truth: Array) -> Array:
+    """``(N,)``: metres travelled by each of true poses ``(N, 4, 4)``."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))])
+
+
+def rescaled(odometry: Array, scales: Array) -> Array:
+    """The track with each step times the scale ``(N,)`` at its first pose: one camera's, whose unit drifts."""
+    out = odometry.copy()
+    steps = np.diff(odometry[:, :3, 3], axis=0) * scales[:-1, None]
+    out[:, :3, 3] = odometry[0, :3, 3] + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return out
+
+
 def make_sequence(
     world: World,
     truth: Array,
@@ -108,23 +122,27 @@ def make_sequence(
     noise_m: float = 0.02,
     with_truth: bool = True,
     drifting: float = 0.01,
+    unit_drift: float = 0.0,
 ) -> AgentSequence:
     """The sequence of an agent along true poses (one a frame); every third frame is a key-frame.
 
-    ``drifting`` 0: exact odometry. ``scale`` other than 1: monocular, metres in one own unit are 1/scale. ``cuts``:
-    frames at which tracking was lost and a new track began.
+    ``drifting`` 0: exact odometry. ``scale`` other than 1: monocular, metres in one own unit are 1/scale (each later
+    track's 1.5 times that of the one before); the scale's logarithm grows by ``unit_drift`` a metre. ``cuts``: frames
+    at which tracking was lost and a new track began.
     """
     rng = np.random.default_rng([seed, number])
     bounds = [0, *cuts, len(truth)]
     tracks, frames, stamps = [], [], []
     vectors = []
-    for first, last in pairwise(bounds):
+    for number_of_track, (first, last) in enumerate(pairwise(bounds)):
         odometry = drift(truth[first:last], rng, drifting, 0.06 if drifting else 0.0)
-        odometry[:, :3, 3] *= scale
+        start = scale if scale == 1.0 else scale * 1.5**number_of_track
+        scales = start * np.exp(unit_drift * travelled_by(truth[first:last]))
+        odometry = rescaled(odometry, scales)
         keys = np.arange(0, last - first, FRAMES_A_KEYFRAME)
         seen = truth[first:last][keys]
         times_s = (first + keys) * 0.1
-        tracks.append(_track(world, seen, odometry[keys], times_s, rng, scale, max_points, noise_m))
+        tracks.append(_track(world, seen, odometry[keys], times_s, rng, scales[keys], max_points, noise_m))
         vectors += [place_vector(world, T) for T in seen]
         frames.append(odometry)
         stamps.append(np.arange(first, last, dtype=np.int64) * FRAME_NS)
@@ -150,7 +168,7 @@ def _track(
     odometry: Array,
     stamps_s: Array,
     rng: np.random.Generator,
-    scale: float,
+    scales: Array,
     limit: int,
     noise_m: float,
 ) -> VoTrack:
@@ -162,7 +180,7 @@ def _track(
     for k, (T_W_C, T_T_C) in enumerate(zip(truth, odometry, strict=True)):
         mine = np.flatnonzero(keyframe[first_seen] == k)
         p_C = transform_points(se3_inverse(T_W_C), world.points[flat[first_seen[mine]]])
-        p_C = (p_C + rng.normal(0.0, noise_m, p_C.shape) * p_C[:, 2:] / 10.0) * scale
+        p_C = (p_C + rng.normal(0.0, noise_m, p_C.shape) * p_C[:, 2:] / 10.0) * scales[k]
         points[mine] = transform_points(T_T_C, p_C)
     words = world.words[flat]
     return VoTrack(
@@ -224,7 +242,7 @@ def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Man
     return Manifest(
         source="made up",
         kind="synthetic",
-        scale="metric" if all(s.metric for s in sequences) else "arbitrary",
+        scale="metric" if any(s.metric for s in sequences) else "arbitrary",
         descriptor=DescriptorEntry(name=MODEL, sha256=sha256, dim=DIM, threshold=THRESHOLD, min_std=0.0),
         agents=tuple(
             AgentEntry(
@@ -235,7 +253,7 @@ def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Man
                 keyframes=len(s.places.vectors),
                 tracks=len(s.tracks),
                 start_ns=s.start_ns,
-                camera=CAMERA,
+                camera=CAMERA if s.metric else ONE_CAMERA,
             )
             for s in sequences
         ),

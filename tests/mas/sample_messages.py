@@ -39,13 +39,15 @@ from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.protocol.tasks import (
     EarlierAnswer,
     OptimiseAnswer,
+    OptimiseTask,
     OwnerQuery,
     PlaceAnswer,
     PlaceQuery,
     PlaceRedirect,
+    VerifyAnswer,
     VerifyTask,
 )
-from maslam.mas.protocol.tensors import Tensor, pack_poses, pack_sim3, pack_sim3s
+from maslam.mas.protocol.tensors import Tensor, pack_information, pack_poses, pack_sim3, pack_sim3s
 
 
 def submap(**changes: object) -> SubMap:
@@ -78,6 +80,39 @@ def verify_task(**changes: object) -> VerifyTask:
         "words": None,
     }
     return VerifyTask(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def optimise_task(**changes: object) -> OptimiseTask:
+    fields: dict[str, object] = {
+        "members": (0, 1),
+        "frame": FrameId(0, 0),
+        "metric": True,
+        "tracks": (0,),
+        "matches": (MatchId(0, 3, 1, 2),),
+        "present": (FrameId(1, 0),),
+        "placements": pack_sim3s([Sim3.identity()]),
+        "arbitrary": (1,),
+    }
+    return OptimiseTask(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def verify_answer(**changes: object) -> VerifyAnswer:
+    fields: dict[str, object] = {
+        "match": MatchId(0, 3, 1, 2),
+        "accepted": True,
+        "reason": "accepted",
+        "matches": 40,
+        "inliers": 30,
+        "rmse": 0.1,
+        "T_M_Q": pack_sim3(Sim3.identity()),
+        "information": pack_information(np.eye(7)),
+        "track": 0,
+        "stamp_ns": 5,
+        "T_T_M": pack_poses(np.eye(4)),
+        "way": 12.5,
+        "depth": 8.0,
+    }
+    return VerifyAnswer(**{**fields, **changes})  # type: ignore[arg-type]
 
 
 def parcel(**changes: object) -> Parcel:
@@ -116,7 +151,7 @@ def examples() -> list[Message]:
     links = Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (True,), rows, rows)
     bodies = [
         Call(OperationKind.DOPT, 5_000_000_000, (0, 1)),
-        Bid(100, 0, links, (PieceTerms(0, FrameId(0, 0), 1.0),)),
+        Bid(100, 0, links, (PieceTerms(0, FrameId(0, 0), True, True),)),
         Refusal("busy"),
         Award(PlaceQuery(3, 0xAB12CD34, vector)),
         Award(OwnerQuery(3, 0xAB12CD34, vector)),
@@ -130,6 +165,9 @@ def examples() -> list[Message]:
             )
         ),
         Confirmation(),
+        Award(optimise_task()),
+        Result(verify_answer()),
+        Result(verify_answer(information=pack_information(np.eye(6)))),
         Result(PlaceAnswer(4, 0.25)),
         Result(PlaceAnswer(None, 2.0)),
         Result(EarlierAnswer(2, 4, 0.25)),

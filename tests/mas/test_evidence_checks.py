@@ -55,6 +55,7 @@ def held(
         np.arange(first, first + count),
         np.arange(count),
         poses,
+        np.ones(count),
         np.zeros(0, dtype=np.int64),
         np.zeros((0, 3)),
         None,

@@ -38,6 +38,7 @@ def map_of(
         np.arange(3),
         np.arange(3) * 10**9,
         poses,
+        np.ones(len(poses)),
         references,
         points_C.reshape(-1, 3) / unit,
         descriptors,

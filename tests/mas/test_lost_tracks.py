@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from factory import circuit, make_sequence, make_world, manifest_of
 
 from maslam.backend.geometry import umeyama
@@ -46,6 +48,20 @@ def test_three_tracks_are_joined_one_by_one(tmp_path: Path) -> None:
     summary = run(manifest_of([alone]), [alone], DEFAULT, tmp_path / "run")
     assert len(alone.tracks) == 3 and summary.keyframes_placed == [summary.keyframes]
     assert joined_error_m(alone, tmp_path / "run") < 0.3
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_pairs_of_tracks_that_are_apart_are_joined_in_turn(tmp_path: Path, scale: float) -> None:
+    """Two places, each seen twice, by four tracks: all own loops are used, although no match joins the two pairs."""
+    way = np.concatenate([circuit(0.0, 30.0), circuit(90.0, 24.0), circuit(6.0, 24.0), circuit(93.0, 21.0)])
+    alone = make_sequence(make_world(3), way, 3, 0, cuts=(60, 108, 156), scale=scale)
+    config = preset("maslam")
+    rarely = config.optimisation.model_copy(update={"period_keyframes": 1000})  # only at the end, then both at once
+    summary = run(manifest_of([alone]), [alone], config.model_copy(update={"optimisation": rarely}), tmp_path / "run")
+    events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
+    used = [e["matches"] for e in events if e["event"] == "optimised"]
+    assert len(used) == 2 <= min(used) and sum(used) == summary.matches.own_loops
+    assert summary.keyframes_placed == [36] and summary.matches.false_accepted == 0
 
 
 def test_tracks_of_different_places_stay_apart(tmp_path: Path) -> None:

@@ -123,7 +123,7 @@ def test_any_sequence_of_purchases_ends_with_what_a_whole_purchase_gives(story: 
 def _move_to_other_coordinates(state: AgentState, rng: np.random.Generator) -> None:
     motion = se3_exp(rng.normal(size=6) * [30, 1, 30, 0.1, 1.0, 0.1])
     state.poses = [motion @ T for T in state.poses]
-    state.pieces = [Piece(p.track, p.first, FrameId(1, 0), p.unit) for p in state.pieces]
+    state.pieces = [Piece(p.track, p.first, FrameId(1, 0), p.metric) for p in state.pieces]
     state.version += 1
 
 

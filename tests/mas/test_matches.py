@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from factory import circuit, drift
+from factory import circuit, drift, heading, rescaled, travelled_by
 
 from maslam.backend.geometry import Sim3, se3_exp, se3_inverse
 from maslam.mas.config import ConsistencyConfig
@@ -36,6 +36,37 @@ def matches_between(count: int, seed: int = 0, unit_M: float = 1.0, unit_Q: floa
         sim = Sim3(T_M_Q[:3, :3], T_M_Q[:3, 3] / unit_M, unit_Q / unit_M)
         ends = MatchEnd(0, T_T_Q, ways[q] / unit_Q), MatchEnd(0, T_T_M, ways[m] / unit_M)
         out.append(Match(MatchId(1, q, 0, m), *ends, sim, np.eye(6), 50, 10.0 / unit_M))
+    return out
+
+
+WAYS = {
+    "round": circuit(0.0, 180.0, step_m=1.5),
+    "straight": np.array([heading(0.0, z, 0.0) for z in np.arange(0.0, 180.0, 1.5)]),
+    "out and back": np.array(
+        [heading(0.0, z, 0.0) for z in np.arange(0.0, 90.0, 1.5)]
+        + [heading(0.0, z, np.pi) for z in np.arange(90.0, 0.0, -1.5)]
+    ),
+}
+
+
+def matches_with_drift(rate: float, seed: int = 0, way: str = "round") -> list[Match]:
+    """True matches of two drives on one way: the unit of both drifts, the second drive's by ``rate`` (logarithm) for
+    each metre more than the first one's."""
+    rng = np.random.default_rng(seed)
+    truth = WAYS[way]
+    travelled = travelled_by(truth)
+    scales = [np.exp(-0.3 * rate * travelled), 1.2 * np.exp(0.7 * rate * travelled)]
+    tracks = [rescaled(drift(truth, rng, share=0.003, yaw_deg=0.01), s) for s in scales]
+    ways = [travelled_by(track) for track in tracks]
+    out = []
+    for m in range(2, len(truth) - 1, 8):
+        q = m + 1
+        T_M_Q = se3_inverse(truth[m]) @ truth[q] @ se3_exp(rng.normal(0.0, [0.01] * 3 + [0.001] * 3))
+        u_m, u_q = float(scales[0][m]), float(scales[1][q])
+        noise = float(np.exp(rng.normal(0.0, 0.01)))
+        sim = Sim3(T_M_Q[:3, :3], T_M_Q[:3, 3] * u_m, u_m / u_q * noise)
+        ends = MatchEnd(1, tracks[1][q], ways[1][q]), MatchEnd(0, tracks[0][m], ways[0][m])
+        out.append(Match(MatchId(0, 1000 + q, 0, m), *ends, sim, np.eye(6), 50, 10.0 * u_m, 0.01))
     return out
 
 
@@ -109,22 +140,52 @@ def test_a_match_seen_from_the_other_side_says_the_same() -> None:
     assert back.id == a.id
 
 
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("rate", [0.0, 0.0016, -0.0016])
+def test_matches_agree_up_to_the_drift_of_the_unit(rate: float, way: str) -> None:
+    """Two drives of 180 m, over which the units drift apart by 29 %; odometry is better than what is allowed for."""
+    config = ConsistencyConfig(drift=0.012)
+    for seed in range(5):
+        matches = matches_with_drift(rate, seed, way)
+        scales = [m.T_M_Q.scale for m in matches]
+        assert abs(np.log(scales[-1] / scales[0]) + 174.0 * rate) < 0.06
+        assert consistent(matches, config) == {m.id for m in matches}
+        assert consistent([m.turned() for m in matches], config) == {m.turned().id for m in matches}
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.0016])
+def test_drift_of_the_unit_is_no_excuse_for_another_place(rate: float) -> None:
+    """A match 6 m off at 10 m of depth, and one whose scale nothing between explains, are left out."""
+    matches = matches_with_drift(rate)
+    right = {m.id for m in matches}
+    for at in (3, 7):
+        off = spoiled(matches[at], metres=6.0)
+        bigger = replace(spoiled(matches[at], metres=0.0), T_M_Q=replace(matches[at].T_M_Q, scale=1.6))
+        for wrong in (off, bigger):
+            assert consistent([*matches, wrong], CONFIG) == right
+
+
 # -- plans ------------------------------------------------------------------------------------------------------------
 
 
 def bid(
-    agent: int, rows: list[tuple[MatchId, bool, Sim3, Sim3]], unit: float = 1.0, tracks: tuple[int, ...] = (0,)
+    agent: int,
+    rows: list[tuple[MatchId, bool, Sim3, Sim3]],
+    tracks: tuple[int, ...] = (0,),
+    metric: bool = True,
+    frame: FrameId | None = None,
 ) -> Bid:
-    """Rows: match, whether this agent asked, its key-frame's pose, ``T_M_Q``."""
+    """Rows: match, whether this agent asked, its key-frame's pose, ``T_M_Q``. ``frame``: the coordinates of all; its
+    own if None."""
     links = Links(
         tuple(m for m, *_ in rows),
         tuple(0 for _ in rows),
-        tuple(FrameId(agent, 0) for _ in rows),
+        tuple(frame or FrameId(agent, 0) for _ in rows),
         tuple(asked for _, asked, *_ in rows),
         pack_sim3s([pose for *_, pose, _ in rows], LINK_DTYPE),
         pack_sim3s([T_M_Q for _, asked, _, T_M_Q in rows if asked], LINK_DTYPE),
     )
-    return Bid(0, 0, links, tuple(PieceTerms(t, FrameId(agent, t), unit) for t in tracks))
+    return Bid(0, 0, links, tuple(PieceTerms(t, frame or FrameId(agent, t), metric, metric) for t in tracks))
 
 
 def random_sim3(rng: np.random.Generator, unit: float) -> Sim3:
@@ -144,7 +205,7 @@ def test_everyone_is_placed_in_the_lowest_members_frame() -> None:
         T_M_Q = pose_m.inverse() @ T_2_frame[m].inverse() @ T_2_frame[q] @ pose_q
         rows[m].append((match, False, pose_m, T_M_Q))
         rows[q].append((match, True, pose_q, T_M_Q))
-    found = plan(9, {a: bid(a, rows[a]) for a in units})
+    found = plan(9, {a: bid(a, rows[a], metric=False) for a in units})
     assert found.members == (2, 5, 9)
     for agent, task in found.tasks.items():
         assert task.frame == FrameId(2, 0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sample_messages import examples, parcel, submap, verify_task
+from sample_messages import examples, optimise_task, parcel, submap, verify_answer, verify_task
 
 from maslam.backend.distributed.messages import Deltas, Report, Round, SolverStage, Values
 from maslam.backend.geometry import Sim3, se3_exp
@@ -97,7 +97,13 @@ BAD_VALUES = {
     "links of another track": lambda: Bid(
         1, 0, Links((MatchId(0, 1, 1, 2),), (0,), (FrameId(0, 0),), (False,), pack_sim3s([Sim3.identity()], "<f4"))
     ),
-    "a track twice": lambda: Bid(1, 0, pieces=(PieceTerms(0, FrameId(0, 0), 1.0), PieceTerms(0, FrameId(1, 0), 1.0))),
+    "a track twice": lambda: Bid(
+        1, 0, pieces=(PieceTerms(0, FrameId(0, 0), True, True), PieceTerms(0, FrameId(1, 0), True, True))
+    ),
+    "a metric track in another unit": lambda: PieceTerms(0, FrameId(0, 0), True, False),
+    "a metric member in another unit": lambda: optimise_task(metric=False),
+    "one camera of a stranger": lambda: optimise_task(arbitrary=(2,)),
+    "information of no size": lambda: verify_answer(information=Tensor.of(np.ones(22), "<f4")),
 }
 
 

@@ -127,6 +127,22 @@ def test_one_sequence_is_one_agent(tmp_path: Path) -> None:
     np.testing.assert_allclose(level, [10, 30, 50, 70, 90, 110], atol=1e-3)
 
 
+def test_agents_with_one_camera_and_with_depth_make_one_team(tmp_path: Path) -> None:
+    """A multi-agent folder in which one has depth maps: it alone is metric, and the manifest says so of each."""
+    write_agent(tmp_path / "team" / "agent_00")
+    folder = write_agent(tmp_path / "team" / "agent_01")
+    (folder / "depth_0").mkdir()
+    for i in range(FRAMES):
+        cv2.imwrite(str(folder / "depth_0" / f"{i:06d}.png"), np.full((24, 32), 1000, dtype=np.uint16))
+    camera = (folder / "camera.yaml").read_text().replace("}", ", depth_unit_m: 0.001}")
+    (folder / "camera.yaml").write_text(camera)
+    assert preprocess(tmp_path / "team", tmp_path / "seqs") == 0
+    manifest, sequences = load_sequences(tmp_path / "seqs")
+    assert manifest.scale == "metric", "lengths can be metres where one agent knows them"
+    assert [a.camera.kind for a in manifest.agents] == ["mono", "rgbd"]
+    assert [s.metric for s in sequences] == [False, True]
+
+
 def test_a_split_gives_each_agent_its_own_origin_clock_and_vectors(tmp_path: Path) -> None:
     assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs", "--agents", 2, "--overlap", 1) == 0
     manifest, (first, second) = load_sequences(tmp_path / "seqs")

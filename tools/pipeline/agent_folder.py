@@ -37,7 +37,6 @@ from maslam.mas.sequence import (
     write_manifest,
 )
 
-from ..common.errors import ToolError
 from .split import SequenceShare, cut_track, share_out
 from .tracking import Tracked
 
@@ -66,11 +65,6 @@ def write_sequences(
     settings: dict[str, Any],
 ) -> Manifest:
     """Write the SEQS folder ``out``; ``settings`` are noted in its manifest."""
-    metric = {plan.sequence.rig.metric for plan in plans}
-    if len(metric) > 1:
-        raise ToolError(
-            f"{dataset.root}: some agents have one camera, others stereo or depth; --rig mono makes them alike"
-        )
     (out / MANIFEST).unlink(missing_ok=True)
     entries = [_write_agent(out, plan, model) for plan in plans]
     left = {*out.glob("agent_[0-9]*"), *out.glob(".agent_[0-9]*.part")}  # of another split, of a run that was killed
@@ -79,7 +73,7 @@ def write_sequences(
     manifest = Manifest(
         source=str(dataset.root.resolve()),
         kind=dataset.kind,
-        scale="metric" if metric == {True} else "arbitrary",
+        scale="metric" if any(entry.metric for entry in entries) else "arbitrary",
         descriptor=DescriptorEntry(
             name=model.name,
             sha256=model.sha256,

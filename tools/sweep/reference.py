@@ -83,7 +83,7 @@ def make_reference(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Reference:
     """Solve everything at one place. ``config``: of verification, consistency and the graph's weights."""
-    if manifest.scale != "metric":
+    if not all(agent.metric for agent in manifest.agents):
         raise ToolError("the omniscient reference needs metric sequences: one camera's agents have units of their own")
     agents = make_agents(manifest, sequences, config)
     states = [agent.state for agent in agents]

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from ...protocol.ids import MAX_AGENTS, MAX_POINTS, FrameId
 from ...protocol.tensors import MAX_SCALE
 from .pose_corrections import Bound, anchors_for, interpolated
-from .quantised_map import Ints, QuantisedMap, Steps, StepsError, empty_map, size
+from .quantised_map import RIGID, WITH_UNIT, Ints, QuantisedMap, Steps, StepsError, empty_map, size, widened
 from .rice import BitReader, BitWriter, CodingError
 
 MAX_KEYFRAMES = 1_000_000
 # Contexts: numbers that are of one size share one.
 _HEAD, _INDEX, _TICK, _COUNT, _GAP, _FIRST, _DEPTH, _MATCH = 0, 1, 2, 3, 4, 5, 6, 7
-_POSE = np.arange(8, 14)
-_MOVE = np.arange(14, 20)
+_POSE = np.array([8, 9, 10, 11, 12, 13, 27])
+_MOVE = np.array([14, 15, 16, 17, 18, 19, 28])
 _TRANSFORM = np.arange(20, 27)
 KEPT, ANCHORS, ANEW = 0, 1, 2
 _LOW = 2**31
@@ -34,7 +34,8 @@ def is_prefix(base: QuantisedMap, target: QuantisedMap) -> bool:
 
 def encode(base: QuantisedMap | None, wanted: QuantisedMap, bound: Bound) -> tuple[bytes, QuantisedMap]:
     """The bits that make a version of a base (of nothing: the whole map), and the version that they make: ``wanted``
-    but for the poses of old key-frames, which are within ``bound``."""
+    but for the poses of old key-frames, which are within ``bound``. It is drifting where the base is."""
+    base = None if base is None else replace(base, poses=widened(base.poses, wanted.poses.shape[1]))
     old = 0 if base is None else len(base.keyframes)
     options = [(ANEW, wanted.poses, np.zeros(0, dtype=np.intp))]
     if base is not None and old:
@@ -70,13 +71,13 @@ def _write(base: QuantisedMap | None, made: QuantisedMap, mode: int, anchors: ND
         moves = (made.poses[:old] - base.poses)[anchors]
         out.put([len(anchors) - 2 if old > 1 else 0], _HEAD)
         out.put(np.diff(anchors)[:-1] - 1, _HEAD)
-        out.put_signed(np.diff(moves, axis=0, prepend=0), _MOVE)
+        out.put_signed(np.diff(moves, axis=0, prepend=0), _MOVE[: moves.shape[1]])
     before = 0 if not old else int(made.keyframes[old - 1]) + 1
     out.put(np.diff(made.keyframes[old:], prepend=before - 1) - 1, _INDEX)
     _write_ticks(out, made.ticks, old)
     start = 0 if mode == ANEW else old
     rest = made.poses[start:]
-    out.put_signed(rest - _expected(made.poses, start), _POSE)
+    out.put_signed(rest - _expected(made.poses, start), _POSE[: rest.shape[1]])
     _write_points(out, made, old, int(made.counts[:old].sum()))
     _write_matches(out, base, made)
     return out.data
@@ -141,13 +142,14 @@ def _write_matches(out: BitWriter, base: QuantisedMap | None, made: QuantisedMap
 
 
 def decode(
-    owner: int, version: int, frame: FrameId, unit: float, base: QuantisedMap | None, data: bytes
+    owner: int, version: int, frame: FrameId, unit: float | None, base: QuantisedMap | None, data: bytes
 ) -> QuantisedMap:
     """The version that the bits make of a base; :class:`~maslam.mas.map_exchange.coding.rice.BitsError`
-    where they make none.
+    where they make none. ``unit`` None: 1, and the map is not drifting.
 
     Descriptors are none: they travel beside.
     """
+    columns = RIGID if unit is None else WITH_UNIT
     bits = BitReader(data)
     if base is None:
         try:
@@ -155,16 +157,18 @@ def decode(
         except StepsError as error:
             raise CodingError(str(error)) from error
         base = empty_map(owner, frame, steps)
+    if base.poses.shape[1] > columns:
+        raise CodingError("a drifting map whose key-frames have no units")
     old = len(base.keyframes)
     fresh, mode = bits.one(_HEAD, MAX_KEYFRAMES - old), bits.one(_HEAD, ANEW)
-    moved = base.poses
+    moved = widened(base.poses, columns)
     if mode == ANCHORS:
-        moved = moved + _read_moves(bits, old)
+        moved = moved + _read_moves(bits, old, columns)
     before = int(base.keyframes[-1]) if old else -1
     keyframes = before + np.cumsum(bits.get(_INDEX, fresh) + 1)
     ticks = _read_ticks(bits, base.ticks, fresh)
     poses = moved[:0] if mode == ANEW else moved
-    rest = bits.get_signed(_POSE, 6 * (old + fresh - len(poses))).reshape(-1, 6)
+    rest = bits.get_signed(_POSE[:columns], columns * (old + fresh - len(poses))).reshape(-1, columns)
     points = _read_points(bits, fresh)
     matches, transforms = _read_matches(bits, base)
     bits.end()
@@ -172,7 +176,7 @@ def decode(
         owner,
         version,
         frame,
-        unit,
+        1.0 if unit is None else unit,
         base.steps,
         np.concatenate([base.keyframes, keyframes]),
         np.concatenate([base.ticks, ticks]),
@@ -186,12 +190,14 @@ def decode(
     )
     if any(a.size and max(a.max(), -a.min()) > _LARGEST for a in (made.poses, made.cells, made.depths, made.ticks)):
         raise CodingError("numbers that no map holds")
+    if made.drifting and np.abs(made.poses[:, RIGID]).max(initial=0) * size(base.steps.rotation) > np.log(MAX_SCALE):
+        raise CodingError("a key-frame whose unit is out of range")
     if len(keyframes) and (keyframes[0] <= before or (np.diff(keyframes) <= 0).any() or keyframes[-1] > _LOW):
         raise CodingError("key-frames out of order")
     return made
 
 
-def _read_moves(bits: BitReader, old: int) -> Ints:
+def _read_moves(bits: BitReader, old: int, columns: int) -> Ints:
     if not old:
         raise CodingError("corrections of key-frames that are not there")
     between = bits.one(_HEAD, old)
@@ -199,7 +205,8 @@ def _read_moves(bits: BitReader, old: int) -> Ints:
     anchors = np.array(sorted({0, *inner.tolist(), old - 1}), dtype=np.intp)
     if len(anchors) != between + min(old, 2) or anchors[-1] != old - 1:
         raise CodingError("anchors that are not key-frames")
-    moves = np.cumsum(bits.get_signed(_MOVE, 6 * len(anchors)).reshape(-1, 6), axis=0)
+    steps = bits.get_signed(_MOVE[:columns], columns * len(anchors))
+    moves = np.cumsum(steps.reshape(-1, columns), axis=0)
     return interpolated(moves, anchors, old)
 
 

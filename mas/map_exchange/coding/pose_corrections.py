@@ -17,20 +17,20 @@ from .quantised_map import Ints
 
 @dataclass(frozen=True)
 class Bound:
-    """Largest difference of a copy's pose from the owner's, in quantisation steps."""
+    """Largest difference of a copy's pose from the owner's, in quantisation steps; ``rotation``: of its unit, too."""
 
     position: int = 4
     rotation: int = 4
 
     def worst(self, off: Ints) -> NDArray[np.float64]:
-        """``(K,)`` of ``(K, 6)``: above 1 where it is exceeded."""
-        shares = np.abs(off) / np.repeat([self.position, self.rotation], 3)
+        """``(K,)`` of ``(K, 6)`` or ``(K, 7)``: above 1 where it is exceeded."""
+        shares = np.abs(off) / np.repeat([self.position, self.rotation], [3, off.shape[1] - 3])
         worst: NDArray[np.float64] = shares.max(axis=1, initial=0.0)
         return worst
 
 
 def anchors_for(moves: Ints, bound: Bound) -> NDArray[np.intp]:
-    """The fewest anchors that bisecting at the worst key-frame finds for corrections ``(K, 6)`` within the bound."""
+    """The fewest anchors that bisecting at the worst key-frame finds for corrections ``(K, c)`` within the bound."""
     last = len(moves) - 1
     chosen = sorted({0, last})
     while True:
@@ -41,7 +41,7 @@ def anchors_for(moves: Ints, bound: Bound) -> NDArray[np.intp]:
 
 
 def interpolated(at_anchors: Ints, anchors: NDArray[np.intp], count: int) -> Ints:
-    """Corrections ``(count, 6)`` between those of the anchors ``(a, 6)``; the first and last row are anchors."""
+    """Corrections ``(count, c)`` between those of the anchors ``(a, c)``; the first and last row are anchors."""
     rows = np.arange(count)
     right = np.clip(np.searchsorted(anchors, rows, side="left"), min(1, len(anchors) - 1), len(anchors) - 1)
     left = np.maximum(right - 1, 0)

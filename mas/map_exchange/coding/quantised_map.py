@@ -21,6 +21,8 @@ from ...state.place_match import ReportedMatch
 Ints = NDArray[np.int64]
 
 TICK_NS = 1_000_000
+# Columns of a pose, and with the key-frame's own unit.
+RIGID, WITH_UNIT = 6, 7
 # Steps travel as powers of 2^(1/8).
 _STEPS_AN_OCTAVE = 8
 _LEAST_STEP, _MOST_STEP = -240, 240
@@ -70,11 +72,14 @@ def size(n: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class QuantisedMap:
-    """``version`` counts from 1; ``frame``: whose coordinates, ``unit``: what the owner's unit is worth there.
+    """``version`` counts from 1; ``frame``: whose coordinates, ``unit``: what the owner's unit is worth there, that of
+    its first key-frame where each has its own (``drifting``).
 
     ``keyframes``, ``ticks`` (milliseconds) ``(K,)``; ``poses`` ``(K, 6)``: position and rotation vector of ``T_F_C``;
-    ``counts`` ``(K,)``: points of each key-frame, whose ``cells`` ``(P, 2)`` are row and column of their direction and
-    ``depths`` ``(P,)`` the logarithm of z; ``descriptors`` ``(P, 32)`` or None; ``matches`` ``(m, 3)``: own key-frame
+    ``(K, 7)`` where it is drifting, then with the log of the key-frame's own unit in ``unit``. What a key-frame sees is
+    in its own unit and is never sold again, whatever an optimisation does to that. ``counts`` ``(K,)``: points of each
+    key-frame, whose ``cells`` ``(P, 2)`` are row and column of their direction and ``depths`` ``(P,)`` the logarithm of
+    z; ``descriptors`` ``(P, 32)`` or None; ``matches`` ``(m, 3)``: own key-frame
     (query), agent and key-frame of the match; ``transforms`` ``(m, 7)``: ``T_M_Q`` in the owner's unit, and log scale.
     """
 
@@ -103,12 +108,23 @@ class QuantisedMap:
         """``(P,)`` row of the key-frame of each point."""
         return np.repeat(np.arange(len(self.keyframes)), self.counts)
 
+    @property
+    def drifting(self) -> bool:
+        """Whether each key-frame has a unit of its own."""
+        return self.poses.shape[1] > RIGID
+
     def poses_F(self) -> Array:
-        """``(K, 4, 4)``, owner's unit."""
+        """``(K, 4, 4)``, in ``unit``."""
         return poses_of(self.poses, self.steps)
 
+    def units(self) -> Array:
+        """``(K,)``: each key-frame's own unit, in ``unit``."""
+        if not self.drifting:
+            return np.ones(len(self.poses))
+        return np.asarray(np.exp(self.poses[:, RIGID] * size(self.steps.rotation)))
+
     def points_C(self) -> Array:
-        """``(P, 3)`` in their key-frame's camera, owner's unit."""
+        """``(P, 3)`` in their key-frame's camera and unit."""
         return points_of(self.cells, self.depths, self.steps)
 
     def reported_matches(self) -> tuple[ReportedMatch, ...]:
@@ -130,18 +146,24 @@ def empty_map(owner: int, frame: FrameId, steps: Steps) -> QuantisedMap:
     return QuantisedMap(owner, 0, frame, 1.0, steps, none, none, rows[0], none, rows[1], none, None, rows[2], rows[3])
 
 
-def quantised(poses: Array, steps: Steps) -> Ints:
-    """``(K, 6)`` of ``(K, 4, 4)`` in the owner's unit."""
+def quantised(poses: Array, steps: Steps, units: Array | None = None) -> Ints:
+    """``(K, 6)`` of ``(K, 4, 4)`` in the owner's unit; ``(K, 7)`` with the key-frames' own ``units`` ``(K,)``."""
     t = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
-    rows = np.concatenate(
-        [t[:, :3, 3] / size(steps.position), so3_log(t[:, :3, :3]).reshape(-1, 3) / size(steps.rotation)], axis=1
-    )
-    return _rounded(rows)
+    rotation = size(steps.rotation)
+    rows = [t[:, :3, 3] / size(steps.position), so3_log(t[:, :3, :3]).reshape(-1, 3) / rotation]
+    if units is not None:
+        rows.append(np.log(units)[:, None] / rotation)
+    return _rounded(np.concatenate(rows, axis=1))
+
+
+def widened(poses: Ints, columns: int) -> Ints:
+    """``(K, columns)``: poses of a map that is not drifting as those of one that is, all units 1."""
+    return np.pad(poses, ((0, 0), (0, columns - poses.shape[1])))
 
 
 def poses_of(rows: Ints, steps: Steps) -> Array:
-    """Inverse of :func:`quantised`."""
-    return se3(so3_exp(rows[:, 3:] * size(steps.rotation)), rows[:, :3] * size(steps.position))
+    """The poses of :func:`quantised` rows."""
+    return se3(so3_exp(rows[:, 3:RIGID] * size(steps.rotation)), rows[:, :3] * size(steps.position))
 
 
 def quantised_match(T_M_Q: Sim3, steps: Steps) -> Ints:
