@@ -108,7 +108,7 @@ class Agent:
         if self._new or self.context.closing:
             effects += self.places.recall(self.policy.recall(self.state, self.outlook(), len(self._new)))
         self._new = []
-        effects += self.places.resume() + self.places.verification.resume()
+        effects += self.places.resume() + self.places.verification.resume() + self.places.widen()
         return self._settled(effects + self._pursue())
 
     def remind(self, now_ns: int) -> Effects:
@@ -127,9 +127,9 @@ class Agent:
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
         busy = self.optimisation.busy or bool(self.context.ledger.running()) or bool(self._new)
-        return (
-            self.context.closing and not busy and not self._pending() and self.final_round.over and not self._behind()
-        )
+        if not self.context.closing or busy or self._pending() or not self.final_round.over:
+            return False
+        return not self._behind() and not self.places.widening
 
     @property
     def waiting(self) -> bool:

@@ -33,6 +33,12 @@ class PlacesConfig(_Section):
         description="which of the descriptor's own distances: candidate keeps nearly all right matches, strict lets "
         "geometry verify fewer wrong ones",
     )
+    widen_keyframes: int | None = Field(
+        default=None,
+        ge=1,
+        description="while agents are not in one frame, verify one pair beyond the strict distance, within the "
+        "candidate's, for each so many own key-frames, and eight at the end; null: never",
+    )
     code: str = Field(
         default="int8",
         description="how a place vector travels: float32, int8, int4 (x128: its first 128 numbers only), pq32, pq16; "

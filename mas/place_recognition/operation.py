@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from .candidates import Candidate, Candidates, MatchCheck
 from .peer_queries import ClusterIndex, RecentQueries
 from .sent_queries import SentQueries
 from .verification import Verification, kind_of, match_end, verify, view_of
+from .wider_search import WiderSearch
 
 _FARTHEST = 2.0
 
@@ -51,6 +53,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         self._cluster = ClusterIndex()
         self._latest = RecentQueries(candidates, context.state.config.places.latest_frames)
         self.sent_queries = SentQueries()
+        self.wider = WiderSearch(candidates)
         self.distances: dict[int, float] = {}
         self._again = RetryBudget(context.state.config.link.retries)
 
@@ -62,6 +65,12 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
             return config.threshold
         strict = profile.strict_threshold if config.certainty == "strict" else None
         return profile.threshold if strict is None else strict
+
+    @property
+    def wide_threshold(self) -> float:
+        """The same for agents and tracks that are not in one frame yet: never below :attr:`threshold`."""
+        widened = self.state.config.places.widen_keyframes is not None
+        return max(self.threshold, self.state.profile.threshold) if widened else self.threshold
 
     def ask(self, keyframe: int, others: Iterable[int]) -> Effects:
         """Ask these agents about a key-frame, after those already waiting for them; the agent itself: where it owns
@@ -171,10 +180,28 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
             keyframe = answer.query
         elif isinstance(answer, PlaceRedirect) and answer.agent is not None:
             other = answer.agent
-        if answer.keyframe is None or answer.distance >= self.threshold:
+        if answer.keyframe is None or answer.distance >= self.wide_threshold:
             return NOTHING
         match = MatchId(self.state.me, keyframe, other, answer.keyframe)
-        return self.verification.request(Candidate(match, self.context.now_ns, answer.distance))
+        candidate = Candidate(match, self.context.now_ns, answer.distance)
+        if answer.distance < self.threshold:
+            return self.verification.request(candidate)
+        self.wider.keep(candidate)
+        return NOTHING
+
+    def widen(self) -> Effects:
+        """Have candidates beyond the strict distance verified, while agents are not in one frame."""
+        effects = NOTHING
+        for candidate in self.wider.due(self.context.closing):
+            if self.context.may_call(candidate.id.match_agent, OperationKind.RELPOSE):
+                self.wider.take(candidate)
+                effects += self.verification.request(replace(candidate, now_ns=self.context.now_ns))
+        return effects
+
+    @property
+    def widening(self) -> bool:
+        """Whether there are candidates to be verified before the agent is done."""
+        return any(self.context.may_call(c.id.match_agent) for c in self.wider.due(self.context.closing))
 
     def _ask_own_log(self, keyframe: int) -> Effects:
         """The agent owns the cluster of its own key-frame: no message needed. It compares what would have travelled."""
@@ -220,10 +247,12 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         if not keyframe.textured or not newest:
             return NOTHING
         found = self.candidates.nearest(keyframe.vector, below=newest)
-        if found is None or found[1] >= self.threshold:
+        if found is None or found[1] >= self.wide_threshold:
             return NOTHING
-        me = self.state.me
-        candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.context.now_ns, found[1])
+        wider, me = found[1] >= self.threshold, self.state.me
+        if wider and self.state.piece_of(found[0]).frame == self.state.piece_of(keyframe.index).frame:
+            return NOTHING
+        candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.context.now_ns, found[1], wider=wider)
         if not self.candidates.propose(candidate):
             return NOTHING
         return self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])

@@ -63,6 +63,7 @@ PRESETS: dict[str, MasConfig] = {
         places=PlacesConfig(
             code="int4",
             certainty="strict",
+            widen_keyframes=50,
             gap_keyframes=6,
             gap_most_keyframes=12,
             max_points=400,

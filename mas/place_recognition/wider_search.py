@@ -1,0 +1,116 @@
+"""The search for places grows wider while two agents are not in one frame.
+
+Candidates within the strict distance are verified at once. Those beyond it, but within the candidate's, are kept, and
+while nothing joins the two agents the likeliest of them are verified too: one for so many own key-frames, a few more
+when all sequences are over, and more near one that geometry confirms and no other match supports yet. So the bytes are
+bounded whatever the images are; what counts as a match is what counted before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from ..protocol.ids import MatchId
+from ..state.agent_state import AgentState
+from .candidates import Candidate, Candidates
+
+# Key-frames between two candidates, at both ends, within which they support each other.
+_NEAR = 5
+# More supporters than this say nothing new.
+_SUPPORTERS = 2
+# Pairs beside one that geometry confirmed, at most; not before so many own key-frames have passed: most matches find
+# their support by themselves.
+_MORE, _PATIENCE = 3, 10
+# Candidates more once all sequences are over.
+_CLOSING = 8
+
+
+@dataclass(eq=False)
+class WiderSearch:
+    """``candidates``: all of the agent's; ``used``: wider candidates verified so far, beside those near a match that
+    geometry confirmed."""
+
+    candidates: Candidates
+    used: int = 0
+    _kept: dict[MatchId, Candidate] = field(default_factory=dict)
+
+    def keep(self, candidate: Candidate) -> None:
+        """A candidate beyond the strict distance."""
+        if self._every is not None:
+            self._kept[candidate.id] = replace(candidate, wider=True)
+
+    def due(self, closing: bool) -> list[Candidate]:
+        """Candidates to be verified now, at most one for each agent that nothing joins to this one."""
+        if self._every is None:
+            return []
+        chosen = {c.id.match_agent: c for c in reversed(self._beside_evidence(0 if closing else _PATIENCE))}
+        room = len(self._state.keyframes) // self._every + (_CLOSING if closing else 0) - self.used
+        for other, kept in self._unjoined().items():
+            if other not in chosen and room > 0:
+                chosen[other] = min(kept, key=lambda c: (-_support(c, kept), c.distance, c.id))
+                room -= 1
+        return [chosen[other] for other in sorted(chosen)]
+
+    def take(self, candidate: Candidate) -> None:
+        """It is verified now."""
+        if candidate.id in self._kept:
+            del self._kept[candidate.id]
+            self.used += 1
+
+    @property
+    def _state(self) -> AgentState:
+        return self.candidates.state
+
+    @property
+    def _every(self) -> int | None:
+        return self._state.config.places.widen_keyframes
+
+    def _unjoined(self) -> dict[int, list[Candidate]]:
+        """What is kept, by agents that nothing joins to this one, in their order."""
+        found: dict[int, list[Candidate]] = {}
+        for _, candidate in sorted(self._kept.items()):
+            if candidate.id.match_agent not in self._state.group:
+                found.setdefault(candidate.id.match_agent, []).append(candidate)
+        return dict(sorted(found.items()))
+
+    def _beside_evidence(self, patience: int) -> list[Candidate]:
+        """Of each own verified match that no other supports, ``patience`` key-frames later: the next pair of
+        neighbouring key-frames, a few in all. Views next to two that geometry joins overlap as well, however far apart
+        their vectors are."""
+        found, newest = [], len(self._state.keyframes) - 1 - patience
+        mine = [m for m in self._state.verified if m.query_agent == self._state.me and m.query <= newest]
+        unsupported = [m for m in mine if self._is_alone(m)]
+        for match in sorted(unsupported):
+            beside = [c for c in self.candidates.by_id if _apart(c, match) == 1]
+            fresh = [m for m in self._neighbours(match) if m not in self.candidates.by_id]
+            if fresh and len(beside) < _MORE:
+                found.append(Candidate(fresh[0], 0, float("nan"), wider=True))
+        return found
+
+    def _is_alone(self, match: MatchId) -> bool:
+        return match not in self._state.accepted and match.match_agent not in self._state.group
+
+    def _neighbours(self, match: MatchId) -> list[MatchId]:
+        """Pairs of the key-frames next to a match's that are known to exist."""
+        mine, theirs = len(self._state.keyframes), self._known_of(match.match_agent)
+        steps = [(1, 1), (-1, -1), (1, 0), (-1, 0), (0, -1), (0, 1), (1, -1), (-1, 1)]
+        pairs = [(match.query + a, match.match + b) for a, b in steps]
+        there = [(q, m) for q, m in pairs if 0 <= q < mine and 0 <= m < theirs]
+        return [MatchId(match.query_agent, q, match.match_agent, m) for q, m in there]
+
+    def _known_of(self, other: int) -> int:
+        """Number of the other's key-frames, as far as its answers tell."""
+        named = [m.match for m in (*self.candidates.by_id, *self._kept) if m.match_agent == other]
+        return max(named, default=-1) + 1
+
+
+def _support(candidate: Candidate, kept: list[Candidate]) -> int:
+    """Other candidates that say the same of neighbouring key-frames, up to a few."""
+    return min(sum(_apart(candidate.id, c.id) <= _NEAR for c in kept if c is not candidate), _SUPPORTERS)
+
+
+def _apart(one: MatchId, other: MatchId) -> float:
+    """Key-frames between two candidates of the same two agents, at the end where there are more."""
+    if (one.query_agent, one.match_agent) != (other.query_agent, other.match_agent):
+        return float("inf")
+    return max(abs(one.query - other.query), abs(one.match - other.match))

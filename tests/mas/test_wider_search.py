@@ -1,0 +1,96 @@
+"""Candidates beyond the strict distance while agents are not in one frame: they join, the bytes stay bounded."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from factory import circuit, make_sequence, make_world, manifest_of, town
+
+from maslam.backend.geometry import Sim3
+from maslam.mas.config import MasConfig
+from maslam.mas.place_recognition.candidates import Candidate
+from maslam.mas.place_recognition.wider_search import _CLOSING
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import MatchId
+from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.simulation import make_agents, run
+from maslam.mas.state.keyframe import keyframes_of
+from maslam.mas.state.place_match import Match, MatchEnd
+
+
+def nothing_is_strict(manifest: Manifest) -> Manifest:
+    """The same vectors under a descriptor whose strict distance none of them reaches."""
+    entry = manifest.descriptor.model_copy(update={"threshold": 1.2, "strict_threshold": 1e-6})
+    return manifest.model_copy(update={"descriptor": entry})
+
+
+def widened(every: int | None) -> MasConfig:
+    config = preset("maslam")
+    return config.model_copy(update={"places": config.places.model_copy(update={"widen_keyframes": every})})
+
+
+def verified_pairs(folder: Path) -> list[dict[str, str]]:
+    with open(folder / "matches.csv", newline="") as file:
+        return [row for row in csv.DictReader(file) if row["outcome"] != "skipped"]
+
+
+def test_agents_that_strict_distances_keep_apart_join(tmp_path: Path) -> None:
+    manifest, sequences = town(2, 40, spacing_m=10.0, drifting=0.01)
+    apart = run(nothing_is_strict(manifest), sequences, widened(None), tmp_path / "apart")
+    assert apart.groups == [[0], [1]] and not verified_pairs(tmp_path / "apart")
+    joined = run(nothing_is_strict(manifest), sequences, widened(10), tmp_path / "joined")
+    assert joined.groups == [[0, 1]] and joined.matches.false_accepted == 0
+    assert joined.matches.accepted >= 2
+
+
+def strangers() -> tuple[Manifest, list[AgentSequence]]:
+    """Two agents in worlds of their own: nothing that they see is the same place."""
+    sequences = [make_sequence(make_world(seed), circuit(0.0, 45.0), 0, seed) for seed in (0, 1)]
+    return manifest_of(sequences), sequences
+
+
+@pytest.mark.parametrize("every", [10, 30])
+def test_the_search_is_bounded_and_finds_nothing_that_is_not_there(tmp_path: Path, every: int) -> None:
+    manifest, sequences = strangers()
+    entry = manifest.descriptor.model_copy(update={"threshold": 2.0, "strict_threshold": 1e-6})
+    summary = run(manifest.model_copy(update={"descriptor": entry}), sequences, widened(every), tmp_path / "run")
+    keyframes = len(sequences[1].keyframe_stamps_ns)
+    checked = len(verified_pairs(tmp_path / "run"))
+    assert 0 < checked <= 2 * (keyframes // every + _CLOSING), "both agents ask"
+    assert summary.groups == [[0], [1]] and summary.matches.accepted == 0
+
+
+def test_where_agents_join_by_strict_distances_nothing_wider_is_verified(tmp_path: Path) -> None:
+    manifest, sequences = town(2, 40, spacing_m=10.0, drifting=0.01)
+    without = run(manifest, sequences, widened(None), tmp_path / "without")
+    with_it = run(manifest, sequences, widened(50), tmp_path / "with")
+    assert without.groups == [[0, 1]]
+    assert with_it.traffic["total"].wire_bytes == without.traffic["total"].wire_bytes
+
+
+def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:
+    """Not at once, as most find their support by themselves; then at most three pairs of the next key-frames."""
+    manifest, sequences = town(2, 40)
+    agent = make_agents(manifest, sequences, widened(1000))[0]
+    state, search = agent.state, agent.places.wider
+    for keyframe in keyframes_of(sequences[0])[:11]:
+        state.observe(keyframe)
+    end = MatchEnd(0, np.eye(4), 0.0)
+    alone = MatchId(0, 10, 1, 4)
+    state.add_match(Match(alone, end, end, Sim3.identity(), np.eye(6), 30, 10.0))
+    agent.candidates.by_id[alone] = Candidate(alone, 0, 0.5)
+    assert search.due(closing=False) == []
+    for keyframe in keyframes_of(sequences[0])[11:22]:
+        state.observe(keyframe)
+    asked = []
+    while due := search.due(closing=False):
+        search.take(due[0])
+        agent.candidates.propose(due[0])
+        asked.append(due[0].id)
+    assert len(asked) == 3 and len(set(asked)) == 3
+    assert all(max(abs(m.query - 10), abs(m.match - 4)) == 1 and m.match <= 4 for m in asked), "5 may not exist"
+    state.join([1])
+    assert search.due(closing=True) == []
