@@ -24,7 +24,7 @@ _UNKNOWN_SCALE = 100.0
 
 
 class UnknownPart(MasError):
-    """A task names a track or match that the agent does not have."""
+    """A task names a track, match or unit that the agent does not have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,8 @@ def _links(state: AgentState, matches: list[MatchId]) -> Links:
 def share_of(state: AgentState, task: OptimiseTask) -> Share:
     """The agent's part of the group's graph, in the task's coordinates; :class:`UnknownPart` if the task names what it
     does not have."""
+    if (state.me in task.arbitrary) == state.profile.metric:
+        raise UnknownPart("a unit of its own, where it has the metre, or the other way round")
     strange = set(task.tracks) - {p.track for p in state.pieces}
     if strange:
         raise UnknownPart(f"a track it does not have: {min(strange)}")

@@ -56,8 +56,8 @@ class Sequences:
 
     @property
     def metric(self) -> bool:
-        """Whether lengths are metres; with one camera each track has a unit of its own."""
-        return self.manifest.scale == "metric"
+        """Whether all agents' lengths are metres; with one camera each track has a unit of its own."""
+        return all(agent.metric for agent in self.manifest.agents)
 
     def read(self) -> list[AgentSequence]:
         """Tracks, place vectors and trajectory of each agent, all in memory."""

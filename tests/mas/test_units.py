@@ -19,7 +19,7 @@ from maslam.mas.protocol.tasks import OptimiseTask
 from maslam.mas.protocol.tensors import pack_sim3s, unpack_sim3s
 from maslam.mas.state.agent_state import AgentState
 from maslam.mas.state.place_match import Match, MatchEnd
-from maslam.mas.state.pose_graph import adopt, match_edge, odometry_edges, own_graph, share_of, terms
+from maslam.mas.state.pose_graph import UnknownPart, adopt, match_edge, odometry_edges, own_graph, share_of, terms
 
 # -- state and graph --------------------------------------------------------------------------------------------------
 
@@ -66,6 +66,13 @@ def test_an_agent_that_knows_the_metre_brings_no_units() -> None:
     assert not share.units and share.arbitrary_scale == {1} and share.anchor == 0
     assert all(e.scale_sigma is None for e in share.edges)
     assert set(state.units) == {1.0}
+
+
+@pytest.mark.parametrize(("scale", "arbitrary"), [(1.0, (0, 1)), (1.0, (0,)), (0.5, ()), (0.5, (1,))])
+def test_a_task_that_takes_an_agent_for_another_kind_is_refused(scale: float, arbitrary: tuple[int, ...]) -> None:
+    state, _ = seen(3, scale=scale)
+    with pytest.raises(UnknownPart, match="unit"):
+        share_of(state, task_of(state, Sim3.identity(), FrameId(0, 0), arbitrary=arbitrary))
 
 
 def test_what_is_adopted_is_what_was_found_and_later_key_frames_follow() -> None:

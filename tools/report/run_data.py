@@ -97,7 +97,8 @@ class RunData:
         estimate, truth_xyz = np.concatenate(estimates), np.concatenate(truths)
         if len(estimate) < MIN_POSES:
             return Sim3.identity()
-        return trajectory_error(estimate, truth_xyz, self.manifest.scale == "arbitrary").T_truth_estimate
+        metric = all(self.manifest.agents[index].metric for index, _ in pieces)
+        return trajectory_error(estimate, truth_xyz, with_scale=not metric).T_truth_estimate
 
     def position_at(self, agent: int, stamp_ns: int) -> Array | None:
         """Position ``(3,)`` in the world of ``agent`` at ``stamp_ns`` on the source's clock; None without a pose within
