@@ -153,7 +153,9 @@ class OptimisationConfig(_Section):
         default=0.0005, gt=0, description="plus this share of the key-frame's median depth"
     )
     odometry_sigma_deg: float = Field(default=0.03, gt=0, description="1 sigma of an odometry step's rotation, degrees")
-    odometry_sigma_scale: float = Field(default=0.01, gt=0, description="one camera: 1 sigma of a step's log scale")
+    odometry_sigma_scale: float = Field(
+        default=0.005, gt=0, description="one camera: 1 sigma of the log of the scale's drift in an odometry step"
+    )
     match_sigma_depth: float = Field(
         default=0.005, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
     )
