@@ -15,19 +15,29 @@ from ..agent import Agent
 from ..config import MasConfig
 from ..contracts.effects import Event
 from ..protocol.ids import MatchId
-from ..sequence import AgentSequence
+from ..sequence import AgentSequence, LeftOutEntry
 from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
+from .coverage import coverage_of
 from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames
 from .map_copies import map_copies
 from .reputation_figures import fault_figures, reputations
-from .summary import Errors, MatchFigures, OptimisationFigures, Summary, TrafficFigures
+from .summary import (
+    Alignments,
+    Errors,
+    MatchFigures,
+    MeasuredOn,
+    OptimisationFigures,
+    Summary,
+    TrafficFigures,
+)
 
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run at its end: agents with their sequences, the transport with its counts, the event log."""
+    """A run at its end: agents with their sequences, the transport with its counts, the event log; ``left_out``:
+    sequences without an agent."""
 
     agents: Sequence[Agent]
     sequences: Sequence[AgentSequence]
@@ -35,6 +45,7 @@ class FinishedRun:
     transport: Transport
     events: Sequence[Event]
     steps: int
+    left_out: Sequence[LeftOutEntry] = ()
 
 
 def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[MatchId, MatchError]) -> Summary:
@@ -45,6 +56,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
     maps = [evaluator.map_error(a) for a in agents]
     connected = evaluator.connected_errors(agents)
     columns = (own, maps, [connected.get(a.state.me) for a in agents])
+    kind = "Sim(3)" if evaluator.with_scale else "SE(3)"
     rmse = [None if e is None else e.rmse_m for e in odometry]
     traffic = {t.value: _traffic([count]) for t, count in transport.by_operation.items()}
     return Summary(
@@ -67,6 +79,14 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         odometry_mean_rmse_m=_mean(rmse),
         path_length_m=[evaluator.path_length_m(a.state.me) for a in agents],
         exploration_percent=[evaluator.exploration_percent(a) for a in agents],
+        alignments=Alignments(
+            agents=_alignments(own, kind),
+            maps=_alignments(maps, kind),
+            connected=_alignments(columns[2], kind),
+            odometry=_alignments(odometry, kind),
+        ),
+        coverage=[coverage_of(a, s) for a, s in zip(agents, sequences, strict=True)],
+        left_out=list(run.left_out),
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
         optimisations=_optimisations(run.events),
@@ -80,6 +100,13 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
 def _errors(columns: tuple[list[TrajectoryError | None], ...], name: str) -> Errors:
     own, maps, connected = ([None if e is None else float(getattr(e, name)) for e in column] for column in columns)
     return Errors(agents=own, maps=maps, connected=connected, mean_agents=_mean(own), mean_maps=_mean(maps))
+
+
+def _alignments(errors: Sequence[TrajectoryError | None], kind: str) -> list[MeasuredOn | None]:
+    return [
+        None if e is None else MeasuredOn(kind=kind, scale=float(e.T_truth_estimate.scale), frames=len(e.errors_m))
+        for e in errors
+    ]
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

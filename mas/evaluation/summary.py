@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
+from ..sequence import LeftOutEntry, LostEntry
+
 
 class _Figures(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -21,6 +23,41 @@ class Errors(_Figures):
     connected: list[float | None]
     mean_agents: float | None
     mean_maps: float | None
+
+
+class MeasuredOn(_Figures):
+    """What an error was measured on and after: ``kind``: SE(3) or Sim(3); ``scale``: metres of the truth in one unit
+    of the estimate (1 with SE(3)); ``frames``: poses that have a true one: frames of a trajectory, key-frames of
+    maps."""
+
+    kind: str
+    scale: float
+    frames: int
+
+
+class Alignments(_Figures):
+    """The alignment behind each error, one an agent, None where there is none: ``agents``, ``maps``, ``connected`` of
+    :class:`Errors`, and ``odometry``."""
+
+    agents: list[MeasuredOn | None]
+    maps: list[MeasuredOn | None]
+    connected: list[MeasuredOn | None]
+    odometry: list[MeasuredOn | None]
+
+
+class Coverage(_Figures):
+    """How much of what an agent read has a place in the end: frames ``read``, ``tracked`` (by odometry) and ``placed``
+    (in the agent's reference frame); its ``tracks`` and those that are joined, ``tracks_placed``; intervals of ``lost``
+    and of ``doubtful`` frames. ``sequence``: name of the images in the source."""
+
+    sequence: str
+    read: int
+    tracked: int
+    placed: int
+    tracks: int
+    tracks_placed: int
+    lost: list[LostEntry]
+    doubtful: list[LostEntry] = []
 
 
 class TrafficFigures(_Figures):
@@ -58,7 +95,7 @@ class OptimisationFigures(_Figures):
 
 class MapCopyFigures(_Figures):
     """One map copy: errors under its holder's alignment; ``points_off_m``: median distance of its points from where
-    their owner has them at the end (null: in other coordinates)."""
+    their owner has them at the end (null: in other coordinates, or in a unit that nothing relates to metres)."""
 
     holder: int
     owner: int
@@ -107,7 +144,9 @@ class Timing(_Figures):
 
 class Summary(_Figures):
     """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation,
-    under each agent's own alignment. ``path_length_m`` from ground truth. ``refused_messages``: dropped as
+    under each agent's own alignment. ``path_length_m`` from ground truth. ``exploration_percent``: of each agent,
+    frames that have a place in its own map or in a copy it holds (of a copy those between neighbouring key-frames, of
+    which it holds both), over all frames read of all agents, each counted once. ``refused_messages``: dropped as
     unbelievable."""
 
     version: str
@@ -131,6 +170,9 @@ class Summary(_Figures):
     odometry_mean_rmse_m: float | None
     path_length_m: list[float | None]
     exploration_percent: list[float]
+    alignments: Alignments | None = Field(default=None, description="None: a run before they were written")
+    coverage: list[Coverage] = Field(default=[], description="of each agent; empty: a run before it was written")
+    left_out: list[LeftOutEntry] = Field(default=[], description="sequences of the source without an agent")
     traffic: dict[str, TrafficFigures]
     matches: MatchFigures
     optimisations: OptimisationFigures

@@ -15,7 +15,7 @@ from maslam.backend.pose_graph.g2o import read_g2o
 from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.frontend.files.trajectory import Trajectory, read_tum
 from maslam.mas.config import MasConfig
-from maslam.mas.evaluation.summary import Summary, Timing
+from maslam.mas.evaluation.summary import Coverage, Summary, Timing
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentEntry, AgentSequence, Manifest, load_sequences, read_manifest
 from maslam.tools.common.errors import ToolError
@@ -97,13 +97,15 @@ class AgentResult:
     """What one agent ended with. Trajectories are ``T_W_C`` (camera to world; +X right, +Y down, +Z forward), stamps in
     nanoseconds since the agent's first image; W is common to all agents of a group (``Run.summary.groups``).
 
-    ``trajectory``: every frame that was tracked; ``truth``: in the frame of the ground truth, None without.
+    ``trajectory``: every frame that has a place in W; ``truth``: in the frame of the ground truth, None without;
+    ``coverage``: how many frames were read, tracked, placed, and which were lost why; None of a run before 0.3.
     """
 
     folder: Path
     index: int
     trajectory: Trajectory
     truth: Trajectory | None
+    coverage: Coverage | None = None
 
     @property
     def name(self) -> str:
@@ -167,20 +169,21 @@ class Run:
     @cached_property
     def agents(self) -> tuple[AgentResult, ...]:
         """What each agent ended with."""
+        coverage = self.summary.coverage or [None] * len(self._data.agents)
         return tuple(
-            AgentResult(self.folder / agent.name, agent.index, agent.estimate, agent.truth)
-            for agent in self._data.agents
+            AgentResult(self.folder / agent.name, agent.index, agent.estimate, agent.truth, covered)
+            for agent, covered in zip(self._data.agents, coverage, strict=True)
         )
 
     @property
     def trajectories(self) -> tuple[Trajectory, ...]:
-        """Of each agent, every frame that was tracked: see :class:`AgentResult`."""
+        """Of each agent, every frame that has a place: see :class:`AgentResult`."""
         return tuple(agent.trajectory for agent in self.agents)
 
     @property
     def positions_in_truth(self) -> tuple[NDArray[np.float64], ...]:
         """Of each agent ``(N, 3)``, metres: its trajectory laid on the ground truth, each group by one alignment
-        (SE(3), with one camera Sim(3)); without ground truth as in its own frame."""
+        (SE(3), with one camera Sim(3)); without ground truth as in its own frame, in that frame's unit."""
         return tuple(self._data.in_world)
 
     @cached_property

@@ -31,6 +31,7 @@ from maslam.mas.sequence import (
     AgentEntry,
     CameraEntry,
     DescriptorEntry,
+    LeftOutEntry,
     LostEntry,
     Manifest,
     SplitEntry,
@@ -64,8 +65,9 @@ def write_sequences(
     model: PlaceDescriptor,
     split: SplitEntry | None,
     settings: dict[str, Any],
+    left_out: tuple[LeftOutEntry, ...] = (),
 ) -> Manifest:
-    """Write the SEQS folder ``out``; ``settings`` are noted in its manifest."""
+    """Write the SEQS folder ``out``; ``settings`` and the sequences ``left_out`` are noted in its manifest."""
     metric = {plan.sequence.rig.metric for plan in plans}
     if len(metric) > 1:
         raise ToolError(
@@ -90,6 +92,7 @@ def write_sequences(
         ),
         agents=tuple(entries),
         split=split,
+        left_out=left_out,
         settings=settings,
     )
     write_manifest(out, manifest)
@@ -131,7 +134,7 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor) -> AgentEnt
         tracks=len(used),
         start_ns=plan.start_ns,
         camera=CameraEntry.from_rig(plan.sequence.rig),
-        lost=_lost(plan),
+        lost=lost_frames(plan, trajectory.stamps_ns + plan.start_ns),
     )
 
 
@@ -183,14 +186,21 @@ def _during(plan: SharePlan, trajectory: Trajectory) -> Trajectory:
     return Trajectory(trajectory.stamps_ns[inside] - plan.start_ns, trajectory.poses[inside])
 
 
-def _lost(plan: SharePlan) -> tuple[LostEntry, ...]:
+def lost_frames(plan: SharePlan, placed_ns: NDArray[np.int64]) -> tuple[LostEntry, ...]:
+    """The intervals of frames of the agent's block that have no pose at ``placed_ns`` (the source's clock): where
+    odometry says why, in its words; the others were not readable, or are of a track without a key-frame here."""
     first, last = plan.share.first, plan.share.last
+    stamps = plan.sequence.stamps_ns[first : last + 1]
+    reasons = np.full(len(stamps), "the image could not be read", dtype=object)
+    tracked = np.concatenate([t.stamps_ns for t in plan.tracked.trajectories])
+    reasons[np.isin(stamps, tracked)] = "tracked, but no key-frame of its track is the agent's"
+    gap = np.full(len(stamps), -1)  # intervals of odometry stay apart, also where they touch
+    for number, lost in enumerate(plan.tracked.lost):
+        inside = slice(max(lost.first_frame - first, 0), max(lost.last_frame + 1 - first, 0))
+        gap[inside], reasons[inside] = number, lost.reason
+    rows = np.flatnonzero(~np.isin(stamps, placed_ns))
+    changes = (np.diff(rows) > 1) | (np.diff(gap[rows]) != 0) | (reasons[rows][1:] != reasons[rows][:-1])
+    runs = np.split(rows, np.flatnonzero(changes) + 1) if len(rows) else []
     return tuple(
-        LostEntry(
-            first_frame=max(gap.first_frame, first) - first,
-            last_frame=min(gap.last_frame, last) - first,
-            reason=gap.reason,
-        )
-        for gap in plan.tracked.lost
-        if gap.first_frame <= last and gap.last_frame >= first
+        LostEntry(first_frame=int(run[0]), last_frame=int(run[-1]), reason=str(reasons[run[0]])) for run in runs
     )

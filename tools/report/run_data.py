@@ -80,9 +80,29 @@ class RunData:
                 transforms[i] = T
         return transforms
 
+    def is_aligned(self, agent: int) -> bool:
+        """Whether the truth says where the agent's frame stands in the world."""
+        return self._known[agent]
+
+    @cached_property
+    def _known(self) -> list[bool]:
+        paired = [0] * len(self.agents)
+        for agent in self.agents:
+            if agent.truth is not None and len(agent.truth):
+                rows = agent.truth.nearest(agent.estimate.stamps_ns, TRUTH_TOLERANCE_NS)
+                paired[agent.index] = int((rows >= 0).sum())
+        enough = {i: sum(paired[k] for k in group) >= MIN_POSES for group in self.groups for i in group}
+        return [enough.get(agent.index, False) for agent in self.agents]
+
+    def unit(self, agent: int) -> str:
+        """The unit of length of the agent's positions in :attr:`in_world`: metres, where cameras or the truth give
+        them; with one camera alone a unit of its own."""
+        metric = self.manifest.scale == "metric" or self.is_aligned(agent)
+        return "metres" if metric else "arbitrary unit (one camera, no scale)"
+
     @cached_property
     def in_world(self) -> list[Array]:
-        """Positions ``(N, 3)`` of each agent in the world, metres."""
+        """Positions ``(N, 3)`` of each agent in the world, in its :meth:`unit`."""
         return [T @ agent.estimate.centres for T, agent in zip(self.T_world_agent, self.agents, strict=True)]
 
     def alignment(self, pieces: Sequence[tuple[int, Trajectory]]) -> Sim3:

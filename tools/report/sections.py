@@ -24,6 +24,7 @@ from .charts import (
     top_view,
     traffic_matrix,
 )
+from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
 from .run_data import AgentData, RunData
@@ -52,6 +53,7 @@ def tiles(run: RunData) -> list[Tile]:
     total = s["traffic"]["total"]
     return [
         *_error_tiles(run),
+        *_placed_tile(run),
         Tile("agents in one frame", f"{biggest} of {s['agents']}", mood=shared),
         Tile("accepted matches", str(accepted), known, judged),
         Tile("exploration, mean", f"{np.mean(exploration):.0f} %", f"minimum {min(exploration):.0f} %"),
@@ -64,17 +66,32 @@ def _error_tiles(run: RunData) -> list[Tile]:
     after, before = run.summary["ate_rmse_m"]["mean_agents"], run.summary["odometry_mean_rmse_m"]
     paths = [p for p in run.summary["path_length_m"] if p]
     if after is None:
-        return [Tile("mean ATE", "unknown", "no ground truth")]
+        return [
+            Tile("mean ATE", "unknown", "no ground truth" if not run.has_truth else "too few poses with a true one")
+        ]
     better = before is not None and after < before
     share = f" ({100 * after / np.mean(paths):.2f} % of the path)" if paths else ""
     alone = "" if before is None else f"odometry alone {before:.3f} m"
-    return [Tile(f"mean ATE{share}", f"{after:.3f} m", alone, "good" if better else "")]
+    detail = "; ".join(part for part in (alone, measured_on(run.summary)) if part)
+    return [Tile(f"mean ATE{share}", f"{after:.3f} m", detail, "good" if better else "")]
+
+
+def _placed_tile(run: RunData) -> list[Tile]:
+    """Frames with a place; red where more than a tenth of those read have none."""
+    coverage = run.summary.get("coverage") or []
+    if not coverage:
+        return []
+    left_out = sum(one["frames"] for one in run.summary.get("left_out") or [])
+    placed, read = sum(c["placed"] for c in coverage), sum(c["read"] for c in coverage) + left_out
+    mood = "bad" if placed < 0.9 * read else ""
+    return [Tile("frames placed", f"{placed} of {read}", f"{100 * placed / max(read, 1):.1f} %", mood)]
 
 
 def sections(run: RunData) -> list[Section]:
     """The whole report."""
     return [
         *_map(run),
+        *_coverage(run),
         _copies(run),
         _errors(run),
         _bytes(run),
@@ -92,14 +109,19 @@ def _agent_legend(run: RunData) -> str:
 
 
 def _map(run: RunData) -> list[Section]:
-    """One chart with truth; without it, one for each frame, since nothing relates two frames."""
+    """One chart of all that the truth relates; the others by frame, since nothing relates two frames."""
     note = "Top view. Dark links join the two places of each accepted match."
-    if run.has_truth:
+    laid = [agent.index for agent in run.agents if run.is_aligned(agent.index)]
+    apart = [group for group in run.groups if group[0] not in laid and any(len(run.in_world[i]) for i in group)]
+    if laid:
         note += " One transform lays each group of agents that shares a frame on the ground truth."
-        charts = [_map_of(run, [agent.index for agent in run.agents])]
-    else:
-        note += " There is no ground truth: each group of agents is drawn in its own frame."
-        charts = [_map_of(run, group) for group in sorted(run.groups, key=lambda group: (-len(group), group))]
+    if apart:
+        without = "They have too little of it" if laid else "There is no ground truth"
+        note += f" {without}: each {'other ' if laid else ''}group of agents is drawn in its own frame."
+    if apart and run.manifest.scale != "metric":
+        note += " With one camera alone, a frame's unit of length is its own and no metre."
+    shown = ([laid] if laid else []) + sorted(apart, key=lambda group: (-len(group), group))
+    charts = [_map_of(run, group) for group in shown]
     shared = len(run.groups) == 1
     title = (
         "Trajectory"
@@ -112,7 +134,22 @@ def _map(run: RunData) -> list[Section]:
 
 
 def _map_of(run: RunData, members: list[int]) -> str:
-    return f'<div class="wide">{map_chart(top_view(run, members))}</div>'
+    return f'<div class="wide">{map_chart(top_view(run, members), run.unit(members[0]))}</div>'
+
+
+def _coverage(run: RunData) -> list[Section]:
+    """Frames read, tracked, placed; what was lost and why."""
+    rows = coverage_rows(run.summary)
+    if not rows:
+        return []
+    note = (
+        "Frames that were read; of those, tracked by odometry; of those, placed in the frame that the agent ended in. "
+    )
+    note += "All other figures are about the placed ones."
+    cells = [[escape(cell) for cell in row] for row in rows]
+    lost = "".join(f"<li>{escape(line)}</li>" for line in lost_lines(run.summary))
+    body = f'<div class="scroll">{table(["agent", *HEAD], cells, total=len(rows) > 1)}</div>'
+    return [Section("Coverage", note, body + (f"<ul>{lost}</ul>" if lost else "<p>No frame was lost.</p>"))]
 
 
 def _copies(run: RunData) -> Section:
@@ -130,10 +167,11 @@ def _copies(run: RunData) -> Section:
 
 
 def _held(run: RunData, agent: AgentData) -> TopView:
-    axes, pieces = axes_of(run), [(agent.index, agent.estimate), *sorted(agent.copies.items())]
-    T = run.alignment(pieces)
+    pieces = [(agent.index, agent.estimate), *sorted(agent.copies.items())]
+    axes, T = axes_of(run, [agent.index]), run.alignment(pieces)
     paths = [Path2D(run.agents[i].name, (T @ t.centres)[:, axes], i, faint=i != agent.index) for i, t in pieces]
-    return TopView(paths, [t.centres[:, axes] for i, _ in pieces if (t := run.agents[i].truth) is not None])
+    truths = [run.agents[i].truth for i, _ in pieces] if run.is_aligned(agent.index) else []
+    return TopView(paths, [truth.centres[:, axes] for truth in truths if truth is not None])
 
 
 def _errors(run: RunData) -> Section:
@@ -149,8 +187,9 @@ def _errors(run: RunData) -> Section:
             ("Own map and all copies held", maps, "ATE RMSE, m"),
         )
     ]
-    note = "Position error after alignment, of the key-frames that each agent had at that moment (the table counts all "
-    note += "frames). Dotted lines: an optimisation ended."
+    kind = "Sim(3)" if run.manifest.scale != "metric" else "SE(3)"
+    note = f"Position error after {kind} alignment, of the key-frames that each agent had at that moment (the table "
+    note += "counts all frames). Dotted lines: an optimisation ended."
     mean: list[tuple[str, str, tuple[int, ...]]] = [("mean", INK, ())] if len(run.agents) > 1 else []
     key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
     return Section("Error over time", note, f'{key}<div class="columns">{"".join(charts)}</div>{_error_table(run)}')
@@ -192,7 +231,8 @@ def _exploration(run: RunData) -> Section:
     exploration = run.summary["exploration_percent"]
     entries = [(a.name, exploration[a.index], f"{exploration[a.index]:.1f} %", colour_of(a.index)) for a in run.agents]
     note = (
-        "Frames of an agent's own map and the copies it holds, over all frames of all agents, each frame counted once."
+        "Frames with a place in an agent's own map or in a copy it holds, over all frames that all agents have read, "
+        "each frame counted once. Of a copy the frames between neighbouring key-frames count that are both in it."
     )
     return Section("Exploration", note, bars(entries, 100.0))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
+from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -77,7 +78,14 @@ def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
     agents, keyframes = counted(summary["agents"], "agent"), counted(summary["keyframes"], "key-frame")
     head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {keyframes}"
-    return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary), _time(timing)])
+    parts = [[head], _errors(summary), _coverage(summary), _traffic(summary), [*_matches(summary), _time(timing)]]
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def _coverage(summary: dict[str, Any]) -> list[str]:
+    """Frames read, tracked and placed of each agent, then what was lost and why."""
+    rows = coverage_rows(summary)
+    return aligned([["", *HEAD], *rows]) + lost_lines(summary) if rows else []
 
 
 def _errors(summary: dict[str, Any]) -> list[str]:
@@ -99,8 +107,11 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(exploration))])
     biggest = max(len(group) for group in summary["groups"])
     shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
-    truth = [] if any(v is not None for v in rmse["agents"]) else ["no ground truth: errors cannot be known"]
-    return [*aligned(rows), *shared, *truth]
+    known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") == "arbitrary"
+    said = [f"errors {measured_on(summary)}"] if known and measured_on(summary) else []
+    truth = [] if known else ["no ground truth: errors cannot be known"]
+    own = ["one camera: lengths are in units of their own, not metres"] if unit and not known else []
+    return [*aligned(rows), *shared, *said, *truth, *own]
 
 
 def _traffic(summary: dict[str, Any]) -> list[str]:

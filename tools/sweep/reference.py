@@ -98,7 +98,7 @@ def make_reference(
     accepted = [match for _, match in matches]
     groups = _groups(len(states), [match.id for match in accepted])
     graph = _solved(states, accepted)
-    evaluator = GroundTruthEvaluator(sequences)
+    evaluator = GroundTruthEvaluator(sequences, sum(entry.frames for entry in manifest.left_out))
     errors = [evaluator.error_of(s.me, _trajectory(s, graph, q)) for s, q in zip(states, sequences, strict=True)]
     rmse = [None if e is None else float(e.rmse_m) for e in errors]
     known = [e for e in rmse if e is not None]
@@ -191,7 +191,7 @@ def _groups(count: int, matches: Sequence[MatchId]) -> list[list[int]]:
 
 
 def _reachable(evaluator: GroundTruthEvaluator, groups: Sequence[Sequence[int]]) -> list[float]:
-    """Percent of all frames that the members of an agent's group have seen together."""
+    """Percent of all frames read that the members of an agent's group have tracked together."""
     shares = dict.fromkeys(range(len(evaluator.sequences)), 0.0)
     for group in groups:
         shares.update(dict.fromkeys(group, evaluator.share_seen_by(group)))
