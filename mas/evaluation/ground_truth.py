@@ -14,6 +14,7 @@ from maslam.frontend.files.trajectory import Trajectory
 
 from ..agent import Agent
 from ..map_exchange.map_copy import MapCopy
+from ..protocol.ids import MatchId
 from ..sequence import AgentSequence
 from ..state.agent_state import AgentState
 from ..state.place_match import Match
@@ -234,6 +235,12 @@ class GroundTruthEvaluator:
             return None
         row = int(truth.nearest(np.array([time_ns]), TRUTH_TOLERANCE_NS)[0])
         return None if row < 0 else truth.poses[row]
+
+
+def of_same_image(match: MatchId, agents: Sequence[Agent]) -> bool:
+    """Whether both key-frames of a candidate were made from one and the same image."""
+    query = agents[match.query_agent].state.keyframes[match.query]
+    return agents[match.match_agent].state.keyframes[match.match].is_image(query.recording, query.stamp_ns)
 
 
 def odometry_keyframes(agent: Agent) -> Trajectory:

@@ -20,7 +20,7 @@ from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
 from .coverage import coverage_of
-from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames
+from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames, of_same_image
 from .map_copies import map_copies
 from .reputation_figures import fault_figures, reputations
 from .summary import (
@@ -133,6 +133,7 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
         accepted=len(accepted),
         rejected=dict(sorted(reasons[MatchOutcome.REJECTED].items())),
         skipped=dict(sorted(reasons[MatchOutcome.SKIPPED].items())),
+        same_image=sum(of_same_image(c.id, agents) for _, c, _ in outcomes),
         own_loops=own,
         between_agents=len(accepted) - own,
         false_accepted=sum(errors[m].false for m in accepted if m in errors) if truth else None,

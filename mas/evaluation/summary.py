@@ -70,15 +70,17 @@ class TrafficFigures(_Figures):
 
 class MatchFigures(_Figures):
     """``candidates``: below the distance threshold; ``verified``: passed the geometric check; ``accepted``: used;
-    ``rejected``: checked and not used, by reason; ``skipped``: not checked, because they would tell little, by reason;
-    the three together are all candidates. ``false_accepted``: against ground truth, None without; ``own_loops``: those
-    among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
+    ``rejected``: checked and not used, by reason; ``skipped``: not checked, by reason; the three
+    together are all candidates. ``same_image``: those of them whose key-frames are of one and the same image, which two
+    agents were given: no evidence, never accepted. ``false_accepted``: against ground truth, None without;
+    ``own_loops``: those among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
 
     candidates: int
     verified: int
     accepted: int
     rejected: dict[str, int]
     skipped: dict[str, int] = Field(default={}, description="empty, too: a run before they were counted apart")
+    same_image: int = Field(default=0, description="0, too: a run before they were counted apart")
     own_loops: int
     between_agents: int
     false_accepted: int | None

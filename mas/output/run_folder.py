@@ -25,7 +25,7 @@ from ..agent import Agent
 from ..config import MasConfig
 from ..contracts.effects import Event
 from ..errors import MasError
-from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError
+from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError, of_same_image
 from ..evaluation.summary import Summary, Timing
 from ..map_exchange.full_map import own_map
 from ..protocol.accounting import Traffic
@@ -51,6 +51,7 @@ _MATCH_COLUMNS = [
     "match_agent",
     "match_keyframe",
     "match_stamp_ns",
+    "same_image",
     "distance",
     "outcome",
     "reason",
@@ -176,6 +177,7 @@ class Recorder:
                 ]
                 head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
                 row = [
+                    int(of_same_image(i, agents)),
                     figure(c.distance),
                     outcome.value,
                     reason,

@@ -70,7 +70,8 @@ class MatchResult:
     ``match_agent``.
 
     ``time_s``: when it was found, logical time; ``distance``: of the place vectors, 0 to 2; ``outcome``: ``accepted``,
-    ``rejected`` or ``skipped`` (not checked), and ``reason`` why; ``T_M_Q``: query camera to match camera, None
+    ``rejected`` (checked and failed) or ``skipped`` (not checked), and ``reason`` why; ``same_image``: both key-frames
+    are of one and the same image, which is no evidence; ``T_M_Q``: query camera to match camera, None
     where it was not verified; ``error_m`` and ``false`` (an accepted one is wrong) against ground truth, None without.
     """
 
@@ -85,6 +86,7 @@ class MatchResult:
     T_M_Q: Sim3 | None
     error_m: float | None
     false: bool | None
+    same_image: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -169,7 +171,7 @@ class Run:
     @cached_property
     def agents(self) -> tuple[AgentResult, ...]:
         """What each agent ended with."""
-        coverage = self.summary.coverage or [None] * len(self._data.agents)
+        coverage: list[Coverage | None] = [*self.summary.coverage] or [None] * len(self._data.agents)
         return tuple(
             AgentResult(self.folder / agent.name, agent.index, agent.estimate, agent.truth, covered)
             for agent, covered in zip(self._data.agents, coverage, strict=True)
@@ -227,6 +229,7 @@ def _match(row: dict[str, str]) -> MatchResult:
         T_M_Q=_transform(row),
         error_m=float(row["error_m"]) if row["error_m"] else None,
         false=row["false"] == "1" if row["false"] else None,
+        same_image=row.get("same_image") == "1",
     )
 
 

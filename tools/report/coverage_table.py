@@ -36,7 +36,7 @@ def coverage_rows(summary: dict[str, Any]) -> list[list[str]]:
         )
         measured = sum(a["frames"] for a in alignments if a is not None)
         shares = [_share(tracked, read), _share(placed, read)]
-        rows.append(["all", str(read), *shares, f"{joined} of {tracks}", counted(measured, "frame"), ""])
+        rows.append(["sum", str(read), *shares, f"{joined} of {tracks}", counted(measured, "frame"), ""])
     return rows
 
 

@@ -267,7 +267,13 @@ def _matches(run: RunData) -> Section:
     hidden = len(run.matches) - len(shown)
     more = f"{hidden} more rows stand in matches.csv." if hidden else ""
     note = f"{matches['candidates']} candidate pairs, {matches['verified']} passed the geometric check. "
-    note += f"Skipped ones were not checked: they are close to a match that is there. {more}"
+    note += (
+        "Rejected ones were checked and failed. Skipped ones were not checked: they are known or close to a match that "
+    )
+    note += "is there"
+    same = matches.get("same_image", 0)
+    note += f", or of one and the same image, which is no evidence ({same}). " if same else ". "
+    note += more
     return Section("Candidate matches and their outcome", note, outcomes + listing)
 
 

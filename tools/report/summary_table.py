@@ -127,13 +127,23 @@ def _matches(summary: dict[str, Any]) -> list[str]:
     matches, solved = summary["matches"], summary["optimisations"]
     false = matches.get("false_accepted")
     others = {kind: _by_reason(matches.get(kind) or {}) for kind in ("rejected", "skipped")}
-    counts = f"{matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
+    counts = (
+        f"{counted(matches['candidates'], 'candidate')}, {matches['verified']} verified, {matches['accepted']} accepted"
+    )
     return [
         f"matches        {counts}" + ("" if false is None else f", {false} of them false"),
         *(f"  {kind:<13}{reasons}" for kind, reasons in others.items() if reasons),
+        *_same_image(matches.get("same_image", 0)),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
         f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
     ]
+
+
+def _same_image(count: int) -> list[str]:
+    """Said only where it happens: agents of one recording that share images."""
+    return (
+        [f"  {'same image':<13}{counted(count, 'pair')} of one image seen by two agents, no evidence"] if count else []
+    )
 
 
 def _by_reason(counts: dict[str, int]) -> str:

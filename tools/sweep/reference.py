@@ -152,6 +152,8 @@ def _verify(states: Sequence[AgentState], pair: MatchId) -> None:
     """Verify a candidate; both owners learn a match."""
     asking, asked = states[pair.query_agent], states[pair.match_agent]
     query, match = asking.keyframes[pair.query], asked.keyframes[pair.match]
+    if match.is_image(query.recording, query.stamp_ns):  # two agents were given one image: no evidence
+        return
     verdict = verify(asked, pair, view_of(asking, query), match)
     if not verdict.accepted or verdict.T_M_Q is None or verdict.information is None:
         return
