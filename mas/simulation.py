@@ -174,8 +174,8 @@ def run(
         recorder.settings(config, manifest)
         recorder.events(environment.events)
         recorder.matches(agents, errors)
-        for agent, sequence in zip(agents, sequences, strict=True):
-            recorder.agent(agent, sequence)
+        for me in range(len(agents)):
+            recorder.agent(me, agents, sequences)
         finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps, manifest.left_out)
         summary = summarise(finished, evaluator, errors)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9

@@ -67,6 +67,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         place_code=agents[0].state.profile.coder.key,
         place_code_bytes=agents[0].state.profile.coder.bytes,
         scale="arbitrary" if evaluator.with_scale else "metric",
+        times=config.times,
         agents=len(agents),
         keyframes=sum(len(a.state.keyframes) for a in agents),
         keyframes_placed=[len(a.state.placed()) for a in agents],

@@ -160,6 +160,7 @@ class Summary(_Figures):
         default=None, description="of one place vector; None: a run before it was written"
     )
     scale: str
+    times: str = Field(default="agent", description="of trajectories: the images' own, or from each agent's start")
     agents: int
     keyframes: int
     keyframes_placed: list[int]

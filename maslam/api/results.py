@@ -16,6 +16,7 @@ from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.frontend.files.trajectory import Trajectory, read_tum
 from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.summary import Coverage, Summary, Timing
+from maslam.mas.output.run_folder import later
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentEntry, AgentSequence, Manifest, load_sequences, read_manifest
 from maslam.tools.common.errors import ToolError
@@ -96,8 +97,8 @@ class MatchResult:
 
 @dataclass(frozen=True)
 class AgentResult:
-    """What one agent ended with. Trajectories are ``T_W_C`` (camera to world; +X right, +Y down, +Z forward), stamps in
-    nanoseconds since the agent's first image; W is common to all agents of a group (``Run.summary.groups``).
+    """What one agent ended with. Trajectories are ``T_W_C`` (camera to world; +X right, +Y down, +Z forward), at the
+    images' times, nanoseconds; W is common to all agents of a group (``Run.summary.groups``).
 
     ``trajectory``: every frame that has a place in W; ``truth``: in the frame of the ground truth, None without;
     ``coverage``: how many frames were read, tracked, placed, and which were lost why; None of a run before 0.3.
@@ -108,6 +109,8 @@ class AgentResult:
     trajectory: Trajectory
     truth: Trajectory | None
     coverage: Coverage | None = None
+    file_ns: int = 0
+    """What the times are later than in the agent's files: those may count from its own start."""
 
     @property
     def name(self) -> str:
@@ -117,7 +120,7 @@ class AgentResult:
     @cached_property
     def keyframes(self) -> Trajectory:
         """Key-frames only."""
-        return read_tum(self.folder / "trajectory_keyframes.tum")
+        return later(read_tum(self.folder / "trajectory_keyframes.tum"), self.file_ns)
 
     @cached_property
     def graph(self) -> PoseGraph:
@@ -173,7 +176,7 @@ class Run:
         """What each agent ended with."""
         coverage: list[Coverage | None] = [*self.summary.coverage] or [None] * len(self._data.agents)
         return tuple(
-            AgentResult(self.folder / agent.name, agent.index, agent.estimate, agent.truth, covered)
+            AgentResult(self.folder / agent.name, agent.index, agent.estimate, agent.truth, covered, agent.file_ns)
             for agent, covered in zip(self._data.agents, coverage, strict=True)
         )
 

@@ -127,6 +127,8 @@ def test_one_sequence_is_one_agent(tmp_path: Path) -> None:
     assert agent.groundtruth is not None and len(agent.groundtruth) == FRAMES
     level = np.arctan2(agent.places.vectors[:, 1], agent.places.vectors[:, 0]) * 100
     np.testing.assert_allclose(level, [10, 30, 50, 70, 90, 110], atol=1e-3)
+    assert agent.places.images == tuple(f"image_0/{i:06d}.png" for i in range(0, 12, 2))
+    assert all((tmp_path / "drive" / name).is_file() for name in agent.places.images)
 
 
 def test_a_split_gives_each_agent_its_own_origin_clock_and_vectors(tmp_path: Path) -> None:

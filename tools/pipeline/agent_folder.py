@@ -74,7 +74,7 @@ def write_sequences(
             f"{dataset.root}: some agents have one camera, others stereo or depth; --rig mono makes them alike"
         )
     (out / MANIFEST).unlink(missing_ok=True)
-    entries = [_write_agent(out, plan, model) for plan in plans]
+    entries = [_write_agent(out, plan, model, dataset.root) for plan in plans]
     left = {*out.glob("agent_[0-9]*"), *out.glob(".agent_[0-9]*.part")}  # of another split, of a run that was killed
     for stale in sorted(left - {out / entry.name for entry in entries}):
         shutil.rmtree(stale)
@@ -111,10 +111,10 @@ def plan_agents(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEn
     return [plan for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
 
 
-def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor) -> AgentEntry:
+def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path) -> AgentEntry:
     """The agent's folder, put in place whole; times become relative to its first frame."""
     used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
-    places = _places(plan, used, model)
+    places = _places(plan, used, model, root)
     with replacing(out / plan.name) as folder:
         folder.mkdir()
         paths = [_write_track(folder, number, plan, k) for number, k in enumerate(used)]
@@ -165,7 +165,7 @@ def _keyframe_stamps_ns(plan: SharePlan, k: int) -> NDArray[np.int64]:
     return plan.sequence.stamps_ns[plan.tracked.keyframes[k][plan.share.keyframes[k]]] - plan.start_ns
 
 
-def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor) -> PlaceVectors:
+def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor, root: Path) -> PlaceVectors:
     begins = np.cumsum([0, *(len(keyframes) for keyframes in plan.tracked.keyframes)])
     kept = [plan.share.keyframes[k] for k in used]
     rows = np.concatenate([np.arange(begins[k] + s.start, begins[k] + s.stop) for k, s in zip(used, kept, strict=True)])
@@ -176,7 +176,17 @@ def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor) -> PlaceVe
         stamps_ns=np.concatenate([_keyframe_stamps_ns(plan, k) for k in used]),
         vectors=plan.tracked.vectors[rows],
         textured=plan.tracked.textured[rows],
+        images=tuple(
+            image_name(plan.sequence.left[frame], root)
+            for k in used
+            for frame in plan.tracked.keyframes[k][plan.share.keyframes[k]].tolist()
+        ),
     )
+
+
+def image_name(image: Path, root: Path) -> str:
+    """An image file's name as other programs are given it: from the data set's folder on."""
+    return image.relative_to(root).as_posix() if image.is_relative_to(root) else image.name
 
 
 def _during(plan: SharePlan, trajectory: Trajectory) -> Trajectory:

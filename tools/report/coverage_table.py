@@ -28,7 +28,7 @@ def coverage_rows(summary: dict[str, Any]) -> list[list[str]]:
             "-" if a is None else counted(a["frames"], "frame"),
             alignment_text(a),
         ]
-        for name, c, a in zip(agent_names(summary), coverage, alignments, strict=True)
+        for name, c, a in zip(agent_names(summary)[: len(coverage)], coverage, alignments, strict=True)
     ]
     if len(rows) > 1:
         read, tracked, placed, tracks, joined = (
@@ -67,7 +67,8 @@ def lost_lines(summary: dict[str, Any]) -> list[str]:
     """What has no place, a sentence each: lost and doubtful intervals by reason, tracks that nothing joins, sequences
     without an agent."""
     lines = []
-    for name, c in zip(agent_names(summary), summary.get("coverage") or [], strict=True):
+    coverage = summary.get("coverage") or []
+    for name, c in zip(agent_names(summary)[: len(coverage)], coverage, strict=True):
         for what in ("lost", "doubtful"):
             lines += [f"{name}: {line}" for line in _by_reason(c.get(what) or [], what)]
         apart = c["tracks"] - c["tracks_placed"]
