@@ -20,6 +20,7 @@ from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
 from .coverage import coverage_of
+from .graph_fit import graph_figures
 from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames, of_same_image
 from .map_copies import map_copies
 from .reputation_figures import fault_figures, reputations
@@ -91,6 +92,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
         optimisations=_optimisations(run.events),
+        graphs=graph_figures(agents),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
         refused_messages=len(transport.refused) + sum(e.kind == "refused" for e in run.events),
         reputation=reputations(agents),

@@ -95,6 +95,28 @@ class OptimisationFigures(_Figures):
     cost_after: float
 
 
+class MisfitFigures(_Figures):
+    """An edge that does not fit: its ``ends`` as agent:key-frame, its ``kind``, its share of the cost, whose square
+    root is its error in standard deviations."""
+
+    ends: list[str]
+    kind: str
+    cost: float
+
+
+class GraphFigures(_Figures):
+    """How well the graph of one group of ``agents`` fits in the end: its ``cost`` F (SE-Sync; residuals in standard
+    deviations) and degrees of freedom ``dof``, which a cost of mere noise is about; ``fits``: it is not far above;
+    ``worst``: the edges with the largest shares."""
+
+    agents: list[int]
+    edges: int
+    cost: float
+    dof: int
+    fits: bool
+    worst: list[MisfitFigures]
+
+
 class MapCopyFigures(_Figures):
     """One map copy: errors under its holder's alignment; ``points_off_m``: median distance of its points from where
     their owner has them at the end (null: in other coordinates, or in a unit that nothing relates to metres)."""
@@ -179,6 +201,7 @@ class Summary(_Figures):
     traffic: dict[str, TrafficFigures]
     matches: MatchFigures
     optimisations: OptimisationFigures
+    graphs: list[GraphFigures] = Field(default=[], description="of each group; empty: a run before they were checked")
     map_copies: list[MapCopyFigures]
     refused_messages: int
     reputation: list[ReputationFigures] = Field(

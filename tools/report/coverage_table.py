@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 from ..common.text_table import counted
+from .html import Section, table
 
 HEAD = ("frames read", "tracked", "placed", "tracks placed", "ATE measured on", "alignment")
 _KINDS = 4  # of reasons that are named for one agent
@@ -38,6 +40,21 @@ def coverage_rows(summary: dict[str, Any]) -> list[list[str]]:
         shares = [_share(tracked, read), _share(placed, read)]
         rows.append(["sum", str(read), *shares, f"{joined} of {tracks}", counted(measured, "frame"), ""])
     return rows
+
+
+def coverage_sections(summary: dict[str, Any]) -> list[Section]:
+    """The report's part on coverage; none of a run before it was written."""
+    rows = coverage_rows(summary)
+    if not rows:
+        return []
+    note = (
+        "Frames that were read; of those, tracked by odometry; of those, placed in the frame that the agent ended in. "
+    )
+    note += "All other figures are about the placed ones."
+    cells = [[escape(cell) for cell in row] for row in rows]
+    lost = "".join(f"<li>{escape(line)}</li>" for line in lost_lines(summary))
+    body = f'<div class="scroll">{table(["agent", *HEAD], cells, total=len(rows) > 1)}</div>'
+    return [Section("Coverage", note, body + (f"<ul>{lost}</ul>" if lost else "<p>No frame was lost.</p>"))]
 
 
 def alignment_text(alignment: dict[str, Any] | None) -> str:

@@ -24,7 +24,8 @@ from .charts import (
     top_view,
     traffic_matrix,
 )
-from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on
+from .coverage_table import coverage_sections, measured_on
+from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
 from .run_data import AgentData, RunData
@@ -90,8 +91,9 @@ def _placed_tile(run: RunData) -> list[Tile]:
 def sections(run: RunData) -> list[Section]:
     """The whole report."""
     return [
+        *warning_sections(run.summary),
         *_map(run),
-        *_coverage(run),
+        *coverage_sections(run.summary),
         _copies(run),
         _errors(run),
         _bytes(run),
@@ -135,21 +137,6 @@ def _map(run: RunData) -> list[Section]:
 
 def _map_of(run: RunData, members: list[int]) -> str:
     return f'<div class="wide">{map_chart(top_view(run, members), run.unit(members[0]))}</div>'
-
-
-def _coverage(run: RunData) -> list[Section]:
-    """Frames read, tracked, placed; what was lost and why."""
-    rows = coverage_rows(run.summary)
-    if not rows:
-        return []
-    note = (
-        "Frames that were read; of those, tracked by odometry; of those, placed in the frame that the agent ended in. "
-    )
-    note += "All other figures are about the placed ones."
-    cells = [[escape(cell) for cell in row] for row in rows]
-    lost = "".join(f"<li>{escape(line)}</li>" for line in lost_lines(run.summary))
-    body = f'<div class="scroll">{table(["agent", *HEAD], cells, total=len(rows) > 1)}</div>'
-    return [Section("Coverage", note, body + (f"<ul>{lost}</ul>" if lost else "<p>No frame was lost.</p>"))]
 
 
 def _copies(run: RunData) -> Section:

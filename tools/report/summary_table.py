@@ -11,6 +11,7 @@ from typing import Any
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
 from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on
+from .graph_warnings import graph_lines
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -78,7 +79,8 @@ def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
     agents, keyframes = counted(summary["agents"], "agent"), counted(summary["keyframes"], "key-frame")
     head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {keyframes}"
-    parts = [[head], _errors(summary), _coverage(summary), _traffic(summary), [*_matches(summary), _time(timing)]]
+    last = [*_matches(summary), *graph_lines(summary), _time(timing)]
+    parts = [[head], _errors(summary), _coverage(summary), _traffic(summary), last]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
