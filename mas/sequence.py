@@ -244,7 +244,7 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
     truth = folder / GROUNDTRUTH
     sequence = AgentSequence(
         name=entry.name,
-        tracks=tuple(t for t in read_tracks(folder) if len(t)),
+        tracks=tuple(t for t in read_tracks(folder) if len(t)) if entry.tracks else (),
         places=places,
         trajectory=read_tum(folder / TRAJECTORY),
         metric=manifest.scale == "metric",

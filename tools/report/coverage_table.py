@@ -38,7 +38,8 @@ def coverage_rows(summary: dict[str, Any]) -> list[list[str]]:
         )
         measured = sum(a["frames"] for a in alignments if a is not None)
         shares = [_share(tracked, read), _share(placed, read)]
-        rows.append(["sum", str(read), *shares, f"{joined} of {tracks}", counted(measured, "frame"), ""])
+        on = counted(measured, "frame") if measured else "-"
+        rows.append(["sum", str(read), *shares, f"{joined} of {tracks}", on, ""])
     return rows
 
 
@@ -76,8 +77,14 @@ def measured_on(summary: dict[str, Any]) -> str:
     kind = known[0]["kind"]
     one = f"{scales[0]:.4g}" if len(scales) == 1 else f"{scales[0]:.4g} to {scales[-1]:.4g}"
     after = f"{kind} alignment" if kind == "SE(3)" else f"{kind} alignment, scale {one}"
-    measured, read = sum(a["frames"] for a in known), sum(c["read"] for c in coverage)
+    measured, read = sum(a["frames"] for a in known), frames_read(summary)
     return f"measured on {measured} of {read} frames read, after {after}"
+
+
+def frames_read(summary: dict[str, Any]) -> int:
+    """By all agents, and of sequences that no agent was made of."""
+    found = [c["read"] for c in summary.get("coverage") or []]
+    return sum(found) + sum(one["frames"] for one in summary.get("left_out") or [])
 
 
 def lost_lines(summary: dict[str, Any]) -> list[str]:

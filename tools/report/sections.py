@@ -24,7 +24,7 @@ from .charts import (
     top_view,
     traffic_matrix,
 )
-from .coverage_table import coverage_sections, measured_on
+from .coverage_table import coverage_sections, frames_read, measured_on
 from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
@@ -82,8 +82,7 @@ def _placed_tile(run: RunData) -> list[Tile]:
     coverage = run.summary.get("coverage") or []
     if not coverage:
         return []
-    left_out = sum(one["frames"] for one in run.summary.get("left_out") or [])
-    placed, read = sum(c["placed"] for c in coverage), sum(c["read"] for c in coverage) + left_out
+    placed, read = sum(c["placed"] for c in coverage), frames_read(run.summary)
     mood = "bad" if placed < 0.9 * read else ""
     return [Tile("frames placed", f"{placed} of {read}", f"{100 * placed / max(read, 1):.1f} %", mood)]
 

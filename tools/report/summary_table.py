@@ -111,7 +111,8 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
     known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") == "arbitrary"
     said = [f"errors {measured_on(summary)}"] if known and measured_on(summary) else []
-    truth = [] if known else ["no ground truth: errors cannot be known"]
+    why = "no frame has both a place and a true one" if any(summary["path_length_m"]) else "no ground truth"
+    truth = [] if known else [f"{why}: errors cannot be known"]
     own = ["one camera: lengths are in units of their own, not metres"] if unit and not known else []
     return [*aligned(rows), *shared, *said, *truth, *own]
 
