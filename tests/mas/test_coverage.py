@@ -100,3 +100,18 @@ def test_errors_say_the_scale_of_their_alignment(tmp_path: Path) -> None:
     written = read_tum(tmp_path / "run" / "agent_00" / "trajectory.tum")
     assert found.scale == pytest.approx(umeyama(known.centres, written.centres[:50], True).scale, rel=1e-6)
     assert found.scale == pytest.approx(2.0, rel=0.05)
+
+
+def test_how_far_points_of_copies_are_off_is_in_metres_or_unknown(tmp_path: Path) -> None:
+    """One camera: the same run in units ten times as long is off by as many metres; without a truth nobody knows."""
+    world, off = make_world(4), {}
+    for unit, truth in ((1.0, True), (0.1, True), (1.0, False)):
+        sequences = [
+            make_sequence(world, circuit(6.0 * a, 36.0), 4, a, scale=(0.5 - 0.2 * a) * unit, with_truth=truth)
+            for a in range(2)
+        ]
+        summary = run(manifest_of(sequences), sequences, DEFAULT, tmp_path / f"{unit}{truth}")
+        assert summary.groups == [[0, 1]] and summary.map_copies
+        off[unit, truth] = [copy.points_off_m for copy in summary.map_copies]
+    assert set(off[1.0, False]) == {None}
+    assert off[0.1, True] == pytest.approx(off[1.0, True], rel=0.5)

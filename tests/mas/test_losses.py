@@ -221,7 +221,7 @@ def test_a_loss_is_said(name: str, tmp_path: Path, capsys: pytest.CaptureFixture
     for words in loss.said:
         assert words in console and words in page, words
     assert all(words in page for words in loss.shown) and all(words in console for words in loss.printed)
-    tile = re.search(r'class="tile ?(\w*)"><span>frames placed</span><b>([^<]*)', page)
+    tile = re.search(r'class="tile ?(\w*)"><span>frames placed</span><b>[\d.]+ %</b><em>(.*?) read</em>', page)
     assert tile is not None and (tile[2], tile[1]) == loss.tile
     if loss.coverage[0][2] < loss.coverage[0][0] and len(loss.coverage) == 1:
         assert "100.0 %" not in console and "100.0 %" not in page

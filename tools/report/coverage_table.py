@@ -81,6 +81,11 @@ def measured_on(summary: dict[str, Any]) -> str:
     return f"measured on {measured} of {read} frames read, after {after}"
 
 
+def percent_text(percent: float) -> str:
+    """``99.8 %``; what is not all is never 100 %."""
+    return f"{percent if percent >= 100.0 - 1e-9 else min(percent, 99.9):.1f} %"
+
+
 def frames_read(summary: dict[str, Any]) -> int:
     """By all agents, and of sequences that no agent was made of."""
     found = [c["read"] for c in summary.get("coverage") or []]
@@ -138,7 +143,5 @@ def _frames(intervals: Sequence[dict[str, Any]]) -> int:
 
 
 def _share(count: int, of: int) -> str:
-    """A count, with its percentage where it is not all; one that is not all is never 100 %."""
-    if count >= of:
-        return str(count)
-    return f"{count} ({min(100.0 * count / of, 99.9):.3g} %)"
+    """A count, with its percentage where it is not all."""
+    return str(count) if count >= of else f"{count} ({percent_text(100.0 * count / of)})"

@@ -24,7 +24,7 @@ from .charts import (
     top_view,
     traffic_matrix,
 )
-from .coverage_table import coverage_sections, frames_read, measured_on
+from .coverage_table import coverage_sections, frames_read, measured_on, percent_text
 from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
@@ -39,7 +39,8 @@ def headline(run: RunData) -> tuple[str, str]:
     s = run.summary
     title = f"{counted(s['agents'], 'agent')} in {Path(run.manifest.source).name}"
     settings = f"{who_decided(s)}, seed {s['seed']}, scale {run.manifest.scale}"
-    return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}"
+    errors = f" · errors {measured_on(s)}" if measured_on(s) else ""
+    return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}{errors}"
 
 
 def tiles(run: RunData) -> list[Tile]:
@@ -57,7 +58,9 @@ def tiles(run: RunData) -> list[Tile]:
         *_placed_tile(run),
         Tile("agents in one frame", f"{biggest} of {s['agents']}", mood=shared),
         Tile("accepted matches", str(accepted), known, judged),
-        Tile("exploration, mean", f"{np.mean(exploration):.0f} %", f"minimum {min(exploration):.0f} %"),
+        Tile(
+            "exploration, mean", percent_text(float(np.mean(exploration))), f"minimum {percent_text(min(exploration))}"
+        ),
         Tile("bytes sent", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
         Tile("time of the agents", f"{run.timing['wall_s']:.1f} s", f"{run.timing['realtime_factor']:.1f} x real time"),
     ]
@@ -73,8 +76,7 @@ def _error_tiles(run: RunData) -> list[Tile]:
     better = before is not None and after < before
     share = f" ({100 * after / np.mean(paths):.2f} % of the path)" if paths else ""
     alone = "" if before is None else f"odometry alone {before:.3f} m"
-    detail = "; ".join(part for part in (alone, measured_on(run.summary)) if part)
-    return [Tile(f"mean ATE{share}", f"{after:.3f} m", detail, "good" if better else "")]
+    return [Tile(f"mean ATE{share}", f"{after:.3f} m", alone, "good" if better else "")]
 
 
 def _placed_tile(run: RunData) -> list[Tile]:
@@ -84,7 +86,7 @@ def _placed_tile(run: RunData) -> list[Tile]:
         return []
     placed, read = sum(c["placed"] for c in coverage), frames_read(run.summary)
     mood = "bad" if placed < 0.9 * read else ""
-    return [Tile("frames placed", f"{placed} of {read}", f"{100 * placed / max(read, 1):.1f} %", mood)]
+    return [Tile("frames placed", percent_text(100.0 * placed / max(read, 1)), f"{placed} of {read} read", mood)]
 
 
 def sections(run: RunData) -> list[Section]:
@@ -215,7 +217,8 @@ def _bytes(run: RunData) -> Section:
 
 def _exploration(run: RunData) -> Section:
     exploration = run.summary["exploration_percent"]
-    entries = [(a.name, exploration[a.index], f"{exploration[a.index]:.1f} %", colour_of(a.index)) for a in run.agents]
+    shares = {agent.index: exploration[agent.index] for agent in run.agents}
+    entries = [(a.name, shares[a.index], percent_text(shares[a.index]), colour_of(a.index)) for a in run.agents]
     note = (
         "Frames with a place in an agent's own map or in a copy it holds, over all frames that all agents have read, "
         "each frame counted once. Of a copy the frames between neighbouring key-frames count that are both in it."

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
-from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on
+from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on, percent_text
 from .graph_warnings import graph_lines
 
 SUMMARY = "summary.json"
@@ -167,4 +167,4 @@ def _metres(value: float | None) -> str:
 
 
 def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f} %"
+    return "-" if value is None else percent_text(value)
