@@ -14,6 +14,8 @@ from .messages import Decision, Round, SolverStage, Values
 from .rounds import Separators
 from .staged import StagedNode
 
+# Gauss-Newton steps where units of length are variables.
+_SCALED_STEPS = 3
 _SWEPT = (SolverStage.SCALE, SolverStage.ROTATION, SolverStage.POSE)
 
 
@@ -37,6 +39,11 @@ class Node(StagedNode):
         else:
             super()._enter()
 
+    @property
+    def _newton_steps(self) -> int:
+        """Units are far from linear: the published single step leaves a tenfold cost."""
+        return max(self._config.newton_steps, _SCALED_STEPS) if self.share.scaled else self._config.newton_steps
+
     def _waits_for_lower(self) -> bool:
         return self._round.stage in _SWEPT and self._config.method != "jor"
 
@@ -47,7 +54,8 @@ class Node(StagedNode):
         return change / np.sqrt(max(self._problem.own_count, 1)) if self._config.change == "rms" else change
 
     def _relaxation(self) -> float:
-        if self._config.method == "dgs":
+        # Units of length couple all of a track's positions: over-relaxed sweeps swing for hundreds of rounds there.
+        if self._config.method == "dgs" or self.share.scaled:
             return 1.0
         return self._config.relaxation if self._config.method == "sor" else min(self._config.relaxation, 1.0)
 
@@ -79,7 +87,7 @@ class Node(StagedNode):
             self._round = Round(SolverStage.POSE)
         elif self._round.stage is SolverStage.POSE:
             self._problem.take_poses(self._stage)
-            last = self._round.step + 1 == self._config.newton_steps
+            last = self._round.step + 1 >= self._newton_steps
             self._round = Round(SolverStage.COST) if last else Round(SolverStage.POSE, self._round.step + 1)
         else:
             super()._leave(decision)
