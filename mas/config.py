@@ -153,7 +153,9 @@ class OptimisationConfig(_Section):
         default=0.0005, gt=0, description="plus this share of the key-frame's median depth"
     )
     odometry_sigma_deg: float = Field(default=0.03, gt=0, description="1 sigma of an odometry step's rotation, degrees")
-    odometry_sigma_scale: float = Field(default=0.01, gt=0, description="one camera: 1 sigma of a step's log scale")
+    odometry_sigma_scale: float = Field(
+        default=0.005, gt=0, description="one camera: 1 sigma of the log of the scale's drift in an odometry step"
+    )
     match_sigma_depth: float = Field(
         default=0.005, gt=0, description="floor of a place match's position sigma, as a share of the median depth"
     )
@@ -287,6 +289,9 @@ class MasConfig(_Section):
         default="in_process", description="what carries messages: in_process, or an entry point of maslam.transports"
     )
     seed: int = Field(default=0, ge=0, description="seed of every random choice")
+    times: Literal["images", "agent"] = Field(
+        default="images", description="times of the trajectories in RUN: the images' own, or from each agent's start"
+    )
     step_s: float = Field(default=0.5, gt=0, description="logical time between two steps of the environment, seconds")
     deadline_s: float = Field(default=5.0, gt=0, description="logical time a contract may take, seconds")
     max_message_mb: float = Field(default=64.0, gt=0, description="longest message sent or taken, 2^20 bytes")

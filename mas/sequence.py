@@ -87,11 +87,20 @@ class AgentEntry(_Entry):
     start_ns: int = Field(description="time stamp of its first frame in the source: 0 in all files of its folder")
     camera: CameraEntry
     lost: tuple[LostEntry, ...] = ()
+    doubtful: tuple[LostEntry, ...] = Field(default=(), description="intervals with poses that are not to be relied on")
 
     @property
     def metric(self) -> bool:
         """Whether its lengths are metres; with one camera each of its tracks has a unit of its own, which drifts."""
         return self.camera.kind != "mono"
+
+
+class LeftOutEntry(_Entry):
+    """A sequence of the source from which no agent was made, and why."""
+
+    sequence: str
+    frames: int = Field(ge=0)
+    reason: str
 
 
 class DescriptorEntry(_Entry):
@@ -128,6 +137,7 @@ class Manifest(_Entry):
     descriptor: DescriptorEntry
     agents: tuple[AgentEntry, ...]
     split: SplitEntry | None = None
+    left_out: tuple[LeftOutEntry, ...] = Field(default=(), description="sequences from which no agent was made")
     settings: dict[str, Any] = Field(default_factory=dict, description="everything that was set when this was made")
 
 
@@ -139,7 +149,9 @@ class AgentSequence:
     in the source. ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own
     world frame (that of its first key-frame); ``metric``: in metres. ``places``: one unit vector a key-frame, all
     tracks in order. ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image
-    sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation.ground_truth` alone; no agent ever sees it.
+    sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation` alone, as are ``first_frame``, ``frames``, ``lost``
+    and ``doubtful``, which are those of :class:`AgentEntry` (``frames`` None: as many as were tracked); no agent ever
+    sees them.
     """
 
     name: str
@@ -150,6 +162,10 @@ class AgentSequence:
     start_ns: int
     source: str
     groundtruth: Trajectory | None = None
+    first_frame: int = 0
+    frames: int | None = None
+    lost: tuple[LostEntry, ...] = ()
+    doubtful: tuple[LostEntry, ...] = ()
 
     def __post_init__(self) -> None:
         stamps = self.keyframe_stamps_ns
@@ -169,11 +185,21 @@ class AgentSequence:
             )
 
     @property
+    def read(self) -> int:
+        """Frames that were read, tracked or not."""
+        return len(self.trajectory) if self.frames is None else self.frames
+
+    @property
     def keyframe_stamps_ns(self) -> NDArray[np.int64]:
         """``(K,)``: times of the key-frames of all tracks."""
         if not self.tracks:
             return np.zeros(0, dtype=np.int64)
         return stamp_ns_from_s(np.concatenate([t.stamps_s for t in self.tracks]))
+
+    @property
+    def keyframe_tracks(self) -> NDArray[np.int64]:
+        """``(K,)``: number of the track of each key-frame."""
+        return np.repeat(np.arange(len(self.tracks)), [len(t) for t in self.tracks])
 
     def track_of(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Track number of each stamp: the last track that had begun by then, half a millisecond allowed."""
@@ -225,13 +251,17 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
     truth = folder / GROUNDTRUTH
     sequence = AgentSequence(
         name=entry.name,
-        tracks=tuple(t for t in read_tracks(folder) if len(t)),
+        tracks=tuple(t for t in read_tracks(folder) if len(t)) if entry.tracks else (),
         places=places,
         trajectory=read_tum(folder / TRAJECTORY),
         metric=manifest.scale == "metric" and entry.metric,
         start_ns=entry.start_ns,
         source=entry.sequence,
         groundtruth=read_tum(truth) if truth.is_file() else None,
+        first_frame=entry.first_frame,
+        frames=entry.frames,
+        lost=entry.lost,
+        doubtful=entry.doubtful,
     )
     count = len(sequence.keyframe_stamps_ns)
     if count != entry.keyframes:

@@ -163,7 +163,7 @@ def run(
     started = time.perf_counter()
     keyframes = [keyframes_of(sequence) for sequence in sequences]
     agents = make_agents(manifest, sequences, config, policy)
-    evaluator = GroundTruthEvaluator(sequences)
+    evaluator = GroundTruthEvaluator(sequences, sum(entry.frames for entry in manifest.left_out))
     log.info("%d agents, preset %s, policy %s, seed %d", len(agents), config.preset, config.policy, config.seed)
     with Recorder(out) as recorder, watch_compiling() as compilations:
         carrier = make_transport(config, recorder.sent, transport)
@@ -174,9 +174,9 @@ def run(
         recorder.settings(config, manifest)
         recorder.events(environment.events)
         recorder.matches(agents, errors)
-        for agent, sequence in zip(agents, sequences, strict=True):
-            recorder.agent(agent, sequence)
-        finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps)
+        for me in range(len(agents)):
+            recorder.agent(me, agents, sequences)
+        finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps, manifest.left_out)
         summary = summarise(finished, evaluator, errors)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
         summary = replaced(summary, duration_s=duration)

@@ -116,7 +116,7 @@ class BlockDescent:
     # -- what is sent ------------------------------------------------------------------------------------------------
 
     def round_to_steps(self, before: Places) -> tuple[tuple[float, ...], NDArray[np.int8]]:
-        """Move the own separators to where whole steps from ``before`` lead; returns scales and steps ``(k, width)``."""
+        """Move the own separators to where whole steps from ``before`` lead; returns scales, steps ``(k, width)``."""
         width, places = self.problem.width, self.problem.places
         delta = np.nan_to_num(moved(before, places.at(self.shared), width))
         largest = [float(np.abs(part).max(initial=0.0)) / _LARGEST_STEP for part in np.split(delta, [3, 6], axis=1)]

@@ -23,8 +23,9 @@ MATCHES = {
     "match_agent": "agent that recognised it; the same agent: an own loop",
     "match_keyframe": "the key-frame recognised",
     "match_stamp_ns": "its time stamp, nanoseconds",
+    "same_image": "1: both key-frames are of one and the same image, which two agents were given: no evidence; else 0",
     "distance": "Euclidean distance of the place vectors, 0 to 2",
-    "outcome": "`accepted`, `rejected`, or `skipped`: not checked, because it would tell little",
+    "outcome": "`accepted`, `rejected`, or `skipped`: not checked",
     "reason": "why, in one of a few fixed wordings; `summary.json` counts by it",
     "detail": "the same with the figures of this candidate",
     "matches": "tentative point matches of the verification",
@@ -86,13 +87,15 @@ VO_FILES = {
     "as in `lm_obs`",
 }
 TRAJECTORIES = {
-    "trajectory.tum": "every frame with a pose: `time tx ty tz qx qy qz qw`, `T_W_C`",
+    "trajectory.tum": "every frame that has a place: `time tx ty tz qx qy qz qw`, `T_W_C`; times are the images' own "
+    "(`--times agent`: from the agent's start)",
     "trajectory_keyframes.tum": "the same, key-frames only",
     "groundtruth.tum": "the same, ground truth where it is known",
     "graph.g2o": "the agent's pose graph: its poses, its odometry, its matches; node ids name agent and key-frame",
     "map.ply": "own map and all copies merged: `x y z`, colour by owner, `agent`",
     "maps/agent_NN.tum, .ply": "the copy of another agent's map: key-frames, points",
-    "maps/colmap/": "the merged map as a COLMAP model: `cameras.bin`, `images.bin`, `points3D.bin`",
+    "maps/colmap/": "the merged map as a COLMAP model: `cameras.bin`, `images.bin`, `points3D.bin`; images have the "
+    "names of their files, from the data set's folder on, and points every view that odometry has of them",
 }
 _ROLE = re.compile(r":(?:class|func|mod|meth|data|attr):`~?([^`]+)`")
 

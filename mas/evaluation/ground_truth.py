@@ -14,11 +14,13 @@ from maslam.frontend.files.trajectory import Trajectory
 
 from ..agent import Agent
 from ..map_exchange.map_copy import MapCopy
-from ..sequence import STAMP_TOLERANCE_NS, AgentSequence
+from ..protocol.ids import MatchId
+from ..sequence import AgentSequence
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
-from ..state.trajectories import keyframe_trajectory
+from ..state.trajectories import frame_trajectory, keyframe_trajectory
+from .coverage import FrameName, frame_names, frames_held, frames_read
 
 # An estimated pose and a true one belong together within this; ground truth is often sampled at its own times.
 TRUTH_TOLERANCE_NS = 20_000_000
@@ -81,13 +83,13 @@ class _CopyPositions:
 class GroundTruthEvaluator:
     """Compares agents with the truth, as far as their sequences have one."""
 
-    def __init__(self, sequences: Sequence[AgentSequence]) -> None:
+    def __init__(self, sequences: Sequence[AgentSequence], left_out: int = 0) -> None:
+        """``left_out``: frames of sequences from which no agent was made."""
         self.sequences = list(sequences)
+        self.read = frames_read(sequences) + left_out
         self._scales: dict[tuple[int, int], float] = {}
         self._own_pairs: dict[int, _OwnPositions] = {}
         self._copy_pairs: dict[tuple[int, int], _CopyPositions] = {}  # by holder and owner
-        self._frames = [self._frame_names(i) for i in range(len(self.sequences))]
-        self._all_frames = set().union(*self._frames) if self._frames else set()
 
     @property
     def with_scale(self) -> bool:
@@ -138,34 +140,22 @@ class GroundTruthEvaluator:
     # -- exploration --------------------------------------------------------------------------------------------------
 
     def exploration_percent(self, agent: Agent) -> float:
-        """Frames of the agent's own map and its copies over all frames of all agents, each frame counted once,
-        however many agents saw it. A copy counts the frames between its first and its last key-frame.
-        Frames that odometry could not track are in no map and are not counted.
-        """
-        if not self._all_frames:
-            return 0.0
-        times = {o: self._times(h) for o, h in sorted(agent.maps.copies.items())}
-        times[agent.state.me] = np.array([k.time_ns for k in agent.state.keyframes], dtype=np.int64)
-        seen: set[tuple[str, int]] = set()
-        for owner, stamps in times.items():
-            if len(stamps):
-                seen |= self._between(owner, int(stamps.min()), int(stamps.max()))
-        return 100.0 * len(seen) / len(self._all_frames)
+        """Frames that have a place in the agent's own map or in a copy that it holds, over all frames read of all
+        agents, each frame counted once, however many agents saw it."""
+        own = self.sequences[agent.state.me]
+        seen = frame_names(own, frame_trajectory(agent.state, own).stamps_ns)
+        for owner, copy in sorted(agent.maps.copies.items()):
+            seen |= frame_names(self.sequences[owner], frames_held(self.sequences[owner], copy.keyframes))
+        return self._percent(seen)
 
     def share_seen_by(self, agents: Sequence[int]) -> float:
-        """Percent of all tracked frames that these agents have seen together, each counted once."""
-        seen: set[tuple[str, int]] = set().union(*(self._frames[a] for a in agents))
-        return 100.0 * len(seen) / len(self._all_frames) if self._all_frames else 0.0
+        """Percent of all frames read that these agents have tracked together, each counted once."""
+        return self._percent(
+            set().union(*(frame_names(s, s.trajectory.stamps_ns) for s in (self.sequences[a] for a in agents)))
+        )
 
-    def _frame_names(self, agent: int) -> set[tuple[str, int]]:
-        sequence = self.sequences[agent]
-        return {(sequence.source, int(t) + sequence.start_ns) for t in sequence.trajectory.stamps_ns}
-
-    def _between(self, agent: int, first_ns: int, last_ns: int) -> set[tuple[str, int]]:
-        """Times of map copies may be rounded to the millisecond."""
-        start = self.sequences[agent].start_ns
-        first_ns, last_ns = first_ns - STAMP_TOLERANCE_NS, last_ns + STAMP_TOLERANCE_NS
-        return {f for f in self._frames[agent] if first_ns <= f[1] - start <= last_ns}
+    def _percent(self, frames: set[FrameName]) -> float:
+        return 100.0 * len(frames) / self.read if self.read else 0.0
 
     # -- matches ------------------------------------------------------------------------------------------------------
 
@@ -257,6 +247,12 @@ def _trajectory_of(keyframes: Sequence[KeyFrame]) -> Trajectory:
     """Key-frames of one track as odometry left them."""
     stamps = np.array([k.time_ns for k in keyframes], dtype=np.int64)
     return Trajectory(stamps, np.array([k.T_T_C for k in keyframes]).reshape(-1, 4, 4))
+
+
+def of_same_image(match: MatchId, agents: Sequence[Agent]) -> bool:
+    """Whether both key-frames of a candidate were made from one and the same image."""
+    query = agents[match.query_agent].state.keyframes[match.query]
+    return agents[match.match_agent].state.keyframes[match.match].is_image(query.recording, query.stamp_ns)
 
 
 def odometry_frames(agent: Agent, sequence: AgentSequence) -> Trajectory:

@@ -31,11 +31,18 @@ def map_copies(agents: Sequence[Agent], errors: Sequence[dict[int, TrajectoryErr
             points=len(copy.references),
             ate_rmse_m=each[owner].rmse_m if owner in each else None,
             ate_mean_m=each[owner].mean_m if owner in each else None,
-            points_off_m=originals[owner].off(copy, agent.state),
+            points_off_m=_in_metres(originals[owner].off(copy, agent.state), agent, each.get(owner)),
         )
         for agent, each in zip(agents, errors, strict=True)
         for owner, copy in sorted(agent.maps.copies.items())
     ]
+
+
+def _in_metres(off: float | None, holder: Agent, error: TrajectoryError | None) -> float | None:
+    """A length in the unit of a holder's frame; None where nothing says how long that unit is."""
+    if off is None or holder.state.profile.metric:
+        return off
+    return None if error is None else off * float(error.T_truth_estimate.scale)
 
 
 class Original:

@@ -15,19 +15,30 @@ from ..agent import Agent
 from ..config import MasConfig
 from ..contracts.effects import Event
 from ..protocol.ids import MatchId
-from ..sequence import AgentSequence
+from ..sequence import AgentSequence, LeftOutEntry
 from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
-from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames
+from .coverage import coverage_of
+from .graph_fit import graph_figures
+from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames, of_same_image
 from .map_copies import map_copies
 from .reputation_figures import fault_figures, reputations
-from .summary import Errors, MatchFigures, OptimisationFigures, Summary, TrafficFigures
+from .summary import (
+    Alignments,
+    Errors,
+    MatchFigures,
+    MeasuredOn,
+    OptimisationFigures,
+    Summary,
+    TrafficFigures,
+)
 
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run at its end: agents with their sequences, the transport with its counts, the event log."""
+    """A run at its end: agents with their sequences, the transport with its counts, the event log; ``left_out``:
+    sequences without an agent."""
 
     agents: Sequence[Agent]
     sequences: Sequence[AgentSequence]
@@ -35,6 +46,7 @@ class FinishedRun:
     transport: Transport
     events: Sequence[Event]
     steps: int
+    left_out: Sequence[LeftOutEntry] = ()
 
 
 def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[MatchId, MatchError]) -> Summary:
@@ -45,6 +57,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
     maps = [evaluator.map_error(a) for a in agents]
     connected = evaluator.connected_errors(agents)
     columns = (own, maps, [connected.get(a.state.me) for a in agents])
+    kind = "Sim(3)" if evaluator.with_scale else "SE(3)"
     rmse = [None if e is None else e.rmse_m for e in odometry]
     traffic = {t.value: _traffic([count]) for t, count in transport.by_operation.items()}
     return Summary(
@@ -55,6 +68,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         place_code=agents[0].state.profile.coder.key,
         place_code_bytes=agents[0].state.profile.coder.bytes,
         scale="arbitrary" if evaluator.with_scale else "metric",
+        times=config.times,
         agents=len(agents),
         keyframes=sum(len(a.state.keyframes) for a in agents),
         keyframes_placed=[len(a.state.placed()) for a in agents],
@@ -67,9 +81,18 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         odometry_mean_rmse_m=_mean(rmse),
         path_length_m=[evaluator.path_length_m(a.state.me) for a in agents],
         exploration_percent=[evaluator.exploration_percent(a) for a in agents],
+        alignments=Alignments(
+            agents=_alignments(own, kind),
+            maps=_alignments(maps, kind),
+            connected=_alignments(columns[2], kind),
+            odometry=_alignments(odometry, kind),
+        ),
+        coverage=[coverage_of(a, s) for a, s in zip(agents, sequences, strict=True)],
+        left_out=list(run.left_out),
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
         optimisations=_optimisations(run.events),
+        graphs=graph_figures(agents),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
         refused_messages=len(transport.refused) + sum(e.kind == "refused" for e in run.events),
         reputation=reputations(agents),
@@ -80,6 +103,13 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
 def _errors(columns: tuple[list[TrajectoryError | None], ...], name: str) -> Errors:
     own, maps, connected = ([None if e is None else float(getattr(e, name)) for e in column] for column in columns)
     return Errors(agents=own, maps=maps, connected=connected, mean_agents=_mean(own), mean_maps=_mean(maps))
+
+
+def _alignments(errors: Sequence[TrajectoryError | None], kind: str) -> list[MeasuredOn | None]:
+    return [
+        None if e is None else MeasuredOn(kind=kind, scale=float(e.T_truth_estimate.scale), frames=len(e.errors_m))
+        for e in errors
+    ]
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -106,6 +136,7 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
         accepted=len(accepted),
         rejected=dict(sorted(reasons[MatchOutcome.REJECTED].items())),
         skipped=dict(sorted(reasons[MatchOutcome.SKIPPED].items())),
+        same_image=sum(of_same_image(c.id, agents) for _, c, _ in outcomes),
         own_loops=own,
         between_agents=len(accepted) - own,
         false_accepted=sum(errors[m].false for m in accepted if m in errors) if truth else None,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
+from ..sequence import LeftOutEntry, LostEntry
+
 
 class _Figures(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -23,6 +25,41 @@ class Errors(_Figures):
     mean_maps: float | None
 
 
+class MeasuredOn(_Figures):
+    """What an error was measured on and after: ``kind``: SE(3) or Sim(3); ``scale``: metres of the truth in one unit
+    of the estimate (1 with SE(3)); ``frames``: poses that have a true one: frames of a trajectory, key-frames of
+    maps."""
+
+    kind: str
+    scale: float
+    frames: int
+
+
+class Alignments(_Figures):
+    """The alignment behind each error, one an agent, None where there is none: ``agents``, ``maps``, ``connected`` of
+    :class:`Errors`, and ``odometry``."""
+
+    agents: list[MeasuredOn | None]
+    maps: list[MeasuredOn | None]
+    connected: list[MeasuredOn | None]
+    odometry: list[MeasuredOn | None]
+
+
+class Coverage(_Figures):
+    """How much of what an agent read has a place in the end: frames ``read``, ``tracked`` (by odometry) and ``placed``
+    (in the agent's reference frame); its ``tracks`` and those that are joined, ``tracks_placed``; intervals of ``lost``
+    and of ``doubtful`` frames. ``sequence``: name of the images in the source."""
+
+    sequence: str
+    read: int
+    tracked: int
+    placed: int
+    tracks: int
+    tracks_placed: int
+    lost: list[LostEntry]
+    doubtful: list[LostEntry] = []
+
+
 class TrafficFigures(_Figures):
     """Messages of one operation, and their bytes by two counts."""
 
@@ -33,15 +70,17 @@ class TrafficFigures(_Figures):
 
 class MatchFigures(_Figures):
     """``candidates``: below the distance threshold; ``verified``: passed the geometric check; ``accepted``: used;
-    ``rejected``: checked and not used, by reason; ``skipped``: not checked, because they would tell little, by reason;
-    the three together are all candidates. ``false_accepted``: against ground truth, None without; ``own_loops``: those
-    among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
+    ``rejected``: checked and not used, by reason; ``skipped``: not checked, by reason; the three
+    together are all candidates. ``same_image``: those of them whose key-frames are of one and the same image, which two
+    agents were given: no evidence, never accepted. ``false_accepted``: against ground truth, None without;
+    ``own_loops``: those among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
 
     candidates: int
     verified: int
     accepted: int
     rejected: dict[str, int]
     skipped: dict[str, int] = Field(default={}, description="empty, too: a run before they were counted apart")
+    same_image: int = Field(default=0, description="0, too: a run before they were counted apart")
     own_loops: int
     between_agents: int
     false_accepted: int | None
@@ -56,9 +95,31 @@ class OptimisationFigures(_Figures):
     cost_after: float
 
 
+class MisfitFigures(_Figures):
+    """An edge that does not fit: its ``ends`` as agent:key-frame, its ``kind``, its share of the cost, whose square
+    root is its error in standard deviations."""
+
+    ends: list[str]
+    kind: str
+    cost: float
+
+
+class GraphFigures(_Figures):
+    """How well the graph of one group of ``agents`` fits in the end: its ``cost`` F (SE-Sync; residuals in standard
+    deviations) and degrees of freedom ``dof``, which a cost of mere noise is about; ``fits``: it is not far above;
+    ``worst``: the edges with the largest shares."""
+
+    agents: list[int]
+    edges: int
+    cost: float
+    dof: int
+    fits: bool
+    worst: list[MisfitFigures]
+
+
 class MapCopyFigures(_Figures):
     """One map copy: errors under its holder's alignment; ``points_off_m``: median distance of its points from where
-    their owner has them at the end (null: in other coordinates)."""
+    their owner has them at the end (null: in other coordinates, or in a unit that nothing relates to metres)."""
 
     holder: int
     owner: int
@@ -107,7 +168,9 @@ class Timing(_Figures):
 
 class Summary(_Figures):
     """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation,
-    under each agent's own alignment. ``path_length_m`` from ground truth. ``refused_messages``: dropped as
+    under each agent's own alignment. ``path_length_m`` from ground truth. ``exploration_percent``: of each agent,
+    frames that have a place in its own map or in a copy it holds (of a copy those between neighbouring key-frames, of
+    which it holds both), over all frames read of all agents, each counted once. ``refused_messages``: dropped as
     unbelievable."""
 
     version: str
@@ -119,6 +182,7 @@ class Summary(_Figures):
         default=None, description="of one place vector; None: a run before it was written"
     )
     scale: str
+    times: str = Field(default="agent", description="of trajectories: the images' own, or from each agent's start")
     agents: int
     keyframes: int
     keyframes_placed: list[int]
@@ -131,9 +195,13 @@ class Summary(_Figures):
     odometry_mean_rmse_m: float | None
     path_length_m: list[float | None]
     exploration_percent: list[float]
+    alignments: Alignments | None = Field(default=None, description="None: a run before they were written")
+    coverage: list[Coverage] = Field(default=[], description="of each agent; empty: a run before it was written")
+    left_out: list[LeftOutEntry] = Field(default=[], description="sequences of the source without an agent")
     traffic: dict[str, TrafficFigures]
     matches: MatchFigures
     optimisations: OptimisationFigures
+    graphs: list[GraphFigures] = Field(default=[], description="of each group; empty: a run before they were checked")
     map_copies: list[MapCopyFigures]
     refused_messages: int
     reputation: list[ReputationFigures] = Field(

@@ -1,14 +1,14 @@
 """An agent's fused map as a COLMAP model: ``cameras.bin``, ``images.bin``, ``points3D.bin``.
 
-One camera an agent, one image a key-frame (named for its agent and its time stamp), one 2-D point for each map point of
-the key-frame that saw it first. Written without COLMAP: the format is three tables. COLMAP's first pixel has its centre
-at (0.5, 0.5), ours at (0, 0).
+One camera an agent, one image a key-frame (under its file's name), one 2-D point for each view of a map point: where
+the owner's odometry has the point in that camera. Written without COLMAP: the format is three tables. COLMAP's first
+pixel has its centre at (0.5, 0.5), ours at (0, 0).
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,9 @@ from maslam.backend.geometry import quat_wxyz_from_rotation, se3_inverse
 
 from ..map_exchange.map_copy import MapCopy
 from ..sequence import CameraEntry
+from ..state.keyframe import KeyFrame
 from .fused_map import COLOURS, FusedMap
+from .sightings import Sightings, first_sightings, sightings
 
 _PINHOLE = 1
 _HALF_PX = 0.5
@@ -26,23 +28,39 @@ _IMAGE, _COUNT = struct.Struct("<I7dI"), struct.Struct("<Q")
 _POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
-def write_colmap(folder: Path, one: FusedMap, cameras: Mapping[int, CameraEntry]) -> None:
-    """Write the model into ``folder``; ``cameras``: of each owner. Translations and points are in the holder's unit."""
+def write_colmap(
+    folder: Path,
+    one: FusedMap,
+    cameras: Mapping[int, CameraEntry],
+    owners: Mapping[int, Sequence[KeyFrame]] | None = None,
+    names: Mapping[int, Sequence[str]] | None = None,
+) -> None:
+    """Write the model into ``folder``. Translations and points are in the holder's unit.
+
+    ``cameras``: of each owner. ``owners``: key-frames of each, for all views of a point; without, a point has that of
+    the map only. ``names``: of each owner's key-frames' image files; without, an image is called by agent and stamp.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    owners = [m.owner for m in one.maps]
-    (folder / "cameras.bin").write_bytes(_table(len(owners), [_camera(o, cameras[o]) for o in owners]))
-    sizes = [len(m.references) for m in one.maps]
+    numbers = [m.owner for m in one.maps]
+    (folder / "cameras.bin").write_bytes(_table(len(numbers), [_camera(o, cameras[o]) for o in numbers]))
     firsts = np.cumsum([0, *[len(m.keyframes) for m in one.maps]])
-    labels = np.split(one.labels, np.cumsum(sizes)[:-1])
-    images, tracks = [], []
+    labels = np.split(one.labels, np.cumsum([len(m.references) for m in one.maps])[:-1])
+    images, tracks = [], [np.zeros((0, 3), dtype=np.int64)]
     for copy, mine, first in zip(one.maps, labels, firsts, strict=False):
-        order = np.argsort(copy.references, kind="stable")
-        images += _images(copy, mine[order], order, int(first), cameras[copy.owner])
-        rows = copy.references[order]
-        place = np.arange(len(rows)) - np.searchsorted(rows, rows, side="left")
-        tracks.append(np.column_stack([mine[order], first + rows + 1, place]))
+        known = (owners or {}).get(copy.owner)
+        seen = _once(first_sightings(copy) if known is None else sightings(copy, known), mine)
+        images += _images(copy, mine, seen, int(first), cameras[copy.owner], (names or {}).get(copy.owner))
+        place = np.arange(len(seen.rows)) - np.searchsorted(seen.rows, seen.rows, side="left")
+        tracks.append(np.column_stack([mine[seen.points], first + seen.rows + 1, place]))
     (folder / "images.bin").write_bytes(_table(int(firsts[-1]), images))
-    (folder / "points3D.bin").write_bytes(_points(one, np.concatenate([np.zeros((0, 3), dtype=np.int64), *tracks])))
+    (folder / "points3D.bin").write_bytes(_points(one, np.concatenate(tracks)))
+
+
+def _once(seen: Sightings, labels: NDArray[np.intp]) -> Sightings:
+    """An image sees a merged point once, whichever of its points was first."""
+    _, first = np.unique(np.column_stack([seen.rows, labels[seen.points]]), axis=0, return_index=True)
+    kept = np.sort(first)
+    return Sightings(seen.rows[kept], seen.points[kept], seen.points_C[kept])
 
 
 def _table(rows: int, parts: list[bytes]) -> bytes:
@@ -55,22 +73,27 @@ def _camera(owner: int, c: CameraEntry) -> bytes:
 
 
 def _images(
-    copy: MapCopy, labels: NDArray[np.intp], order: NDArray[np.intp], first: int, c: CameraEntry
+    copy: MapCopy,
+    labels: NDArray[np.intp],
+    seen: Sightings,
+    first: int,
+    c: CameraEntry,
+    names: Sequence[str] | None,
 ) -> list[bytes]:
-    p = copy.points_C[order]
+    p = seen.points_C
     xy = p[:, :2] / p[:, 2:] * [c.fx, c.fy] + np.array([c.cx, c.cy]) + _HALF_PX
     table = np.zeros(len(p), dtype=_POINT2D)
-    table["xy"], table["point"] = xy, labels + 1
-    bounds = np.searchsorted(copy.references[order], np.arange(len(copy.keyframes) + 1))
+    table["xy"], table["point"] = xy, labels[seen.points] + 1
+    bounds = np.searchsorted(seen.rows, np.arange(len(copy.keyframes) + 1))
     T_C_F = se3_inverse(copy.poses)
     poses = np.concatenate([quat_wxyz_from_rotation(T_C_F[:, :3, :3]), T_C_F[:, :3, 3]], axis=1).tolist()
-    seen, ends = table.tobytes(), (bounds * table.itemsize).tolist()
+    views, ends = table.tobytes(), (bounds * table.itemsize).tolist()
     sizes = np.diff(bounds).tolist()
     out = []
-    for row, stamp in enumerate(copy.stamps_ns.tolist()):
-        name = f"agent_{copy.owner:02d}/{stamp}.png".encode("ascii") + b"\0"
+    for row, (index, stamp) in enumerate(zip(copy.keyframes.tolist(), copy.stamps_ns.tolist(), strict=True)):
+        own = names[index] if names and 0 <= index < len(names) else f"agent_{copy.owner:02d}/{stamp}.png"
         head = _IMAGE.pack(first + row + 1, *poses[row], copy.owner + 1)
-        out += [head, name, _COUNT.pack(sizes[row]), seen[ends[row] : ends[row + 1]]]
+        out += [head, own.encode() + b"\0", _COUNT.pack(sizes[row]), views[ends[row] : ends[row + 1]]]
     return out
 
 

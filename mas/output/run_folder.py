@@ -25,7 +25,7 @@ from ..agent import Agent
 from ..config import MasConfig
 from ..contracts.effects import Event
 from ..errors import MasError
-from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError
+from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError, of_same_image
 from ..evaluation.summary import Summary, Timing
 from ..map_exchange.full_map import own_map
 from ..protocol.accounting import Traffic
@@ -51,6 +51,7 @@ _MATCH_COLUMNS = [
     "match_agent",
     "match_keyframe",
     "match_stamp_ns",
+    "same_image",
     "distance",
     "outcome",
     "reason",
@@ -96,6 +97,7 @@ class Recorder:
         self._traffic: Any = None
         self._timeline: Any = None
         self._cameras: dict[int, CameraEntry] = {}
+        self._of_images = True
 
     def __enter__(self) -> Recorder:
         check_out(self.out)
@@ -151,6 +153,7 @@ class Recorder:
     def settings(self, config: MasConfig, manifest: Manifest) -> None:
         """``config.yaml`` and the manifest of what was run."""
         self._cameras = {number: entry.camera for number, entry in enumerate(manifest.agents)}
+        self._of_images = config.times == "images"
         text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
         (self.folder / "config.yaml").write_text(text, encoding="utf-8")
         (self.folder / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
@@ -176,6 +179,7 @@ class Recorder:
                 ]
                 head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
                 row = [
+                    int(of_same_image(i, agents)),
                     figure(c.distance),
                     outcome.value,
                     reason,
@@ -188,21 +192,24 @@ class Recorder:
                 truth = [figure(error.metres), figure(error.degrees), wrong] if error is not None else ["", "", ""]
                 table.writerow([*head, *row, *_transform(check.T_M_Q), *truth])
 
-    def agent(self, agent: Agent, sequence: AgentSequence) -> None:
-        """The agent's folder: trajectories, graph, own and merged map, copies."""
-        folder = self.folder / f"agent_{agent.state.me:02d}"
+    def agent(self, me: int, agents: Sequence[Agent], sequences: Sequence[AgentSequence]) -> None:
+        """The folder of agent ``me``: trajectories, graph, own and merged map, copies."""
+        folder, agent, sequence = self.folder / f"agent_{me:02d}", agents[me], sequences[me]
         (folder / "maps").mkdir(parents=True)
-        write_tum(folder / "trajectory.tum", frame_trajectory(agent.state, sequence))
-        write_tum(folder / "trajectory_keyframes.tum", keyframe_trajectory(agent.state))
+        start_ns = sequence.start_ns if self._of_images else 0
+        write_tum(folder / "trajectory.tum", later(frame_trajectory(agent.state, sequence), start_ns))
+        write_tum(folder / "trajectory_keyframes.tum", later(keyframe_trajectory(agent.state), start_ns))
         if sequence.groundtruth is not None:
-            write_tum(folder / GROUNDTRUTH, sequence.groundtruth)
+            write_tum(folder / GROUNDTRUTH, later(sequence.groundtruth, start_ns))
         if not agent.state.keyframes:
             return
         write_g2o(folder / "graph.g2o", own_graph(agent.state))
         copies = [copy for _, copy in sorted(agent.maps.copies.items())]
         one = fused([own_map(agent.state), *copies])
         write_map(folder / "map.ply", one)
-        write_colmap(folder / "maps" / "colmap", one, self._cameras)
+        owners = {m.owner: agents[m.owner].state.keyframes for m in one.maps}
+        names = {m.owner: sequences[m.owner].places.images for m in one.maps}
+        write_colmap(folder / "maps" / "colmap", one, self._cameras, owners, names)
         for copy in copies:
             owner, stamps = copy.owner, copy.stamps_ns.astype("int64")
             write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, copy.poses))
@@ -221,6 +228,11 @@ class Recorder:
         file = open(self.folder / name, "w", newline="", encoding="utf-8")  # noqa: SIM115 - closed in __exit__
         self._files.append(file)
         return csv.writer(file, lineterminator="\n")
+
+
+def later(trajectory: Trajectory, by_ns: int) -> Trajectory:
+    """The trajectory with its times moved."""
+    return Trajectory(trajectory.stamps_ns + by_ns, trajectory.poses)
 
 
 def seconds(now_ns: int) -> str:

@@ -150,7 +150,7 @@ class Candidates:
             return MatchOutcome.ACCEPTED, "accepted"
         if candidate.check.verified:
             return MatchOutcome.REJECTED, "no agreeing match"
-        reason = candidate.check.reason or "not verified"
+        reason = candidate.check.reason or SkipReason.NOT_VERIFIED.value
         return (MatchOutcome.SKIPPED if reason in list(SkipReason) else MatchOutcome.REJECTED), reason
 
     def _why_not(self, match: MatchId) -> SkipReason | None:

@@ -32,11 +32,13 @@ from ..protocol.tensors import (
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
 from ..state.match_audit import judged
-from ..state.place_match import Match, MatchEnd
+from ..state.place_match import Match, MatchEnd, SkipReason
 from .candidates import Candidate, Candidates, MatchCheck
 
 # Views of which only the first points have come, at most.
 _KEPT = 256
+# Only who has both images can tell that they are one: the match agent, before it looks at the geometry.
+_NO_EVIDENCE = Verdict(False, SkipReason.SAME_IMAGE.value, None, 0, 0, np.nan, None)
 
 
 class Verification(Operation[VerifyTask, VerifyAnswer]):
@@ -106,7 +108,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
             self._waiting.setdefault(contract.contractor, deque()).append(match)
         elif not again and not self.candidates.by_id[match].check.detail:
             why = f"contract {contract.state}: {contract.reason}"
-            self.candidates.checked(match, MatchCheck(reason="not verified", detail=why))
+            self.candidates.checked(match, MatchCheck(reason=SkipReason.NOT_VERIFIED.value, detail=why))
         return self._next(contract.contractor)
 
     def resume(self) -> Effects:
@@ -135,7 +137,10 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         mine = self.state.keyframes[task.match.match]
         try:
             query = self._view_of(task)
-            verdict = verify(self.state, task.match, query, mine, bool(task.more))
+            if mine.is_image(task.recording, task.stamp_ns):
+                verdict = _NO_EVIDENCE
+            else:
+                verdict = verify(self.state, task.match, query, mine, bool(task.more))
         except BackendError as error:
             raise WorkError(f"views that cannot be compared: {error}") from error
         answer = _answer(self.state, task, mine, verdict)
@@ -242,6 +247,7 @@ def _task(state: AgentState, match: MatchId, rest: bool) -> VerifyTask:
         match=match,
         track=keyframe.track,
         stamp_ns=keyframe.stamp_ns,
+        recording=keyframe.recording,
         metric=state.profile.metric,
         T_T_Q=pack_poses(keyframe.T_T_C),
         way=state.travelled[keyframe.index],

@@ -2,8 +2,9 @@
 
 Candidates within the strict distance are verified at once. Those beyond it, but within the candidate's, are kept, and
 while nothing joins the two agents the likeliest of them are verified too: one for so many own key-frames, a few more
-when all sequences are over, and more near one that geometry confirms and no other match supports yet. So the bytes are
-bounded whatever the images are; what counts as a match is what counted before.
+when all sequences are over. Of a match that geometry confirms and no other supports the neighbours are verified, also
+where others join the two agents: what ties two tracks at one place only may close a loop of the whole team. So the
+bytes are bounded whatever the images are; what counts as a match is what counted before.
 """
 
 from __future__ import annotations
@@ -88,7 +89,9 @@ class WiderSearch:
         return found
 
     def _is_alone(self, match: MatchId) -> bool:
-        return match not in self._state.accepted and match.match_agent not in self._state.group
+        """Whether no match joins its two tracks yet: one that differs from accepted ones is wrong, not alone."""
+        state, tracks = self._state, set(self._state.verified[match].tracks)
+        return not any(set(m.tracks) == tracks for m in state.accepted_matches())
 
     def _neighbours(self, match: MatchId) -> list[MatchId]:
         """Pairs of the key-frames next to a match's that are known to exist."""

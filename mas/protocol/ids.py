@@ -14,6 +14,7 @@ MAX_VECTOR_BYTES = 65_536
 AgentId = Annotated[int, msgspec.Meta(ge=0, lt=MAX_AGENTS)]
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 Language = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+Recording = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 Stamp = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 REASON_LENGTH = 200
 Reason = Annotated[str, msgspec.Meta(max_length=REASON_LENGTH)]

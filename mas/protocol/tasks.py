@@ -23,6 +23,7 @@ from .ids import (
     Members,
     OperationKind,
     Reason,
+    Recording,
     Stamp,
 )
 from .map_messages import MapDelivery, MapOrder
@@ -73,7 +74,8 @@ class OwnerQuery(PlaceQuery, frozen=True, array_like=True, tag=5):
 class VerifyTask(Counted, frozen=True, array_like=True, tag=2):
     """Verify a place match by geometry: the query's map points in its camera, with ORB descriptors ``(n, w)``, whole or
     their first 16 or 8 bytes, or vocabulary words ``(n,)``; ``T_T_Q``: the query camera in its own track, by odometry,
-    and ``way``: how far it had travelled by then.
+    and ``way``: how far it had travelled by then. ``recording``: 32 bits that stand for the name of the recording that
+    the image is of; with the stamp they name the image.
 
     ``points``: ``(n, 3)`` float32, or ``(n,)`` uint32 codes with their ``ranges`` ``(6,)``
     (:mod:`maslam.backend.relpose.point_coding`). ``more``: points kept back, which the answer may ask for; ``rest``:
@@ -85,6 +87,7 @@ class VerifyTask(Counted, frozen=True, array_like=True, tag=2):
     match: MatchId
     track: Index
     stamp_ns: Stamp
+    recording: Recording
     metric: bool
     T_T_Q: Tensor
     way: Length

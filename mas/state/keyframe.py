@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import Array, se3_inverse, transform_points
 from maslam.frontend.files.trajectory import stamp_ns_from_s
 
-from ..sequence import AgentSequence
+from ..sequence import STAMP_TOLERANCE_NS, AgentSequence
 
 # Median depth where a key-frame sees no map point at all; only a scale for tolerances.
 _DEPTH_WITHOUT_POINTS = 1.0
@@ -18,8 +19,8 @@ _DEPTH_WITHOUT_POINTS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class KeyFrame:
-    """``time_ns``: logical time, from the agent's own start; ``stamp_ns``: the image's in the source; ``T_T_C`` ``(4,
-    4)``: odometry, in the track's frame.
+    """``time_ns``: logical time, from the agent's own start; ``stamp_ns``: the image's in the source; ``recording``: 32
+    bits that stand for the name of its recording; ``T_T_C`` ``(4, 4)``: odometry, in the track's frame.
 
     ``points_C`` ``(n, 3)`` float32 map points in the camera; ``descriptors`` ``(n, 32)`` uint8; ``words`` ``(n,)``
     vocabulary ids at level 4; ``point_ids`` ``(n,)``: numbers of the map points, the same in all key-frames that see
@@ -31,6 +32,7 @@ class KeyFrame:
     index: int
     time_ns: int
     stamp_ns: int
+    recording: int
     track: int
     T_T_C: Array
     points_C: NDArray[np.float32]
@@ -42,11 +44,21 @@ class KeyFrame:
     vector: NDArray[np.float32]
     textured: bool
 
+    def is_image(self, recording: int, stamp_ns: int) -> bool:
+        """Whether it was made from this very image. Two agents of one recording may have been given the same image."""
+        return self.recording == recording and abs(self.stamp_ns - stamp_ns) <= STAMP_TOLERANCE_NS
+
+
+def recording_of(name: str) -> int:
+    """What stands for a recording's name in messages: 32 bits of its hash."""
+    return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=4).digest(), "big")
+
 
 def keyframes_of(sequence: AgentSequence) -> list[KeyFrame]:
     """The key-frames of all tracks in order, numbered from 0 through all tracks."""
     out: list[KeyFrame] = []
     before = 0  # points of earlier tracks
+    recording = recording_of(sequence.source)
     for number, track in enumerate(sequence.tracks):
         order = np.argsort(track.observations[:, 0], kind="stable")
         starts = np.searchsorted(track.observations[order, 0], np.arange(len(track) + 1))
@@ -63,6 +75,7 @@ def keyframes_of(sequence: AgentSequence) -> list[KeyFrame]:
                     index=index,
                     time_ns=int(stamps_ns[k]),
                     stamp_ns=int(stamps_ns[k]) + sequence.start_ns,
+                    recording=recording,
                     track=number,
                     T_T_C=np.asarray(track.poses[k], dtype=np.float64),
                     points_C=points_C.astype(np.float32),

@@ -24,11 +24,17 @@ class MatchOutcome(StrEnum):
 
 
 class SkipReason(StrEnum):
-    """Why a candidate is not worth a verification. It is skipped, not rejected: nobody looked at its geometry."""
+    """Why a candidate was not verified. It is skipped, not rejected: nobody looked at its geometry.
+
+    ``NOT_VERIFIED``: it was to be, but the contract did not come to its end. ``SAME_IMAGE``: both key-frames are of one
+    and the same image, which two agents were given: that it fits itself is no evidence.
+    """
 
     KNOWN = "known already"
     CLOSE_TO_VERIFIED = "close to verified matches"
     CLOSE_TO_ACCEPTED = "close to an accepted match"
+    SAME_IMAGE = "same image"
+    NOT_VERIFIED = "not verified"
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,7 +56,8 @@ def preprocess(
         source: a folder of images, as :func:`maslam.open_dataset` reads it.
         out: folder for the agent sequences.
         agents: cut one sequence into blocks for so many agents; None makes one agent of each sequence.
-        overlap: key-frames that a block takes from its neighbours.
+        overlap: key-frames that a block takes from its neighbours (the thesis: 3). Both agents then have these images,
+            and pairs of one and the same image are no evidence for a match.
         rig: ``"mono"``, ``"stereo"`` or ``"rgbd"``: use only this much of the sensors.
         dataset, readers: how ``source`` is read, as in :func:`maslam.open_dataset`.
         descriptor: a shipped place descriptor by name, an ONNX file with its card beside it, an entry point of

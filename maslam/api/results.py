@@ -15,7 +15,8 @@ from maslam.backend.pose_graph.g2o import read_g2o
 from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.frontend.files.trajectory import Trajectory, read_tum
 from maslam.mas.config import MasConfig
-from maslam.mas.evaluation.summary import Summary, Timing
+from maslam.mas.evaluation.summary import Coverage, Summary, Timing
+from maslam.mas.output.run_folder import later
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentEntry, AgentSequence, Manifest, load_sequences, read_manifest
 from maslam.tools.common.errors import ToolError
@@ -70,7 +71,8 @@ class MatchResult:
     ``match_agent``.
 
     ``time_s``: when it was found, logical time; ``distance``: of the place vectors, 0 to 2; ``outcome``: ``accepted``,
-    ``rejected`` or ``skipped`` (not checked), and ``reason`` why; ``T_M_Q``: query camera to match camera, None
+    ``rejected`` (checked and failed) or ``skipped`` (not checked), and ``reason`` why; ``same_image``: both key-frames
+    are of one and the same image, which is no evidence; ``T_M_Q``: query camera to match camera, None
     where it was not verified; ``error_m`` and ``false`` (an accepted one is wrong) against ground truth, None without.
     """
 
@@ -85,6 +87,7 @@ class MatchResult:
     T_M_Q: Sim3 | None
     error_m: float | None
     false: bool | None
+    same_image: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -94,16 +97,20 @@ class MatchResult:
 
 @dataclass(frozen=True)
 class AgentResult:
-    """What one agent ended with. Trajectories are ``T_W_C`` (camera to world; +X right, +Y down, +Z forward), stamps in
-    nanoseconds since the agent's first image; W is common to all agents of a group (``Run.summary.groups``).
+    """What one agent ended with. Trajectories are ``T_W_C`` (camera to world; +X right, +Y down, +Z forward), at the
+    images' times, nanoseconds; W is common to all agents of a group (``Run.summary.groups``).
 
-    ``trajectory``: every frame that was tracked; ``truth``: in the frame of the ground truth, None without.
+    ``trajectory``: every frame that has a place in W; ``truth``: in the frame of the ground truth, None without;
+    ``coverage``: how many frames were read, tracked, placed, and which were lost why; None of a run before 0.3.
     """
 
     folder: Path
     index: int
     trajectory: Trajectory
     truth: Trajectory | None
+    coverage: Coverage | None = None
+    file_ns: int = 0
+    """What the times are later than in the agent's files: those may count from its own start."""
 
     @property
     def name(self) -> str:
@@ -113,7 +120,7 @@ class AgentResult:
     @cached_property
     def keyframes(self) -> Trajectory:
         """Key-frames only."""
-        return read_tum(self.folder / "trajectory_keyframes.tum")
+        return later(read_tum(self.folder / "trajectory_keyframes.tum"), self.file_ns)
 
     @cached_property
     def graph(self) -> PoseGraph:
@@ -167,20 +174,21 @@ class Run:
     @cached_property
     def agents(self) -> tuple[AgentResult, ...]:
         """What each agent ended with."""
+        coverage: list[Coverage | None] = [*self.summary.coverage] or [None] * len(self._data.agents)
         return tuple(
-            AgentResult(self.folder / agent.name, agent.index, agent.estimate, agent.truth)
-            for agent in self._data.agents
+            AgentResult(self.folder / agent.name, agent.index, agent.estimate, agent.truth, covered, agent.file_ns)
+            for agent, covered in zip(self._data.agents, coverage, strict=True)
         )
 
     @property
     def trajectories(self) -> tuple[Trajectory, ...]:
-        """Of each agent, every frame that was tracked: see :class:`AgentResult`."""
+        """Of each agent, every frame that has a place: see :class:`AgentResult`."""
         return tuple(agent.trajectory for agent in self.agents)
 
     @property
     def positions_in_truth(self) -> tuple[NDArray[np.float64], ...]:
         """Of each agent ``(N, 3)``, metres: its trajectory laid on the ground truth, each group by one alignment
-        (SE(3), with one camera Sim(3)); without ground truth as in its own frame."""
+        (SE(3), with one camera Sim(3)); without ground truth as in its own frame, in that frame's unit."""
         return tuple(self._data.in_world)
 
     @cached_property
@@ -224,6 +232,7 @@ def _match(row: dict[str, str]) -> MatchResult:
         T_M_Q=_transform(row),
         error_m=float(row["error_m"]) if row["error_m"] else None,
         false=row["false"] == "1" if row["false"] else None,
+        same_image=row.get("same_image") == "1",
     )
 
 

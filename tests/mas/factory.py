@@ -248,12 +248,14 @@ def manifest_of(sequences: Sequence[AgentSequence], sha256: str = SHA256) -> Man
             AgentEntry(
                 name=s.name,
                 sequence=s.source,
-                first_frame=0,
-                frames=len(s.trajectory),
+                first_frame=s.first_frame,
+                frames=s.read,
                 keyframes=len(s.places.vectors),
                 tracks=len(s.tracks),
                 start_ns=s.start_ns,
                 camera=CAMERA if s.metric else ONE_CAMERA,
+                lost=s.lost,
+                doubtful=s.doubtful,
             )
             for s in sequences
         ),

@@ -72,6 +72,7 @@ def verify_task(**changes: object) -> VerifyTask:
         "match": MatchId(0, 3, 1, 2),
         "track": 0,
         "stamp_ns": 5,
+        "recording": 7,
         "metric": True,
         "T_T_Q": pack_poses(np.eye(4)),
         "way": 12.5,

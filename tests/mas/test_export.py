@@ -11,7 +11,7 @@ from factory import CAMERA, heading
 from maslam.backend.geometry import Array, Sim3, se3_inverse, transform_points
 from maslam.mas.map_exchange.map_copy import MapCopy, SoldVersion
 from maslam.mas.output.colmap import write_colmap
-from maslam.mas.output.fused_map import fused, write_map
+from maslam.mas.output.fused_map import FusedMap, fused, write_map
 from maslam.mas.protocol.ids import FrameId
 
 POSES = np.array([heading(0.0, 2.0 * k, 0.05 * k) for k in range(3)])
@@ -87,6 +87,18 @@ def test_colmap_reads_the_model_and_its_points_lie_where_its_images_see_them(tmp
             p = transform_points(se3_inverse(POSES[row]), xyz[None])[0]
             expected = [CAMERA.fx * p[0] / p[2] + CAMERA.cx + 0.5, CAMERA.fy * p[1] / p[2] + CAMERA.cy + 0.5]
             np.testing.assert_allclose(seen.xy, expected, atol=1e-6)
+
+
+def test_an_image_sees_a_merged_point_once(tmp_path: Path) -> None:
+    """Two of a map's points are one to the merged map, and both are seen by the first image."""
+    pycolmap = pytest.importorskip("pycolmap")
+    points = np.array([[0.0, 0.0, 12.0], [0.01, 0.0, 12.0], [1.0, 0.0, 15.0]])
+    copy = map_of(0, points, np.array([0, 0, 1]))
+    one = FusedMap((copy,), points[[0, 2]], np.zeros(2, dtype=np.int32), np.array([0, 0, 1]))
+    write_colmap(tmp_path, one, {0: CAMERA})
+    model = pycolmap.Reconstruction(str(tmp_path))
+    assert [len(p.track.elements) for p in model.points3D.values()] == [1, 1]
+    assert [i.num_points2D() for i in sorted(model.images.values(), key=lambda i: i.image_id)] == [1, 1, 0]
 
 
 def test_an_agent_without_points_has_an_empty_map(tmp_path: Path) -> None:

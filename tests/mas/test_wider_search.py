@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +81,8 @@ def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:
         state.observe(keyframe)
     end = MatchEnd(0, np.eye(4), 0.0)
     alone = MatchId(0, 10, 1, 4)
-    state.add_match(Match(alone, end, end, Sim3.identity(), np.eye(6), 30, 10.0))
+    alone_match = Match(alone, end, end, Sim3.identity(), np.eye(6), 30, 10.0)
+    state.add_match(alone_match)
     agent.candidates.by_id[alone] = Candidate(alone, 0, 0.5)
     assert search.due(closing=False) == []
     for keyframe in keyframes_of(sequences[0])[11:22]:
@@ -92,5 +94,6 @@ def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:
         asked.append(due[0].id)
     assert len(asked) == 3 and len(set(asked)) == 3
     assert all(max(abs(m.query - 10), abs(m.match - 4)) == 1 and m.match <= 4 for m in asked), "5 may not exist"
-    state.join([1])
-    assert search.due(closing=True) == []
+    beside = replace(alone_match, id=asked[0])
+    state.add_match(beside)
+    assert state.accepted == {alone, asked[0]} and search.due(closing=True) == []

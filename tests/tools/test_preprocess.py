@@ -23,6 +23,8 @@ from maslam.frontend.frames import Frame
 from maslam.frontend.stopwatch import Stopwatch
 from maslam.mas.sequence import load_sequences
 from maslam.tools import cli
+from maslam.tools.pipeline.agent_folder import lost_frames
+from maslam.tools.pipeline.tracking import Gap
 
 FRAMES, EVERY = 12, 2
 TRUTH = se3_exp(np.column_stack([np.zeros((FRAMES, 2)), np.arange(FRAMES), np.zeros((FRAMES, 3))]))
@@ -125,6 +127,8 @@ def test_one_sequence_is_one_agent(tmp_path: Path) -> None:
     assert agent.groundtruth is not None and len(agent.groundtruth) == FRAMES
     level = np.arctan2(agent.places.vectors[:, 1], agent.places.vectors[:, 0]) * 100
     np.testing.assert_allclose(level, [10, 30, 50, 70, 90, 110], atol=1e-3)
+    assert agent.places.images == tuple(f"image_0/{i:06d}.png" for i in range(0, 12, 2))
+    assert all((tmp_path / "drive" / name).is_file() for name in agent.places.images)
 
 
 def test_agents_with_one_camera_and_with_depth_make_one_team(tmp_path: Path) -> None:
@@ -202,6 +206,9 @@ def test_a_sequence_that_cannot_be_tracked_does_not_stop_the_others(
     assert [(a.name, a.sequence) for a in manifest.agents] == [("agent_00", "agent_00"), ("agent_01", "agent_02")]
     assert manifest.settings["problems"] == ["agent_01: no frame of 12 could be tracked: too dark (12 x)"]
     assert "agent_01: no frame of 12 could be tracked: too dark (12 x)" in capsys.readouterr().err
+    (left_out,) = manifest.left_out
+    assert (left_out.sequence, left_out.frames) == ("agent_01", 12)
+    assert left_out.reason == "no frame of 12 could be tracked: too dark (12 x)"
 
 
 def test_nothing_to_track_is_an_error_and_leaves_no_manifest(
@@ -212,14 +219,16 @@ def test_nothing_to_track_is_an_error_and_leaves_no_manifest(
     assert not (tmp_path / "seqs").exists()
 
 
-def test_fewer_agents_than_asked_for_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert preprocess(write_agent(tmp_path / "drive"), tmp_path / "seqs", "--agents", 9, "--overlap", 0) == 0
-    manifest, agents = load_sequences(tmp_path / "seqs")
+@pytest.mark.parametrize("command", ["preprocess", "slam"])
+def test_fewer_agents_than_asked_for_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    words = [command, str(write_agent(tmp_path / "drive")), str(tmp_path / "out"), "--agents", "9", "--quiet"]
+    assert cli.main(words) == 1
     # Blocks of 12 frames for 9 begin at 0 1 2 4 5 6 8 9 10; the key-frames are 0 2 4 6 8 10.
-    assert len(agents) == 6
-    said = "12 frames make 6 agents, not 9: the others have no key-frame"
-    assert manifest.settings["problems"] == [said]
-    assert f"warning: {said}" in capsys.readouterr().err
+    said = "12 frames make 6 agents, not 9: the others have no key-frame; ask for fewer"
+    assert capsys.readouterr().err.splitlines()[-1].endswith(said)
+    assert not list(tmp_path.rglob("manifest.json"))
 
 
 def test_one_image_is_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -245,6 +254,28 @@ def test_a_truncated_image_is_left_out_and_said(tmp_path: Path, capsys: pytest.C
     manifest, (agent,) = load_sequences(tmp_path / "seqs")
     assert len(agent.trajectory) == FRAMES - 1 and manifest.agents[0].frames == FRAMES
     assert any("000005.png" in problem for problem in manifest.settings["problems"])
+    (lost,) = agent.lost
+    assert (lost.first_frame, lost.last_frame, lost.reason) == (5, 5, "the image could not be read")
+
+
+def test_lost_intervals_are_those_of_the_agents_own_frames_without_a_pose() -> None:
+    """Twenty frames: 3 to 8 lost for two reasons, 12 unreadable, 15 to 17 of a track whose key-frames are another's."""
+    stamps = np.arange(20, dtype=np.int64) * 100
+    track = Trajectory(stamps[15:18], np.tile(np.eye(4), (3, 1, 1)))
+    rest = [k for k in range(20) if not 3 <= k <= 8 and k != 12 and not 15 <= k <= 17]
+    main = Trajectory(stamps[rest], np.tile(np.eye(4), (len(rest), 1, 1)))
+    lost = (Gap(3, 5, "too dark"), Gap(6, 8, "few points"))
+    tracked = SimpleNamespace(trajectories=(main, track), lost=lost)
+    share = SimpleNamespace(first=4, last=19)
+    plan: Any = SimpleNamespace(sequence=SimpleNamespace(stamps_ns=stamps), tracked=tracked, share=share)
+    found = lost_frames(plan, main.stamps_ns)
+    assert [(e.first_frame, e.last_frame, e.reason) for e in found] == [
+        (0, 1, "too dark"),
+        (2, 4, "few points"),
+        (8, 8, "the image could not be read"),
+        (11, 13, "tracked, but no key-frame of its track is the agent's"),
+    ]
+    assert lost_frames(plan, stamps) == ()
 
 
 def test_a_key_frame_without_its_second_image_stays_and_is_said(

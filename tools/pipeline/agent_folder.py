@@ -31,6 +31,7 @@ from maslam.mas.sequence import (
     AgentEntry,
     CameraEntry,
     DescriptorEntry,
+    LeftOutEntry,
     LostEntry,
     Manifest,
     SplitEntry,
@@ -63,10 +64,11 @@ def write_sequences(
     model: PlaceDescriptor,
     split: SplitEntry | None,
     settings: dict[str, Any],
+    left_out: tuple[LeftOutEntry, ...] = (),
 ) -> Manifest:
-    """Write the SEQS folder ``out``; ``settings`` are noted in its manifest."""
+    """Write the SEQS folder ``out``; ``settings`` and the sequences ``left_out`` are noted in its manifest."""
     (out / MANIFEST).unlink(missing_ok=True)
-    entries = [_write_agent(out, plan, model) for plan in plans]
+    entries = [_write_agent(out, plan, model, dataset.root) for plan in plans]
     left = {*out.glob("agent_[0-9]*"), *out.glob(".agent_[0-9]*.part")}  # of another split, of a run that was killed
     for stale in sorted(left - {out / entry.name for entry in entries}):
         shutil.rmtree(stale)
@@ -84,6 +86,7 @@ def write_sequences(
         ),
         agents=tuple(entries),
         split=split,
+        left_out=left_out,
         settings=settings,
     )
     write_manifest(out, manifest)
@@ -102,10 +105,10 @@ def plan_agents(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEn
     return [plan for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
 
 
-def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor) -> AgentEntry:
+def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path) -> AgentEntry:
     """The agent's folder, put in place whole; times become relative to its first frame."""
     used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
-    places = _places(plan, used, model)
+    places = _places(plan, used, model, root)
     with replacing(out / plan.name) as folder:
         folder.mkdir()
         paths = [_write_track(folder, number, plan, k) for number, k in enumerate(used)]
@@ -125,7 +128,7 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor) -> AgentEnt
         tracks=len(used),
         start_ns=plan.start_ns,
         camera=CameraEntry.from_rig(plan.sequence.rig),
-        lost=_lost(plan),
+        lost=lost_frames(plan, trajectory.stamps_ns + plan.start_ns),
     )
 
 
@@ -156,7 +159,7 @@ def _keyframe_stamps_ns(plan: SharePlan, k: int) -> NDArray[np.int64]:
     return plan.sequence.stamps_ns[plan.tracked.keyframes[k][plan.share.keyframes[k]]] - plan.start_ns
 
 
-def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor) -> PlaceVectors:
+def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor, root: Path) -> PlaceVectors:
     begins = np.cumsum([0, *(len(keyframes) for keyframes in plan.tracked.keyframes)])
     kept = [plan.share.keyframes[k] for k in used]
     rows = np.concatenate([np.arange(begins[k] + s.start, begins[k] + s.stop) for k, s in zip(used, kept, strict=True)])
@@ -167,7 +170,17 @@ def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor) -> PlaceVe
         stamps_ns=np.concatenate([_keyframe_stamps_ns(plan, k) for k in used]),
         vectors=plan.tracked.vectors[rows],
         textured=plan.tracked.textured[rows],
+        images=tuple(
+            image_name(plan.sequence.left[frame], root)
+            for k in used
+            for frame in plan.tracked.keyframes[k][plan.share.keyframes[k]].tolist()
+        ),
     )
+
+
+def image_name(image: Path, root: Path) -> str:
+    """An image file's name as other programs are given it: from the data set's folder on."""
+    return image.relative_to(root).as_posix() if image.is_relative_to(root) else image.name
 
 
 def _during(plan: SharePlan, trajectory: Trajectory) -> Trajectory:
@@ -177,14 +190,21 @@ def _during(plan: SharePlan, trajectory: Trajectory) -> Trajectory:
     return Trajectory(trajectory.stamps_ns[inside] - plan.start_ns, trajectory.poses[inside])
 
 
-def _lost(plan: SharePlan) -> tuple[LostEntry, ...]:
+def lost_frames(plan: SharePlan, placed_ns: NDArray[np.int64]) -> tuple[LostEntry, ...]:
+    """The intervals of frames of the agent's block that have no pose at ``placed_ns`` (the source's clock): where
+    odometry says why, in its words; the others were not readable, or are of a track without a key-frame here."""
     first, last = plan.share.first, plan.share.last
+    stamps = plan.sequence.stamps_ns[first : last + 1]
+    reasons = np.full(len(stamps), "the image could not be read", dtype=object)
+    tracked = np.concatenate([t.stamps_ns for t in plan.tracked.trajectories])
+    reasons[np.isin(stamps, tracked)] = "tracked, but no key-frame of its track is the agent's"
+    gap = np.full(len(stamps), -1)  # intervals of odometry stay apart, also where they touch
+    for number, lost in enumerate(plan.tracked.lost):
+        inside = slice(max(lost.first_frame - first, 0), max(lost.last_frame + 1 - first, 0))
+        gap[inside], reasons[inside] = number, lost.reason
+    rows = np.flatnonzero(~np.isin(stamps, placed_ns))
+    changes = (np.diff(rows) > 1) | (np.diff(gap[rows]) != 0) | (reasons[rows][1:] != reasons[rows][:-1])
+    runs = np.split(rows, np.flatnonzero(changes) + 1) if len(rows) else []
     return tuple(
-        LostEntry(
-            first_frame=max(gap.first_frame, first) - first,
-            last_frame=min(gap.last_frame, last) - first,
-            reason=gap.reason,
-        )
-        for gap in plan.tracked.lost
-        if gap.first_frame <= last and gap.last_frame >= first
+        LostEntry(first_frame=int(run[0]), last_frame=int(run[-1]), reason=str(reasons[run[0]])) for run in runs
     )

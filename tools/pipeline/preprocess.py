@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import Dataset
     from maslam.frontend.datasets.readers import ReaderLike
-    from maslam.mas.sequence import Manifest, SplitEntry
+    from maslam.mas.sequence import LeftOutEntry, Manifest, SplitEntry
 
     from .tracking_cache import TrackingJob
 
 FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
 SECTION = "odometry"
-DEFAULT_OVERLAP = 3  # key-frames; the predecessor's on KITTI
+DEFAULT_OVERLAP = 0  # key-frames: agents see no image of another's; the predecessor's split of KITTI takes 3
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=DEFAULT_OVERLAP,
         metavar="K",
-        help=f"key-frames that a block takes from its neighbours (default: {DEFAULT_OVERLAP})",
+        help="key-frames that a block takes from its neighbours, whose images both agents then have "
+        f"(the thesis: 3; default: {DEFAULT_OVERLAP})",
     )
     parser.add_argument(
         "--rig", choices=["mono", "stereo", "rgbd"], help="use only this much of the sensors (default: all there is)"
@@ -199,19 +200,22 @@ def _made(
 ) -> Manifest:
     """Track the sequences of ``dataset`` that can be used, and write them as agents."""
     from maslam.frontend.kernels import odometry_kernels
+    from maslam.mas.sequence import LeftOutEntry
 
     from ..common.compiling import compile_for
     from ..common.parallel import core_count, run_jobs
     from .agent_folder import plan_agents, write_sequences
     from .tracking_cache import is_tracked, take_tracked, track_job
 
-    jobs, problems, refused = _plan(dataset, out, settings)
+    jobs, problems, left_out = _plan(dataset, out, settings)
+    refused = [problem.message for problem in dataset.problems] + [f"{e.sequence}: {e.reason}" for e in left_out]
     compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
     outcomes = run_jobs(track_job, named, settings.workers or core_count(), progress)
     errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
     untracked = [f"{name}: {describe(error)}" for name, error in errors.items()]
     problems += untracked
+    left_out += [LeftOutEntry(sequence=n, frames=named[n][1], reason=describe(e)) for n, e in errors.items()]
     tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
     problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
     if not tracked:
@@ -223,10 +227,11 @@ def _made(
     if split is not None and len(plans) < split.agents:
         frames = sum(len(sequence) for sequence, _ in tracked)
         made = counted(len(plans), "agent")
-        problems.append(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame")
+        raise ToolError(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame; ask for fewer")
     for problem in problems:
         progress.say(f"warning: {problem}")
-    return write_sequences(out, dataset, plans, model, split, {**_as_set(settings), "problems": problems})
+    noted = {**_as_set(settings), "problems": problems}
+    return write_sequences(out, dataset, plans, model, split, noted, tuple(left_out))
 
 
 def _check_free(out: Path) -> None:
@@ -237,24 +242,26 @@ def _check_free(out: Path) -> None:
         raise ToolError(f"{out}: not empty, and no folder of agent sequences")
 
 
-def _plan(dataset: Dataset, out: Path, settings: PreprocessSettings) -> tuple[list[TrackingJob], list[str], list[str]]:
-    """A job for each sequence that can be used; all that is wrong with the data; of that, what makes a sequence
-    unusable.
-    """
+def _plan(
+    dataset: Dataset, out: Path, settings: PreprocessSettings
+) -> tuple[list[TrackingJob], list[str], list[LeftOutEntry]]:
+    """A job for each sequence that can be used; all that is wrong with the data; the sequences that cannot be used."""
     from maslam.frontend.datasets.base import Severity
+    from maslam.mas.sequence import LeftOutEntry
 
     from .tracking_cache import make_job
 
     jobs, problems = [], [problem.message for problem in dataset.problems]
-    refused = list(problems)
+    left_out = []
     for sequence in dataset.sequences:
         problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
         fatal = [problem.message for problem in sequence.problems if problem.severity is Severity.ERROR]
-        refused += [f"{sequence.name}: {message}" for message in fatal]
-        if not fatal:
+        if fatal:
+            left_out.append(LeftOutEntry(sequence=sequence.name, frames=len(sequence), reason="; ".join(fatal)))
+        else:
             of = (sequence, settings.odometry, settings.model, settings.vocabulary, settings.store or out / FRONTEND)
             jobs.append(make_job(*of, settings.provider))
-    return jobs, problems, refused
+    return jobs, problems, left_out
 
 
 def _split(settings: PreprocessSettings) -> SplitEntry | None:

@@ -28,7 +28,7 @@ _TALLEST, _FLATTEST = 0.62, 0.3  # height of a map over its width
 
 @dataclass(frozen=True)
 class Path2D:
-    """One line on a map, metres: ``xy`` ``(N, 2)``; ``index`` chooses the colour; ``faint`` draws it thin (a copy of
+    """One line on a map: ``xy`` ``(N, 2)``; ``index`` chooses the colour; ``faint`` draws it thin (a copy of
     another's map).
     """
 
@@ -49,15 +49,17 @@ class TopView:
     links: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
 
-def axes_of(run: RunData) -> list[int]:
-    """The plane of a run's maps: that of the truth where there is one."""
-    truths = [agent.truth.centres for agent in run.agents if agent.truth is not None]
-    return list(plane_of(np.concatenate([np.zeros((0, 3)), *(truths or run.in_world)])))
+def axes_of(run: RunData, members: Sequence[int]) -> list[int]:
+    """The plane of a map of ``members``: that of the truth where it is known how they stand to it."""
+    aligned = all(run.is_aligned(i) for i in members)
+    truths = [agent.truth.centres for agent in run.agents if agent.truth is not None and aligned]
+    return list(plane_of(np.concatenate([np.zeros((0, 3)), *(truths or [run.in_world[i] for i in members])])))
 
 
 def top_view(run: RunData, members: Sequence[int]) -> TopView:
-    """The agents ``members`` in the world, with the matches that they have asked for."""
-    axes, agents = axes_of(run), [run.agents[i] for i in members]
+    """The agents ``members`` in the world, or in the frame that they share, with the matches that they have asked
+    for."""
+    axes, agents = axes_of(run, members), [run.agents[i] for i in members]
     ends = []
     for row in run.accepted:
         pair = [run.position_at(int(row[f"{end}_agent"]), int(row[f"{end}_stamp_ns"])) for end in ("query", "match")]
@@ -65,13 +67,13 @@ def top_view(run: RunData, members: Sequence[int]) -> TopView:
             ends.append([pair[0][axes], pair[1][axes]])
     return TopView(
         [Path2D(agent.name, run.in_world[agent.index][:, axes], agent.index) for agent in agents],
-        [agent.truth.centres[:, axes] for agent in agents if agent.truth is not None],
+        [agent.truth.centres[:, axes] for agent in agents if agent.truth is not None and run.is_aligned(agent.index)],
         np.array(ends).reshape(-1, 2, 2),
     )
 
 
 def draw_map(axes: Any, view: TopView, width: float = 1.8, names: bool = False) -> None:
-    """Top view in metres, equal axes: truth as broad grey lines, estimates over it, links; a disc, with a name, where
+    """Top view, equal axes: truth as broad grey lines, estimates over it, links; a disc, with a name, where
     an agent starts. ``width``: of a line, points.
     """
     from matplotlib.collections import LineCollection
@@ -119,12 +121,12 @@ def draw_bytes(axes: Any, times_s: Array, cumulative: Mapping[str, Array]) -> No
     axes.yaxis.set_major_formatter(EngFormatter("B"))
 
 
-def map_chart(view: TopView) -> str:
-    """SVG of a large map, as tall as what it shows."""
+def map_chart(view: TopView, unit: str = "metres") -> str:
+    """SVG of a large map, as tall as what it shows; ``unit``: of its axes."""
     with house_figure((_WIDE, _WIDE * _shape([*view.truths, *(path.xy for path in view.paths)]))) as figure:
         axes = figure.add_subplot()
         draw_map(axes, view, names=True)
-        dress(axes, "", "metres", "metres")
+        dress(axes, "", unit, unit)
         return inline_svg(figure, "top view of all trajectories")
 
 

@@ -49,7 +49,7 @@ def _log_agent(rr: Any, recording: Any, data: RunData, index: int) -> None:
     recording.log(f"world/{agent.name}/map", rr.Points3D(placed, colors=[colour], radii=0.03), static=True)
     recording.log(f"world/{agent.name}/path", rr.LineStrips3D([positions], colors=[colour]), static=True)
     for stamp_ns, position in zip(agent.estimate.stamps_ns.tolist(), positions, strict=True):
-        recording.set_time(CLOCK, duration=stamp_ns / 1e9)
+        recording.set_time(CLOCK, duration=(stamp_ns - agent.start_ns) / 1e9)
         here = rr.Points3D([position], colors=[colour], labels=[agent.name], radii=0.3)
         recording.log(f"world/{agent.name}/camera", here)
 

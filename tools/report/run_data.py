@@ -17,6 +17,7 @@ from maslam.backend.geometry import Sim3
 from maslam.backend.trajectory_error import trajectory_error
 from maslam.frontend.files.trajectory import Trajectory, read_tum
 from maslam.mas.evaluation.ground_truth import MIN_POSES, TRUTH_TOLERANCE_NS
+from maslam.mas.output.run_folder import later
 from maslam.mas.sequence import GROUNDTRUTH, TRAJECTORY, Manifest, read_manifest
 
 from ..common.errors import ToolError
@@ -27,13 +28,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AgentData:
-    """One agent's results: ``estimate`` in its group's frame on its own clock; ``copies``: the key-frames of each map
-    it holds.
+    """One agent's results: ``estimate`` in its group's frame; ``copies``: key-frames of each map it holds. All times
+    are the images' own, of which ``start_ns`` is the first; ``file_ns``: what they are later than in the files.
     """
 
     index: int
     name: str
     start_ns: int
+    file_ns: int
     estimate: Trajectory
     truth: Trajectory | None
     copies: dict[int, Trajectory]
@@ -80,13 +82,33 @@ class RunData:
                 transforms[i] = T
         return transforms
 
+    def is_aligned(self, agent: int) -> bool:
+        """Whether the truth says where the agent's frame stands in the world."""
+        return self._known[agent]
+
+    @cached_property
+    def _known(self) -> list[bool]:
+        paired = [0] * len(self.agents)
+        for agent in self.agents:
+            if agent.truth is not None and len(agent.truth):
+                rows = agent.truth.nearest(agent.estimate.stamps_ns, TRUTH_TOLERANCE_NS)
+                paired[agent.index] = int((rows >= 0).sum())
+        enough = {i: sum(paired[k] for k in group) >= MIN_POSES for group in self.groups for i in group}
+        return [enough.get(agent.index, False) for agent in self.agents]
+
+    def unit(self, agent: int) -> str:
+        """The unit of length of the agent's positions in :attr:`in_world`: metres, where cameras or the truth give
+        them; with one camera alone a unit of its own."""
+        metric = self.manifest.scale == "metric" or self.is_aligned(agent)
+        return "metres" if metric else "arbitrary unit (one camera, no scale)"
+
     @cached_property
     def in_world(self) -> list[Array]:
-        """Positions ``(N, 3)`` of each agent in the world, metres."""
+        """Positions ``(N, 3)`` of each agent in the world, in its :meth:`unit`."""
         return [T @ agent.estimate.centres for T, agent in zip(self.T_world_agent, self.agents, strict=True)]
 
     def alignment(self, pieces: Sequence[tuple[int, Trajectory]]) -> Sim3:
-        """The one transform that brings all ``pieces`` (an agent, a trajectory on its clock) nearest to the truth."""
+        """The one transform that brings all ``pieces`` (an agent, a trajectory of its images) nearest to the truth."""
         estimates, truths = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for index, trajectory in pieces:
             truth = self.agents[index].truth
@@ -104,7 +126,7 @@ class RunData:
         """Position ``(3,)`` in the world of ``agent`` at ``stamp_ns`` on the source's clock; None without a pose within
         half a second."""
         estimate = self.agents[agent].estimate
-        row = int(estimate.nearest(np.array([stamp_ns - self.agents[agent].start_ns]), 500_000_000)[0])
+        row = int(estimate.nearest(np.array([stamp_ns]), 500_000_000)[0])
         return None if row < 0 else self.in_world[agent][row]
 
     @cached_property
@@ -126,7 +148,8 @@ def read_run(folder: Path) -> RunData:
     try:
         manifest = read_manifest(folder)
         starts_ns = [entry.start_ns for entry in manifest.agents]
-        agents = [_read_agent(folder, i, starts_ns) for i in range(len(starts_ns))]
+        own = summary.get("times", "agent") == "agent"
+        agents = [_read_agent(folder, i, start_ns, start_ns if own else 0) for i, start_ns in enumerate(starts_ns)]
         timeline = _read_csv(folder / "timeline.csv")
         return RunData(
             folder=folder,
@@ -146,19 +169,19 @@ def read_run(folder: Path) -> RunData:
         raise ToolError(f"{folder}: not a run this version can report on ({type(error).__name__}: {error})") from error
 
 
-def _read_agent(run: Path, index: int, starts_ns: list[int]) -> AgentData:
+def _read_agent(run: Path, index: int, start_ns: int, file_ns: int) -> AgentData:
     folder = run / f"agent_{index:02d}"
-    copies = {}
-    for path in sorted((folder / "maps").glob("agent_*.tum")):
-        owner, copy = int(path.stem.removeprefix("agent_")), read_tum(path)
-        copies[owner] = Trajectory(copy.stamps_ns - starts_ns[owner], copy.poses)
+    copies = {
+        int(path.stem.removeprefix("agent_")): read_tum(path) for path in sorted((folder / "maps").glob("agent_*.tum"))
+    }
     truth = folder / GROUNDTRUTH
     return AgentData(
         index=index,
         name=folder.name,
-        start_ns=starts_ns[index],
-        estimate=read_tum(folder / TRAJECTORY),
-        truth=read_tum(truth) if truth.is_file() else None,
+        start_ns=start_ns,
+        file_ns=file_ns,
+        estimate=later(read_tum(folder / TRAJECTORY), file_ns),
+        truth=later(read_tum(truth), file_ns) if truth.is_file() else None,
         copies=copies,
     )
 

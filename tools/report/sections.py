@@ -24,6 +24,8 @@ from .charts import (
     top_view,
     traffic_matrix,
 )
+from .coverage_table import coverage_sections, frames_read, measured_on, percent_text
+from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
 from .run_data import AgentData, RunData
@@ -37,7 +39,8 @@ def headline(run: RunData) -> tuple[str, str]:
     s = run.summary
     title = f"{counted(s['agents'], 'agent')} in {Path(run.manifest.source).name}"
     settings = f"{who_decided(s)}, seed {s['seed']}, scale {run.manifest.scale}"
-    return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}"
+    errors = f" · errors {measured_on(s)}" if measured_on(s) else ""
+    return title, f"{run.manifest.kind} · {s['keyframes']} key-frames · {settings} · maslam {s['version']}{errors}"
 
 
 def tiles(run: RunData) -> list[Tile]:
@@ -52,9 +55,12 @@ def tiles(run: RunData) -> list[Tile]:
     total = s["traffic"]["total"]
     return [
         *_error_tiles(run),
+        *_placed_tile(run),
         Tile("agents in one frame", f"{biggest} of {s['agents']}", mood=shared),
         Tile("accepted matches", str(accepted), known, judged),
-        Tile("exploration, mean", f"{np.mean(exploration):.0f} %", f"minimum {min(exploration):.0f} %"),
+        Tile(
+            "exploration, mean", percent_text(float(np.mean(exploration))), f"minimum {percent_text(min(exploration))}"
+        ),
         Tile("bytes sent", format_bytes(total["wire_bytes"]), f"{format_bytes(total['payload_bytes'])} payload"),
         Tile("time of the agents", f"{run.timing['wall_s']:.1f} s", f"{run.timing['realtime_factor']:.1f} x real time"),
     ]
@@ -64,17 +70,31 @@ def _error_tiles(run: RunData) -> list[Tile]:
     after, before = run.summary["ate_rmse_m"]["mean_agents"], run.summary["odometry_mean_rmse_m"]
     paths = [p for p in run.summary["path_length_m"] if p]
     if after is None:
-        return [Tile("mean ATE", "unknown", "no ground truth")]
+        return [
+            Tile("mean ATE", "unknown", "no ground truth" if not run.has_truth else "too few poses with a true one")
+        ]
     better = before is not None and after < before
     share = f" ({100 * after / np.mean(paths):.2f} % of the path)" if paths else ""
     alone = "" if before is None else f"odometry alone {before:.3f} m"
     return [Tile(f"mean ATE{share}", f"{after:.3f} m", alone, "good" if better else "")]
 
 
+def _placed_tile(run: RunData) -> list[Tile]:
+    """Frames with a place; red where more than a tenth of those read have none."""
+    coverage = run.summary.get("coverage") or []
+    if not coverage:
+        return []
+    placed, read = sum(c["placed"] for c in coverage), frames_read(run.summary)
+    mood = "bad" if placed < 0.9 * read else ""
+    return [Tile("frames placed", percent_text(100.0 * placed / max(read, 1)), f"{placed} of {read} read", mood)]
+
+
 def sections(run: RunData) -> list[Section]:
     """The whole report."""
     return [
+        *warning_sections(run.summary),
         *_map(run),
+        *coverage_sections(run.summary),
         _copies(run),
         _errors(run),
         _bytes(run),
@@ -92,14 +112,19 @@ def _agent_legend(run: RunData) -> str:
 
 
 def _map(run: RunData) -> list[Section]:
-    """One chart with truth; without it, one for each frame, since nothing relates two frames."""
+    """One chart of all that the truth relates; the others by frame, since nothing relates two frames."""
     note = "Top view. Dark links join the two places of each accepted match."
-    if run.has_truth:
+    laid = [agent.index for agent in run.agents if run.is_aligned(agent.index)]
+    apart = [group for group in run.groups if group[0] not in laid and any(len(run.in_world[i]) for i in group)]
+    if laid:
         note += " One transform lays each group of agents that shares a frame on the ground truth."
-        charts = [_map_of(run, [agent.index for agent in run.agents])]
-    else:
-        note += " There is no ground truth: each group of agents is drawn in its own frame."
-        charts = [_map_of(run, group) for group in sorted(run.groups, key=lambda group: (-len(group), group))]
+    if apart:
+        without = "They have too little of it" if laid else "There is no ground truth"
+        note += f" {without}: each {'other ' if laid else ''}group of agents is drawn in its own frame."
+    if apart and run.manifest.scale != "metric":
+        note += " With one camera alone, a frame's unit of length is its own and no metre."
+    shown = ([laid] if laid else []) + sorted(apart, key=lambda group: (-len(group), group))
+    charts = [_map_of(run, group) for group in shown]
     shared = len(run.groups) == 1
     title = (
         "Trajectory"
@@ -112,7 +137,7 @@ def _map(run: RunData) -> list[Section]:
 
 
 def _map_of(run: RunData, members: list[int]) -> str:
-    return f'<div class="wide">{map_chart(top_view(run, members))}</div>'
+    return f'<div class="wide">{map_chart(top_view(run, members), run.unit(members[0]))}</div>'
 
 
 def _copies(run: RunData) -> Section:
@@ -130,10 +155,11 @@ def _copies(run: RunData) -> Section:
 
 
 def _held(run: RunData, agent: AgentData) -> TopView:
-    axes, pieces = axes_of(run), [(agent.index, agent.estimate), *sorted(agent.copies.items())]
-    T = run.alignment(pieces)
+    pieces = [(agent.index, agent.estimate), *sorted(agent.copies.items())]
+    axes, T = axes_of(run, [agent.index]), run.alignment(pieces)
     paths = [Path2D(run.agents[i].name, (T @ t.centres)[:, axes], i, faint=i != agent.index) for i, t in pieces]
-    return TopView(paths, [t.centres[:, axes] for i, _ in pieces if (t := run.agents[i].truth) is not None])
+    truths = [run.agents[i].truth for i, _ in pieces] if run.is_aligned(agent.index) else []
+    return TopView(paths, [truth.centres[:, axes] for truth in truths if truth is not None])
 
 
 def _errors(run: RunData) -> Section:
@@ -149,8 +175,9 @@ def _errors(run: RunData) -> Section:
             ("Own map and all copies held", maps, "ATE RMSE, m"),
         )
     ]
-    note = "Position error after alignment, of the key-frames that each agent had at that moment (the table counts all "
-    note += "frames). Dotted lines: an optimisation ended."
+    kind = "Sim(3)" if run.manifest.scale != "metric" else "SE(3)"
+    note = f"Position error after {kind} alignment, of the key-frames that each agent had at that moment (the table "
+    note += "counts all frames). Dotted lines: an optimisation ended."
     mean: list[tuple[str, str, tuple[int, ...]]] = [("mean", INK, ())] if len(run.agents) > 1 else []
     key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
     return Section("Error over time", note, f'{key}<div class="columns">{"".join(charts)}</div>{_error_table(run)}')
@@ -190,9 +217,11 @@ def _bytes(run: RunData) -> Section:
 
 def _exploration(run: RunData) -> Section:
     exploration = run.summary["exploration_percent"]
-    entries = [(a.name, exploration[a.index], f"{exploration[a.index]:.1f} %", colour_of(a.index)) for a in run.agents]
+    shares = {agent.index: exploration[agent.index] for agent in run.agents}
+    entries = [(a.name, shares[a.index], percent_text(shares[a.index]), colour_of(a.index)) for a in run.agents]
     note = (
-        "Frames of an agent's own map and the copies it holds, over all frames of all agents, each frame counted once."
+        "Frames with a place in an agent's own map or in a copy it holds, over all frames that all agents have read, "
+        "each frame counted once. Of a copy the frames between neighbouring key-frames count that are both in it."
     )
     return Section("Exploration", note, bars(entries, 100.0))
 
@@ -227,7 +256,13 @@ def _matches(run: RunData) -> Section:
     hidden = len(run.matches) - len(shown)
     more = f"{hidden} more rows stand in matches.csv." if hidden else ""
     note = f"{matches['candidates']} candidate pairs, {matches['verified']} passed the geometric check. "
-    note += f"Skipped ones were not checked: they are close to a match that is there. {more}"
+    note += (
+        "Rejected ones were checked and failed. Skipped ones were not checked: they are known or close to a match that "
+    )
+    note += "is there"
+    same = matches.get("same_image", 0)
+    note += f", or of one and the same image, which is no evidence ({same}). " if same else ". "
+    note += more
     return Section("Candidate matches and their outcome", note, outcomes + listing)
 
 

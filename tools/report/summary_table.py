@@ -10,6 +10,8 @@ from typing import Any
 
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
+from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on, percent_text
+from .graph_warnings import graph_lines
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -77,7 +79,15 @@ def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
     agents, keyframes = counted(summary["agents"], "agent"), counted(summary["keyframes"], "key-frame")
     head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {keyframes}"
-    return "\n".join([head, "", *_errors(summary), "", *_traffic(summary), "", *_matches(summary), _time(timing)])
+    last = [*_matches(summary), *graph_lines(summary), _time(timing)]
+    parts = [[head], _errors(summary), _coverage(summary), _traffic(summary), last]
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def _coverage(summary: dict[str, Any]) -> list[str]:
+    """Frames read, tracked and placed of each agent, then what was lost and why."""
+    rows = coverage_rows(summary)
+    return aligned([["", *HEAD], *rows]) + lost_lines(summary) if rows else []
 
 
 def _errors(summary: dict[str, Any]) -> list[str]:
@@ -99,8 +109,12 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(exploration))])
     biggest = max(len(group) for group in summary["groups"])
     shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
-    truth = [] if any(v is not None for v in rmse["agents"]) else ["no ground truth: errors cannot be known"]
-    return [*aligned(rows), *shared, *truth]
+    known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") == "arbitrary"
+    said = [f"errors {measured_on(summary)}"] if known and measured_on(summary) else []
+    why = "no frame has both a place and a true one" if any(summary["path_length_m"]) else "no ground truth"
+    truth = [] if known else [f"{why}: errors cannot be known"]
+    own = ["one camera: lengths are in units of their own, not metres"] if unit and not known else []
+    return [*aligned(rows), *shared, *said, *truth, *own]
 
 
 def _traffic(summary: dict[str, Any]) -> list[str]:
@@ -116,13 +130,23 @@ def _matches(summary: dict[str, Any]) -> list[str]:
     matches, solved = summary["matches"], summary["optimisations"]
     false = matches.get("false_accepted")
     others = {kind: _by_reason(matches.get(kind) or {}) for kind in ("rejected", "skipped")}
-    counts = f"{matches['candidates']} candidates, {matches['verified']} verified, {matches['accepted']} accepted"
+    counts = (
+        f"{counted(matches['candidates'], 'candidate')}, {matches['verified']} verified, {matches['accepted']} accepted"
+    )
     return [
         f"matches        {counts}" + ("" if false is None else f", {false} of them false"),
         *(f"  {kind:<13}{reasons}" for kind, reasons in others.items() if reasons),
+        *_same_image(matches.get("same_image", 0)),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
         f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
     ]
+
+
+def _same_image(count: int) -> list[str]:
+    """Said only where it happens: agents of one recording that share images."""
+    return (
+        [f"  {'same image':<13}{counted(count, 'pair')} of one image seen by two agents, no evidence"] if count else []
+    )
 
 
 def _by_reason(counts: dict[str, int]) -> str:
@@ -143,4 +167,4 @@ def _metres(value: float | None) -> str:
 
 
 def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f} %"
+    return "-" if value is None else percent_text(value)

@@ -29,7 +29,7 @@ class SweepPlan(BaseModel):
     agents: tuple[int, ...] = Field((4,), description="agents that a sequence is cut into; a town has so many")
     presets: tuple[str, ...] = Field(("maslam",), description="presets to compare")
     seeds: tuple[int, ...] = Field((0,), description="seeds of the runs")
-    overlap: int = Field(3, ge=0, description="key-frames that neighbouring agents share")
+    overlap: int = Field(0, ge=0, description="key-frames that an agent takes from its neighbours; the thesis: 3")
     width: int = Field(620, ge=64, le=4096, description="pixels of rendered images")
     height: int = Field(188, ge=64, le=4096, description="pixels of rendered images")
     step: int = Field(1, ge=1, description="take every so many poses of a file")
@@ -86,7 +86,11 @@ def experiment(name: str) -> SweepPlan:
     presets = tuple(p for p in THESIS_PRESETS if p in PRESETS)
     plans = {
         "thesis": SweepPlan(
-            sequences=("00", "05", "08", TOWN), agents=(4, 10, 20), presets=presets, seeds=(0, 1, 2, 3, 4)
+            sequences=("00", "05", "08", TOWN),
+            agents=(4, 10, 20),
+            presets=presets,
+            seeds=(0, 1, 2, 3, 4),
+            overlap=3,
         ),
         "scaling": SweepPlan(sequences=("00",), agents=(2, 4, 10, 20, 50, 100), presets=("maslam",), seeds=(0,)),
         "quick": SweepPlan(sequences=("07",), agents=(2, 4), presets=presets, seeds=(0, 1), frames=400, step=2),

@@ -98,7 +98,7 @@ def make_reference(
     accepted = [match for _, match in matches]
     groups = _groups(len(states), [match.id for match in accepted])
     graph = _solved(states, accepted)
-    evaluator = GroundTruthEvaluator(sequences)
+    evaluator = GroundTruthEvaluator(sequences, sum(entry.frames for entry in manifest.left_out))
     errors = [evaluator.error_of(s.me, _trajectory(s, graph, q)) for s, q in zip(states, sequences, strict=True)]
     rmse = [None if e is None else float(e.rmse_m) for e in errors]
     known = [e for e in rmse if e is not None]
@@ -152,6 +152,8 @@ def _verify(states: Sequence[AgentState], pair: MatchId) -> None:
     """Verify a candidate; both owners learn a match."""
     asking, asked = states[pair.query_agent], states[pair.match_agent]
     query, match = asking.keyframes[pair.query], asked.keyframes[pair.match]
+    if match.is_image(query.recording, query.stamp_ns):  # two agents were given one image: no evidence
+        return
     verdict = verify(asked, pair, view_of(asking, query), match)
     if not verdict.accepted or verdict.T_M_Q is None or verdict.information is None:
         return
@@ -191,7 +193,7 @@ def _groups(count: int, matches: Sequence[MatchId]) -> list[list[int]]:
 
 
 def _reachable(evaluator: GroundTruthEvaluator, groups: Sequence[Sequence[int]]) -> list[float]:
-    """Percent of all frames that the members of an agent's group have seen together."""
+    """Percent of all frames read that the members of an agent's group have tracked together."""
     shares = dict.fromkeys(range(len(evaluator.sequences)), 0.0)
     for group in groups:
         shares.update(dict.fromkeys(group, evaluator.share_seen_by(group)))

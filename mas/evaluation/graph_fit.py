@@ -1,0 +1,54 @@
+"""Whether the graphs that agents ended with fit: one for each group of agents in one frame, all their edges in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from maslam.backend.central.fit import GraphFit, graph_fit
+from maslam.backend.geometry import Sim3
+from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
+
+from ..agent import Agent
+from ..state.place_match import Match
+from ..state.pose_graph import match_edge, odometry_edges
+from .ground_truth import groups_of
+from .summary import GraphFigures, MisfitFigures
+
+
+def graph_figures(agents: Sequence[Agent]) -> list[GraphFigures]:
+    """The fit of each group's graph that has an edge."""
+    fits = [(group, group_fit([agents[i] for i in group])) for group in groups_of(agents)]
+    return [
+        GraphFigures(
+            agents=group,
+            edges=fit.edges,
+            cost=fit.cost,
+            dof=fit.dof,
+            fits=fit.fits,
+            worst=[MisfitFigures(ends=[str(m.i), str(m.j)], kind=m.kind.value, cost=m.cost) for m in fit.worst],
+        )
+        for group, fit in fits
+        if fit.edges
+    ]
+
+
+def group_fit(agents: Sequence[Agent]) -> GraphFit:
+    """Of agents in one frame: their placed key-frames as each of them has its own, odometry, and accepted matches."""
+    poses: dict[NodeId, Sim3] = {}
+    edges: list[Edge] = []
+    for state in (agent.state for agent in agents):
+        poses.update({NodeId(state.me, index): state.pose(index) for index in state.placed()})
+        edges += [e for p in state.pieces if p.frame == state.frame for e in odometry_edges(state, p.track)]
+    edges += [match_edge(match, agents[0].state.config.optimisation) for match in _used(agents)]
+    edges = [e for e in edges if e.i in poses and e.j in poses]
+    metric = frozenset(agent.state.me for agent in agents if agent.state.profile.metric)
+    rigid = {node: Sim3(S.rotation, S.translation, 1.0).se3() for node, S in poses.items()}
+    everyone = len(metric) == len(agents)
+    return graph_fit(PoseGraph(rigid, tuple(edges)), poses, None if everyone else metric)
+
+
+def _used(agents: Sequence[Agent]) -> list[Match]:
+    """Matches that their owners accept, without those that the group's others contradict."""
+    left_out = {match for agent in agents for match in agent.state.contradicted}
+    found = {match.id: match for agent in agents for match in agent.state.accepted_matches()}
+    return [match for identity, match in sorted(found.items()) if identity not in left_out]

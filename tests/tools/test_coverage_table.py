@@ -1,0 +1,53 @@
+"""Coverage in words: percentages, reasons by kind, names of agents."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from maslam.tools.report.coverage_table import agent_names, coverage_rows, lost_lines, measured_on, percent_text
+
+
+def summary(**coverage: Any) -> dict[str, Any]:
+    one = {"sequence": "drive", "read": 551, "tracked": 88, "placed": 88, "tracks": 1, "tracks_placed": 1, "lost": []}
+    alignment = {"kind": "Sim(3)", "scale": 3.2104, "frames": 88}
+    return {"agents": 1, "coverage": [{**one, **coverage}], "alignments": {"agents": [alignment]}}
+
+
+@pytest.mark.parametrize(
+    ("percent", "text"), [(100.0, "100.0 %"), (99.99, "99.9 %"), (99.8, "99.8 %"), (15.97, "16.0 %"), (0.0, "0.0 %")]
+)
+def test_what_is_not_all_is_never_a_hundred_percent(percent: float, text: str) -> None:
+    assert percent_text(percent) == text
+
+
+def test_a_row_says_frames_and_alignment() -> None:
+    (row,) = coverage_rows(summary())
+    assert row == ["agent_00", "551", "88 (16.0 %)", "88 (16.0 %)", "1 of 1", "88 frames", "Sim(3), scale 3.21"]
+    assert measured_on(summary()) == "measured on 88 of 551 frames read, after Sim(3) alignment, scale 3.21"
+
+
+def test_reasons_that_differ_by_figures_are_one_kind_and_many_are_cut() -> None:
+    def lost(first: int, last: int, reason: str) -> dict[str, Any]:
+        return {"first_frame": first, "last_frame": last, "reason": reason}
+
+    few = [lost(10 * k, 10 * k + 4, f"few points: {k} of 80") for k in range(5)]
+    others = [lost(100 + k, 100 + k, f"reason {word}") for k, word in enumerate("abcdef")]
+    lines = lost_lines(summary(lost=[*few, lost(60, 61, "too dark"), *others]))
+    assert lines[0] == "agent_00: 25 frames lost (0 to 4, 10 to 14, 20 to 24 and 2 more): few points: … of …"
+    assert lines[1] == "agent_00: 2 frames lost (60 to 61): too dark"
+    assert lines[-1] == "agent_00: 4 frames lost for 4 other reasons" and len(lines) == 5
+
+
+def test_agents_are_named_for_their_images_where_these_tell_them_apart() -> None:
+    coverage = summary()["coverage"][0]
+    several = {"agents": 2, "coverage": [{**coverage, "sequence": name} for name in ("kitchen", "agent_01")]}
+    assert agent_names(several) == ["agent_00 (kitchen)", "agent_01"]
+    one = {"agents": 2, "coverage": [coverage, coverage]}
+    assert agent_names(one) == ["agent_00", "agent_01"]
+
+
+def test_a_run_from_before_has_no_coverage() -> None:
+    old: dict[str, Any] = {"agents": 2}
+    assert coverage_rows(old) == [] and lost_lines(old) == [] and measured_on(old) == ""

@@ -1,0 +1,147 @@
+"""Frames read, tracked, placed and lost, in words: for the console and the report."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from ..common.text_table import counted
+from .html import Section, table
+
+HEAD = ("frames read", "tracked", "placed", "tracks placed", "ATE measured on", "alignment")
+_KINDS = 4  # of reasons that are named for one agent
+_INTERVALS = 3  # of each kind
+_FIGURE = re.compile(r"\d+(\.\d+)?")
+
+
+def coverage_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """A row for each agent, and their sum where there are several; none of a run before coverage was written."""
+    coverage = summary.get("coverage") or []
+    alignments = (summary.get("alignments") or {}).get("agents") or [None] * len(coverage)
+    rows = [
+        [
+            name,
+            str(c["read"]),
+            _share(c["tracked"], c["read"]),
+            _share(c["placed"], c["read"]),
+            f"{c['tracks_placed']} of {c['tracks']}",
+            "-" if a is None else counted(a["frames"], "frame"),
+            alignment_text(a),
+        ]
+        for name, c, a in zip(agent_names(summary)[: len(coverage)], coverage, alignments, strict=True)
+    ]
+    if len(rows) > 1:
+        read, tracked, placed, tracks, joined = (
+            sum(c[key] for c in coverage) for key in ("read", "tracked", "placed", "tracks", "tracks_placed")
+        )
+        measured = sum(a["frames"] for a in alignments if a is not None)
+        shares = [_share(tracked, read), _share(placed, read)]
+        on = counted(measured, "frame") if measured else "-"
+        rows.append(["sum", str(read), *shares, f"{joined} of {tracks}", on, ""])
+    return rows
+
+
+def coverage_sections(summary: dict[str, Any]) -> list[Section]:
+    """The report's part on coverage; none of a run before it was written."""
+    rows = coverage_rows(summary)
+    if not rows:
+        return []
+    note = (
+        "Frames that were read; of those, tracked by odometry; of those, placed in the frame that the agent ended in. "
+    )
+    note += "All other figures are about the placed ones."
+    cells = [[escape(cell) for cell in row] for row in rows]
+    lost = "".join(f"<li>{escape(line)}</li>" for line in lost_lines(summary))
+    body = f'<div class="scroll">{table(["agent", *HEAD], cells, total=len(rows) > 1)}</div>'
+    return [Section("Coverage", note, body + (f"<ul>{lost}</ul>" if lost else "<p>No frame was lost.</p>"))]
+
+
+def alignment_text(alignment: dict[str, Any] | None) -> str:
+    """``SE(3)``, or ``Sim(3), scale 3.21``."""
+    if alignment is None:
+        return "-"
+    scale = f", scale {alignment['scale']:.4g}" if alignment["kind"] != "SE(3)" else ""
+    return f"{alignment['kind']}{scale}"
+
+
+def measured_on(summary: dict[str, Any]) -> str:
+    """On how many of the frames read the mean error was measured, and after which alignment; empty where neither was
+    written."""
+    coverage = summary.get("coverage") or []
+    known = [a for a in (summary.get("alignments") or {}).get("agents") or [] if a is not None]
+    if not coverage or not known:
+        return ""
+    scales = sorted(a["scale"] for a in known)
+    kind = known[0]["kind"]
+    one = f"{scales[0]:.4g}" if len(scales) == 1 else f"{scales[0]:.4g} to {scales[-1]:.4g}"
+    after = f"{kind} alignment" if kind == "SE(3)" else f"{kind} alignment, scale {one}"
+    measured, read = sum(a["frames"] for a in known), frames_read(summary)
+    return f"measured on {measured} of {read} frames read, after {after}"
+
+
+def percent_text(percent: float) -> str:
+    """``99.8 %``; what is not all is never 100 %."""
+    return f"{percent if percent >= 100.0 - 1e-9 else min(percent, 99.9):.1f} %"
+
+
+def frames_read(summary: dict[str, Any]) -> int:
+    """By all agents, and of sequences that no agent was made of."""
+    found = [c["read"] for c in summary.get("coverage") or []]
+    return sum(found) + sum(one["frames"] for one in summary.get("left_out") or [])
+
+
+def lost_lines(summary: dict[str, Any]) -> list[str]:
+    """What has no place, a sentence each: lost and doubtful intervals by reason, tracks that nothing joins, sequences
+    without an agent."""
+    lines = []
+    coverage = summary.get("coverage") or []
+    for name, c in zip(agent_names(summary)[: len(coverage)], coverage, strict=True):
+        for what in ("lost", "doubtful"):
+            lines += [f"{name}: {line}" for line in _by_reason(c.get(what) or [], what)]
+        apart = c["tracks"] - c["tracks_placed"]
+        if apart:
+            frames = counted(c["tracked"] - c["placed"], "tracked frame")
+            lines.append(f"{name}: {counted(apart, 'track')} that nothing joins, {frames} without a place")
+    for one in summary.get("left_out") or []:
+        lines.append(f"{one['sequence']}: no agent, {counted(one['frames'], 'frame')}: {one['reason']}")
+    return lines
+
+
+def agent_names(summary: dict[str, Any]) -> list[str]:
+    """``agent_00`` …, with the name of its images where that is another and not the same for all."""
+    coverage = summary.get("coverage") or []
+    sources = {c["sequence"] for c in coverage}
+    plain = [f"agent_{i:02d}" for i in range(summary["agents"])]
+    if len(sources) < 2:
+        return plain
+    names = (c["sequence"] for c in coverage)
+    return [one if one == name else f"{one} ({name})" for one, name in zip(plain, names, strict=True)]
+
+
+def _by_reason(intervals: Sequence[dict[str, Any]], what: str) -> list[str]:
+    """Intervals whose reasons differ by their figures only are one kind."""
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for one in intervals:
+        kinds.setdefault(_FIGURE.sub("…", one["reason"]), []).append(one)
+    most = sorted(kinds.items(), key=lambda kind: -_frames(kind[1]))
+    lines = []
+    for kind, members in most[:_KINDS]:
+        spans = [f"{m['first_frame']} to {m['last_frame']}" for m in members[:_INTERVALS]]
+        more = f" and {len(members) - _INTERVALS} more" if len(members) > _INTERVALS else ""
+        reason = members[0]["reason"] if len({m["reason"] for m in members}) == 1 else kind
+        lines.append(f"{counted(_frames(members), 'frame')} {what} ({', '.join(spans)}{more}): {reason}")
+    rest = [m for _, members in most[_KINDS:] for m in members]
+    if rest:
+        lines.append(f"{counted(_frames(rest), 'frame')} {what} for {len(most) - _KINDS} other reasons")
+    return lines
+
+
+def _frames(intervals: Sequence[dict[str, Any]]) -> int:
+    return sum(int(one["last_frame"]) - int(one["first_frame"]) + 1 for one in intervals)
+
+
+def _share(count: int, of: int) -> str:
+    """A count, with its percentage where it is not all."""
+    return str(count) if count >= of else f"{count} ({percent_text(100.0 * count / of)})"
