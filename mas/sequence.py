@@ -95,14 +95,6 @@ class AgentEntry(_Entry):
         return self.camera.kind != "mono"
 
 
-class LeftOutEntry(_Entry):
-    """A sequence of the source from which no agent was made, and why."""
-
-    sequence: str
-    frames: int = Field(ge=0)
-    reason: str
-
-
 class DescriptorEntry(_Entry):
     """The place descriptor that made the vectors; vectors of another model are refused."""
 
@@ -116,6 +108,14 @@ class DescriptorEntry(_Entry):
         description="below this appearance alone decides (precision 0.99 where calibrated); None: not known",
     )
     min_std: float = Field(ge=0, description="grey-level spread under which an image counts as without texture")
+
+
+class LeftOutEntry(_Entry):
+    """A sequence of the source from which no agent was made, and why."""
+
+    sequence: str
+    frames: int = Field(ge=0)
+    reason: str
 
 
 class SplitEntry(_Entry):

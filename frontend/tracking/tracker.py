@@ -21,6 +21,13 @@ from ..mapping.range_sensor import Ranging
 
 Array = NDArray[np.float64]
 _EPIPOLAR_PX = 2.0
+_NEIGHBOURS = 3
+"""Points of known position that tell how far what lies between them may be."""
+_DEPTHS = (1.0, 0.5, 2.0)
+"""Shares of that depth at which they are looked for."""
+_FAR, _NEAREST = 1e6, 1e-6
+_FLOW_HOLDS = 0.5
+"""Where flow finds this share of points no other search is worth its time."""
 _LOOK_AGAIN_PX = 3.0
 """A prediction this wrong (median) has misled the search: what was not found is looked for again from the pose
 found."""
@@ -220,7 +227,8 @@ class Tracker:
 
     def _follow_unknown(self, search: _Search, fit: _Fit, T_C_W: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels ``(n, 2)`` and found ``(n,)`` of ``fit``, joined by the points of unknown position: flow from where
-        the turn of the camera takes them; they must move along their epipolar line."""
+        the turn of the camera takes them, then their patches as they would look at the depth of their neighbours; they
+        must move along their epipolar line."""
         index = np.flatnonzero(np.isnan(search.xyz[:, 0]) & self.followed.found)
         if not len(index):
             return fit.uv, fit.found
@@ -229,9 +237,37 @@ class Tracker:
         far, _ = self.ranging.project(se3(turn, np.zeros(3)), self.ranging.rays(start))
         guess = np.where(np.isfinite(far), far, start)
         at, good = follow_both_ways(self.image[0], search.frame.image, start, guess, self.config.flow)
+        good &= self._on_epipolar_line(start, at, T_C_W)
         uv, found = fit.uv.copy(), fit.found.copy()
-        uv[index], found[index] = at, good & self._on_epipolar_line(start, at, T_C_W)
+        uv[index], found[index] = at, good
+        for share in _DEPTHS if good.sum() < _FLOW_HOLDS * len(index) else ():
+            lost = index[~found[index]]
+            at, good = self._find_at_depth(search, fit, T_C_W, lost, share)
+            uv[lost[good]], found[lost[good]] = at[good], True
         return uv, found
+
+    def _find_at_depth(
+        self, search: _Search, fit: _Fit, T_C_W: Array, index: NDArray[np.intp], share: float
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Pixels and found of points ``index`` of unknown position, looked for by their patches as if they were at
+        ``share`` of the depth of what is seen around them: where much passes near the camera flow loses them."""
+        start = self.followed.uv[index]
+        supposed = self.ranging.rays(start) * (share * self._depth_around(search, fit, start))[:, None]
+        xyz = np.full((len(self.followed.uv), 3), np.nan)
+        xyz[index] = transform_points(se3_inverse(self.T_C_W), supposed)
+        uv, found = self._find(replace(search, xyz=xyz), T_C_W)
+        return uv[index], found[index] & self._on_epipolar_line(start, uv[index], T_C_W)
+
+    def _depth_around(self, search: _Search, fit: _Fit, uv: Array) -> Array:
+        """Depth ``(n,)`` in the last frame at pixels ``uv`` ``(n, 2)`` of it: the median of the nearest points of known
+        position that were found in both; far where there are none."""
+        known = np.flatnonzero(fit.inlier & self.followed.found)
+        if len(known) < _NEIGHBOURS:
+            return np.full(len(uv), _FAR)
+        depth = transform_points(self.T_C_W, search.xyz[known])[:, 2]
+        apart = ((uv[:, None] - self.followed.uv[known][None]) ** 2).sum(axis=2)
+        nearest = np.argpartition(apart, _NEIGHBOURS - 1, axis=1)[:, :_NEIGHBOURS]
+        return np.maximum(np.median(depth[nearest], axis=1), _NEAREST)
 
     def _on_epipolar_line(self, before: Array, after: Array, T_C_W: Array) -> NDArray[np.bool_]:
         T = product(T_C_W, se3_inverse(self.T_C_W))

@@ -30,6 +30,8 @@ from .verification import Verification, kind_of, match_end, verify, view_of
 from .wider_search import WiderSearch
 
 _FARTHEST = 2.0
+# Key-frames at the beginning of a track, and at the end of the one before, that are compared with each other.
+_BEGINNING = 3
 
 Found = PlaceAnswer | EarlierAnswer | PlaceRedirect
 
@@ -246,16 +248,32 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         newest = self._newest_candidate(keyframe)
         if not keyframe.textured or not newest:
             return NOTHING
+        effects = self._join_track_before(keyframe)
         found = self.candidates.nearest(keyframe.vector, below=newest)
         if found is None or found[1] >= self.wide_threshold:
-            return NOTHING
-        wider, me = found[1] >= self.threshold, self.state.me
+            return effects
+        wider = found[1] >= self.threshold
         if wider and self.state.piece_of(found[0]).frame == self.state.piece_of(keyframe.index).frame:
+            return effects
+        return effects + self._consider_own(keyframe, self.state.keyframes[found[0]], found[1], wider)
+
+    def _join_track_before(self, keyframe: KeyFrame) -> Effects:
+        """A track's first key-frames may still see what the last ones of the track before saw, however different the
+        images are: they are verified whatever their vectors say."""
+        first = self.state.piece_of(keyframe.index).first
+        if not first or keyframe.index - first >= _BEGINNING:
             return NOTHING
-        candidate = Candidate(MatchId(me, keyframe.index, me, found[0]), self.context.now_ns, found[1], wider=wider)
-        if not self.candidates.propose(candidate):
-            return NOTHING
-        return self._verify_own(candidate, keyframe, self.state.keyframes[found[0]])
+        effects = NOTHING
+        for earlier in reversed(self.state.keyframes[max(first - _BEGINNING, 0) : first]):
+            if earlier.track == keyframe.track - 1:
+                apart = float(np.linalg.norm(earlier.vector - keyframe.vector))
+                effects += self._consider_own(keyframe, earlier, min(apart, _FARTHEST), wider=True)
+        return effects
+
+    def _consider_own(self, query: KeyFrame, match: KeyFrame, distance: float, wider: bool) -> Effects:
+        me = self.state.me
+        candidate = Candidate(MatchId(me, query.index, me, match.index), self.context.now_ns, distance, wider=wider)
+        return self._verify_own(candidate, query, match) if self.candidates.propose(candidate) else NOTHING
 
     def _newest_candidate(self, keyframe: KeyFrame) -> int:
         """Number of first key-frames that are loop candidates: those old enough, and all of earlier tracks, which

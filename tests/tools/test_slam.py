@@ -121,7 +121,12 @@ def test_eval_prints_the_figures(run: Path, capsys: pytest.CaptureFixture[str]) 
     assert cli.main(["eval", str(run)]) == 0
     said = capsys.readouterr().out
     assert "2 of 3 agents share one frame" in said and "0 of them false" in said
-    assert len([line for line in said.splitlines() if line.startswith("agent_")]) == 3
+    lines = said.splitlines()
+    errors, coverage = (
+        [line for line in lines if re.match(rf"agent_0\d +{of}", line)] for of in (r"\d+\.\d+ m", r"\d+ ")
+    )
+    assert len(errors) == len(coverage) == 3 and all(line.split()[1:4] == [str(FRAMES)] * 3 for line in coverage)
+    assert f"errors measured on {3 * FRAMES} of {3 * FRAMES} frames read, after SE(3) alignment" in said
 
 
 def test_the_report_stands_alone(run: Path) -> None:

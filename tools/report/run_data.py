@@ -99,8 +99,10 @@ class RunData:
     def unit(self, agent: int) -> str:
         """The unit of length of the agent's positions in :attr:`in_world`: metres, where cameras or the truth give
         them; with one camera alone a unit of its own."""
-        metric = self.manifest.scale == "metric" or self.is_aligned(agent)
-        return "metres" if metric else "arbitrary unit (one camera, no scale)"
+        group = next(group for group in self.groups if agent in group)
+        cameras = {self.manifest.agents[i].camera.kind for i in group}
+        metric = self.manifest.scale == "metric" and cameras != {"mono"}
+        return "metres" if metric or self.is_aligned(agent) else "arbitrary unit (one camera, no scale)"
 
     @cached_property
     def in_world(self) -> list[Array]:

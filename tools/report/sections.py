@@ -121,7 +121,7 @@ def _map(run: RunData) -> list[Section]:
     if apart:
         without = "They have too little of it" if laid else "There is no ground truth"
         note += f" {without}: each {'other ' if laid else ''}group of agents is drawn in its own frame."
-    if apart and run.manifest.scale != "metric":
+    if any(run.unit(group[0]) != "metres" for group in apart):
         note += " With one camera alone, a frame's unit of length is its own and no metre."
     shown = ([laid] if laid else []) + sorted(apart, key=lambda group: (-len(group), group))
     charts = [_map_of(run, group) for group in shown]
@@ -175,8 +175,9 @@ def _errors(run: RunData) -> Section:
             ("Own map and all copies held", maps, "ATE RMSE, m"),
         )
     ]
-    kind = "Sim(3)" if run.manifest.scale != "metric" else "SE(3)"
-    note = f"Position error after {kind} alignment, of the key-frames that each agent had at that moment (the table "
+    known = [a for a in (run.summary.get("alignments") or {}).get("agents") or [] if a is not None]
+    kind = f"{known[0]['kind']} " if known else ""
+    note = f"Position error after {kind}alignment, of the key-frames that each agent had at that moment (the table "
     note += "counts all frames). Dotted lines: an optimisation ended."
     mean: list[tuple[str, str, tuple[int, ...]]] = [("mean", INK, ())] if len(run.agents) > 1 else []
     key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
