@@ -23,13 +23,17 @@ from maslam.mas.state.place_match import Match, MatchEnd
 OURS = preset("maslam")
 
 
-def written(folder: Path, agent: int) -> Trajectory:
-    return read_tum(folder / f"agent_{agent:02d}" / "trajectory.tum")
+def written(folder: Path, sequence: AgentSequence) -> Trajectory:
+    """The written trajectory, on the agent's own clock."""
+    found = read_tum(folder / sequence.name / "trajectory.tum")
+    return Trajectory(found.stamps_ns - sequence.start_ns, found.poses)
 
 
 def truth_of(sequence: AgentSequence, trajectory: Trajectory) -> Array:
     assert sequence.groundtruth is not None
-    return sequence.groundtruth.centres[sequence.groundtruth.nearest(trajectory.stamps_ns, 1_000_000)]
+    rows = sequence.groundtruth.nearest(trajectory.stamps_ns, 1_000_000)
+    assert (rows >= 0).all()
+    return sequence.groundtruth.centres[rows]
 
 
 def error_m(found: Array, truth: Array, with_scale: bool = True) -> float:
@@ -50,7 +54,7 @@ def test_an_own_loop_takes_the_drift_out_of_the_unit(tmp_path: Path) -> None:
     summary = ran([alone], tmp_path / "run")
     assert summary.matches.own_loops >= 2
     before = error_m(alone.trajectory.centres, truth_of(alone, alone.trajectory))
-    after = written(tmp_path / "run", 0)
+    after = written(tmp_path / "run", alone)
     assert before > 0.5
     assert error_m(after.centres, truth_of(alone, after)) < 0.1 * before
 
@@ -61,7 +65,7 @@ def test_tracks_of_one_camera_are_joined_by_its_own_loop(tmp_path: Path) -> None
     alone = make_sequence(make_world(3), way, 3, scale=0.4, cuts=(60,))
     summary = ran([alone], tmp_path / "run")
     assert summary.keyframes_placed == [40]
-    whole = written(tmp_path / "run", 0)
+    whole = written(tmp_path / "run", alone)
     assert len(whole) == len(way)
     assert error_m(whole.centres, truth_of(alone, whole)) < 0.3
 
@@ -72,7 +76,7 @@ def test_tracks_of_one_camera_are_joined_by_another_agent(tmp_path: Path) -> Non
     broken = make_sequence(world, circuit(0.0, 45.0), 3, 1, scale=0.6, cuts=(45,))
     summary = ran([whole, broken], tmp_path / "run")
     assert summary.groups == [[0, 1]] and summary.keyframes_placed == [30, 30]
-    found = [written(tmp_path / "run", a) for a in (0, 1)]
+    found = [written(tmp_path / "run", s) for s in (whole, broken)]
     together = np.concatenate([t.centres for t in found])
     truth = np.concatenate([truth_of(s, t) for s, t in zip((whole, broken), found, strict=True)])
     assert error_m(together, truth) < 0.4
@@ -90,7 +94,7 @@ def test_a_team_knows_the_metre_where_one_of_it_does(tmp_path: Path, metric: int
     ]
     summary = ran(sequences, tmp_path / "run")
     assert summary.groups == [[0, 1, 2]]
-    found = [written(tmp_path / "run", a) for a in range(3)]
+    found = [written(tmp_path / "run", s) for s in sequences]
     truth = [truth_of(s, t) for s, t in zip(sequences, found, strict=True)]
     assert error_m(np.concatenate([t.centres for t in found]), np.concatenate(truth), with_scale=False) < 0.4
     for trajectory, true in zip(found, truth, strict=True):

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from factory import FRAMES_A_KEYFRAME, circuit, make_sequence, make_world, manifest_of, travelled_by
+from factory import FRAMES_A_KEYFRAME, circuit, make_sequence, make_world, manifest_of
 
 from maslam.backend.geometry import Array, Sim3, rotation_angle_deg, se3, se3_inverse, so3_exp, so3_log
 from maslam.frontend.files.trajectory import Trajectory
@@ -33,11 +33,10 @@ def bent(
         state.observe(keyframe)
         row = int(sequence.groundtruth.nearest(np.array([keyframe.time_ns]), 1000)[0])
         state.poses[keyframe.index] = sequence.groundtruth.poses[row]
-    lengths = travelled_by(sequence.trajectory.poses)
-    true_lengths = travelled_by(sequence.groundtruth.poses)
-    for k, keyframe in enumerate(state.keyframes):
-        step = slice(FRAMES_A_KEYFRAME * k, FRAMES_A_KEYFRAME * k + 2)
-        state.units[keyframe.index] = float(np.diff(true_lengths[step])[0] / np.diff(lengths[step])[0])
+        # The step after it, or before it where it is the track's last frame.
+        row -= row + 1 in (*cuts, len(WAY))
+        own, true = (t.centres[row : row + 2] for t in (sequence.trajectory, sequence.groundtruth))
+        state.units[keyframe.index] = float(np.linalg.norm(true[1] - true[0]) / np.linalg.norm(own[1] - own[0]))
     return state, sequence
 
 
