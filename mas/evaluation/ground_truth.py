@@ -91,20 +91,26 @@ class GroundTruthEvaluator:
         self._own_pairs: dict[int, _OwnPositions] = {}
         self._copy_pairs: dict[tuple[int, int], _CopyPositions] = {}  # by holder and owner
 
-    @property
-    def with_scale(self) -> bool:
-        """Whether alignments are similarities."""
-        return not all(s.metric for s in self.sequences)
+    def with_scale(self, agent: int) -> bool:
+        """Whether lengths in coordinates that begin with a track of this agent are in a unit of their own, so that
+        alignments are similarities."""
+        return not self.sequences[agent].metric
+
+    def placed_with_scale(self, state: AgentState) -> bool:
+        """The same of the coordinates that the agent's estimates are in now."""
+        return self.with_scale(state.frame.agent)
 
     # -- trajectories -------------------------------------------------------------------------------------------------
 
-    def error_of(self, agent: int, trajectory: Trajectory) -> TrajectoryError | None:
-        """ATE of a trajectory of this agent under its own alignment; None without enough truth."""
-        return self._error(self._paired(agent, trajectory.stamps_ns, trajectory.centres))
+    def error_of(self, agent: int, trajectory: Trajectory, with_scale: bool | None = None) -> TrajectoryError | None:
+        """ATE of a trajectory of this agent under its own alignment; None without enough truth. ``with_scale``: it is
+        in a unit of its own; None: as the agent's odometry."""
+        with_scale = self.with_scale(agent) if with_scale is None else with_scale
+        return _error(self._paired(agent, trajectory.stamps_ns, trajectory.centres), with_scale)
 
     def keyframe_error(self, agent: Agent) -> TrajectoryError | None:
         """ATE of the agent's placed key-frames."""
-        return self._error(self._own_pair(agent))
+        return _error(self._own_pair(agent), self.placed_with_scale(agent.state))
 
     def map_error(self, agent: Agent) -> TrajectoryError | None:
         """ATE of own key-frames and all map copies under one alignment."""
@@ -113,14 +119,14 @@ class GroundTruthEvaluator:
             return None
         estimate = np.vstack([p.estimate for p in known.values()])
         truth = np.vstack([p.truth for p in known.values()])
-        return trajectory_error(estimate, truth, self.with_scale)
+        return trajectory_error(estimate, truth, self.placed_with_scale(agent.state))
 
     def copy_errors(self, agent: Agent) -> dict[int, TrajectoryError]:
         """Each map copy's share of that, and the own key-frames'."""
         known = self._map_pairs(agent)
         if sum(map(len, known.values())) < MIN_POSES:
             return {}
-        return self._connected(known)
+        return _connected(known, self.placed_with_scale(agent.state))
 
     def connected_errors(self, agents: Sequence[Agent]) -> dict[int, TrajectoryError]:
         """Each agent's error under one alignment for all agents in the same coordinates."""
@@ -129,7 +135,7 @@ class GroundTruthEvaluator:
             pairs = {a: self._own_pair(agents[a]) for a in group}
             known = {a: p for a, p in pairs.items() if p is not None and len(p)}
             if sum(map(len, known.values())) >= MIN_POSES:
-                out.update(self._connected(known))
+                out.update(_connected(known, self.placed_with_scale(agents[group[0]].state)))
         return out
 
     def path_length_m(self, agent: int) -> float | None:
@@ -190,16 +196,6 @@ class GroundTruthEvaluator:
 
     # -- pairing ------------------------------------------------------------------------------------------------------
 
-    def _error(self, pair: _Positions | None) -> TrajectoryError | None:
-        if pair is None or len(pair) < MIN_POSES:
-            return None
-        return trajectory_error(pair.estimate, pair.truth, self.with_scale)
-
-    def _connected(self, pairs: Mapping[int, _Positions]) -> dict[int, TrajectoryError]:
-        """The error of each under one alignment for all."""
-        estimates, truths = {a: p.estimate for a, p in pairs.items()}, {a: p.truth for a, p in pairs.items()}
-        return connected_error(estimates, truths, self.with_scale)
-
     def _map_pairs(self, agent: Agent) -> dict[int, _Positions]:
         """Own key-frames and map copies, by owner, as far as there is truth."""
         pairs = {agent.state.me: self._own_pair(agent)}
@@ -241,6 +237,18 @@ class GroundTruthEvaluator:
             return None
         row = int(truth.nearest(np.array([time_ns]), TRUTH_TOLERANCE_NS)[0])
         return None if row < 0 else truth.poses[row]
+
+
+def _error(pair: _Positions | None, with_scale: bool) -> TrajectoryError | None:
+    if pair is None or len(pair) < MIN_POSES:
+        return None
+    return trajectory_error(pair.estimate, pair.truth, with_scale)
+
+
+def _connected(pairs: Mapping[int, _Positions], with_scale: bool) -> dict[int, TrajectoryError]:
+    """The error of each under one alignment for all."""
+    estimates, truths = {a: p.estimate for a, p in pairs.items()}, {a: p.truth for a, p in pairs.items()}
+    return connected_error(estimates, truths, with_scale)
 
 
 def _trajectory_of(keyframes: Sequence[KeyFrame]) -> Trajectory:

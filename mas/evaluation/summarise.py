@@ -52,12 +52,15 @@ class FinishedRun:
 def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[MatchId, MatchError]) -> Summary:
     """All figures but the wall times, which are 0."""
     agents, sequences, config, transport = run.agents, run.sequences, run.config, run.transport
-    own = [evaluator.error_of(a.state.me, frame_trajectory(a.state, s)) for a, s in zip(agents, sequences, strict=True)]
+    own = [
+        evaluator.error_of(a.state.me, frame_trajectory(a.state, s), evaluator.placed_with_scale(a.state))
+        for a, s in zip(agents, sequences, strict=True)
+    ]
     odometry = [evaluator.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
     maps = [evaluator.map_error(a) for a in agents]
     connected = evaluator.connected_errors(agents)
     columns = (own, maps, [connected.get(a.state.me) for a in agents])
-    kind = "Sim(3)" if evaluator.with_scale else "SE(3)"
+    placed = [evaluator.placed_with_scale(a.state) for a in agents]
     rmse = [None if e is None else e.rmse_m for e in odometry]
     traffic = {t.value: _traffic([count]) for t, count in transport.by_operation.items()}
     return Summary(
@@ -67,7 +70,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         seed=config.seed,
         place_code=agents[0].state.profile.coder.key,
         place_code_bytes=agents[0].state.profile.coder.bytes,
-        scale="arbitrary" if evaluator.with_scale else "metric",
+        scale="metric" if any(s.metric for s in sequences) else "arbitrary",
         times=config.times,
         agents=len(agents),
         keyframes=sum(len(a.state.keyframes) for a in agents),
@@ -82,10 +85,10 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         path_length_m=[evaluator.path_length_m(a.state.me) for a in agents],
         exploration_percent=[evaluator.exploration_percent(a) for a in agents],
         alignments=Alignments(
-            agents=_alignments(own, kind),
-            maps=_alignments(maps, kind),
-            connected=_alignments(columns[2], kind),
-            odometry=_alignments(odometry, kind),
+            agents=_alignments(own, placed),
+            maps=_alignments(maps, placed),
+            connected=_alignments(columns[2], placed),
+            odometry=_alignments(odometry, [not s.metric for s in sequences]),
         ),
         coverage=[coverage_of(a, s) for a, s in zip(agents, sequences, strict=True)],
         left_out=list(run.left_out),
@@ -105,10 +108,10 @@ def _errors(columns: tuple[list[TrajectoryError | None], ...], name: str) -> Err
     return Errors(agents=own, maps=maps, connected=connected, mean_agents=_mean(own), mean_maps=_mean(maps))
 
 
-def _alignments(errors: Sequence[TrajectoryError | None], kind: str) -> list[MeasuredOn | None]:
+def _alignments(errors: Sequence[TrajectoryError | None], with_scale: Sequence[bool]) -> list[MeasuredOn | None]:
     return [
-        None if e is None else MeasuredOn(kind=kind, scale=float(e.T_truth_estimate.scale), frames=len(e.errors_m))
-        for e in errors
+        None if e is None else MeasuredOn(kind=k, scale=float(e.T_truth_estimate.scale), frames=len(e.errors_m))
+        for e, k in zip(errors, ("Sim(3)" if scaled else "SE(3)" for scaled in with_scale), strict=True)
     ]
 
 

@@ -121,7 +121,8 @@ class RunData:
         estimate, truth_xyz = np.concatenate(estimates), np.concatenate(truths)
         if len(estimate) < MIN_POSES:
             return Sim3.identity()
-        metric = all(self.manifest.agents[index].metric for index, _ in pieces)
+        # Agents that share coordinates with a metric one are in metres with it.
+        metric = any(self.manifest.agents[index].metric for index, _ in pieces)
         return trajectory_error(estimate, truth_xyz, with_scale=not metric).T_truth_estimate
 
     def position_at(self, agent: int, stamp_ns: int) -> Array | None:
