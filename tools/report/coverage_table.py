@@ -73,10 +73,11 @@ def measured_on(summary: dict[str, Any]) -> str:
     known = [a for a in (summary.get("alignments") or {}).get("agents") or [] if a is not None]
     if not coverage or not known:
         return ""
-    scales = sorted(a["scale"] for a in known)
-    kind = known[0]["kind"]
-    one = f"{scales[0]:.4g}" if len(scales) == 1 else f"{scales[0]:.4g} to {scales[-1]:.4g}"
-    after = f"{kind} alignment" if kind == "SE(3)" else f"{kind} alignment, scale {one}"
+    scales = sorted(a["scale"] for a in known if a["kind"] != "SE(3)")
+    kinds = " or ".join(sorted({a["kind"] for a in known}))
+    after = f"{kinds} alignment"
+    if scales:
+        after += f", scale {scales[0]:.4g}" + (f" to {scales[-1]:.4g}" if len(scales) > 1 else "")
     measured, read = sum(a["frames"] for a in known), frames_read(summary)
     return f"measured on {measured} of {read} frames read, after {after}"
 
