@@ -110,7 +110,8 @@ def test_a_lost_track_is_joined_by_matches(tmp_path: Path) -> None:
 
 
 def test_a_lost_track_that_nothing_joins_is_left_out_and_said_so(tmp_path: Path) -> None:
-    alone = [make_sequence(make_world(3), circuit(0.0, 45.0), 3, 0, cuts=(60,))]
+    way = np.concatenate([circuit(0.0, 30.0), circuit(90.0, 15.0)])  # it is carried to another street
+    alone = [make_sequence(make_world(3), way, 3, 0, cuts=(60,))]
     summary = run(manifest_of(alone), alone, DEFAULT, tmp_path / "run")
     assert summary.keyframes == 30 and summary.keyframes_placed == [20]
     assert len(read_tum(tmp_path / "run" / "agent_00" / "trajectory.tum")) == 60
