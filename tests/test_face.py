@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 import maslam
+from maslam.backend.geometry import se3, se3_inverse, so3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
 from maslam.frontend.files.trajectory import read_tum
 from maslam.tools import cli
 
@@ -250,6 +252,28 @@ def test_graphs_are_read_optimised_and_written(tmp_path: Path) -> None:
     assert maslam.optimise(maslam.read_g2o(tmp_path / "solved.g2o"), cost="U").cost_before < 1e-9
     with pytest.raises(maslam.MaslamError, match="did you mean 'iterations'"):
         maslam.optimise(graph, settings={"iteration": 3})
+
+
+def test_robots_with_one_camera_find_their_units() -> None:
+    """Robot 1 measures in half metres that shrink: two matches say so, and the metric robot's metre is everybody's."""
+    units = {NodeId(r, k): 1.0 if r == 0 else 0.5 * 0.98**k for r in range(2) for k in range(6)}
+    truth = {NodeId(r, k): se3(so3_exp([0.0, 0.1 * k, 0.0]), [k, 0.2 * k, 3.0 * r]) for r in range(2) for k in range(6)}
+    pairs = [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(5)]
+    pairs += [(NodeId(0, k), NodeId(1, k)) for k in (0, 5)]
+    edges = []
+    for i, j in pairs:
+        T = se3_inverse(truth[i]) @ truth[j]
+        T[:3, 3] /= units[i]
+        kind = EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.ODOMETRY
+        edges.append(Edge(i, j, T, 100.0 * np.eye(6), kind, units[j] / units[i]))
+    graph = PoseGraph({n: truth[NodeId(n.robot, 0)] for n in truth}, tuple(edges))
+    found = maslam.optimise_distributed(graph, method="elected", monocular=[1])
+    for n, T in truth.items():
+        np.testing.assert_allclose(found.graph.poses[n], T, atol=1e-3)
+        assert found.units[n] == pytest.approx(units[n], rel=1e-3)
+    assert maslam.optimise_distributed(found.graph, method="elected").outcomes[0].cost_before < 1e-3, "in one unit"
+    with pytest.raises(maslam.MaslamError, match="no robot 7"):
+        maslam.optimise_distributed(graph, monocular=[7])
 
 
 def test_a_world_is_rendered_as_the_command_renders_it(tmp_path: Path) -> None:

@@ -140,6 +140,8 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
         rejected=dict(sorted(reasons[MatchOutcome.REJECTED].items())),
         skipped=dict(sorted(reasons[MatchOutcome.SKIPPED].items())),
         same_image=sum(of_same_image(c.id, agents) for _, c, _ in outcomes),
+        wider=sum(c.wider for _, c, (outcome, _) in outcomes if outcome is not MatchOutcome.SKIPPED),
+        wider_accepted=sum(c.wider for _, c, (outcome, _) in outcomes if outcome is MatchOutcome.ACCEPTED),
         own_loops=own,
         between_agents=len(accepted) - own,
         false_accepted=sum(errors[m].false for m in accepted if m in errors) if truth else None,

@@ -72,7 +72,8 @@ class MatchFigures(_Figures):
     """``candidates``: below the distance threshold; ``verified``: passed the geometric check; ``accepted``: used;
     ``rejected``: checked and not used, by reason; ``skipped``: not checked, by reason; the three
     together are all candidates. ``same_image``: those of them whose key-frames are of one and the same image, which two
-    agents were given: no evidence, never accepted. ``false_accepted``: against ground truth, None without;
+    agents were given: no evidence, never accepted. ``wider``: verified beyond the strict distance because their agents
+    or tracks were not in one frame, ``wider_accepted`` of them. ``false_accepted``: against ground truth, None without;
     ``own_loops``: those among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
 
     candidates: int
@@ -81,6 +82,8 @@ class MatchFigures(_Figures):
     rejected: dict[str, int]
     skipped: dict[str, int] = Field(default={}, description="empty, too: a run before they were counted apart")
     same_image: int = Field(default=0, description="0, too: a run before they were counted apart")
+    wider: int = Field(default=0, description="0, too: a run before there were any")
+    wider_accepted: int = 0
     own_loops: int
     between_agents: int
     false_accepted: int | None

@@ -52,6 +52,7 @@ _MATCH_COLUMNS = [
     "match_keyframe",
     "match_stamp_ns",
     "same_image",
+    "wider",
     "distance",
     "outcome",
     "reason",
@@ -180,6 +181,7 @@ class Recorder:
                 head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
                 row = [
                     int(of_same_image(i, agents)),
+                    int(c.wider),
                     figure(c.distance),
                     outcome.value,
                     reason,

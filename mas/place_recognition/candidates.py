@@ -34,13 +34,15 @@ class MatchCheck:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A place match on its way: a row of ``matches.csv``. ``distance`` of the vectors; ``check``: its verification, as
-    far as there was one; ``wider``: it lies beyond the strict distance, and was considered because the two agents are
-    not in one frame."""
+    """A place match on its way: a row of ``matches.csv``.
+
+    ``distance`` of the vectors, None where nobody compared them; ``check``: its verification, as far as there was one;
+    ``wider``: it lies beyond the strict distance, and was considered because the two agents are not in one frame.
+    """
 
     id: MatchId
     now_ns: int
-    distance: float
+    distance: float | None
     check: MatchCheck = MatchCheck()
     wider: bool = False
 

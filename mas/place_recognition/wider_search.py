@@ -48,7 +48,7 @@ class WiderSearch:
         room = len(self._state.keyframes) // self._every + (_CLOSING if closing else 0) - self.used
         for other, kept in self._unjoined().items():
             if other not in chosen and room > 0:
-                chosen[other] = min(kept, key=lambda c: (-_support(c, kept), c.distance, c.id))
+                chosen[other] = min(kept, key=lambda c: (-_support(c, kept), c.distance or 0.0, c.id))
                 room -= 1
         return [chosen[other] for other in sorted(chosen)]
 
@@ -85,7 +85,7 @@ class WiderSearch:
             beside = [c for c in self.candidates.by_id if _apart(c, match) == 1]
             fresh = [m for m in self._neighbours(match) if m not in self.candidates.by_id]
             if fresh and len(beside) < _MORE:
-                found.append(Candidate(fresh[0], 0, float("nan"), wider=True))
+                found.append(Candidate(fresh[0], 0, None, wider=True))
         return found
 
     def _is_alone(self, match: MatchId) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, overload
@@ -111,7 +111,12 @@ def optimise(
 
 @on_one_thread
 def optimise_distributed(
-    graph: PoseGraph, *, method: Method = "rbcd", weights: Weights = "auto", settings: Settings | None = None
+    graph: PoseGraph,
+    *,
+    method: Method = "rbcd",
+    weights: Weights = "auto",
+    settings: Settings | None = None,
+    monocular: Collection[int] = (),
 ) -> GroupResult:
     """Optimise the graph of several robots, each of which knows only its own poses and edges, by message alone.
 
@@ -123,19 +128,31 @@ def optimise_distributed(
         weights: of the edges: ``information``: as the graph says (cost F); ``unit``: 1 (cost U); ``auto``: 1 where
             every edge's information is the identity.
         settings: of ``maslam.backend.config.SolverConfig``, ``{"descent_sweeps": 100}``.
+        monocular: robots whose unit of length is their own and drifts: each of their nodes has a unit, found along with
+            its pose (similarities); an edge's translation is in the unit of its first node, and its ``scale`` is the
+            size of the second one's in it. ``elected`` reaches the optimum; sweeps take many rounds to it.
 
     Returns:
-        ``graph``, with its own information; ``outcomes`` by robot; ``traffic``: messages, payload and wire bytes.
+        ``graph``, with its own information, in one unit throughout; ``units`` of the nodes in it; ``outcomes`` by
+        robot; ``traffic``: messages, payload and wire bytes.
 
     Raises:
-        MaslamError: an unknown method or setting, a graph that has no odometry.
+        MaslamError: an unknown method or setting, a graph that has no odometry, no such robot.
     """
     _check_known("method", method, [name for name in METHODS if name != CENTRAL])
     _check_known("weights", weights, WEIGHTS)
     unit = takes_unit_weights(weights, graph)
     config = changed(solver_of(method), nested(settings))
-    found = exchange.optimise_distributed(graph.with_unit_weights() if unit else graph, config)
-    return replace(found, graph=graph.with_poses(found.graph.poses))
+    weighted = graph.with_unit_weights() if unit else graph
+    found = exchange.optimise_distributed(weighted, config, _own_units(graph, monocular))
+    return replace(found, graph=graph.in_one_unit(found.graph.poses, found.units))
+
+
+def _own_units(graph: PoseGraph, monocular: Collection[int]) -> frozenset[int]:
+    strangers = sorted(set(monocular) - set(graph.robots))
+    if strangers:
+        raise UnknownName(f"monocular: there is no robot {strangers[0]}, only {', '.join(map(str, graph.robots))}")
+    return frozenset(monocular)
 
 
 def _check_known(what: str, name: str, there: Sequence[str]) -> None:

@@ -70,9 +70,11 @@ class MatchResult:
     """A candidate place match: key-frame ``query`` of agent ``query_agent`` beside key-frame ``match`` of
     ``match_agent``.
 
-    ``time_s``: when it was found, logical time; ``distance``: of the place vectors, 0 to 2; ``outcome``: ``accepted``,
+    ``time_s``: when it was found, logical time; ``distance``: of the place vectors, 0 to 2, None where nobody compared
+    them; ``outcome``: ``accepted``,
     ``rejected`` (checked and failed) or ``skipped`` (not checked), and ``reason`` why; ``same_image``: both key-frames
-    are of one and the same image, which is no evidence; ``T_M_Q``: query camera to match camera, None
+    are of one and the same image, which is no evidence; ``wider``: beyond the strict distance, while the two were not
+    in one frame; ``T_M_Q``: query camera to match camera, None
     where it was not verified; ``error_m`` and ``false`` (an accepted one is wrong) against ground truth, None without.
     """
 
@@ -81,13 +83,14 @@ class MatchResult:
     query: int
     match_agent: int
     match: int
-    distance: float
+    distance: float | None
     outcome: str
     reason: str
     T_M_Q: Sim3 | None
     error_m: float | None
     false: bool | None
     same_image: bool = False
+    wider: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -226,13 +229,14 @@ def _match(row: dict[str, str]) -> MatchResult:
         query=int(row["query_keyframe"]),
         match_agent=int(row["match_agent"]),
         match=int(row["match_keyframe"]),
-        distance=float(row["distance"]),
+        distance=float(row["distance"]) if row["distance"] else None,
         outcome=row["outcome"],
         reason=row["reason"],
         T_M_Q=_transform(row),
         error_m=float(row["error_m"]) if row["error_m"] else None,
         false=row["false"] == "1" if row["false"] else None,
         same_image=row.get("same_image") == "1",
+        wider=row.get("wider") == "1",
     )
 
 

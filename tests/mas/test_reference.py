@@ -27,6 +27,23 @@ def test_one_server_does_better_than_odometry_and_no_worse_than_the_agents(tmp_p
     assert all(s <= p + 1e-9 for s, p in zip(summary.exploration_percent, reference.exploration_percent, strict=True))
 
 
+def test_one_camera_each_is_solved_with_its_unit(tmp_path: Path) -> None:
+    world = make_world(2)
+    ways = [circuit(12.0 * k, 90.0, side_m=30.0, radius_m=6.0) for k in range(3)]
+    sequences = [
+        make_sequence(world, way, 2, k, scale=(0.7, 1.9, 1.2)[k], drifting=0.01, unit_drift=0.001)
+        for k, way in enumerate(ways)
+    ]
+    config = preset("maslam")
+    reference = make_reference(manifest_of(sequences), sequences, config)
+    summary = run(manifest_of(sequences), sequences, config, tmp_path / "run")
+    assert reference.groups == [[0, 1, 2]] and reference.false_matches == 0
+    assert reference.mean_ate_m is not None and summary.odometry_mean_rmse_m is not None
+    assert reference.mean_ate_m < 0.7 * summary.odometry_mean_rmse_m
+    assert summary.ate_rmse_m.mean_agents is not None
+    assert reference.mean_ate_m < 1.1 * summary.ate_rmse_m.mean_agents
+
+
 def test_agents_that_never_meet_stay_apart() -> None:
     world = make_world(1)
     near = [make_sequence(world, circuit(12.0 * k, 40.0), 1, k) for k in range(2)]

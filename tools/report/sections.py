@@ -263,6 +263,8 @@ def _matches(run: RunData) -> Section:
     note += "is there"
     same = matches.get("same_image", 0)
     note += f", or of one and the same image, which is no evidence ({same}). " if same else ". "
+    if matches.get("wider"):
+        note += f"{matches['wider']} were verified beyond the strict distance, while agents or tracks were apart. "
     note += more
     return Section("Candidate matches and their outcome", note, outcomes + listing)
 

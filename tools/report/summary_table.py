@@ -137,6 +137,7 @@ def _matches(summary: dict[str, Any]) -> list[str]:
         f"matches        {counts}" + ("" if false is None else f", {false} of them false"),
         *(f"  {kind:<13}{reasons}" for kind, reasons in others.items() if reasons),
         *_same_image(matches.get("same_image", 0)),
+        *_wider(matches),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
         f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
     ]
@@ -147,6 +148,13 @@ def _same_image(count: int) -> list[str]:
     return (
         [f"  {'same image':<13}{counted(count, 'pair')} of one image seen by two agents, no evidence"] if count else []
     )
+
+
+def _wider(matches: dict[str, Any]) -> list[str]:
+    """Said only where it happens: candidates that only agents apart from each other look at."""
+    count = matches.get("wider", 0)
+    tried = f"{counted(count, 'pair')} beyond the strict distance verified, {matches.get('wider_accepted', 0)} accepted"
+    return [f"  {'wider search':<13}{tried}"] if count else []
 
 
 def _by_reason(counts: dict[str, int]) -> str:

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from maslam._atomic import write_atomically
 from maslam.backend.central.optimise import optimise
+from maslam.backend.central.similarity import optimise_similarity
 from maslam.backend.components import parts
-from maslam.backend.config import CentralConfig
-from maslam.backend.geometry import Array
+from maslam.backend.config import CentralConfig, SimilarityConfig
+from maslam.backend.geometry import Sim3
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_poses
-from maslam.frontend.files.trajectory import Trajectory
 from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
 from maslam.mas.place_recognition.verification import match_end, verify, view_of
@@ -37,7 +37,6 @@ from maslam.mas.state.pose_graph import match_edge, odometry_edges
 from maslam.mas.state.trajectories import frame_trajectory
 
 from ..common.digests import code_digest, sequences_digest
-from ..common.errors import ToolError
 
 FILE = "reference.json"
 # Bytes of a key-frame sent to the server and back: a place vector of 256 float32, 12 + 32 bytes per map point as
@@ -83,8 +82,6 @@ def make_reference(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Reference:
     """Solve everything at one place. ``config``: of verification, consistency and the graph's weights."""
-    if not all(agent.metric for agent in manifest.agents):
-        raise ToolError("the omniscient reference needs metric sequences: one camera's agents have units of their own")
     agents = make_agents(manifest, sequences, config)
     states = [agent.state for agent in agents]
     for state, sequence in zip(states, sequences, strict=True):
@@ -97,9 +94,13 @@ def make_reference(
     matches = sorted({m.id: m for state in states for m in state.accepted_matches()}.items())
     accepted = [match for _, match in matches]
     groups = _groups(len(states), [match.id for match in accepted])
-    graph = _solved(states, accepted)
+    _solve(states, accepted)
     evaluator = GroundTruthEvaluator(sequences, sum(entry.frames for entry in manifest.left_out))
-    errors = [evaluator.error_of(s.me, _trajectory(s, graph, q)) for s, q in zip(states, sequences, strict=True)]
+    scaled = [_in_own_unit(group, sequences) for s in states for group in groups if s.me in group]
+    errors = [
+        evaluator.error_of(s.me, frame_trajectory(s, q), unit)
+        for s, q, unit in zip(states, sequences, scaled, strict=True)
+    ]
     rmse = [None if e is None else float(e.rmse_m) for e in errors]
     known = [e for e in rmse if e is not None]
     wrong = [evaluator.match_error(match, agents) for match in accepted]
@@ -164,7 +165,12 @@ def _verify(states: Sequence[AgentState], pair: MatchId) -> None:
         asking.add_match(found)
 
 
-def _solved(states: Sequence[AgentState], accepted: Sequence[Match]) -> dict[NodeId, Array]:
+def _in_own_unit(group: Sequence[int], sequences: Sequence[AgentSequence]) -> bool:
+    return not any(sequences[agent].metric for agent in group)
+
+
+def _solve(states: Sequence[AgentState], accepted: Sequence[Match]) -> None:
+    """Poses and units of all states, from one graph."""
     edges: list[Edge] = []
     for state in states:
         for piece in state.pieces:
@@ -175,15 +181,18 @@ def _solved(states: Sequence[AgentState], accepted: Sequence[Match]) -> dict[Nod
     for state in states:
         for index, pose in enumerate(state.poses):
             poses.setdefault(NodeId(state.me, index), pose)
-    # One that no other match agrees with is left out already; the loss is for what agrees by chance.
-    solved = optimise(PoseGraph(poses, tuple(edges)), CentralConfig(cost="E", loss="cauchy"))
-    return dict(solved.graph.poses)
-
-
-def _trajectory(state: AgentState, poses: dict[NodeId, Array], sequence: AgentSequence) -> Trajectory:
-    """Every frame of the agent's longest track after solving, as its own run would write it."""
-    state.poses = [poses[NodeId(state.me, index)] for index in range(len(state.keyframes))]
-    return frame_trajectory(state, sequence)
+    graph = PoseGraph(poses, tuple(edges))
+    metric = frozenset(s.me for s in states if s.profile.metric)
+    found: dict[NodeId, Sim3] = {}
+    if len(metric) == len(states):
+        # One that no other match agrees with is left out already; the loss is for what agrees by chance.
+        solved = optimise(graph, CentralConfig(cost="E", loss="cauchy")).graph
+        found = {n: Sim3.from_se3(T) for n, T in solved.poses.items()}
+    else:
+        found = dict(optimise_similarity(graph, SimilarityConfig(), metric).poses)
+    for state in states:
+        own = [found[NodeId(state.me, index)] for index in range(len(state.keyframes))]
+        state.poses, state.units = [S.se3() for S in own], [S.scale for S in own]
 
 
 def _groups(count: int, matches: Sequence[MatchId]) -> list[list[int]]:
