@@ -1,23 +1,22 @@
 """How well poses fit the edges of a graph: the cost against its degrees of freedom, and the edges that fit worst.
 
-Residuals are in standard deviations. The sum over the edges is the cost F (SE-Sync: :mod:`.costs`), translations in
-the unit of each edge's first node; where nodes have a scale of their own, plus ``log(s_j / (s_i scale))^2`` over its
-variance, as in :mod:`.similarity`. Where edges are as good as their information says, the cost of the best poses is
-about its degrees of freedom: 6 for each edge beyond those that it takes to join the nodes, 7 with scales. A cost many
-times that says that edges contradict each other, or are not as good as they claim.
+Residuals are in standard deviations. The sum over the edges is the cost F (SE-Sync: :mod:`.costs`), with units of
+length where nodes have their own (:mod:`.similarity_edges`). Where edges are as good as their information says, the
+cost of the best poses is about its degrees of freedom: 6 for each edge beyond those that it takes to join the nodes, 7
+with scales. A cost many times that says that edges contradict each other, or are not as good as they claim.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..config import SimilarityConfig
 from ..geometry import Array, Sim3
-from ..pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
-from .linear import edge_costs, isotropic_weights
+from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
+from .similarity_edges import edges_of
 from .trust_region import named_parts
 
 FAR_ABOVE = 10.0
@@ -94,29 +93,10 @@ def _shares(
     if not graph.edges:
         return np.zeros(0)
     known = poses or {n: Sim3.from_se3(T) for n, T in graph.poses.items()}
-    ends = [(known[e.i], known[e.j]) for e in graph.edges]
-    T_i_j = np.array([_in_units_of(S_i, S_j) for S_i, S_j in ends])
-    measured = np.array([e.T_i_j for e in graph.edges])
-    kappa, tau = isotropic_weights(np.array([e.weight * e.information for e in graph.edges]), graph.dimension)
-    shares = edge_costs(np.broadcast_to(np.eye(4), T_i_j.shape), T_i_j, measured, kappa, tau)
-    if metric is not None:
-        apart = [np.log(S_j.scale / (S_i.scale * e.scale)) for e, (S_i, S_j) in zip(graph.edges, ends, strict=True)]
-        sigma = np.array([_scale_sigma(e, config) for e in graph.edges])
-        scaled = np.array([not {e.i.robot, e.j.robot} <= metric for e in graph.edges])
-        shares = shares + np.array([e.weight for e in graph.edges]) * scaled * (np.array(apart) / sigma) ** 2
-    return np.asarray(shares, dtype=np.float64)
-
-
-def _in_units_of(S_i: Sim3, S_j: Sim3) -> Array:
-    """``T_i_j`` ``(4, 4)``, its translation in i's unit."""
-    T = np.eye(4)
-    T[:3, :3] = S_i.rotation.T @ S_j.rotation
-    T[:3, 3] = S_i.rotation.T @ (S_j.translation - S_i.translation) / S_i.scale
-    return T
-
-
-def _scale_sigma(edge: Edge, config: SimilarityConfig) -> float:
-    own: float | None = getattr(edge, "scale_sigma", None)
-    if own is not None:
-        return own
-    return config.drift_sigma if edge.kind is EdgeKind.ODOMETRY else config.match_sigma
+    nodes = [n for e in graph.edges for n in (e.i, e.j)]
+    ends = np.arange(len(nodes), dtype=np.intp).reshape(-1, 2)
+    edges = edges_of(graph.edges, ends, graph.dimension, config)
+    scaled = [metric is not None and not {e.i.robot, e.j.robot} <= metric for e in graph.edges]
+    edges = replace(edges, precision=np.where(scaled, edges.precision, 0.0))
+    log_units = np.log(np.array([known[n].scale for n in nodes]))
+    return edges.costs(np.array([known[n].se3() for n in nodes]), log_units)

@@ -113,12 +113,15 @@ class SimilarityEdges:
         return np.asarray((poses[j, :3, 3] - poses[i, :3, 3]) * np.exp(-log_units[i])[:, None])
 
 
-def edges_of(edges: Sequence[Edge], ends: NDArray[np.intp], dimension: int = 3) -> SimilarityEdges:
-    """Edges of a graph as arrays, their own weight multiplied in."""
+def edges_of(
+    edges: Sequence[Edge], ends: NDArray[np.intp], dimension: int = 3, config: SimilarityConfig = _DEFAULT
+) -> SimilarityEdges:
+    """Edges of a graph as arrays, their own weight multiplied in. ``config``: deviations of log scales where an edge
+    says none."""
     measured = np.array([e.T_i_j for e in edges]).reshape(-1, 4, 4)
     kappa, tau = isotropic_weights(np.array([e.information for e in edges]), dimension)
     log_scale = np.log(np.array([e.scale for e in edges], dtype=np.float64))
-    found = SimilarityEdges(ends, measured, log_scale, kappa, tau, scale_precisions(edges))
+    found = SimilarityEdges(ends, measured, log_scale, kappa, tau, scale_precisions(edges, config))
     return found.weighted(np.array([e.weight for e in edges], dtype=np.float64))
 
 
