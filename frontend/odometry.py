@@ -19,6 +19,7 @@ from .files.vo_files import VoTrack
 from .frames import Frame
 from .mapping.map import Map
 from .mapping.range_sensor import Ranging
+from .refusal import NO_REFUSAL, Refusal
 from .stopwatch import Stopwatch, TimedStage
 from .tracking.export import export_track
 from .tracking.initialisation import make_starter
@@ -45,10 +46,10 @@ class FrameResult:
     """Result of one frame.
 
     ``T_W_C`` ``(4, 4)`` maps the camera to the frame of the current track (metres, or the track's own unit with one
-    camera); None without a pose, and ``reason`` then says why, with numbers. ``problem``: the damage of a second image
-    (right, depth) that was needed; the key-frame was made without it. ``stays``: the key-frame belongs to the track
-    unless it is culled (False: it only supports the window). ``first``: an earlier frame that has become a key-frame
-    with this one, the first view of a monocular track.
+    camera); None without a pose, and ``reason`` then says why, with numbers, ``kind`` without. ``problem``: the damage
+    of a second image (right, depth) that was needed; the key-frame was made without it. ``stays``: the key-frame
+    belongs to the track unless it is culled (False: it only supports the window). ``first``: an earlier frame that has
+    become a key-frame with this one, the first view of a monocular track.
     """
 
     stamp_ns: int
@@ -59,6 +60,7 @@ class FrameResult:
     problem: str = ""
     stays: bool = False
     first: Frame | None = None
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -110,17 +112,16 @@ class Odometry:
             return FrameResult(frame.stamp_ns, None, self._state(), False, problem)
         segment = self._segment
         if segment is None:
-            # The first map: from one view with depth, from two without.
-            return self._note(self._start(frame))
+            return self._start(frame)
         # Follow the points into this frame; the pose that explains them best.
         with self.stopwatch.stage(TimedStage.TRACK):
             tracked = segment.tracker.track(frame, segment.map)
         found_again = tracked.T_C_W is None
         if found_again:
             # Lost: look for the map in this frame by its words.
-            segment, tracked = self._search(frame, segment, tracked.reason)
+            segment, tracked = self._search(frame, segment, tracked.refusal)
         if tracked.T_C_W is None:
-            return self._note(self._lost(frame, tracked.reason))
+            return self._lost(frame, tracked.refusal)
         self._lost_frames = 0
         segment.record(frame, tracked.T_C_W)
         # A view that brings something new stays, and the map around it is refined.
@@ -134,7 +135,8 @@ class Odometry:
         result = FrameResult(
             frame.stamp_ns, T_W_C, TrackingState.TRACKING, is_keyframe, problem=frame.problem, stays=stays
         )
-        return self._note(result)
+        self._moments.note(frame.stamp_ns, NO_REFUSAL)
+        return result
 
     @property
     def maps(self) -> list[Map]:
@@ -162,12 +164,20 @@ class Odometry:
         )
 
     def _start(self, frame: Frame) -> FrameResult:
+        """The first map: from one view with depth, from two or more without."""
+        started = self._offered(frame)
+        if isinstance(started, Refusal):
+            return self._refused(frame, TrackingState.STARTING, started)
+        self._moments.note(frame.stamp_ns, NO_REFUSAL)
+        return started
+
+    def _offered(self, frame: Frame) -> FrameResult | Refusal:
         """Offer the frame to a new map; where that begins, the one before, if any, is finished."""
         frame.prepare()
         with self.stopwatch.stage(TimedStage.START):
             start = self._starter.offer(frame)
         if start.segment is None:
-            return FrameResult(frame.stamp_ns, None, TrackingState.STARTING, False, start.reason, frame.problem)
+            return start.refusal
         if self._segment is not None:
             self._finished.append(self._segment)
         self._segment, self._lost_frames = start.segment, 0
@@ -175,10 +185,14 @@ class Odometry:
         T_W_C = se3_inverse(start.segment.tracker.T_C_W)
         return FrameResult(frame.stamp_ns, T_W_C, TrackingState.TRACKING, True, stays=True, first=start.first)
 
-    def _search(self, frame: Frame, segment: Segment, reason: str) -> tuple[Segment, TrackedFrame]:
+    def _refused(self, frame: Frame, state: TrackingState, refusal: Refusal) -> FrameResult:
+        self._moments.note(frame.stamp_ns, refusal)
+        return FrameResult(frame.stamp_ns, None, state, False, refusal.text, frame.problem, kind=refusal.kind)
+
+    def _search(self, frame: Frame, segment: Segment, refusal: Refusal) -> tuple[Segment, TrackedFrame]:
         """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""
         if not self._lost_frames:
-            log.warning("tracking lost at frame %d: %s", frame.index, reason)
+            log.warning("tracking lost at frame %d: %s", frame.index, refusal.text)
             self._starter = make_starter(self.ranging, self.config, self.stopwatch)
             if self._finished and not segment.lasting(self.config.min_track_keyframes):
                 self._forgotten.append(segment)
@@ -194,21 +208,19 @@ class Odometry:
             log.info("found again at frame %d by %d points of the map", frame.index, found.inliers)
         return segment, found
 
-    def _lost(self, frame: Frame, reason: str) -> FrameResult:
+    def _lost(self, frame: Frame, refusal: Refusal) -> FrameResult:
         """Search the map in some frames; from then on a new track may start where the images allow one. The search goes
         on until a track starts: after a black-out of any length the camera may be where it was."""
         assert self._relocaliser is not None
         self._lost_frames += 1
         if self._relocaliser.searches > self.config.lost.relocalise_frames:
-            started = self._start(frame)
-            if started.T_W_C is not None:
+            started = self._offered(frame)
+            if isinstance(started, FrameResult):
+                self._moments.note(frame.stamp_ns, NO_REFUSAL)
                 return started
-            reason = f"{reason}; no new track yet: {started.reason}"
-        return FrameResult(frame.stamp_ns, None, TrackingState.LOST, False, reason, frame.problem)
-
-    def _note(self, result: FrameResult) -> FrameResult:
-        self._moments.note(result.stamp_ns, result.reason)
-        return result
+            kind = f"{refusal.kind}; no new track yet: {started.kind}"
+            refusal = Refusal(kind, f"{refusal.text}; no new track yet: {started.text}", started.reached)
+        return self._refused(frame, TrackingState.LOST, refusal)
 
     def _state(self) -> TrackingState:
         if self._segment is None:
@@ -225,9 +237,10 @@ class Odometry:
             return f"time stamp is not after the previous frame's ({behind_ms:.3f} ms before it)"
         return ""
 
-    def _too_short(self) -> str:
+    def _too_short(self) -> Refusal:
         need = self.config.min_track_keyframes
-        return f"the camera hardly moved: fewer key-frames than the {need} that a track needs to be written"
+        text = f"the camera hardly moved: fewer key-frames than the {need} that a track needs to be written"
+        return Refusal("the camera hardly moved", text)
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
         return {

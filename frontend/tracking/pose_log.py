@@ -9,18 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..refusal import Refusal, Tally
+
 Array = NDArray[np.float64]
 _POSE = 12  # numbers: the upper three rows of a rigid transform
 
 
 @dataclass(frozen=True)
 class LostInterval:
-    """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames."""
+    """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames. ``reason``: the most frequent one
+    with its best figure, then the other kinds; ``kind``: the most frequent one without figures."""
 
     first_ns: int
     last_ns: int
     frames: int
     reason: str
+    kind: str = ""
 
 
 class PoseLog:
@@ -62,12 +66,21 @@ class PoseLog:
         return np.array(self._stamp_ns, dtype=np.int64)
 
 
+@dataclass
+class _Stretch:
+    """Refused frames from number ``first`` to ``end``, that excluded."""
+
+    first: int
+    end: int
+    tally: Tally
+
+
 class MomentLog:
-    """Time of every frame offered, and the latest reason of each stretch without a pose; 8 bytes per frame."""
+    """Time of every frame offered, and the refusals of each stretch of frames that were refused; 8 bytes per frame."""
 
     def __init__(self) -> None:
         self._stamp_ns = array("q")
-        self._reasons: dict[int, str] = {}
+        self._stretches: list[_Stretch] = []
 
     def __len__(self) -> int:
         return len(self._stamp_ns)
@@ -77,21 +90,33 @@ class MomentLog:
         """Time stamp of the last frame, nanoseconds; None before the first."""
         return self._stamp_ns[-1] if self._stamp_ns else None
 
-    def note(self, stamp_ns: int, reason: str) -> None:
-        """One more frame; ``reason`` why it has no pose, or nothing."""
+    def note(self, stamp_ns: int, refusal: Refusal) -> None:
+        """One more frame; ``refusal`` why it has no pose, or :data:`NO_REFUSAL`."""
         number = len(self)
         self._stamp_ns.append(stamp_ns)
-        if reason:
-            self._reasons.pop(number - 1, None)  # the last reason of a stretch counts
-            self._reasons[number] = reason
+        if not refusal.kind:
+            return
+        if not self._stretches or self._stretches[-1].end < number:
+            self._stretches.append(_Stretch(number, number, Tally()))
+        self._stretches[-1].tally.add(refusal)
+        self._stretches[-1].end = number + 1
 
-    def lost(self, posed_ns: Sequence[NDArray[np.int64]], unsaid: Callable[[], str]) -> list[LostInterval]:
+    def lost(self, posed_ns: Sequence[NDArray[np.int64]], unsaid: Callable[[], Refusal]) -> list[LostInterval]:
         """Runs of frames whose times are in none of ``posed_ns``; ``unsaid`` gives the reason where none was noted."""
         stamps = np.array(self._stamp_ns, dtype=np.int64)
         missing = ~np.isin(stamps, np.concatenate([np.zeros(0, dtype=np.int64), *posed_ns]))
         edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
         out = []
         for first, end in edges.reshape(-1, 2).tolist():
-            reason = next((self._reasons[i] for i in range(end - 1, first - 1, -1) if i in self._reasons), "")
-            out.append(LostInterval(int(stamps[first]), int(stamps[end - 1]), end - first, reason or unsaid()))
+            tally = Tally()
+            for stretch in self._stretches:
+                if stretch.first < end and stretch.end > first:
+                    tally.merge(stretch.tally)
+            main = tally.main()
+            if main is None:
+                tally.add(unsaid())
+                main = tally.main()
+            assert main is not None
+            interval = LostInterval(int(stamps[first]), int(stamps[end - 1]), end - first, tally.text(), main[1].kind)
+            out.append(interval)
         return out

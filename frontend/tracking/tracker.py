@@ -18,6 +18,7 @@ from ..image.optical_flow import follow, follow_both_ways
 from ..image.patch_alignment import Patches, align, cut_patches, half_sized
 from ..mapping.map import FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
+from ..refusal import NO_REFUSAL, Refusal
 
 Array = NDArray[np.float64]
 _EPIPOLAR_PX = 2.0
@@ -28,12 +29,17 @@ found."""
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """Result of tracking a frame: ``T_C_W`` ``(4, 4)``, None where tracking failed, and ``reason`` with its numbers.
+    """Result of tracking a frame: ``T_C_W`` ``(4, 4)``, None where tracking failed, and then its ``refusal``.
     ``inliers``: map points that agree with the pose."""
 
     T_C_W: Array | None
     inliers: int
-    reason: str = ""
+    refusal: Refusal = NO_REFUSAL
+
+    @property
+    def reason(self) -> str:
+        """Why there is no pose, with figures."""
+        return self.refusal.text
 
 
 @dataclass(frozen=True)
@@ -200,8 +206,8 @@ class Tracker:
         index = np.flatnonzero(found)
         n = len(index)
         if n < settings.min_inliers:
-            reason = f"only {n} of {len(uv)} points found, need {settings.min_inliers}"
-            return _Fit(predicted, uv, found, TrackedFrame(None, 0, reason), inlier)
+            refusal = Refusal.few("too few points found again", n, settings.min_inliers, f"of {len(uv)} points found")
+            return _Fit(predicted, uv, found, TrackedFrame(None, 0, refusal), inlier)
         sigma = np.full(n, settings.pixel_sigma_px)
         seen = SeenPoints.without_depth(search.xyz[index], self.ranging.ideal(uv[index]), sigma)
         T, good, _ = refine_pose(predicted, seen, self.ranging.cam, settings.outlier_sigmas, 4)
@@ -213,8 +219,9 @@ class Tracker:
                     T, good = T2, good2
         count = int(good.sum())
         if count < settings.min_inliers or not np.isfinite(T).all():
-            reason = f"only {count} of {n} points agree on a pose, need {settings.min_inliers}"
-            return _Fit(predicted, uv, found, TrackedFrame(None, count, reason), inlier)
+            what = f"of {n} points agree on a pose"
+            refusal = Refusal.few("too few points agree on a pose", count, settings.min_inliers, what)
+            return _Fit(predicted, uv, found, TrackedFrame(None, count, refusal), inlier)
         inlier[index] = good
         return _Fit(predicted, uv, found, TrackedFrame(T, count), inlier)
 

@@ -51,6 +51,7 @@ class KnownOdometry:
             stays=tracked and frame.index % EVERY == 0,
             T_W_C=pose,
             reason="" if tracked else "too dark",
+            kind="" if tracked else "too dark",
             first=None,
             problem=BROKEN_RIGHT.format(frame.index) if frame.index in broken_right else "",
         )

@@ -80,12 +80,12 @@ def track(
             if keyframe is not None:
                 places.describe(keyframe.index, keyframe.image)
         if result.T_W_C is None:
-            refusals[result.reason] += 1
+            refusals[result.kind] += 1
         advance(frame.index + 1)
     finished = odometry.finish()
     if not any(len(one) for one in finished.tracks):
         why = (
-            ", ".join(f"{reason} ({count} x)" for reason, count in refusals.most_common(3)) or "no frame could be used"
+            ", ".join(f"{kind} ({count} x)" for kind, count in refusals.most_common(3)) or "no frame could be used"
         )
         raise FrontendError(f"no frame of {len(sequence)} could be tracked: {why}")
     return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
