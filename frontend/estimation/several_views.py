@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from maslam.backend.geometry import product, rotation_angle_deg
 
-from ..refusal import NO_REFUSAL, Refusal
+from ..reason import NO_REASON, Reason
 from .bundle_adjustment import adjust_window, window_residuals
 from .depth_alignment import DepthAlignment
 from .pose_refinement import SeenPoints, refine_pose
@@ -70,10 +70,10 @@ class SeveralViews:
     T_2_1: Array | None
     points: Array
     good: NDArray[np.bool_]
-    refusal: Refusal = NO_REFUSAL
+    refusal: Reason = NO_REASON
 
     @classmethod
-    def refused(cls, count: int, refusal: Refusal) -> SeveralViews:
+    def refused(cls, count: int, refusal: Reason) -> SeveralViews:
         """No motion for ``count`` tracks."""
         return cls(None, np.zeros((0, 3)), np.zeros(count, dtype=bool), refusal)
 
@@ -122,30 +122,30 @@ def contradicted(fits: list[AdjustedMotion], T_2_1: Array) -> bool:
     return bool(fits) and (not _alike(fits[0].motion, T_2_1) or _evidence(fits) < _CONTRADICTION)
 
 
-def _why_not(tracks: ViewTracks, fits: list[AdjustedMotion], needs: Needs) -> Refusal | None:
+def _why_not(tracks: ViewTracks, fits: list[AdjustedMotion], needs: Needs) -> Reason | None:
     views, count = tracks.uv.shape[:2]
     if not fits:
-        return Refusal("no motion fits the points", f"no motion fits the points in {views} views")
+        return Reason("no motion fits the points", f"no motion fits the points in {views} views")
     best = fits[0]
     good, need = int(best.good.sum()), max(needs.points, int(np.ceil(needs.share * count)))
     if good < need:
         what = f"of {count} points agree in {views} views"
-        return Refusal.few("too few points agree in several views", good, need, what)
+        return Reason.few("too few points agree in several views", good, need, what)
     noise_px = _noise_px(tracks, best)
     need_deg = max(needs.parallax_deg, float(np.degrees(_SIGNAL * noise_px / tracks.cam[0])))
     if best.parallax_deg < need_deg:
         text = f"parallax {best.parallax_deg:.2f} deg (median, {views} views), need {need_deg:.2f}"
-        return Refusal("parallax too small", text, best.parallax_deg / need_deg)
+        return Reason("parallax too small", text, best.parallax_deg / need_deg)
     turn_deg = _turn_deviation_deg(tracks, best) * max(1.0, noise_px / tracks.sigma_px)
     if turn_deg > _TURN_DEG:
         text = (
             f"flat or far scene: turn and step cannot be told apart, turn known to {turn_deg:.2f} deg, need {_TURN_DEG}"
         )
-        return Refusal("turn and step cannot be told apart", text, _TURN_DEG / turn_deg)
+        return Reason("turn and step cannot be told apart", text, _TURN_DEG / turn_deg)
     evidence = _evidence(fits)
     if evidence < _EVIDENCE:
         text = f"ambiguous: two motions fit {views} views, {evidence:.1f} deviations apart, need {_EVIDENCE}"
-        return Refusal("two motions fit the points", text, evidence / _EVIDENCE)
+        return Reason("two motions fit the points", text, evidence / _EVIDENCE)
     return None
 
 

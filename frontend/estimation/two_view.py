@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import inverse3, product, project_to_so3, se3, transform_points
 
 from ..config import MonoConfig
-from ..refusal import NO_REFUSAL, Refusal
+from ..reason import NO_REASON, Reason
 from .triangulation import triangulate
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ class TwoViews:
     T_2_1: Array | None
     points: Array
     good: NDArray[np.bool_]
-    refusal: Refusal = NO_REFUSAL
+    refusal: Reason = NO_REASON
     homography_share: float = float("nan")
     hypotheses: tuple[Array, ...] = ()
 
@@ -87,10 +87,10 @@ def solve_two_views(pairs: PointPairs, config: MonoConfig) -> TwoViews:
     rest = residual_after_rotation(pairs)
     if rest < _ROTATION_PX:
         text = f"pure rotation: but for the turn the points move by {rest:.2f} px (median), need {_ROTATION_PX} px"
-        return _refused(pairs, Refusal("pure rotation", text, rest / _ROTATION_PX))
+        return _refused(pairs, Reason("pure rotation", text, rest / _ROTATION_PX))
     models = _models(pairs)
     if models is None:
-        return _refused(pairs, Refusal("no motion fits the points", "no essential matrix fits the points"))
+        return _refused(pairs, Reason("no motion fits the points", "no essential matrix fits the points"))
     homography, fundamental, share = models
     chosen = homography if share > config.homography_share else fundamental
     trials = _trials(pairs, chosen)
@@ -99,11 +99,11 @@ def solve_two_views(pairs: PointPairs, config: MonoConfig) -> TwoViews:
     if refusal is not None:
         return _refused(pairs, refusal, share, hypotheses)
     best = trials[0]
-    return TwoViews(best.T_2_1, best.points[best.good], best.good, NO_REFUSAL, share, hypotheses)
+    return TwoViews(best.T_2_1, best.points[best.good], best.good, NO_REASON, share, hypotheses)
 
 
 def _refused(
-    pairs: PointPairs, refusal: Refusal, share: float = float("nan"), hypotheses: tuple[Array, ...] = ()
+    pairs: PointPairs, refusal: Reason, share: float = float("nan"), hypotheses: tuple[Array, ...] = ()
 ) -> TwoViews:
     return TwoViews(None, np.zeros((0, 3)), np.zeros(len(pairs), dtype=bool), refusal, share, hypotheses)
 
@@ -113,20 +113,20 @@ def _trials(pairs: PointPairs, motions: _Motions) -> list[_Trial]:
     return sorted((_try(R, t, pairs, motions.inlier) for R, t in motions.candidates), key=lambda trial: -trial.count)
 
 
-def _why_not(trials: list[_Trial], count: int, model: str, config: MonoConfig) -> Refusal | None:
+def _why_not(trials: list[_Trial], count: int, model: str, config: MonoConfig) -> Reason | None:
     """Reason why the best of these ``trials`` of ``count`` pairs is not sure; None where it is."""
     if not trials:
-        return Refusal("no motion fits the points", f"the homography has no translation ({model})")
+        return Reason("no motion fits the points", f"the homography has no translation ({model})")
     best = trials[0]
     if len(trials) > 1 and trials[1].count > _AMBIGUOUS * best.count:
         text = f"ambiguous: {best.count} and {trials[1].count} points fit two different motions ({model})"
-        return Refusal("two motions fit the points", text, _AMBIGUOUS * best.count / trials[1].count)
+        return Reason("two motions fit the points", text, _AMBIGUOUS * best.count / trials[1].count)
     if best.count < config.min_points:
         what = f"of {count} points in front of both views ({model})"
-        return Refusal.few("too few points in front of both views", best.count, config.min_points, what)
+        return Reason.few("too few points in front of both views", best.count, config.min_points, what)
     if best.parallax_deg < config.min_parallax_deg:
         text = f"parallax {best.parallax_deg:.2f} deg (median), need {config.min_parallax_deg} ({model})"
-        return Refusal("parallax too small", text, best.parallax_deg / config.min_parallax_deg)
+        return Reason("parallax too small", text, best.parallax_deg / config.min_parallax_deg)
     return None
 
 

@@ -11,7 +11,7 @@ from ..estimation.several_views import Needs, SeveralViews, ViewTracks, adjust_a
 from ..estimation.two_view import PointPairs, solve_two_views
 from ..frames import Frame
 from ..mapping.range_sensor import Ranging
-from ..refusal import Refusal
+from ..reason import Reason
 
 Array = NDArray[np.float64]
 _BETWEEN = 4
@@ -23,7 +23,7 @@ _PATIENCE, _LEFT = 3, 0.6
 _STILL, _STILL_SIGMAS = 0.25, 4.0
 """Share of points that may have moved by less than so many standard deviations when most have moved far."""
 STATIC = "the camera stands still"
-_WAITING = Refusal("waiting for a third view", "waiting for a third view to confirm the motion")
+_WAITING = Reason("waiting for a third view", "waiting for a third view to confirm the motion")
 
 
 class FirstView:
@@ -87,25 +87,25 @@ class FirstView:
         early = self._frames < _PATIENCE and self.left > _LEFT and len(self) >= self.config.mono.min_matches
         return early or not self._between
 
-    def _refused(self, refusal: Refusal) -> SeveralViews:
+    def _refused(self, refusal: Reason) -> SeveralViews:
         return SeveralViews.refused(len(self), refusal)
 
-    def _too_little(self, need_px: float) -> Refusal | None:
+    def _too_little(self, need_px: float) -> Reason | None:
         """What even several views could not do without: points and displacement, of which two need ``need_px``."""
         mono = self.config.mono
         if len(self) < least_matches(mono):
-            return Refusal.few(
+            return Reason.few(
                 "too few points followed", len(self), least_matches(mono), "points followed from the first view"
             )
         flow, least_px = self.flow_px, mono.several_views * need_px
         if flow < least_px:
             text = f"static: the points have moved by {flow:.2f} px (median), need {least_px:.1f} px"
-            return Refusal(STATIC, text, flow / least_px)
+            return Reason(STATIC, text, flow / least_px)
         still = self._still(flow)
         if still > _STILL:
             what = f"{100 * still:.0f} % of the points stand still"
             text = f"{what}, {100 * _STILL:.0f} % at most: something moves, not the camera"
-            return Refusal("a part of the image stands still", text, _STILL / still)
+            return Reason("a part of the image stands still", text, _STILL / still)
         return None
 
     def _still(self, flow_px: float) -> float:

@@ -15,7 +15,7 @@ from ..image.optical_flow import follow_both_ways
 from ..image.orb_features import Detector, Pyramid, spread_cells
 from ..mapping.map import FrameObservations
 from ..mapping.range_sensor import Ranging
-from ..refusal import NO_REFUSAL, Refusal
+from ..reason import NO_REASON, Reason
 from ..stopwatch import Stopwatch
 from .first_view import STATIC, FirstView, least_matches
 from .track import Segment
@@ -31,7 +31,7 @@ class Start:
     (monocular)."""
 
     segment: Segment | None
-    refusal: Refusal = NO_REFUSAL
+    refusal: Reason = NO_REASON
     first: Frame | None = None
 
     @property
@@ -72,13 +72,13 @@ class MetricStarter:
         placed = int(np.isfinite(segment.map.xyz[segment.tracker.followed.point, 0]).sum())
         need = 2 * self.config.pose.min_inliers
         if placed < need:
-            return Start(None, Refusal.few("too few points with depth", placed, need, "points with depth in the image"))
+            return Start(None, Reason.few("too few points with depth", placed, need, "points with depth in the image"))
         return Start(segment)
 
 
-def _without(second: str, frame: Frame) -> Refusal:
+def _without(second: str, frame: Frame) -> Reason:
     kind = f"the {second} image is missing"
-    return Refusal(kind, frame.problem or kind)
+    return Reason(kind, frame.problem or kind)
 
 
 class MonoStarter:
@@ -94,7 +94,7 @@ class MonoStarter:
     def offer(self, frame: Frame) -> Start:
         """Refuses views by a camera that stands or only turns, and views that leave two motions open."""
         self._follow(frame)
-        refusals: list[Refusal] = []
+        refusals: list[Reason] = []
         for view in self._views:
             motion = view.motion()
             started = self._build(view, frame, motion) if motion.T_2_1 is not None else Start(None, motion.refusal)
@@ -116,17 +116,17 @@ class MonoStarter:
                 view.follow(at, found)
         self._last = frame
 
-    def _spent(self, view: FirstView, frame: Frame, refusal: Refusal) -> bool:
+    def _spent(self, view: FirstView, frame: Frame, refusal: Reason) -> bool:
         """Whether a first view has too few corners left, or was refused too long although the camera moved."""
         mono = self.config.mono
         old = frame.index - view.frame.index >= mono.max_frames and refusal.kind != STATIC
         return old or len(view) < least_matches(mono)
 
-    def _renew(self, frame: Frame, refusal: Refusal | None) -> Refusal:
+    def _renew(self, frame: Frame, refusal: Reason | None) -> Reason:
         """Take ``frame`` as a first view where none is left, or beside the newest where that has lost many corners;
         return the reason of this frame."""
         if self._views and self._views[-1].left >= _RENEW:
-            return refusal or NO_REFUSAL
+            return refusal or NO_REASON
         features, least = self.config.features, least_matches(self.config.mono)
         pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
         uv, _, _ = Detector(features).detect(pyramid, 2 * features.tracks, np.zeros((0, 2)))
@@ -135,10 +135,10 @@ class MonoStarter:
             view = FirstView(frame, uv[chosen], self.ranging, self.config)
             # The oldest has the most parallax, the newest the most points.
             self._views = [*self._views[:1], *self._views[1:][2 - _FIRST_VIEWS :], view]
-            return refusal or Refusal("first view of a start", "first view taken, waiting for a second")
+            return refusal or Reason("first view of a start", "first view taken, waiting for a second")
         if self._views and refusal is not None:
             return refusal
-        return Refusal.few("too few corners in the image", len(chosen), least, "corners in the image")
+        return Reason.few("too few corners in the image", len(chosen), least, "corners in the image")
 
     def _build(self, view: FirstView, frame: Frame, motion: SeveralViews) -> Start:
         """The map of two key-frames; its unit is the median depth in the first."""
@@ -155,5 +155,5 @@ class MonoStarter:
         known = int(np.isfinite(segment.map.xyz[segment.tracker.followed.point, 0]).sum())
         need = min(self.config.mono.min_points, len(motion.points) * 3 // 4)
         if known < need:
-            return Start(None, Refusal.few("too few points left", known, need, "points left after bundle adjustment"))
+            return Start(None, Reason.few("too few points left", known, need, "points left after bundle adjustment"))
         return Start(segment, first=view.frame)

@@ -23,7 +23,7 @@ from ..image.guided_matching import OrbFeatures, guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe
 from ..mapping.map import Array, FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
-from ..refusal import Refusal
+from ..reason import Reason
 from ..vocabulary.lookup import WordLookup
 from ..vocabulary.vocabulary import WordIndex
 from .track import Segment
@@ -75,7 +75,7 @@ class Relocaliser:
         settings, best, spread = self.config.lost, 0, 0.0
         if len(keypoints) < settings.min_matches:
             text = f"lost: {len(keypoints)} key-points in the image, need {settings.min_matches}"
-            refusal = Refusal("lost: too few key-points in the image", text, len(keypoints) / settings.min_matches)
+            refusal = Reason("lost: too few key-points in the image", text, len(keypoints) / settings.min_matches)
             return TrackedFrame(None, 0, refusal)
         self.searches += 1
         for number in self.candidates(keypoints):
@@ -89,7 +89,7 @@ class Relocaliser:
                 return TrackedFrame(found.T_C_W, found.count)
         need = f"need {settings.min_matches} in {100 * settings.min_spread:.0f} %"
         seen = f"{best} points of the map in {100 * spread:.0f} % of the image"
-        refusal = Refusal(
+        refusal = Reason(
             "lost: the map does not agree on a pose",
             f"lost: at best {seen} agree on a pose, {need}",
             min(best / settings.min_matches, spread / max(settings.min_spread, 1e-9)),

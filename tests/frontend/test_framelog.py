@@ -9,7 +9,7 @@ import numpy as np
 from maslam.backend.geometry import se3_exp
 from maslam.frontend.mapping.map import Map, MapKeyFrame
 from maslam.frontend.mapping.memory_footprint import EMPTY, footprint
-from maslam.frontend.refusal import NO_REFUSAL, Refusal
+from maslam.frontend.reason import NO_REASON, Reason
 from maslam.frontend.tracking.pose_log import LostInterval, MomentLog, PoseLog
 
 
@@ -30,9 +30,9 @@ def test_poses_come_back_bit_by_bit() -> None:
 def test_lost_intervals_group_reasons_by_kind_and_tell_the_best_figure() -> None:
     log = MomentLog()
     assert log.latest_ns is None and log.lost([], hardly) == []
-    low = [Refusal("parallax too small", f"parallax {p:.2f} of 0.80 deg", p / 0.8) for p in (0.31, 0.79, 0.52)]
-    dark = Refusal("too few corners in the image", "only 3 corners", 0.1)
-    for stamp, refusal in enumerate([dark, NO_REFUSAL, NO_REFUSAL, dark, *low, NO_REFUSAL, NO_REFUSAL]):
+    low = [Reason("parallax too small", f"parallax {p:.2f} of 0.80 deg", p / 0.8) for p in (0.31, 0.79, 0.52)]
+    dark = Reason("too few corners in the image", "only 3 corners", 0.1)
+    for stamp, refusal in enumerate([dark, NO_REASON, NO_REASON, dark, *low, NO_REASON, NO_REASON]):
         log.note(stamp, refusal)
     posed = [np.array([1, 2]), np.array([7])]
     assert len(log) == 9 and log.latest_ns == 8
@@ -47,14 +47,14 @@ def test_lost_intervals_group_reasons_by_kind_and_tell_the_best_figure() -> None
 
 
 def test_a_track_left_out_joins_the_refusals_around_it() -> None:
-    log, static = MomentLog(), Refusal("static", "moved by 1 px", 0.1)
-    for stamp, refusal in enumerate([static, NO_REFUSAL, NO_REFUSAL, static, static]):
+    log, static = MomentLog(), Reason("static", "moved by 1 px", 0.1)
+    for stamp, refusal in enumerate([static, NO_REASON, NO_REASON, static, static]):
         log.note(stamp, refusal)
     assert log.lost([], hardly) == [LostInterval(0, 4, 5, "moved by 1 px (nearest of 3 frames)", "static")]
 
 
-def hardly() -> Refusal:
-    return Refusal("hardly moved", "too short")
+def hardly() -> Reason:
+    return Reason("hardly moved", "too short")
 
 
 def test_a_frame_costs_little_and_being_lost_for_long_nothing_more() -> None:
@@ -64,7 +64,7 @@ def test_a_frame_costs_little_and_being_lost_for_long_nothing_more() -> None:
     for k in range(20_000):
         log.note(k, k * 10**8, 1000, pose)
         text = f"only {k} points found, which is a long way of saying it, frame after frame"
-        moments.note(k * 10**8, Refusal("too few points", text, k / 20_000))
+        moments.note(k * 10**8, Reason("too few points", text, k / 20_000))
     spent = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert spent / 20_000 < 160

@@ -84,9 +84,7 @@ def track(
         advance(frame.index + 1)
     finished = odometry.finish()
     if not any(len(one) for one in finished.tracks):
-        why = (
-            ", ".join(f"{kind} ({count} x)" for kind, count in refusals.most_common(3)) or "no frame could be used"
-        )
+        why = ", ".join(f"{kind} ({count} x)" for kind, count in refusals.most_common(3)) or "no frame could be used"
         raise FrontendError(f"no frame of {len(sequence)} could be tracked: {why}")
     return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
 
