@@ -68,7 +68,8 @@ class CameraEntry(_Entry):
 
 
 class LostEntry(_Entry):
-    """An interval without a pose: first and last frame of the agent's block, counted from 0, and why."""
+    """An interval without a pose, or with a doubtful one: first and last frame of the agent's block, counted from 0,
+    and why."""
 
     first_frame: int
     last_frame: int
@@ -87,6 +88,7 @@ class AgentEntry(_Entry):
     start_ns: int = Field(description="time stamp of its first frame in the source: 0 in all files of its folder")
     camera: CameraEntry
     lost: tuple[LostEntry, ...] = ()
+    doubtful: tuple[LostEntry, ...] = ()
 
 
 class DescriptorEntry(_Entry):

@@ -39,7 +39,7 @@ from maslam.mas.sequence import (
 
 from ..common.errors import ToolError
 from .split import SequenceShare, cut_track, share_out
-from .tracking import Tracked
+from .tracking import Gap, Tracked
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,8 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor) -> AgentEnt
         tracks=len(used),
         start_ns=plan.start_ns,
         camera=CameraEntry.from_rig(plan.sequence.rig),
-        lost=_lost(plan),
+        lost=_within(plan.share, plan.tracked.lost),
+        doubtful=_within(plan.share, plan.tracked.doubtful),
     )
 
 
@@ -183,14 +184,14 @@ def _during(plan: SharePlan, trajectory: Trajectory) -> Trajectory:
     return Trajectory(trajectory.stamps_ns[inside] - plan.start_ns, trajectory.poses[inside])
 
 
-def _lost(plan: SharePlan) -> tuple[LostEntry, ...]:
-    first, last = plan.share.first, plan.share.last
+def _within(share: SequenceShare, gaps: tuple[Gap, ...]) -> tuple[LostEntry, ...]:
+    first, last = share.first, share.last
     return tuple(
         LostEntry(
             first_frame=max(gap.first_frame, first) - first,
             last_frame=min(gap.last_frame, last) - first,
             reason=gap.reason,
         )
-        for gap in plan.tracked.lost
+        for gap in gaps
         if gap.first_frame <= last and gap.last_frame >= first
     )
