@@ -249,6 +249,13 @@ class MonoConfig(_Frozen):
     max_frames: int = Field(
         default=20, ge=1, description="one camera: most frames for which the first view stays the reference"
     )
+    several_views: float = Field(
+        default=0.5,
+        gt=0.0,
+        le=1.0,
+        description="one camera: share (0 to 1) of the points, displacement and parallax of a start by two views that "
+        "is enough where more views agree on one motion",
+    )
 
 
 class LostConfig(_Frozen):

@@ -19,17 +19,21 @@ from .files.vo_files import VoTrack
 from .frames import Frame
 from .mapping.map import Map
 from .mapping.range_sensor import Ranging
+from .reason import NO_REASON, Reason
 from .stopwatch import Stopwatch, TimedStage
 from .tracking.export import export_track
 from .tracking.initialisation import make_starter
 from .tracking.keyframe_policy import wants_keyframe
-from .tracking.pose_log import LostInterval, MomentLog
+from .tracking.pose_log import DoubtfulInterval, LostInterval, MomentLog
 from .tracking.relocalisation import Relocaliser
 from .tracking.track import Segment
 from .tracking.tracker import TrackedFrame
 from .vocabulary.lookup import WordLookup
 
 log = logging.getLogger(__name__)
+
+_CONFIRMING = 2
+"""Times the points that find a lost camera confirm that it was found."""
 
 
 class TrackingState(StrEnum):
@@ -45,10 +49,11 @@ class FrameResult:
     """Result of one frame.
 
     ``T_W_C`` ``(4, 4)`` maps the camera to the frame of the current track (metres, or the track's own unit with one
-    camera); None without a pose, and ``reason`` then says why, with numbers. ``problem``: the damage of a second image
-    (right, depth) that was needed; the key-frame was made without it. ``stays``: the key-frame belongs to the track
-    unless it is culled (False: it only supports the window). ``first``: an earlier frame that has become a key-frame
-    with this one, the first view of a monocular track.
+    camera); None without a pose, and ``reason`` then says why, with numbers, ``kind`` without. ``problem``: the damage
+    of a second image (right, depth) that was needed; the key-frame was made without it. ``stays``: the key-frame
+    belongs to the track unless it is culled (False: it only supports the window). ``first``: an earlier frame that has
+    become a key-frame with this one, the first view of a monocular track. ``doubt``: why the pose may be wrong, with
+    figures; what only the finished trajectory shows is in :class:`OdometryResult`.
     """
 
     stamp_ns: int
@@ -59,6 +64,8 @@ class FrameResult:
     problem: str = ""
     stays: bool = False
     first: Frame | None = None
+    kind: str = ""
+    doubt: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,13 +74,15 @@ class OdometryResult:
 
     ``tracks``: one for each uninterrupted track. ``keyframe_indices`` ``(K,)`` for each track: frame index of each
     key-frame. ``trajectories``: for each track ``T_W_C`` of every frame with a pose. ``lost``: the intervals without a
-    pose, before, between and after the tracks. ``stats``: counts, and the estimated calibration of the rig.
+    pose, before, between and after the tracks. ``doubtful``: the intervals whose poses may be wrong. ``stats``: counts,
+    and the estimated calibration of the rig.
     """
 
     tracks: list[VoTrack]
     keyframe_indices: list[NDArray[np.int64]]
     trajectories: list[Trajectory]
     lost: list[LostInterval]
+    doubtful: list[DoubtfulInterval]
     stats: dict[str, float]
 
 
@@ -99,6 +108,7 @@ class Odometry:
         self._moments = MomentLog()
         self._lost_frames = 0
         self._relocalised = 0
+        self._unconfirmed = False
 
     def process(self, frame: Frame) -> FrameResult:
         """Return the pose of ``frame``, or the reason why there is none.
@@ -110,31 +120,39 @@ class Odometry:
             return FrameResult(frame.stamp_ns, None, self._state(), False, problem)
         segment = self._segment
         if segment is None:
-            # The first map: from one view with depth, from two without.
-            return self._note(self._start(frame))
+            return self._start(frame)
         # Follow the points into this frame; the pose that explains them best.
         with self.stopwatch.stage(TimedStage.TRACK):
             tracked = segment.tracker.track(frame, segment.map)
         found_again = tracked.T_C_W is None
         if found_again:
             # Lost: look for the map in this frame by its words.
-            segment, tracked = self._search(frame, segment, tracked.reason)
+            segment, tracked = self._search(frame, segment, tracked.refusal)
         if tracked.T_C_W is None:
-            return self._note(self._lost(frame, tracked.reason))
+            return self._lost(frame, tracked.refusal)
         self._lost_frames = 0
         segment.record(frame, tracked.T_C_W)
+        doubt = self._doubt(tracked, found_again)
         # A view that brings something new stays, and the map around it is refined.
         since = segment.since_keyframe(frame, self.rig)
-        is_keyframe = found_again or wants_keyframe(since, self.config.keyframes, self.rig.metric)
+        wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
+        is_keyframe = found_again or (wanted and not segment.tracker.held)
         if is_keyframe:
             frame.prepare()
             segment.insert_keyframe(frame)
         T_W_C = se3_inverse(segment.tracker.T_C_W)
         stays = is_keyframe and segment.latest is not None and segment.latest.stays
         result = FrameResult(
-            frame.stamp_ns, T_W_C, TrackingState.TRACKING, is_keyframe, problem=frame.problem, stays=stays
+            frame.stamp_ns,
+            T_W_C,
+            TrackingState.TRACKING,
+            is_keyframe,
+            problem=frame.problem,
+            stays=stays,
+            doubt=doubt.text,
         )
-        return self._note(result)
+        self._moments.note(frame.stamp_ns, NO_REASON, doubt)
+        return result
 
     @property
     def maps(self) -> list[Map]:
@@ -158,16 +176,37 @@ class Odometry:
             keyframe_indices=[s.keyframe_indices() for s in kept],
             trajectories=trajectories,
             lost=self._moments.lost([t.stamps_ns for t in trajectories], self._too_short),
+            doubtful=self._moments.doubtful(
+                [t.stamps_ns for t in trajectories], [jump for segment in kept for jump in segment.jumps()]
+            ),
             stats=self._stats(segments, kept),
         )
 
+    def _doubt(self, tracked: TrackedFrame, found_again: bool) -> Reason:
+        """Why the pose may be wrong: by its points, or because the camera was found again by few and nothing has
+        confirmed it since."""
+        need = _CONFIRMING * self.config.lost.min_matches
+        self._unconfirmed = (found_again or self._unconfirmed) and tracked.inliers < need
+        if tracked.doubt.kind or not self._unconfirmed:
+            return tracked.doubt
+        text = f"found again by few points: {tracked.inliers} agree, {need} would confirm it"
+        return Reason("found again by few points", text, need / max(tracked.inliers, 1))
+
     def _start(self, frame: Frame) -> FrameResult:
+        """The first map: from one view with depth, from two or more without."""
+        started = self._offered(frame)
+        if isinstance(started, Reason):
+            return self._refused(frame, TrackingState.STARTING, started)
+        self._moments.note(frame.stamp_ns, NO_REASON)
+        return started
+
+    def _offered(self, frame: Frame) -> FrameResult | Reason:
         """Offer the frame to a new map; where that begins, the one before, if any, is finished."""
         frame.prepare()
         with self.stopwatch.stage(TimedStage.START):
             start = self._starter.offer(frame)
         if start.segment is None:
-            return FrameResult(frame.stamp_ns, None, TrackingState.STARTING, False, start.reason, frame.problem)
+            return start.refusal
         if self._segment is not None:
             self._finished.append(self._segment)
         self._segment, self._lost_frames = start.segment, 0
@@ -175,10 +214,14 @@ class Odometry:
         T_W_C = se3_inverse(start.segment.tracker.T_C_W)
         return FrameResult(frame.stamp_ns, T_W_C, TrackingState.TRACKING, True, stays=True, first=start.first)
 
-    def _search(self, frame: Frame, segment: Segment, reason: str) -> tuple[Segment, TrackedFrame]:
+    def _refused(self, frame: Frame, state: TrackingState, refusal: Reason) -> FrameResult:
+        self._moments.note(frame.stamp_ns, refusal)
+        return FrameResult(frame.stamp_ns, None, state, False, refusal.text, frame.problem, kind=refusal.kind)
+
+    def _search(self, frame: Frame, segment: Segment, refusal: Reason) -> tuple[Segment, TrackedFrame]:
         """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""
         if not self._lost_frames:
-            log.warning("tracking lost at frame %d: %s", frame.index, reason)
+            log.warning("tracking lost at frame %d: %s", frame.index, refusal.text)
             self._starter = make_starter(self.ranging, self.config, self.stopwatch)
             if self._finished and not segment.lasting(self.config.min_track_keyframes):
                 self._forgotten.append(segment)
@@ -194,21 +237,19 @@ class Odometry:
             log.info("found again at frame %d by %d points of the map", frame.index, found.inliers)
         return segment, found
 
-    def _lost(self, frame: Frame, reason: str) -> FrameResult:
+    def _lost(self, frame: Frame, refusal: Reason) -> FrameResult:
         """Search the map in some frames; from then on a new track may start where the images allow one. The search goes
         on until a track starts: after a black-out of any length the camera may be where it was."""
         assert self._relocaliser is not None
         self._lost_frames += 1
         if self._relocaliser.searches > self.config.lost.relocalise_frames:
-            started = self._start(frame)
-            if started.T_W_C is not None:
+            started = self._offered(frame)
+            if isinstance(started, FrameResult):
+                self._moments.note(frame.stamp_ns, NO_REASON)
                 return started
-            reason = f"{reason}; no new track yet: {started.reason}"
-        return FrameResult(frame.stamp_ns, None, TrackingState.LOST, False, reason, frame.problem)
-
-    def _note(self, result: FrameResult) -> FrameResult:
-        self._moments.note(result.stamp_ns, result.reason)
-        return result
+            kind = f"{refusal.kind}; no new track yet: {started.kind}"
+            refusal = Reason(kind, f"{refusal.text}; no new track yet: {started.text}", started.reached)
+        return self._refused(frame, TrackingState.LOST, refusal)
 
     def _state(self) -> TrackingState:
         if self._segment is None:
@@ -225,9 +266,10 @@ class Odometry:
             return f"time stamp is not after the previous frame's ({behind_ms:.3f} ms before it)"
         return ""
 
-    def _too_short(self) -> str:
+    def _too_short(self) -> Reason:
         need = self.config.min_track_keyframes
-        return f"the camera hardly moved: fewer key-frames than the {need} that a track needs to be written"
+        text = f"the camera hardly moved: fewer key-frames than the {need} that a track needs to be written"
+        return Reason("the camera hardly moved", text)
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
         return {

@@ -68,7 +68,8 @@ class CameraEntry(_Entry):
 
 
 class LostEntry(_Entry):
-    """An interval without a pose: first and last frame of the agent's block, counted from 0, and why."""
+    """An interval without a pose, or with a doubtful one: first and last frame of the agent's block, counted from 0,
+    and why."""
 
     first_frame: int
     last_frame: int

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import inverse3, product, project_to_so3, se3, transform_points
 
 from ..config import MonoConfig
+from ..reason import NO_REASON, Reason
 from .triangulation import triangulate
 
 Array = NDArray[np.float64]
@@ -19,6 +20,8 @@ _CHI2_LINE, _CHI2_POINT = 3.841, 5.991
 """95 % bounds of a squared distance to a line (1 d.o.f.) and to a point (2), in squared standard deviations."""
 _ROTATION_PX = 1.5
 _AMBIGUOUS = 0.75
+_PLAUSIBLE = 0.5
+"""Motions with fewer good points, as a share of the best's, are not looked at again."""
 
 
 @dataclass(frozen=True)
@@ -38,25 +41,29 @@ class PointPairs:
 @dataclass(frozen=True)
 class TwoViews:
     """``T_2_1`` (translation of length 1) with the points ``(n, 3)`` in view 1 and which pairs ``good`` ``(n,)`` they
-    belong to; or None and the reason with its numbers. ``homography_share``: score of the homography over the sum of
-    both."""
+    belong to; or None and the refusal. ``homography_share``: score of the homography over the sum of both.
+    ``hypotheses``: all motions ``T_2_1`` with many good points, of both models; more views may decide between them."""
 
     T_2_1: Array | None
     points: Array
     good: NDArray[np.bool_]
-    reason: str = ""
+    refusal: Reason = NO_REASON
     homography_share: float = float("nan")
+    hypotheses: tuple[Array, ...] = ()
+
+    @property
+    def reason(self) -> str:
+        """Why there is no motion, with figures."""
+        return self.refusal.text
 
 
 @dataclass(frozen=True)
 class _Motions:
-    """Rotations and directions of translation that one model allows, its ``inlier`` pairs ``(n,)``, and the
-    homography's ``share`` of both scores."""
+    """Rotations and directions of translation that one model allows, and its ``inlier`` pairs ``(n,)``."""
 
     model: str
     candidates: list[tuple[Array, Array]]
     inlier: NDArray[np.bool_]
-    share: float
 
 
 @dataclass(frozen=True)
@@ -77,39 +84,61 @@ class _Trial:
 
 def solve_two_views(pairs: PointPairs, config: MonoConfig) -> TwoViews:
     """Motion and points; pure rotation and two-fold planar motion are refused with the reason."""
-
-    def refuse(reason: str, share: float = float("nan")) -> TwoViews:
-        return TwoViews(None, np.zeros((0, 3)), np.zeros(len(pairs), dtype=bool), reason, share)
-
     rest = residual_after_rotation(pairs)
     if rest < _ROTATION_PX:
-        return refuse(
-            f"pure rotation: but for the turn the points move by {rest:.2f} px (median), need {_ROTATION_PX} px"
-        )
-    motions = _motions(pairs, config.homography_share)
-    if motions is None:
-        return refuse("no essential matrix fits the points")
-    share = motions.share
-    trials = sorted((_try(R, t, pairs, motions.inlier) for R, t in motions.candidates), key=lambda trial: -trial.count)
+        text = f"pure rotation: but for the turn the points move by {rest:.2f} px (median), need {_ROTATION_PX} px"
+        return _refused(pairs, Reason("pure rotation", text, rest / _ROTATION_PX))
+    models = _models(pairs)
+    if models is None:
+        return _refused(pairs, Reason("no motion fits the points", "no essential matrix fits the points"))
+    homography, fundamental, share = models
+    chosen = homography if share > config.homography_share else fundamental
+    trials = _trials(pairs, chosen)
+    refusal = _why_not(trials, len(pairs), f"{chosen.model}, score share of the homography {share:.2f}", config)
+    hypotheses = _hypotheses([*trials, *_trials(pairs, fundamental if chosen is homography else homography)])
+    if refusal is not None:
+        return _refused(pairs, refusal, share, hypotheses)
+    best = trials[0]
+    return TwoViews(best.T_2_1, best.points[best.good], best.good, NO_REASON, share, hypotheses)
+
+
+def _refused(
+    pairs: PointPairs, refusal: Reason, share: float = float("nan"), hypotheses: tuple[Array, ...] = ()
+) -> TwoViews:
+    return TwoViews(None, np.zeros((0, 3)), np.zeros(len(pairs), dtype=bool), refusal, share, hypotheses)
+
+
+def _trials(pairs: PointPairs, motions: _Motions) -> list[_Trial]:
+    """The motions of one model, those with the most good points first."""
+    return sorted((_try(R, t, pairs, motions.inlier) for R, t in motions.candidates), key=lambda trial: -trial.count)
+
+
+def _why_not(trials: list[_Trial], count: int, model: str, config: MonoConfig) -> Reason | None:
+    """Reason why the best of these ``trials`` of ``count`` pairs is not sure; None where it is."""
     if not trials:
-        return refuse("the homography has no translation", share)
-    best, model = trials[0], f"{motions.model}, score share of the homography {share:.2f}"
+        return Reason("no motion fits the points", f"the homography has no translation ({model})")
+    best = trials[0]
     if len(trials) > 1 and trials[1].count > _AMBIGUOUS * best.count:
-        return refuse(
-            f"ambiguous: {best.count} and {trials[1].count} points fit two different motions ({model})", share
-        )
+        text = f"ambiguous: {best.count} and {trials[1].count} points fit two different motions ({model})"
+        return Reason("two motions fit the points", text, _AMBIGUOUS * best.count / trials[1].count)
     if best.count < config.min_points:
-        return refuse(
-            f"only {best.count} of {len(pairs)} points in front of both views, need {config.min_points} ({model})",
-            share,
-        )
+        what = f"of {count} points in front of both views ({model})"
+        return Reason.few("too few points in front of both views", best.count, config.min_points, what)
     if best.parallax_deg < config.min_parallax_deg:
-        return refuse(f"parallax {best.parallax_deg:.2f} deg (median), need {config.min_parallax_deg} ({model})", share)
-    return TwoViews(best.T_2_1, best.points[best.good], best.good, "", share)
+        text = f"parallax {best.parallax_deg:.2f} deg (median), need {config.min_parallax_deg} ({model})"
+        return Reason("parallax too small", text, best.parallax_deg / config.min_parallax_deg)
+    return None
 
 
-def _motions(pairs: PointPairs, homography_share: float) -> _Motions | None:
-    """By a homography where its share of the scores is above ``homography_share``, else by an essential matrix."""
+def _hypotheses(trials: list[_Trial]) -> tuple[Array, ...]:
+    """Motions with many good points, most first."""
+    ranked = sorted((trial for trial in trials if trial.count), key=lambda trial: -trial.count)
+    return tuple(trial.T_2_1 for trial in ranked if trial.count > _PLAUSIBLE * ranked[0].count)
+
+
+def _models(pairs: PointPairs) -> tuple[_Motions, _Motions, float] | None:
+    """What a homography and an essential matrix allow, and the homography's share of both scores; None without an
+    essential matrix."""
     uv1, uv2, K, sigma_px = pairs.uv1, pairs.uv2, pairs.K, pairs.sigma_px
     H, _ = cv2.findHomography(uv1, uv2, cv2.RANSAC, 2.5 * sigma_px, maxIters=1000, confidence=0.999)
     E, _ = cv2.findEssentialMat(uv1, uv2, K, cv2.RANSAC, 0.999, 2.0 * sigma_px)
@@ -119,17 +148,18 @@ def _motions(pairs: PointPairs, homography_share: float) -> _Motions | None:
     F = product(product(K_inv.T, E), K_inv)
     score_F, inlier_F = score_fundamental(F, pairs)
     score_H, inlier_H = score_homography(H, pairs) if H is not None else (0.0, np.zeros(len(pairs), dtype=bool))
-    share = score_H / max(score_H + score_F, 1e-12)
-    if share > homography_share:
+    flat = []
+    if H is not None:
         _, rotations, translations, _ = cv2.decomposeHomographyMat(H, K)
-        candidates = [
+        flat = [
             (r, t.ravel() / max(np.linalg.norm(t), 1e-12))
             for r, t in zip(rotations, translations, strict=True)
             if np.linalg.norm(t) > 1e-6
         ]
-        return _Motions("homography", candidates, inlier_H, share)
     r1, r2, t = cv2.decomposeEssentialMat(E)
-    return _Motions("fundamental matrix", [(r, s * t.ravel()) for r in (r1, r2) for s in (1.0, -1.0)], inlier_F, share)
+    deep = [(r, s * t.ravel()) for r in (r1, r2) for s in (1.0, -1.0)]
+    share = score_H / max(score_H + score_F, 1e-12)
+    return _Motions("homography", flat, inlier_H), _Motions("fundamental matrix", deep, inlier_F), share
 
 
 def residual_after_rotation(pairs: PointPairs) -> float:

@@ -1,4 +1,4 @@
-"""Starting a track: from one view where depth is measured, from two where it is not."""
+"""Starting a track: from one view where depth is measured, from two or more where it is not."""
 
 from __future__ import annotations
 
@@ -6,30 +6,38 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..cameras.models import RigKind
 from ..config import OdometryConfig
-from ..estimation.two_view import PointPairs, TwoViews, solve_two_views
+from ..estimation.several_views import SeveralViews
 from ..frames import Frame
 from ..image.optical_flow import follow_both_ways
 from ..image.orb_features import Detector, Pyramid, spread_cells
 from ..mapping.map import FrameObservations
 from ..mapping.range_sensor import Ranging
+from ..reason import NO_REASON, Reason
 from ..stopwatch import Stopwatch
+from .first_view import STATIC, FirstView, least_matches
 from .track import Segment
 
-Array = NDArray[np.float64]
+_RENEW = 0.85
+"""Share of a first view's corners below which the next first view is taken beside it."""
+_FIRST_VIEWS = 3
 
 
 @dataclass(frozen=True)
 class Start:
-    """A track that has begun, or None and the reason with its numbers. ``first``: the earlier of the two views it
-    began with (monocular)."""
+    """A track that has begun, or None and the refusal. ``first``: the earlier of the two views it began with
+    (monocular)."""
 
     segment: Segment | None
-    reason: str = ""
+    refusal: Reason = NO_REASON
     first: Frame | None = None
+
+    @property
+    def reason(self) -> str:
+        """Why no track has begun, with figures."""
+        return self.refusal.text
 
 
 class Starter(Protocol):
@@ -54,9 +62,9 @@ class MetricStarter:
     def offer(self, frame: Frame) -> Start:
         """Refuses a frame without its second image, and one with too few points with depth."""
         if self.ranging.rig.kind is RigKind.STEREO and frame.right is None:
-            return Start(None, frame.problem or "the right image is missing")
+            return Start(None, _without("right", frame))
         if self.ranging.rig.kind is RigKind.RGBD and frame.depth_m is None:
-            return Start(None, frame.problem or "the depth image is missing")
+            return Start(None, _without("depth", frame))
         segment = Segment(self.ranging, self.config, self.watch)
         nothing = FrameObservations(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
         segment.latest = segment.mapper.insert(frame, np.eye(4), nothing)
@@ -64,74 +72,88 @@ class MetricStarter:
         placed = int(np.isfinite(segment.map.xyz[segment.tracker.followed.point, 0]).sum())
         need = 2 * self.config.pose.min_inliers
         if placed < need:
-            return Start(None, f"only {placed} points with depth in the image, need {need}")
+            return Start(None, Reason.few("too few points with depth", placed, need, "points with depth in the image"))
         return Start(segment)
 
 
+def _without(second: str, frame: Frame) -> Reason:
+    kind = f"the {second} image is missing"
+    return Reason(kind, frame.problem or kind)
+
+
 class MonoStarter:
-    """Two views far enough apart: corners of the first are followed until their motion gives away the camera's
-    (thesis 2.1.3)."""
+    """Views far enough apart: corners of a first view are followed until their motion gives away the camera's (thesis
+    2.1.3). When a part of them is lost, a second first view is taken beside it, so that no parallax gained is thrown
+    away, and near points that came into view later have their turn."""
 
     def __init__(self, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
         self.ranging, self.config, self.watch = ranging, config, watch
-        self._first: Frame | None = None
+        self._views: list[FirstView] = []
         self._last: Frame | None = None
-        self._first_uv: Array = np.zeros((0, 2))
-        self._uv: Array = np.zeros((0, 2))
 
     def offer(self, frame: Frame) -> Start:
-        """Refuses static, purely rotating and ambiguous pairs of views; the first view is renewed when too little of
-        it is left."""
-        if self._first is None or self._last is None:
-            return self._begin(frame, "")
-        uv, ok = follow_both_ways(self._last.image, frame.image, self._uv, self._uv, self.config.flow)
-        self._first_uv, self._uv, self._last = self._first_uv[ok], uv[ok], frame
-        settings = self.config.mono
-        if len(self._uv) < settings.min_matches:
-            return self._begin(
-                frame, f"only {len(self._uv)} points followed from the first view, need {settings.min_matches}; "
-            )
-        flow = float(np.median(np.linalg.norm(self._uv - self._first_uv, axis=1)))
-        need = settings.min_flow_px * frame.image.shape[1] / 640
-        if flow < need:
-            return Start(None, f"static: the points have moved by {flow:.2f} px (median), need {need:.1f} px")
-        ideal = self.ranging.ideal(self._first_uv), self.ranging.ideal(self._uv)
-        pairs = PointPairs(*ideal, self.ranging.rig.camera.K, self.config.pose.pixel_sigma_px)
-        views = solve_two_views(pairs, settings)
-        if views.T_2_1 is not None:
-            return self._build(frame, views)
-        if frame.index - self._first.index >= settings.max_frames:
-            return self._begin(frame, views.reason + "; ")
-        return Start(None, views.reason)
+        """Refuses views by a camera that stands or only turns, and views that leave two motions open."""
+        self._follow(frame)
+        refusals: list[Reason] = []
+        for view in self._views:
+            motion = view.motion()
+            started = self._build(view, frame, motion) if motion.T_2_1 is not None else Start(None, motion.refusal)
+            if started.segment is not None:
+                return started
+            refusals.append(started.refusal)
+        kept = [k for k, refusal in enumerate(refusals) if not self._spent(self._views[k], frame, refusal)]
+        self._views = [self._views[k] for k in kept]
+        # The reason is that of the oldest view that goes on; of one that ends here where none does.
+        refusals = [refusals[k] for k in kept] or refusals[-1:]
+        return Start(None, self._renew(frame, refusals[0] if refusals else None))
 
-    def _begin(self, frame: Frame, why: str) -> Start:
-        """Take ``frame`` as first view."""
-        features = self.config.features
+    def _follow(self, frame: Frame) -> None:
+        if self._last is not None and self._views:
+            before = np.concatenate([view.uv for view in self._views])
+            uv, ok = follow_both_ways(self._last.image, frame.image, before, before, self.config.flow)
+            ends = np.cumsum([len(view) for view in self._views])[:-1]
+            for view, at, found in zip(self._views, np.split(uv, ends), np.split(ok, ends), strict=True):
+                view.follow(at, found)
+        self._last = frame
+
+    def _spent(self, view: FirstView, frame: Frame, refusal: Reason) -> bool:
+        """Whether a first view has too few corners left, or was refused too long although the camera moved."""
+        mono = self.config.mono
+        old = frame.index - view.frame.index >= mono.max_frames and refusal.kind != STATIC
+        return old or len(view) < least_matches(mono)
+
+    def _renew(self, frame: Frame, refusal: Reason | None) -> Reason:
+        """Take ``frame`` as a first view where none is left, or beside the newest where that has lost many corners;
+        return the reason of this frame."""
+        if self._views and self._views[-1].left >= _RENEW:
+            return refusal or NO_REASON
+        features, least = self.config.features, least_matches(self.config.mono)
         pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
         uv, _, _ = Detector(features).detect(pyramid, 2 * features.tracks, np.zeros((0, 2)))
         chosen = spread_cells(uv, np.zeros((0, 2)), frame.image.shape[1], frame.image.shape[0], 2 * features.tracks)
-        if len(chosen) < self.config.mono.min_matches:
-            self._first = None
-            return Start(None, f"{why}only {len(chosen)} corners in the image, need {self.config.mono.min_matches}")
-        self._first, self._last = frame, frame
-        self._first_uv, self._uv = uv[chosen], uv[chosen]
-        return Start(None, f"{why}first view taken, waiting for a second")
+        if len(chosen) >= least:
+            view = FirstView(frame, uv[chosen], self.ranging, self.config)
+            # The oldest has the most parallax, the newest the most points.
+            self._views = [*self._views[:1], *self._views[1:][2 - _FIRST_VIEWS :], view]
+            return refusal or Reason("first view of a start", "first view taken, waiting for a second")
+        if self._views and refusal is not None:
+            return refusal
+        return Reason.few("too few corners in the image", len(chosen), least, "corners in the image")
 
-    def _build(self, frame: Frame, views: TwoViews) -> Start:
+    def _build(self, view: FirstView, frame: Frame, motion: SeveralViews) -> Start:
         """The map of two key-frames; its unit is the median depth in the first."""
-        assert self._first is not None and views.T_2_1 is not None
-        unit = float(np.median(views.points[:, 2]))
-        T = views.T_2_1.copy()
+        assert motion.T_2_1 is not None
+        unit = float(np.median(motion.points[:, 2]))
+        T = motion.T_2_1.copy()
         T[:3, 3] /= unit
         segment = Segment(self.ranging, self.config, self.watch)
-        ids = segment.map.add_points(len(views.points))
-        segment.map.xyz[ids] = views.points / unit
-        for view, pose, uv in ((self._first, np.eye(4), self._first_uv), (frame, T, self._uv)):
-            segment.latest = segment.mapper.insert(view, pose, FrameObservations(ids, uv[views.good]))
-            segment.follow(view)
+        ids = segment.map.add_points(len(motion.points))
+        segment.map.xyz[ids] = motion.points / unit
+        for seen, pose, uv in ((view.frame, np.eye(4), view.first_uv), (frame, T, view.uv)):
+            segment.latest = segment.mapper.insert(seen, pose, FrameObservations(ids, uv[motion.good]))
+            segment.follow(seen)
         known = int(np.isfinite(segment.map.xyz[segment.tracker.followed.point, 0]).sum())
-        if known < self.config.mono.min_points:
-            return self._begin(
-                frame, f"only {known} points left after bundle adjustment, need {self.config.mono.min_points}; "
-            )
-        return Start(segment, first=self._first)
+        need = min(self.config.mono.min_points, len(motion.points) * 3 // 4)
+        if known < need:
+            return Start(None, Reason.few("too few points left", known, need, "points left after bundle adjustment"))
+        return Start(segment, first=view.frame)

@@ -3,24 +3,42 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..reason import NO_REASON, Reason, Tally
+
 Array = NDArray[np.float64]
+_GAP = 2
+"""Frames without a doubt between two doubtful ones that are of one interval, at most."""
 _POSE = 12  # numbers: the upper three rows of a rigid transform
 
 
 @dataclass(frozen=True)
 class LostInterval:
-    """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames."""
+    """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames. ``reason``: the most frequent one
+    with its best figure, then the other kinds; ``kind``: the most frequent one without figures."""
 
     first_ns: int
     last_ns: int
     frames: int
     reason: str
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class DoubtfulInterval:
+    """Poses from ``first_ns`` to ``last_ns``, both included, that may be wrong: ``frames`` frames. ``reason``: the most
+    frequent one with its worst figure, then the other kinds; ``kind``: the most frequent one without figures."""
+
+    first_ns: int
+    last_ns: int
+    frames: int
+    reason: str
+    kind: str
 
 
 class PoseLog:
@@ -62,12 +80,22 @@ class PoseLog:
         return np.array(self._stamp_ns, dtype=np.int64)
 
 
+@dataclass
+class _Stretch:
+    """Refused or doubtful frames from number ``first`` to ``end``, that excluded."""
+
+    first: int
+    end: int
+    tally: Tally
+
+
 class MomentLog:
-    """Time of every frame offered, and the latest reason of each stretch without a pose; 8 bytes per frame."""
+    """Time of every frame offered, and the refusals of each stretch of frames that were refused; 8 bytes per frame."""
 
     def __init__(self) -> None:
         self._stamp_ns = array("q")
-        self._reasons: dict[int, str] = {}
+        self._refused: list[_Stretch] = []
+        self._doubted: list[_Stretch] = []
 
     def __len__(self) -> int:
         return len(self._stamp_ns)
@@ -77,21 +105,60 @@ class MomentLog:
         """Time stamp of the last frame, nanoseconds; None before the first."""
         return self._stamp_ns[-1] if self._stamp_ns else None
 
-    def note(self, stamp_ns: int, reason: str) -> None:
-        """One more frame; ``reason`` why it has no pose, or nothing."""
+    def note(self, stamp_ns: int, refusal: Reason, doubt: Reason = NO_REASON) -> None:
+        """One more frame; ``refusal`` why it has no pose, ``doubt`` why its pose may be wrong, or
+        :data:`NO_REASON`."""
         number = len(self)
         self._stamp_ns.append(stamp_ns)
-        if reason:
-            self._reasons.pop(number - 1, None)  # the last reason of a stretch counts
-            self._reasons[number] = reason
+        for reason, stretches in ((refusal, self._refused), (doubt, self._doubted)):
+            if reason.kind:
+                if not stretches or stretches[-1].end < number:
+                    stretches.append(_Stretch(number, number, Tally()))
+                stretches[-1].tally.add(reason)
+                stretches[-1].end = number + 1
 
-    def lost(self, posed_ns: Sequence[NDArray[np.int64]], unsaid: Callable[[], str]) -> list[LostInterval]:
+    def lost(self, posed_ns: Sequence[NDArray[np.int64]], unsaid: Callable[[], Reason]) -> list[LostInterval]:
         """Runs of frames whose times are in none of ``posed_ns``; ``unsaid`` gives the reason where none was noted."""
         stamps = np.array(self._stamp_ns, dtype=np.int64)
         missing = ~np.isin(stamps, np.concatenate([np.zeros(0, dtype=np.int64), *posed_ns]))
         edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
         out = []
         for first, end in edges.reshape(-1, 2).tolist():
-            reason = next((self._reasons[i] for i in range(end - 1, first - 1, -1) if i in self._reasons), "")
-            out.append(LostInterval(int(stamps[first]), int(stamps[end - 1]), end - first, reason or unsaid()))
+            tally = Tally()
+            for stretch in self._refused:
+                if stretch.first < end and stretch.end > first:
+                    tally.merge(stretch.tally)
+            main = tally.main()
+            if main is None:
+                tally.add(unsaid())
+                main = tally.main()
+            assert main is not None
+            interval = LostInterval(int(stamps[first]), int(stamps[end - 1]), end - first, tally.text(), main[1].kind)
+            out.append(interval)
+        return out
+
+    def doubtful(
+        self, posed_ns: Sequence[NDArray[np.int64]], later: Iterable[tuple[int, Reason]]
+    ) -> list[DoubtfulInterval]:
+        """Runs of doubtful frames among those posed, joined over gaps of a few frames; ``later``: time and doubt of
+        frames that the whole trajectory made doubtful. ``frames`` counts the doubtful ones."""
+        stamps = np.array(self._stamp_ns, dtype=np.int64)
+        posed = np.isin(stamps, np.concatenate([np.zeros(0, dtype=np.int64), *posed_ns]))
+        stretches = [_Stretch(s.first, s.end, s.tally) for s in self._doubted if posed[s.first : s.end].any()]
+        for stamp_ns, reason in later:
+            number = int(np.searchsorted(stamps, stamp_ns))
+            stretches.append(_Stretch(number, number + 1, Tally()))
+            stretches[-1].tally.add(reason)
+        merged: list[_Stretch] = []
+        for stretch in sorted(stretches, key=lambda s: (s.first, s.end)):
+            if not merged or merged[-1].end + _GAP < stretch.first:
+                merged.append(_Stretch(stretch.first, stretch.end, Tally()))
+            merged[-1].tally.merge(stretch.tally)
+            merged[-1].end = max(merged[-1].end, stretch.end)
+        out = []
+        for one in merged:
+            main, times = one.tally.main(), stamps[one.first : one.end][posed[one.first : one.end]]
+            assert main is not None
+            text = one.tally.text("worst")
+            out.append(DoubtfulInterval(int(times[0]), int(times[-1]), len(times), text, main[1].kind))
         return out

@@ -23,6 +23,7 @@ from ..image.guided_matching import OrbFeatures, guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe
 from ..mapping.map import Array, FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
+from ..reason import Reason
 from ..vocabulary.lookup import WordLookup
 from ..vocabulary.vocabulary import WordIndex
 from .track import Segment
@@ -73,7 +74,9 @@ class Relocaliser:
         keypoints = self._describe(frame)
         settings, best, spread = self.config.lost, 0, 0.0
         if len(keypoints) < settings.min_matches:
-            return TrackedFrame(None, 0, f"lost: {len(keypoints)} key-points in the image, need {settings.min_matches}")
+            text = f"lost: {len(keypoints)} key-points in the image, need {settings.min_matches}"
+            refusal = Reason("lost: too few key-points in the image", text, len(keypoints) / settings.min_matches)
+            return TrackedFrame(None, 0, refusal)
         self.searches += 1
         for number in self.candidates(keypoints):
             first = self._from_keyframe(number, keypoints)
@@ -86,7 +89,12 @@ class Relocaliser:
                 return TrackedFrame(found.T_C_W, found.count)
         need = f"need {settings.min_matches} in {100 * settings.min_spread:.0f} %"
         seen = f"{best} points of the map in {100 * spread:.0f} % of the image"
-        return TrackedFrame(None, best, f"lost: at best {seen} agree on a pose, {need}")
+        refusal = Reason(
+            "lost: the map does not agree on a pose",
+            f"lost: at best {seen} agree on a pose, {need}",
+            min(best / settings.min_matches, spread / max(settings.min_spread, 1e-9)),
+        )
+        return TrackedFrame(None, best, refusal)
 
     def candidates(self, keypoints: Keypoints) -> list[int]:
         """Numbers of key-frames to try: the latest that stayed, then the best of each group that looks like the

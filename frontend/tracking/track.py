@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.backend.geometry import product, se3_inverse
+from maslam.backend.geometry import product, se3_inverse, transform_points
 
 from ..cameras.models import Rig
 from ..config import OdometryConfig
@@ -14,7 +14,9 @@ from ..frames import Frame
 from ..mapping.map import FrameObservations, Map, MapKeyFrame
 from ..mapping.mapper import Mapper
 from ..mapping.range_sensor import Ranging
+from ..reason import Reason
 from ..stopwatch import Stopwatch
+from .doubt import jumps
 from .keyframe_policy import SinceKeyframe
 from .pose_log import PoseLog
 from .tracker import Tracker
@@ -87,6 +89,27 @@ class Segment:
     def keyframe_indices(self) -> NDArray[np.int64]:
         """Frame index of each key-frame that stayed."""
         return np.array([self.map.keyframes[k].frame_index for k in sorted(self.map.keyframes)], dtype=np.int64)
+
+    def jumps(self) -> list[tuple[int, Reason]]:
+        """Time stamp, nanoseconds, and doubt of each frame whose step is a jump."""
+        trajectory = self.trajectory()
+        found = jumps(trajectory.stamps_ns, trajectory.centres, self._depths())
+        return [(int(trajectory.stamps_ns[k]), doubt) for k, doubt in found]
+
+    def _depths(self) -> Array:
+        """Median depth of the points that each frame's key-frame sees, in the track's unit; of a culled one its
+        parent's."""
+        of: dict[int, float] = {}
+        for number, keyframe in self.map.keyframes.items():
+            z = transform_points(keyframe.T_C_W, self.map.xyz[keyframe.point[keyframe.point >= 0]])[:, 2]
+            of[number] = float(np.nanmedian(z)) if np.isfinite(z).any() else 0.0
+        out = np.empty(len(self.frames))
+        for i in range(len(out)):
+            number = self.frames.keyframe(i)
+            while number not in of:
+                number = self.map.culled[number].parent
+            out[i] = of[number]
+        return out
 
     def trajectory(self) -> Trajectory:
         """``T_W_C`` of every frame, through its key-frame's final pose."""

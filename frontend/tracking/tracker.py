@@ -18,6 +18,8 @@ from ..image.optical_flow import follow, follow_both_ways
 from ..image.patch_alignment import Patches, align, cut_patches, half_sized
 from ..mapping.map import FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
+from ..reason import NO_REASON, Reason
+from .doubt import PointsFound, doubt, stands
 
 Array = NDArray[np.float64]
 _EPIPOLAR_PX = 2.0
@@ -35,12 +37,18 @@ found."""
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """Result of tracking a frame: ``T_C_W`` ``(4, 4)``, None where tracking failed, and ``reason`` with its numbers.
-    ``inliers``: map points that agree with the pose."""
+    """Result of tracking a frame: ``T_C_W`` ``(4, 4)``, None where tracking failed, and then its ``refusal``.
+    ``inliers``: map points that agree with the pose; ``doubt``: why it may be wrong nevertheless."""
 
     T_C_W: Array | None
     inliers: int
-    reason: str = ""
+    refusal: Reason = NO_REASON
+    doubt: Reason = NO_REASON
+
+    @property
+    def reason(self) -> str:
+        """Why there is no pose, with figures."""
+        return self.refusal.text
 
 
 @dataclass(frozen=True)
@@ -101,6 +109,10 @@ class Tracker:
         self.followed = FollowedPoints.at_keyframe(nothing, [])
         self.anchor_T: Array = np.eye(4)
         self.T_C_W: Array = np.eye(4)
+        self.stands = True
+        """Whether the camera stands, as far as known ..."""
+        self.held = False
+        """... and was held in the last frame although something moves: that makes no key-frame."""
         self.motion: Array | None = None
         """``T_C1_C0`` of the last step ..."""
         self.step_s = 0.0
@@ -131,16 +143,35 @@ class Tracker:
                 fit = again
         if fit.result.T_C_W is None:
             return fit.result
-        fit = self._look_again(search, fit)
+        fit = self._stand(search, self._look_again(search, fit))
         T_C_W = fit.result.T_C_W
         assert T_C_W is not None
+        points = self._points_found(search, fit)
+        result = replace(fit.result, doubt=doubt(T_C_W, points, self.ranging, self.config.pose.pixel_sigma_px))
         uv, found = self._follow_unknown(search, fit, T_C_W)
         self.motion, self.step_s = product(T_C_W, se3_inverse(self.T_C_W)), dt
         self.image, self.stamp_ns, self.T_C_W = image, frame.stamp_ns, T_C_W
         found = np.where(known, fit.inlier, found & self.followed.found)
         uv = np.where(found[:, None], uv, self.followed.uv)
         self.followed = replace(self.followed, uv=uv, found=found)
-        return fit.result
+        return result
+
+    def _points_found(self, search: _Search, fit: _Fit) -> PointsFound:
+        before = np.where(self.followed.found[:, None], self.followed.uv, np.nan)
+        at = fit.found
+        return PointsFound(search.xyz[at], fit.uv[at], before[at], fit.inlier[at])
+
+    def _stand(self, search: _Search, fit: _Fit) -> _Fit:
+        """Where a part of a standing camera's points stands on, the pose is theirs, not that of what moves."""
+        points = self._points_found(search, fit)
+        self.stands = stands(points, self.stands)
+        self.held = self.stands and points.divided
+        if not self.held:
+            return fit
+        found = np.zeros(len(fit.found), dtype=bool)
+        found[np.flatnonzero(fit.found)[points.still]] = True
+        standing = self._fit(search, self.T_C_W, fit.uv, found)
+        return fit if standing.result.T_C_W is None else replace(standing, found=fit.found)
 
     def _predict(self, dt: float) -> Array:
         regular = (
@@ -207,8 +238,8 @@ class Tracker:
         index = np.flatnonzero(found)
         n = len(index)
         if n < settings.min_inliers:
-            reason = f"only {n} of {len(uv)} points found, need {settings.min_inliers}"
-            return _Fit(predicted, uv, found, TrackedFrame(None, 0, reason), inlier)
+            refusal = Reason.few("too few points found again", n, settings.min_inliers, f"of {len(uv)} points found")
+            return _Fit(predicted, uv, found, TrackedFrame(None, 0, refusal), inlier)
         sigma = np.full(n, settings.pixel_sigma_px)
         seen = SeenPoints.without_depth(search.xyz[index], self.ranging.ideal(uv[index]), sigma)
         T, good, _ = refine_pose(predicted, seen, self.ranging.cam, settings.outlier_sigmas, 4)
@@ -220,8 +251,9 @@ class Tracker:
                     T, good = T2, good2
         count = int(good.sum())
         if count < settings.min_inliers or not np.isfinite(T).all():
-            reason = f"only {count} of {n} points agree on a pose, need {settings.min_inliers}"
-            return _Fit(predicted, uv, found, TrackedFrame(None, count, reason), inlier)
+            what = f"of {n} points agree on a pose"
+            refusal = Reason.few("too few points agree on a pose", count, settings.min_inliers, what)
+            return _Fit(predicted, uv, found, TrackedFrame(None, count, refusal), inlier)
         inlier[index] = good
         return _Fit(predicted, uv, found, TrackedFrame(T, count), inlier)
 

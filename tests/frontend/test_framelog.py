@@ -9,6 +9,7 @@ import numpy as np
 from maslam.backend.geometry import se3_exp
 from maslam.frontend.mapping.map import Map, MapKeyFrame
 from maslam.frontend.mapping.memory_footprint import EMPTY, footprint
+from maslam.frontend.reason import NO_REASON, Reason
 from maslam.frontend.tracking.pose_log import LostInterval, MomentLog, PoseLog
 
 
@@ -26,19 +27,34 @@ def test_poses_come_back_bit_by_bit() -> None:
     np.testing.assert_array_equal(log.stamps_ns(), [0, 100, 200, 300, 400])
 
 
-def test_lost_intervals_tell_the_last_reason() -> None:
+def test_lost_intervals_group_reasons_by_kind_and_tell_the_best_figure() -> None:
     log = MomentLog()
-    assert log.latest_ns is None and log.lost([], str) == []
-    for stamp, reason in enumerate(["dark", "", "", "blur", "darker", "darkest", "", "", ""]):
-        log.note(stamp, reason)
+    assert log.latest_ns is None and log.lost([], hardly) == []
+    low = [Reason("parallax too small", f"parallax {p:.2f} of 0.80 deg", p / 0.8) for p in (0.31, 0.79, 0.52)]
+    dark = Reason("too few corners in the image", "only 3 corners", 0.1)
+    for stamp, refusal in enumerate([dark, NO_REASON, NO_REASON, dark, *low, NO_REASON, NO_REASON]):
+        log.note(stamp, refusal)
     posed = [np.array([1, 2]), np.array([7])]
     assert len(log) == 9 and log.latest_ns == 8
-    assert log.lost(posed, lambda: "too short") == [
-        LostInterval(0, 0, 1, "dark"),
-        LostInterval(3, 6, 4, "darkest"),
-        LostInterval(8, 8, 1, "too short"),
+    # Three frames of one kind are one reason, with the best value reached; the other kind is counted.
+    reason = "parallax 0.79 of 0.80 deg (nearest of 3 frames); too few corners in the image (1 frame)"
+    assert log.lost(posed, hardly) == [
+        LostInterval(0, 0, 1, "only 3 corners", "too few corners in the image"),
+        LostInterval(3, 6, 4, reason, "parallax too small"),
+        LostInterval(8, 8, 1, "too short", "hardly moved"),
     ]
-    assert log.lost([np.arange(9)], str) == []
+    assert log.lost([np.arange(9)], hardly) == []
+
+
+def test_a_track_left_out_joins_the_refusals_around_it() -> None:
+    log, static = MomentLog(), Reason("static", "moved by 1 px", 0.1)
+    for stamp, refusal in enumerate([static, NO_REASON, NO_REASON, static, static]):
+        log.note(stamp, refusal)
+    assert log.lost([], hardly) == [LostInterval(0, 4, 5, "moved by 1 px (nearest of 3 frames)", "static")]
+
+
+def hardly() -> Reason:
+    return Reason("hardly moved", "too short")
 
 
 def test_a_frame_costs_little_and_being_lost_for_long_nothing_more() -> None:
@@ -47,7 +63,8 @@ def test_a_frame_costs_little_and_being_lost_for_long_nothing_more() -> None:
     before = tracemalloc.get_traced_memory()[0]
     for k in range(20_000):
         log.note(k, k * 10**8, 1000, pose)
-        moments.note(k * 10**8, f"only {k} points found, which is a long way of saying it, frame after frame")
+        text = f"only {k} points found, which is a long way of saying it, frame after frame"
+        moments.note(k * 10**8, Reason("too few points", text, k / 20_000))
     spent = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert spent / 20_000 < 160

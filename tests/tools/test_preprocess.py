@@ -53,6 +53,7 @@ class KnownOdometry:
             stays=tracked and frame.index % EVERY == 0,
             T_W_C=pose,
             reason="" if tracked else "too dark",
+            kind="" if tracked else "too dark",
             first=None,
             problem=BROKEN_RIGHT.format(frame.index) if frame.index in broken_right else "",
         )
@@ -69,8 +70,9 @@ class KnownOdometry:
         )
         seen = np.array(self._seen, dtype=np.int64)
         trajectory = Trajectory(seen * 100_000_000 + 5_000_000_000, TRUTH[seen])
+        weak = SimpleNamespace(first_ns=5_400_000_000, last_ns=5_800_000_000, reason="few points")
         return SimpleNamespace(
-            tracks=[track], keyframe_indices=[keyframes], trajectories=[trajectory], lost=[], stats={}
+            tracks=[track], keyframe_indices=[keyframes], trajectories=[trajectory], lost=[], doubtful=[weak], stats={}
         )
 
 
@@ -159,6 +161,17 @@ def test_a_split_gives_each_agent_its_own_origin_clock_and_vectors(tmp_path: Pat
     truth = read_tum(tmp_path / "seqs" / "agent_01" / "groundtruth.tum")
     assert truth.centres[0, 2] == pytest.approx(4.0)  # ground truth stays in the world
     assert len(read_tracks(tmp_path / "seqs" / "agent_00")[0].points) == 5
+
+
+def test_doubtful_intervals_are_in_the_manifest_for_each_agents_frames(tmp_path: Path) -> None:
+    source, out = write_agent(tmp_path / "drive"), tmp_path / "seqs"
+    for _ in range(2):  # made, then taken up again
+        assert preprocess(source, out, "--agents", 2, "--overlap", 0) == 0
+        agents = load_sequences(out)[0].agents
+        found = [(a.frames, [(d.first_frame, d.last_frame, d.reason) for d in a.doubtful]) for a in agents]
+        # Frames 4 to 8 of twelve.
+        assert found == [(6, [(4, 5, "few points")]), (6, [(0, 2, "few points")])]
+        (out / "manifest.json").unlink()
 
 
 def test_results_are_taken_up_again_and_made_anew_when_something_changed(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ from maslam.mas.sequence import (
 )
 
 from .split import SequenceShare, cut_track, share_out
-from .tracking import Tracked
+from .tracking import Gap, Tracked
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,7 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
         start_ns=plan.start_ns,
         camera=CameraEntry.from_rig(plan.sequence.rig),
         lost=lost_frames(plan, trajectory.stamps_ns + plan.start_ns),
+        doubtful=_within(plan.share, plan.tracked.doubtful),
     )
 
 
@@ -207,4 +208,17 @@ def lost_frames(plan: SharePlan, placed_ns: NDArray[np.int64]) -> tuple[LostEntr
     runs = np.split(rows, np.flatnonzero(changes) + 1) if len(rows) else []
     return tuple(
         LostEntry(first_frame=int(run[0]), last_frame=int(run[-1]), reason=str(reasons[run[0]])) for run in runs
+    )
+
+
+def _within(share: SequenceShare, gaps: tuple[Gap, ...]) -> tuple[LostEntry, ...]:
+    first, last = share.first, share.last
+    return tuple(
+        LostEntry(
+            first_frame=max(gap.first_frame, first) - first,
+            last_frame=min(gap.last_frame, last) - first,
+            reason=gap.reason,
+        )
+        for gap in gaps
+        if gap.first_frame <= last and gap.last_frame >= first
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from maslam.frontend.frames import Frame
     from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult
     from maslam.frontend.stopwatch import Stopwatch
+    from maslam.frontend.tracking.pose_log import DoubtfulInterval, LostInterval
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
 UNREADABLE_SHARE = (
@@ -30,7 +31,8 @@ UNREADABLE_SHARE = (
 
 @dataclass(frozen=True)
 class Gap:
-    """Frames ``first_frame`` to ``last_frame`` (inclusive, counted in the sequence) have no pose, and why."""
+    """Frames ``first_frame`` to ``last_frame`` (inclusive, counted in the sequence) have no pose, or a doubtful one,
+    and why."""
 
     first_frame: int
     last_frame: int
@@ -55,6 +57,7 @@ class Tracked:
     lost: tuple[Gap, ...]
     unreadable: tuple[str, ...]
     stats: dict[str, float]
+    doubtful: tuple[Gap, ...] = ()
 
 
 def track(
@@ -80,13 +83,11 @@ def track(
             if keyframe is not None:
                 places.describe(keyframe.index, keyframe.image)
         if result.T_W_C is None:
-            refusals[result.reason] += 1
+            refusals[result.kind] += 1
         advance(frame.index + 1)
     finished = odometry.finish()
     if not any(len(one) for one in finished.tracks):
-        why = (
-            ", ".join(f"{reason} ({count} x)" for reason, count in refusals.most_common(3)) or "no frame could be used"
-        )
+        why = ", ".join(f"{kind} ({count} x)" for kind, count in refusals.most_common(3)) or "no frame could be used"
         raise FrontendError(f"no frame of {len(sequence)} could be tracked: {why}")
     return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
 
@@ -149,6 +150,9 @@ def _collect(
     def frame(stamp_ns: int) -> int:
         return int(np.searchsorted(stamps_ns, stamp_ns))
 
+    def gaps(intervals: Sequence[LostInterval | DoubtfulInterval]) -> tuple[Gap, ...]:
+        return tuple(Gap(frame(one.first_ns), frame(one.last_ns), one.reason) for one in intervals)
+
     order = [k for k in range(len(finished.tracks)) if len(finished.tracks[k])]
     described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
     return Tracked(
@@ -157,7 +161,8 @@ def _collect(
         trajectories=tuple(finished.trajectories[k] for k in order),
         vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
         textured=np.array([textured for _, textured in described], dtype=bool),
-        lost=tuple(Gap(frame(gap.first_ns), frame(gap.last_ns), gap.reason) for gap in finished.lost),
+        lost=gaps(finished.lost),
         unreadable=unreadable,
         stats={name: float(value) for name, value in sorted(finished.stats.items())},
+        doubtful=gaps(finished.doubtful),
     )

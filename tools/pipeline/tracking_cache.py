@@ -127,6 +127,7 @@ def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:
         "fingerprint": fingerprint,
         "tracks": len(tracked.tracks),
         "lost": [asdict(gap) for gap in tracked.lost],
+        "doubtful": [asdict(gap) for gap in tracked.doubtful],
         "unreadable": tracked.unreadable,
         "stats": tracked.stats,
     }
@@ -163,6 +164,7 @@ def load_tracked(path: Path, fingerprint: str) -> Tracked | None:
                 vectors=stored["vectors"],
                 textured=stored["textured"],
                 lost=tuple(Gap(**gap) for gap in header["lost"]),
+                doubtful=tuple(Gap(**gap) for gap in header["doubtful"]),
                 unreadable=tuple(header["unreadable"]),
                 stats=header["stats"],
             )

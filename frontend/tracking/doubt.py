@@ -1,0 +1,147 @@
+"""Poses that may be wrong, and why: weak support by points, a second motion in the image, a jump in the trajectory.
+
+A doubtful pose stays in its track; :class:`maslam.frontend.odometry.OdometryResult` lists the intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import transform_points
+
+from ..estimation.absolute_pose import absolute_pose
+from ..estimation.pose_refinement import SeenPoints, refine_pose
+from ..mapping.range_sensor import Ranging
+from ..reason import NO_REASON, Reason
+
+Array = NDArray[np.float64]
+_GRID = (8, 6)
+"""Cells of the image, columns and rows."""
+_FEW_POINTS, _FEW_CELLS, _MANY_POINTS, _POSITION_SHARE = 25, 12, 60, 0.0025
+"""Fewer points, fewer cells that hold some (of less than many points), and a larger deviation of the position (share of
+the median depth) are weak support. Sound sequences have 29, 13 and 0.0014 at worst."""
+_STILL_PX, _MOVING_PX = 0.3, 2.0
+"""A point that moves less from one frame to the next stands still in the image; others move clearly that move more."""
+_STILL_SHARE, _ALL_STILL = 0.2, 0.9
+"""Shares of the points that stand still beside something that moves, and of a camera that stands. Moving cameras have
+0.11 at most, standing ones 0.97 at least."""
+_SECOND_SHARE, _DISAGREE_SHARE = 0.25, 0.3
+"""Shares of the points found that agree on a second motion, and above which that is looked for."""
+_NEIGHBOURS, _STEP_SPREADS, _STEP_SHARE = 4, 2.0, 0.005
+"""A step is a jump where it differs from the median of its neighbours on each side by more than so many times their
+spread and a share of the median depth."""
+
+
+@dataclass(frozen=True)
+class PointsFound:
+    """n points found in a frame: their positions ``xyz`` ``(n, 3)`` in the track's frame, ``uv`` ``(n, 2)`` pixels,
+    ``before`` ``(n, 2)`` in the frame before, NaN where they were not found, and those that agree with the pose
+    ``inlier`` ``(n,)``."""
+
+    xyz: Array
+    uv: Array
+    before: Array
+    inlier: NDArray[np.bool_]
+
+    @property
+    def moved_px(self) -> Array:
+        """Displacements ``(n,)`` since the frame before; NaN where a point was not found there."""
+        return np.linalg.norm(self.uv - self.before, axis=1)
+
+    @property
+    def still(self) -> NDArray[np.bool_]:
+        """Points ``(n,)`` that stand still in the image."""
+        return np.asarray(np.nan_to_num(self.moved_px, nan=np.inf) < _STILL_PX)
+
+    @property
+    def still_share(self) -> float:
+        """Share of the points that stand still."""
+        return float(self.still.mean()) if len(self.uv) else 0.0
+
+    @property
+    def divided(self) -> bool:
+        """Whether a part of the points stands still while the others clearly move."""
+        moved = self.moved_px[~self.still]
+        moved = moved[np.isfinite(moved)]
+        clearly = len(moved) >= _STILL_SHARE * len(self.uv) > 0 and float(np.median(moved)) > _MOVING_PX
+        return clearly and self.still_share >= _STILL_SHARE
+
+
+def stands(points: PointsFound, stood: bool) -> bool:
+    """Whether the camera stands: nearly all points stand still, or it ``stood`` and a part of them goes on to."""
+    return points.still_share >= (_STILL_SHARE if stood else _ALL_STILL)
+
+
+def doubt(T_C_W: Array, points: PointsFound, ranging: Ranging, sigma_px: float) -> Reason:
+    """Reason to doubt a pose by its points, with figures; :data:`NO_REASON` where there is none."""
+    weak = weak_support(T_C_W, points.xyz[points.inlier], points.uv[points.inlier], ranging, sigma_px)
+    return weak if weak.kind else _second_motion(points, ranging, sigma_px)
+
+
+def weak_support(T_C_W: Array, xyz: Array, uv: Array, ranging: Ranging, sigma_px: float) -> Reason:
+    """Doubt about a pose that few points ``xyz`` ``(n, 3)`` at ``uv`` ``(n, 2)`` support, or only in a small part of
+    the image, or so that its position is not known well. Positions of points are taken as exact."""
+    camera = ranging.rig.camera
+    column, row = (uv * _GRID / [camera.width, camera.height]).astype(np.int64).T
+    cells = len(np.unique(row * _GRID[0] + column))
+    depth = float(np.median(transform_points(T_C_W, xyz)[:, 2]))
+    share = _position_deviation(T_C_W, xyz, uv, ranging, sigma_px) / max(depth, 1e-9)
+    crowded = _FEW_CELLS / cells if len(uv) < _MANY_POINTS else 0.0
+    worst = max(_FEW_POINTS / len(uv), crowded, share / _POSITION_SHARE)
+    if worst <= 1.0:
+        return NO_REASON
+    filled = 100 * cells / (_GRID[0] * _GRID[1])
+    text = f"{len(uv)} points in {filled:.0f} % of the image, position known to {100 * share:.2f} % of the depth"
+    return Reason("few points support the pose", text, worst)
+
+
+def _position_deviation(T_C_W: Array, xyz: Array, uv: Array, ranging: Ranging, sigma_px: float) -> float:
+    """Largest standard deviation of the camera's position, in the track's unit."""
+    seen = SeenPoints.without_depth(xyz, ranging.ideal(uv), np.full(len(uv), sigma_px))
+    _, _, information = refine_pose(T_C_W, seen, ranging.cam, np.inf, 1)
+    step, turn, both = information[:3, :3], information[3:, 3:], information[:3, 3:]
+    alone = step - both @ np.linalg.pinv(turn) @ both.T
+    return float(1.0 / np.sqrt(max(float(np.linalg.eigvalsh(alone)[0]), 1e-18)))
+
+
+def _second_motion(points: PointsFound, ranging: Ranging, sigma_px: float) -> Reason:
+    """Doubt where many points contradict the pose and agree on another: that of a standing camera, or any."""
+    n, other = len(points.uv), ~points.inlier
+    if points.divided:
+        text = f"{100 * points.still_share:.0f} % of the points stand still while the others move"
+        return Reason("a part of the image stands still", text, points.still_share)
+    if other.sum() < max(_DISAGREE_SHARE * n, _FEW_POINTS):
+        return NO_REASON
+    xyz, uv = points.xyz[other], ranging.ideal(points.uv[other])
+    T = absolute_pose(xyz, uv, ranging.cam, 4.0 * sigma_px)
+    if T is None:
+        return NO_REASON
+    seen = SeenPoints.without_depth(xyz, uv, np.full(len(uv), sigma_px))
+    second = int(refine_pose(T, seen, ranging.cam, 2.45, 4)[1].sum())
+    if second < _SECOND_SHARE * n:
+        return NO_REASON
+    text = f"{int(points.inlier.sum())} points agree with the pose and {second} with another"
+    return Reason("two motions in the image", text, second / n)
+
+
+def jumps(stamps_ns: NDArray[np.int64], centres: Array, depth: Array) -> list[tuple[int, Reason]]:
+    """Frames ``k`` of a trajectory whose step from ``k - 1`` is a jump, with the doubt. ``centres`` ``(N, 3)``;
+    ``depth`` ``(N,)`` median depth that each frame sees, both in the track's unit."""
+    dt = np.diff(stamps_ns).astype(np.float64)
+    velocity = np.diff(centres, axis=0) / np.maximum(dt, 1.0)[:, None]
+    out, n = [], len(velocity)
+    for k in range(n):
+        near = [j for j in range(max(0, k - _NEIGHBOURS), min(n, k + _NEIGHBOURS + 1)) if j != k]
+        if len(near) < _NEIGHBOURS:
+            continue
+        usual = np.median(velocity[near], axis=0)
+        spread = float(np.median(np.linalg.norm(velocity[near] - usual, axis=1)) * dt[k])
+        beyond = float(np.linalg.norm(velocity[k] - usual) * dt[k])
+        bound = _STEP_SPREADS * spread + _STEP_SHARE * float(depth[k + 1])
+        if beyond > bound:
+            text = f"a step {beyond:.3g} beyond its neighbours', bound {bound:.3g} (unit of the track)"
+            out.append((k + 1, Reason("a jump in the trajectory", text, beyond / max(bound, 1e-12))))
+    return out
