@@ -108,8 +108,8 @@ def adjust_all(tracks: ViewTracks, hypotheses: tuple[Array, ...]) -> list[Adjust
 def decide(tracks: ViewTracks, fits: list[AdjustedMotion], needs: Needs) -> SeveralViews:
     """The one motion that all views agree with.
 
-    It is sure where enough points agree with it in every view, with enough parallax, where turn and step can be told
-    apart, and where the views are much less likely under every other.
+    It is sure where enough points agree with it in every view, with enough parallax, where turn and step can be
+    distinguished, and where the views are much less likely under every other.
     """
     refusal = _why_not(tracks, fits, needs)
     if refusal is not None:
@@ -138,10 +138,8 @@ def _why_not(tracks: ViewTracks, fits: list[AdjustedMotion], needs: Needs) -> Re
         return Reason("parallax too small", text, best.parallax_deg / need_deg)
     turn_deg = _turn_deviation_deg(tracks, best) * max(1.0, noise_px / tracks.sigma_px)
     if turn_deg > _TURN_DEG:
-        text = (
-            f"flat or far scene: turn and step cannot be told apart, turn known to {turn_deg:.2f} deg, need {_TURN_DEG}"
-        )
-        return Reason("turn and step cannot be told apart", text, _TURN_DEG / turn_deg)
+        text = f"flat or far scene: turn known to {turn_deg:.2f} deg beside the step, need {_TURN_DEG}"
+        return Reason("turn and step cannot be distinguished", text, _TURN_DEG / turn_deg)
     evidence = _evidence(fits)
     if evidence < _EVIDENCE:
         text = f"ambiguous: two motions fit {views} views, {evidence:.1f} deviations apart, need {_EVIDENCE}"

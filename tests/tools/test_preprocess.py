@@ -70,7 +70,7 @@ class KnownOdometry:
         )
         seen = np.array(self._seen, dtype=np.int64)
         trajectory = Trajectory(seen * 100_000_000 + 5_000_000_000, TRUTH[seen])
-        weak = SimpleNamespace(first_ns=5_400_000_000, last_ns=5_800_000_000, reason="few points")
+        weak = SimpleNamespace(first_ns=5_400_000_000, last_ns=5_800_000_000, reason="7 points", kind="few points")
         return SimpleNamespace(
             tracks=[track], keyframe_indices=[keyframes], trajectories=[trajectory], lost=[], doubtful=[weak], stats={}
         )
@@ -170,7 +170,7 @@ def test_doubtful_intervals_are_in_the_manifest_for_each_agents_frames(tmp_path:
         agents = load_sequences(out)[0].agents
         found = [(a.frames, [(d.first_frame, d.last_frame, d.reason) for d in a.doubtful]) for a in agents]
         # Frames 4 to 8 of twelve.
-        assert found == [(6, [(4, 5, "few points")]), (6, [(0, 2, "few points")])]
+        assert found == [(6, [(4, 5, "few points: 7 points")]), (6, [(0, 2, "few points: 7 points")])]
         (out / "manifest.json").unlink()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -150,8 +150,8 @@ def _collect(
     def frame(stamp_ns: int) -> int:
         return int(np.searchsorted(stamps_ns, stamp_ns))
 
-    def gaps(intervals: Sequence[LostInterval | DoubtfulInterval]) -> tuple[Gap, ...]:
-        return tuple(Gap(frame(one.first_ns), frame(one.last_ns), one.reason) for one in intervals)
+    def gap(interval: LostInterval | DoubtfulInterval, reason: str) -> Gap:
+        return Gap(frame(interval.first_ns), frame(interval.last_ns), reason)
 
     order = [k for k in range(len(finished.tracks)) if len(finished.tracks[k])]
     described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
@@ -161,8 +161,8 @@ def _collect(
         trajectories=tuple(finished.trajectories[k] for k in order),
         vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
         textured=np.array([textured for _, textured in described], dtype=bool),
-        lost=gaps(finished.lost),
+        lost=tuple(gap(one, one.reason) for one in finished.lost),
         unreadable=unreadable,
         stats={name: float(value) for name, value in sorted(finished.stats.items())},
-        doubtful=gaps(finished.doubtful),
+        doubtful=tuple(gap(one, f"{one.kind}: {one.reason}") for one in finished.doubtful),
     )
