@@ -6,11 +6,12 @@ A doubtful pose stays in its track; :class:`maslam.frontend.odometry.OdometryRes
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.backend.geometry import transform_points
+from maslam.backend.geometry import product, transform_points
 
 from ..estimation.absolute_pose import absolute_pose
 from ..estimation.pose_refinement import SeenPoints, refine_pose
@@ -23,6 +24,8 @@ _GRID = (8, 6)
 _FEW_POINTS, _FEW_CELLS, _MANY_POINTS, _POSITION_SHARE = 25, 12, 60, 0.0025
 """Fewer points, fewer cells that hold some (of less than many points), and a larger deviation of the position (share of
 the median depth) are weak support. Sound sequences have 29, 13 and 0.0014 at worst."""
+_PLENTY = 1.5
+"""Times those cells, held by many points, are support that needs no further look."""
 _STILL_PX, _MOVING_PX = 0.3, 2.0
 """A point that moves less from one frame to the next stands still in the image; others move clearly that move more."""
 _STILL_SHARE, _ALL_STILL = 0.2, 0.9
@@ -46,12 +49,12 @@ class PointsFound:
     before: Array
     inlier: NDArray[np.bool_]
 
-    @property
+    @cached_property
     def moved_px(self) -> Array:
         """Displacements ``(n,)`` since the frame before; NaN where a point was not found there."""
-        return np.linalg.norm(self.uv - self.before, axis=1)
+        return np.asarray(np.hypot(*(self.uv - self.before).T))
 
-    @property
+    @cached_property
     def still(self) -> NDArray[np.bool_]:
         """Points ``(n,)`` that stand still in the image."""
         return np.asarray(np.nan_to_num(self.moved_px, nan=np.inf) < _STILL_PX)
@@ -64,10 +67,11 @@ class PointsFound:
     @property
     def divided(self) -> bool:
         """Whether a part of the points stands still while the others clearly move."""
+        if self.still_share < _STILL_SHARE:
+            return False
         moved = self.moved_px[~self.still]
         moved = moved[np.isfinite(moved)]
-        clearly = len(moved) >= _STILL_SHARE * len(self.uv) > 0 and float(np.median(moved)) > _MOVING_PX
-        return clearly and self.still_share >= _STILL_SHARE
+        return len(moved) >= _STILL_SHARE * len(self.uv) and float(np.median(moved)) > _MOVING_PX
 
 
 def stands(points: PointsFound, stood: bool) -> bool:
@@ -86,15 +90,19 @@ def weak_support(T_C_W: Array, xyz: Array, uv: Array, ranging: Ranging, sigma_px
     the image, or so that its position is not known well. Positions of points are taken as exact."""
     camera = ranging.rig.camera
     column, row = (uv * _GRID / [camera.width, camera.height]).astype(np.int64).T
-    cells = len(np.unique(row * _GRID[0] + column))
+    filled = np.zeros(_GRID[0] * _GRID[1], dtype=bool)
+    filled[row * _GRID[0] + column] = True
+    cells = int(filled.sum())
+    if len(uv) >= _MANY_POINTS and cells >= _PLENTY * _FEW_CELLS:
+        return NO_REASON  # their position cannot be badly known, and most frames are such
     depth = float(np.median(transform_points(T_C_W, xyz)[:, 2]))
     share = _position_deviation(T_C_W, xyz, uv, ranging, sigma_px) / max(depth, 1e-9)
     crowded = _FEW_CELLS / cells if len(uv) < _MANY_POINTS else 0.0
     worst = max(_FEW_POINTS / len(uv), crowded, share / _POSITION_SHARE)
     if worst <= 1.0:
         return NO_REASON
-    filled = 100 * cells / (_GRID[0] * _GRID[1])
-    text = f"{len(uv)} points in {filled:.0f} % of the image, position known to {100 * share:.2f} % of the depth"
+    percent = 100 * cells / len(filled)
+    text = f"{len(uv)} points in {percent:.0f} % of the image, position known to {100 * share:.2f} % of the depth"
     return Reason("few points support the pose", text, worst)
 
 
@@ -103,7 +111,7 @@ def _position_deviation(T_C_W: Array, xyz: Array, uv: Array, ranging: Ranging, s
     seen = SeenPoints.without_depth(xyz, ranging.ideal(uv), np.full(len(uv), sigma_px))
     _, _, information = refine_pose(T_C_W, seen, ranging.cam, np.inf, 1)
     step, turn, both = information[:3, :3], information[3:, 3:], information[:3, 3:]
-    alone = step - both @ np.linalg.pinv(turn) @ both.T
+    alone = step - product(product(both, np.asarray(np.linalg.pinv(turn), dtype=np.float64)), both.T)
     return float(1.0 / np.sqrt(max(float(np.linalg.eigvalsh(alone)[0]), 1e-18)))
 
 
@@ -130,18 +138,20 @@ def _second_motion(points: PointsFound, ranging: Ranging, sigma_px: float) -> Re
 def jumps(stamps_ns: NDArray[np.int64], centres: Array, depth: Array) -> list[tuple[int, Reason]]:
     """Frames ``k`` of a trajectory whose step from ``k - 1`` is a jump, with the doubt. ``centres`` ``(N, 3)``;
     ``depth`` ``(N,)`` median depth that each frame sees, both in the track's unit."""
-    dt = np.diff(stamps_ns).astype(np.float64)
-    velocity = np.diff(centres, axis=0) / np.maximum(dt, 1.0)[:, None]
-    out, n = [], len(velocity)
-    for k in range(n):
-        near = [j for j in range(max(0, k - _NEIGHBOURS), min(n, k + _NEIGHBOURS + 1)) if j != k]
-        if len(near) < _NEIGHBOURS:
-            continue
-        usual = np.median(velocity[near], axis=0)
-        spread = float(np.median(np.linalg.norm(velocity[near] - usual, axis=1)) * dt[k])
-        beyond = float(np.linalg.norm(velocity[k] - usual) * dt[k])
-        bound = _STEP_SPREADS * spread + _STEP_SHARE * float(depth[k + 1])
-        if beyond > bound:
-            text = f"a step {beyond:.3g} beyond its neighbours', bound {bound:.3g} (unit of the track)"
-            out.append((k + 1, Reason("a jump in the trajectory", text, beyond / max(bound, 1e-12))))
+    n = len(centres) - 1
+    if n < _NEIGHBOURS + 1:
+        return []
+    dt = np.maximum(np.diff(stamps_ns).astype(np.float64), 1.0)
+    velocity = np.diff(centres, axis=0) / dt[:, None]
+    around = np.full((n + 2 * _NEIGHBOURS, 3), np.nan)
+    around[_NEIGHBOURS:-_NEIGHBOURS] = velocity
+    near = np.stack([around[k : k + n] for k in range(2 * _NEIGHBOURS + 1) if k != _NEIGHBOURS])
+    usual = np.nanmedian(near, axis=0)
+    spread = np.nanmedian(np.linalg.norm(near - usual, axis=2), axis=0) * dt
+    beyond = np.linalg.norm(velocity - usual, axis=1) * dt
+    bound = _STEP_SPREADS * spread + _STEP_SHARE * depth[1:]
+    out = []
+    for k in np.flatnonzero(beyond > bound).tolist():
+        text = f"a step {beyond[k]:.3g} beyond its neighbours', bound {bound[k]:.3g} (unit of the track)"
+        out.append((k + 1, Reason("a jump in the trajectory", text, float(beyond[k] / max(bound[k], 1e-12)))))
     return out

@@ -20,7 +20,7 @@ from ..stopwatch import Stopwatch
 from .first_view import STATIC, FirstView, least_matches
 from .track import Segment
 
-_RENEW = 0.85
+_RENEW = 0.75
 """Share of a first view's corners below which the next first view is taken beside it."""
 _FIRST_VIEWS = 3
 
