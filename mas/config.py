@@ -37,7 +37,7 @@ class PlacesConfig(_Section):
         default=None,
         ge=1,
         description="while agents are not in one frame, verify one pair beyond the strict distance, within the "
-        "candidate's, for each so many own key-frames, and eight at the end; null: never",
+        "candidate's, for each so many own key-frames, and eight of a group at the end; null: never",
     )
     code: str = Field(
         default="int8",

@@ -32,6 +32,8 @@ from .wider_search import WiderSearch
 _FARTHEST = 2.0
 # Key-frames at the beginning of a track, and at the end of the one before, that are compared with each other.
 _BEGINNING = 3
+# Ticks after all sequences are over until answers to the last queries are in.
+_SETTLED = 4
 
 Found = PlaceAnswer | EarlierAnswer | PlaceRedirect
 
@@ -56,6 +58,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         self._latest = RecentQueries(candidates, context.state.config.places.latest_frames)
         self.sent_queries = SentQueries()
         self.wider = WiderSearch(candidates)
+        self._closing_ticks = 0
         self.distances: dict[int, float] = {}
         self._again = RetryBudget(context.state.config.link.retries)
 
@@ -194,6 +197,10 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
     def widen(self) -> Effects:
         """Have candidates beyond the strict distance verified, while agents are not in one frame."""
         effects = NOTHING
+        self._closing_ticks += self.context.closing
+        # What was asked last may still join them.
+        if self.context.closing and self._closing_ticks < _SETTLED:
+            return effects
         for candidate in self.wider.due(self.context.closing):
             if self.context.may_call(candidate.id.match_agent, OperationKind.RELPOSE):
                 self.wider.take(candidate)

@@ -22,7 +22,7 @@ _SUPPORTERS = 2
 # Pairs beside one that geometry confirmed, at most; not before so many own key-frames have passed: most matches find
 # their support by themselves.
 _MORE, _PATIENCE = 3, 10
-# Candidates more once all sequences are over.
+# Candidates more of a group once all sequences are over, one at least of each member.
 _CLOSING = 8
 
 
@@ -41,15 +41,18 @@ class WiderSearch:
             self._kept[candidate.id] = replace(candidate, wider=True)
 
     def due(self, closing: bool) -> list[Candidate]:
-        """Candidates to be verified now, at most one for each agent that nothing joins to this one."""
+        """Candidates to be verified now: the likeliest of the agents that nothing joins to this one, and those beside
+        evidence."""
         if self._every is None:
             return []
         chosen = {c.id.match_agent: c for c in reversed(self._beside_evidence(0 if closing else _PATIENCE))}
-        room = len(self._state.keyframes) // self._every + (_CLOSING if closing else 0) - self.used
-        for other, kept in self._unjoined().items():
-            if other not in chosen and room > 0:
-                chosen[other] = min(kept, key=lambda c: (-_support(c, kept), c.distance or 0.0, c.id))
-                room -= 1
+        # A group's members share what is tried at the end: each of them stands before the same other group.
+        last = max(1, _CLOSING // len(self._state.group)) if closing else 0
+        room = len(self._state.keyframes) // self._every + last - self.used
+        kept = [c for c in self._unjoined() if c.id.match_agent not in chosen]
+        if room > 0 and kept:
+            best = min(kept, key=lambda c: (-_support(c, kept), c.distance or 0.0, c.id))
+            chosen[best.id.match_agent] = best
         return [chosen[other] for other in sorted(chosen)]
 
     def take(self, candidate: Candidate) -> None:
@@ -66,13 +69,9 @@ class WiderSearch:
     def _every(self) -> int | None:
         return self._state.config.places.widen_keyframes
 
-    def _unjoined(self) -> dict[int, list[Candidate]]:
-        """What is kept, by agents that nothing joins to this one, in their order."""
-        found: dict[int, list[Candidate]] = {}
-        for _, candidate in sorted(self._kept.items()):
-            if candidate.id.match_agent not in self._state.group:
-                found.setdefault(candidate.id.match_agent, []).append(candidate)
-        return dict(sorted(found.items()))
+    def _unjoined(self) -> list[Candidate]:
+        """What is kept with agents that nothing joins to this one."""
+        return [c for _, c in sorted(self._kept.items()) if c.id.match_agent not in self._state.group]
 
     def _beside_evidence(self, patience: int) -> list[Candidate]:
         """Of each own verified match that no other supports, ``patience`` key-frames later: the next pair of
