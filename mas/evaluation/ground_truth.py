@@ -24,6 +24,8 @@ from .coverage import FrameName, frame_names, frames_held, frames_read
 
 # An estimated pose and a true one belong together within this; ground truth is often sampled at its own times.
 TRUTH_TOLERANCE_NS = 20_000_000
+# Placed frames so many of their usual intervals apart are not on one stretch of the path.
+_GAP = 1.5
 # Fewer poses than this align perfectly whatever they are.
 MIN_POSES = 3
 
@@ -87,7 +89,7 @@ class GroundTruthEvaluator:
         """``left_out``: frames of sequences from which no agent was made."""
         self.sequences = list(sequences)
         self.read = frames_read(sequences) + left_out
-        self._scales: dict[tuple[int, int], float] = {}
+        self._scales: dict[tuple[int, int], float | None] = {}
         self._own_pairs: dict[int, _OwnPositions] = {}
         self._copy_pairs: dict[tuple[int, int], _CopyPositions] = {}  # by holder and owner
 
@@ -138,10 +140,20 @@ class GroundTruthEvaluator:
                 out.update(_connected(known, self.placed_with_scale(agents[group[0]].state)))
         return out
 
-    def path_length_m(self, agent: int) -> float | None:
-        """Length of the true path, None without truth."""
-        truth = self.sequences[agent].groundtruth
-        return path_length(truth.centres) if truth is not None and len(truth) > 1 else None
+    def path_length_m(self, agent: Agent) -> float | None:
+        """Length of the true path that the agent's placed frames cover, gaps between them left out; None without
+        truth."""
+        sequence = self.sequences[agent.state.me]
+        truth, stamps = sequence.groundtruth, frame_trajectory(agent.state, sequence).stamps_ns
+        if truth is None or len(truth) < 2:
+            return None
+        rows = np.unique(truth.nearest(stamps, TRUTH_TOLERANCE_NS))
+        rows = rows[rows >= 0]
+        if len(rows) < 2:
+            return 0.0
+        usual = float(np.median(np.diff(truth.stamps_ns[rows])))
+        runs = np.split(rows, np.flatnonzero(np.diff(truth.stamps_ns[rows]) > _GAP * usual) + 1)
+        return float(sum(path_length(truth.centres[run[0] : run[-1] + 1]) for run in runs if len(run) > 1))
 
     # -- exploration --------------------------------------------------------------------------------------------------
 
@@ -174,6 +186,8 @@ class GroundTruthEvaluator:
             return None
         T_M_Q = se3_inverse(poses[0]) @ poses[1]
         metres = self._metres(agents[i.match_agent], i.match)
+        if metres is None:
+            return None
         estimate = match.T_M_Q.translation * metres
         apart = float(np.linalg.norm(estimate - T_M_Q[:3, 3]))
         angle = float(rotation_angle_deg(T_M_Q[:3, :3].T @ match.T_M_Q.rotation))
@@ -182,8 +196,9 @@ class GroundTruthEvaluator:
         )
         return MatchError(apart, angle, allowed)
 
-    def _metres(self, agent: Agent, index: int) -> float:
-        """Metres in a key-frame's own unit of length: with one camera each track has one, and it drifts."""
+    def _metres(self, agent: Agent, index: int) -> float | None:
+        """Metres in a key-frame's own unit of length: with one camera each track has one, and it drifts; None where its
+        track has too few key-frames around it to tell."""
         me = agent.state.me
         if self.sequences[me].metric:
             return 1.0
@@ -191,7 +206,7 @@ class GroundTruthEvaluator:
             keyframes, track = agent.state.keyframes, agent.state.keyframes[index].track
             near = [k for k in keyframes[max(index - _AROUND, 0) : index + _AROUND + 1] if k.track == track]
             error = self.error_of(me, _trajectory_of(near))
-            self._scales[me, index] = 1.0 if error is None else error.T_truth_estimate.scale
+            self._scales[me, index] = None if error is None else error.T_truth_estimate.scale
         return self._scales[me, index]
 
     # -- pairing ------------------------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         seed=config.seed,
         place_code=agents[0].state.profile.coder.key,
         place_code_bytes=agents[0].state.profile.coder.bytes,
-        scale="metric" if any(s.metric for s in sequences) else "arbitrary",
+        scale="arbitrary" if all(placed) else "mixed" if any(placed) else "metric",
         times=config.times,
         agents=len(agents),
         keyframes=sum(len(a.state.keyframes) for a in agents),
@@ -82,7 +82,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         ate_mean_m=_errors(columns, "mean_m"),
         odometry_rmse_m=rmse,
         odometry_mean_rmse_m=_mean(rmse),
-        path_length_m=[evaluator.path_length_m(a.state.me) for a in agents],
+        path_length_m=[evaluator.path_length_m(a) for a in agents],
         exploration_percent=[evaluator.exploration_percent(a) for a in agents],
         alignments=Alignments(
             agents=_alignments(own, placed),
@@ -132,7 +132,7 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
     outcomes = [(agent, c, agent.candidates.outcome_of(c)) for agent in agents for c in agent.candidates.by_id.values()]
     accepted = [c.id for _, c, (outcome, _) in outcomes if outcome is MatchOutcome.ACCEPTED]
     reasons = {kind: Counter(str(why) for _, _, (outcome, why) in outcomes if outcome is kind) for kind in MatchOutcome}
-    own = sum(m.query_agent == m.match_agent for m in accepted)
+    own, known = sum(m.query_agent == m.match_agent for m in accepted), [m for m in accepted if m in errors]
     return MatchFigures(
         candidates=len(outcomes),
         verified=sum(c.check.verified for _, c, _ in outcomes),
@@ -144,7 +144,8 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
         wider_accepted=sum(c.wider for _, c, (outcome, _) in outcomes if outcome is MatchOutcome.ACCEPTED),
         own_loops=own,
         between_agents=len(accepted) - own,
-        false_accepted=sum(errors[m].false for m in accepted if m in errors) if truth else None,
+        # Without the truth at both ends of any of them there is nothing to be said.
+        false_accepted=sum(errors[m].false for m in known) if truth and (known or not accepted) else None,
     )
 
 

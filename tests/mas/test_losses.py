@@ -174,7 +174,7 @@ LOSSES = {
         [(42, 42, 42, 1, 1)] * 2,
         [50.0, 50.0],
         (),
-        printed=("lengths are in units of their own, not metres",),
+        printed=("lengths in their files are in units of their own, not metres",),
         shown=("arbitrary unit (one camera, no scale)", "a frame's unit of length is its own and no metre"),
         tile=("84 of 84", ""),
     ),

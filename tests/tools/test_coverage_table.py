@@ -35,7 +35,8 @@ def test_reasons_that_differ_by_figures_are_one_kind_and_many_are_cut() -> None:
     few = [lost(10 * k, 10 * k + 4, f"few points: {k} of 80") for k in range(5)]
     others = [lost(100 + k, 100 + k, f"reason {word}") for k, word in enumerate("abcdef")]
     lines = lost_lines(summary(lost=[*few, lost(60, 61, "too dark"), *others]))
-    assert lines[0] == "agent_00: 25 frames lost (0 to 4, 10 to 14, 20 to 24 and 2 more): few points: … of …"
+    spans = "0 to 4, 10 to 14, 20 to 24 and 2 more"
+    assert lines[0] == f"agent_00: 25 frames lost ({spans}): few points: 0 of 80 (the first of 5)"
     assert lines[1] == "agent_00: 2 frames lost (60 to 61): too dark"
     assert lines[-1] == "agent_00: 4 frames lost for 4 other reasons" and len(lines) == 5
 

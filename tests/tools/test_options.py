@@ -69,6 +69,18 @@ def test_types_are_converted() -> None:
     )
 
 
+def test_a_choice_may_be_a_number() -> None:
+    class Sized(BaseModel):
+        model_config = ConfigDict(frozen=True, extra="forbid")
+        bytes_each: Literal[8, 16, 32] = 32
+
+    parser = argparse.ArgumentParser()
+    add_model_options(parser, Sized())
+    assert build(Sized(), parser.parse_args(["--bytes-each", "16"])).bytes_each == 16
+    with pytest.raises(UsageError, match="8, 16 or 32"):
+        build(Sized(), parser.parse_args(["--bytes-each", "12"]))
+
+
 def test_options_win_over_the_file_and_the_file_over_the_base() -> None:
     base = Outer(mode="slow", relpose=Inner(min_inliers=5, ratio=0.5))
     file = {"relpose": {"min_inliers": 6, "sizes": [9]}}

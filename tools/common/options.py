@@ -233,6 +233,10 @@ def _value(text: str, annotation: Any) -> object:
         return None
     if any(typing.get_args(kind)[:1] == (str,) for kind in kinds) and text[:1] not in "[{":
         return [word.strip() for word in text.split(",")]  # YAML would take 08 for a word and 07 for a number
+    for kind in kinds:
+        if typing.get_origin(kind) is typing.Literal:
+            named = {str(value): value for value in typing.get_args(kind)}
+            return named.get(text, text)  # a choice may be a number
     if any((typing.get_origin(kind) or kind) in (tuple, list, dict, set, frozenset) for kind in kinds):
         import yaml
 

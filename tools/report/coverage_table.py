@@ -128,10 +128,11 @@ def _by_reason(intervals: Sequence[dict[str, Any]], what: str) -> list[str]:
         kinds.setdefault(_FIGURE.sub("…", one["reason"]), []).append(one)
     most = sorted(kinds.items(), key=lambda kind: -_frames(kind[1]))
     lines = []
-    for kind, members in most[:_KINDS]:
+    for _, members in most[:_KINDS]:
         spans = [f"{m['first_frame']} to {m['last_frame']}" for m in members[:_INTERVALS]]
         more = f" and {len(members) - _INTERVALS} more" if len(members) > _INTERVALS else ""
-        reason = members[0]["reason"] if len({m["reason"] for m in members}) == 1 else kind
+        alike = len({m["reason"] for m in members})
+        reason = members[0]["reason"] + ("" if alike == 1 else f" (the first of {len(members)})")
         lines.append(f"{counted(_frames(members), 'frame')} {what} ({', '.join(spans)}{more}): {reason}")
     rest = [m for _, members in most[_KINDS:] for m in members]
     if rest:

@@ -109,11 +109,13 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(exploration))])
     biggest = max(len(group) for group in summary["groups"])
     shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
-    known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") == "arbitrary"
+    known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") in ("arbitrary", "mixed")
     said = [f"errors {measured_on(summary)}"] if known and measured_on(summary) else []
-    why = "no frame has both a place and a true one" if any(summary["path_length_m"]) else "no ground truth"
+    truth_there = any(length is not None for length in summary["path_length_m"])
+    why = "no frame has both a place and a true one" if truth_there else "no ground truth"
     truth = [] if known else [f"{why}: errors cannot be known"]
-    own = ["one camera: lengths are in units of their own, not metres"] if unit and not known else []
+    whose = "agents with one camera alone" if summary.get("scale") == "mixed" else "one camera"
+    own = [f"{whose}: lengths in their files are in units of their own, not metres"] if unit else []
     return [*aligned(rows), *shared, *said, *truth, *own]
 
 
