@@ -38,6 +38,11 @@ class RelPoseConfig(BaseModel):
     inlier_angle_deg: float = Field(
         default=0.5, gt=0, le=20, description="largest bearing error of an inlier under the refined pose, degrees"
     )
+    inlier_px: float = Field(
+        default=2.75,
+        ge=0,
+        description="and at least so many pixels of the verifying agent's camera: small images are less exact",
+    )
     depth_ratio: float = Field(default=1.5, gt=1, description="largest ratio of an inlier's two depths in one camera")
     samples: int = Field(
         default=20_000, ge=1, description="minimal sets drawn; those whose side lengths disagree are dropped unsolved"

@@ -7,6 +7,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from math import degrees
 from pathlib import Path
 
 from maslam._kernels import watch_compiling
@@ -215,7 +216,8 @@ def make_agents(
                 f"{sequence.places.dim} numbers), the others have {wanted.name} ({wanted.sha256[:12]}, {wanted.dim})"
             )
         others = tuple(a for a in range(len(sequences)) if a != me)
-        limits = (wanted.threshold, coder, ownership, centres, wanted.strict_threshold)
+        pixel_deg = degrees(1.0 / manifest.agents[me].camera.fx)
+        limits = (wanted.threshold, coder, ownership, centres, wanted.strict_threshold, pixel_deg)
         profile = Profile(me, others, sequence.metric, wanted.sha256, *limits)
         agents.append(Agent(profile, config, policies[me]))
     return agents

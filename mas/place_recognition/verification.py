@@ -213,6 +213,8 @@ def verify(state: AgentState, match: MatchId, query: PlaceView, mine: KeyFrame, 
     """
     seed = [state.config.seed, match.query_agent, match.query, match.match_agent, match.match]
     config = state.config.relpose
+    inlier_deg = max(config.inlier_angle_deg, config.inlier_px * state.profile.pixel_deg)
+    config = replaced(config, inlier_angle_deg=min(inlier_deg, config.search_angle_deg))
     if first and config.min_evidence is not None:
         surer = max(config.min_evidence, state.config.places.first_evidence)
         config = replaced(config, min_evidence=surer)

@@ -51,7 +51,8 @@ class Profile:
 
     ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance, ``strict_threshold``: the one
     at which appearance alone decides; ``coder``: how place vectors travel, the same for all; ``ownership``: who keeps
-    them; ``centres`` ``(k, d)``: of the clusters that have owners, in the numbers that travel, else None.
+    them; ``centres`` ``(k, d)``: of the clusters that have owners, in the numbers that travel, else None;
+    ``pixel_deg``: what a pixel of its camera spans, degrees.
     """
 
     me: int
@@ -63,6 +64,7 @@ class Profile:
     ownership: Ownership = Ownership.NONE
     centres: NDArray[np.float32] | None = None
     strict_threshold: float | None = None
+    pixel_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if (self.ownership is Ownership.CLUSTERS) != (self.centres is not None):
