@@ -175,7 +175,11 @@ def match_edge(match: Match, config: OptimisationConfig) -> Edge:
 
 def own_graph(state: AgentState) -> PoseGraph:
     """The agent's key-frames in its reference frame with odometry and own loops, and edges to others' key-frames
-    whose poses follow from the match: for export. Translations are in the frame's unit."""
+    whose poses follow from the match: for export. Translations are in the frame's unit.
+
+    An edge between two agents stands in the graphs of both, the same numbers. Where one camera takes part only the
+    agent of its first node knows that node's unit in the frame: there it stands in that agent's graph alone.
+    """
     me, placed = state.me, set(state.placed())
     poses = {NodeId(me, i): state.poses[i] for i in sorted(placed)}
     edges = []
@@ -191,8 +195,9 @@ def own_graph(state: AgentState) -> PoseGraph:
         if edge.i.robot == me:
             edge = _in_unit(edge, state.units[own])
             poses.setdefault(edge.j, poses[edge.i] @ edge.T_i_j)
+        elif match.scale_sigma is not None:
+            continue
         else:
-            edge = _in_unit(edge, state.units[own] / match.T_M_Q.scale)
             poses.setdefault(edge.i, poses[edge.j] @ se3_inverse(edge.T_i_j))
         edges.append(edge)
     return PoseGraph(poses, tuple(edges))

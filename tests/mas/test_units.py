@@ -122,6 +122,22 @@ def test_the_graph_for_export_is_in_one_unit() -> None:
         np.testing.assert_allclose(edge.T_i_j[:3, 3], step[:3, 3] * state.units[k])
 
 
+def test_an_edge_between_cameras_stands_in_one_graph_only() -> None:
+    """Only the agent of its first node knows that node's unit; between metric agents both write the same numbers."""
+    state, _ = seen()
+    other, end = state.me + 1, MatchEnd(0, np.eye(4), 0.0)
+    asked = Match(MatchId(state.me, 3, other, 5), end, end, Sim3(np.eye(3), np.ones(3), 1.3), np.eye(6), 50, 5.0)
+    for match, there in (
+        (replace(asked, scale_sigma=0.03), 0),
+        (asked, 1),
+        (replace(asked, scale_sigma=0.03).turned(), 1),
+    ):
+        state.verified[match.id] = match
+        state.accepted = {match.id}
+        between = [e for e in own_graph(state).edges if e.i.robot != e.j.robot]
+        assert len(between) == there
+
+
 # -- plans of mixed teams ---------------------------------------------------------------------------------------------
 
 
