@@ -104,7 +104,12 @@ class SolverConfig(BaseModel):
         description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, "
         "or one elected robot that solves for all",
     )
-    relaxation: float = Field(default=1.75, gt=0, lt=2, description="over-relaxation of sor; jor uses at most 1")
+    relaxation: float = Field(
+        default=1.75,
+        gt=0,
+        lt=2,
+        description="over-relaxation of sor; at most 1 in jor and where units are variables",
+    )
     start: Literal["flagged", "warm"] = Field(
         default="flagged",
         description="initial guess: flagged (none needed) or warm (the present poses, which share a frame already)",
@@ -112,7 +117,7 @@ class SolverConfig(BaseModel):
     rotation_sweeps: int = Field(default=50, ge=1, description="rotation sweeps at most")
     pose_sweeps: int = Field(default=50, ge=1, description="pose sweeps of one Gauss-Newton step, at most")
     scale_sweeps: int = Field(
-        default=100, ge=1, description="sweeps over the robots' scales, at most (monocular members only)"
+        default=100, ge=1, description="sweeps over the nodes' units of length, at most (monocular members only)"
     )
     rotation_threshold: float = Field(
         default=0.01, ge=0, description="change of a robot's rotation entries below which it is quiet, 2-norm"
@@ -121,9 +126,13 @@ class SolverConfig(BaseModel):
         default=0.01, ge=0, description="change of a robot's poses below which it is quiet, 2-norm of m and rad"
     )
     scale_threshold: float = Field(
-        default=1e-5, ge=0, description="change of a robot's log scale below which it is quiet"
+        default=1e-5, ge=0, description="change of a robot's log units below which it is quiet, 2-norm"
     )
-    newton_steps: int = Field(default=1, ge=1, description="Gauss-Newton steps; 1 is the published two-stage method")
+    newton_steps: int = Field(
+        default=1,
+        ge=1,
+        description="Gauss-Newton steps; 1 is the published two-stage method; three at least where units are variables",
+    )
     change: Literal["norm", "rms"] = Field(
         default="norm",
         description="change that sweep thresholds compare: norm over a robot's poses (published), or rms per pose",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..geometry import Array, se3, so3_exp, so3_log
+from .compact import numbers_of, poses_of
 
 RIGID, SCALED = 6, 7
 """Numbers of a place: position, rotation vector; and the logarithm of the unit."""
@@ -41,14 +42,13 @@ class Places:
 
     def numbers(self, width: int) -> Array:
         """Position, rotation vector and, with a ``width`` of 7, log unit: ``(n, width)``."""
-        parts = [self.poses[:, :3, 3], so3_log(self.poses[:, :3, :3]), self.log_units[:, None]]
-        return np.concatenate(parts[: width - 4], axis=1)
+        return np.concatenate([numbers_of(self.poses), self.log_units[:, None]], axis=1)[:, :width]
 
 
 def places_of(numbers: ArrayLike) -> Places:
     """Inverse of :meth:`Places.numbers`."""
     v = np.asarray(numbers, dtype=np.float64)
-    return Places(se3(so3_exp(v[:, 3:6]), v[:, :3]), v[:, 6].copy() if v.shape[1] == SCALED else np.zeros(len(v)))
+    return Places(poses_of(v[:, :RIGID]), v[:, 6].copy() if v.shape[1] == SCALED else np.zeros(len(v)))
 
 
 def moved(start: Places, end: Places, width: int) -> Array:

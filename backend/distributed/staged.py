@@ -36,7 +36,7 @@ class StagedNode(Rounds):
         return self._problem.cost()
 
     def _enter(self) -> None:
-        pass
+        """Neither stage has anything to set up."""
 
     def _awaited(self) -> list[int]:
         if self._round.stage is SolverStage.COST:

@@ -30,6 +30,9 @@ _DEPTHS = (1.0, 0.5, 2.0)
 _FAR, _NEAREST = 1e6, 1e-6
 _FLOW_HOLDS = 0.5
 """Where flow finds this share of points no other search is worth its time."""
+_FEW_KNOWN = 35
+"""Nor where this many points of known position agree: the track is safe, and points found at a supposed depth are less
+exact than those that flow finds."""
 _LOOK_AGAIN_PX = 3.0
 """A prediction this wrong (median) has misled the search: what was not found is looked for again from the pose
 found."""
@@ -272,7 +275,8 @@ class Tracker:
         good &= self._on_epipolar_line(start, at, T_C_W)
         uv, found = fit.uv.copy(), fit.found.copy()
         uv[index], found[index] = at, good
-        for share in _DEPTHS if good.sum() < _FLOW_HOLDS * len(index) else ():
+        in_need = fit.result.inliers < _FEW_KNOWN and good.sum() < _FLOW_HOLDS * len(index)
+        for share in _DEPTHS if in_need else ():
             lost = index[~found[index]]
             at, good = self._find_at_depth(search, fit, T_C_W, lost, share)
             uv[lost[good]], found[lost[good]] = at[good], True

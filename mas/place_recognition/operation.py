@@ -202,15 +202,18 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         if self.context.closing and self._closing_ticks < _SETTLED:
             return effects
         for candidate in self.wider.due(self.context.closing):
-            if self.context.may_call(candidate.id.match_agent, OperationKind.RELPOSE):
-                self.wider.take(candidate)
+            match, keyframes = candidate.id, self.state.keyframes
+            if match.match_agent == self.state.me:
+                effects += self._consider_own(keyframes[match.query], keyframes[match.match], None, wider=True)
+            elif self.context.may_call(match.match_agent, OperationKind.RELPOSE):
                 effects += self.verification.request(replace(candidate, now_ns=self.context.now_ns))
         return effects
 
     @property
     def widening(self) -> bool:
         """Whether there are candidates to be verified before the agent is done."""
-        return any(self.context.may_call(c.id.match_agent) for c in self.wider.due(self.context.closing))
+        others = (c.id.match_agent for c in self.wider.due(self.context.closing))
+        return any(other == self.state.me or self.context.may_call(other) for other in others)
 
     def _ask_own_log(self, keyframe: int) -> Effects:
         """The agent owns the cluster of its own key-frame: no message needed. It compares what would have travelled."""
@@ -268,7 +271,8 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         """A track's first key-frames may still see what the last ones of the track before saw, however different the
         images are: they are verified whatever their vectors say."""
         first = self.state.piece_of(keyframe.index).first
-        if not first or keyframe.index - first >= _BEGINNING:
+        widened = self.state.config.places.widen_keyframes is not None
+        if not widened or not first or keyframe.index - first >= _BEGINNING:
             return NOTHING
         effects = NOTHING
         for earlier in reversed(self.state.keyframes[max(first - _BEGINNING, 0) : first]):
@@ -277,7 +281,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
                 effects += self._consider_own(keyframe, earlier, min(apart, _FARTHEST), wider=True)
         return effects
 
-    def _consider_own(self, query: KeyFrame, match: KeyFrame, distance: float, wider: bool) -> Effects:
+    def _consider_own(self, query: KeyFrame, match: KeyFrame, distance: float | None, wider: bool) -> Effects:
         me = self.state.me
         candidate = Candidate(MatchId(me, query.index, me, match.index), self.context.now_ns, distance, wider=wider)
         return self._verify_own(candidate, query, match) if self.candidates.propose(candidate) else NOTHING

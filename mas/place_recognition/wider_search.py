@@ -28,11 +28,9 @@ _CLOSING = 8
 
 @dataclass(eq=False)
 class WiderSearch:
-    """``candidates``: all of the agent's; ``used``: wider candidates verified so far, beside those near a match that
-    geometry confirmed."""
+    """``candidates``: all of the agent's."""
 
     candidates: Candidates
-    used: int = 0
     _kept: dict[MatchId, Candidate] = field(default_factory=dict)
 
     def keep(self, candidate: Candidate) -> None:
@@ -48,18 +46,12 @@ class WiderSearch:
         chosen = {c.id.match_agent: c for c in reversed(self._beside_evidence(0 if closing else _PATIENCE))}
         # A group's members share what is tried at the end: each of them stands before the same other group.
         last = max(1, _CLOSING // len(self._state.group)) if closing else 0
-        room = len(self._state.keyframes) // self._every + last - self.used
+        room = len(self._state.keyframes) // self._every + last - self._tried()
         kept = [c for c in self._unjoined() if c.id.match_agent not in chosen]
         if room > 0 and kept:
             best = min(kept, key=lambda c: (-_support(c, kept), c.distance or 0.0, c.id))
             chosen[best.id.match_agent] = best
         return [chosen[other] for other in sorted(chosen)]
-
-    def take(self, candidate: Candidate) -> None:
-        """It is verified now."""
-        if candidate.id in self._kept:
-            del self._kept[candidate.id]
-            self.used += 1
 
     @property
     def _state(self) -> AgentState:
@@ -69,9 +61,14 @@ class WiderSearch:
     def _every(self) -> int | None:
         return self._state.config.places.widen_keyframes
 
+    def _tried(self) -> int:
+        """Candidates verified so far, beside those near a match that geometry confirmed, which nobody compared."""
+        return sum(match in self.candidates.by_id for match in self._kept)
+
     def _unjoined(self) -> list[Candidate]:
-        """What is kept with agents that nothing joins to this one."""
-        return [c for _, c in sorted(self._kept.items()) if c.id.match_agent not in self._state.group]
+        """What is kept with agents that nothing joins to this one, and not tried yet."""
+        waiting = [c for match, c in sorted(self._kept.items()) if match not in self.candidates.by_id]
+        return [c for c in waiting if c.id.match_agent not in self._state.group]
 
     def _beside_evidence(self, patience: int) -> list[Candidate]:
         """Of each own verified match that no other supports, ``patience`` key-frames later: the next pair of
@@ -101,7 +98,9 @@ class WiderSearch:
         return [MatchId(match.query_agent, q, match.match_agent, m) for q, m in there]
 
     def _known_of(self, other: int) -> int:
-        """Number of the other's key-frames, as far as its answers tell."""
+        """Number of an agent's key-frames; of another's as far as its answers tell."""
+        if other == self._state.me:
+            return len(self._state.keyframes)
         named = [m.match for m in (*self.candidates.by_id, *self._kept) if m.match_agent == other]
         return max(named, default=-1) + 1
 

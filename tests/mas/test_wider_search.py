@@ -89,7 +89,6 @@ def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:
         state.observe(keyframe)
     asked = []
     while due := search.due(closing=False):
-        search.take(due[0])
         agent.candidates.propose(due[0])
         asked.append(due[0].id)
     assert len(asked) == 3 and len(set(asked)) == 3
