@@ -247,8 +247,8 @@ class Odometry:
             if isinstance(started, FrameResult):
                 self._moments.note(frame.stamp_ns, NO_REASON)
                 return started
-            kind = f"{refusal.kind}; no new track yet: {started.kind}"
-            refusal = Reason(kind, f"{refusal.text}; no new track yet: {started.text}", started.reached)
+            kind = f"{refusal.kind}, and no new track yet: {started.kind}"
+            refusal = Reason(kind, f"{refusal.text}, and no new track yet: {started.text}", started.reached)
         return self._refused(frame, TrackingState.LOST, refusal)
 
     def _state(self) -> TrackingState:
@@ -268,8 +268,8 @@ class Odometry:
 
     def _too_short(self) -> Reason:
         need = self.config.min_track_keyframes
-        text = f"the camera hardly moved: fewer key-frames than the {need} that a track needs to be written"
-        return Reason("the camera hardly moved", text)
+        text = f"the track is too short: fewer key-frames than the {need} that it needs to be written"
+        return Reason("the track is too short", text)
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
         return {

@@ -51,6 +51,7 @@ class Tally:
         if not ranked:
             return ""
         count, best = ranked[0]
-        parts = [f"{best.text} ({best_is} of {count} frames)" if count > 1 else best.text]
+        of = f"{best_is} of {count} frames" if best.reached > 0 else f"{count} frames"
+        parts = [f"{best.text} ({of})" if count > 1 else best.text]
         parts += [f"{other.kind} ({n} frame{'s'[n == 1 :]})" for n, other in ranked[1:]]
         return "; ".join(parts)

@@ -74,6 +74,9 @@ class LostEntry(_Entry):
     first_frame: int
     last_frame: int
     reason: str
+    kinds: dict[str, int] = Field(
+        default={}, description="lost frames by reason without figures: each has one, so they add up; empty: not known"
+    )
 
 
 class AgentEntry(_Entry):

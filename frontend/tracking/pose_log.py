@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +21,22 @@ _POSE = 12  # numbers: the upper three rows of a rigid transform
 @dataclass(frozen=True)
 class LostInterval:
     """No pose from ``first_ns`` to ``last_ns``, both included: ``frames`` frames. ``reason``: the most frequent one
-    with its best figure, then the other kinds; ``kind``: the most frequent one without figures."""
+    with its best figure, then the other kinds; ``kind``: the most frequent one without figures; ``kinds``: that of each
+    frame in order, as runs ``(kind, frames)``, so that their frames add up to the interval's."""
 
     first_ns: int
     last_ns: int
     frames: int
     reason: str
     kind: str = ""
+    kinds: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
 class DoubtfulInterval:
     """Poses from ``first_ns`` to ``last_ns``, both included, that may be wrong: ``frames`` frames. ``reason``: the most
-    frequent one with its worst figure, then the other kinds; ``kind``: the most frequent one without figures."""
+    frequent one with its worst figure, then the other kinds; ``kind``: the most frequent one without figures. A frame
+    may be doubted for two reasons, by its points and as a jump, and one in a short gap for none."""
 
     first_ns: int
     last_ns: int
@@ -82,19 +86,31 @@ class PoseLog:
 
 @dataclass
 class _Stretch:
-    """Refused or doubtful frames from number ``first`` to ``end``, that excluded."""
+    """Doubtful frames from number ``first`` to ``end``, that excluded."""
 
     first: int
     end: int
     tally: Tally
 
 
+@dataclass
+class _Refused:
+    """Refused frames from number ``first`` to ``end``, that excluded; ``best``: of each kind the frame whose refusal
+    came nearest, the latest of equals, and that refusal."""
+
+    first: int
+    end: int
+    best: dict[str, tuple[int, Reason]]
+
+
 class MomentLog:
-    """Time of every frame offered, and the refusals of each stretch of frames that were refused; 8 bytes per frame."""
+    """Time of every frame offered, and the kind of its refusal where it was refused; 10 bytes per frame. Figures are
+    kept of the refusals that came nearest, one of each kind in a stretch of refused frames."""
 
     def __init__(self) -> None:
-        self._stamp_ns = array("q")
-        self._refused: list[_Stretch] = []
+        self._stamp_ns, self._kind = array("q"), array("H")
+        self._kinds = [NO_REASON.kind]
+        self._refused: list[_Refused] = []
         self._doubted: list[_Stretch] = []
 
     def __len__(self) -> int:
@@ -110,32 +126,50 @@ class MomentLog:
         :data:`NO_REASON`."""
         number = len(self)
         self._stamp_ns.append(stamp_ns)
-        for reason, stretches in ((refusal, self._refused), (doubt, self._doubted)):
-            if reason.kind:
-                if not stretches or stretches[-1].end < number:
-                    stretches.append(_Stretch(number, number, Tally()))
-                stretches[-1].tally.add(reason)
-                stretches[-1].end = number + 1
+        if refusal.kind not in self._kinds:
+            self._kinds.append(refusal.kind)
+        self._kind.append(self._kinds.index(refusal.kind))
+        if refusal.kind:
+            self._refuse(number, refusal)
+        if doubt.kind:
+            if not self._doubted or self._doubted[-1].end < number:
+                self._doubted.append(_Stretch(number, number, Tally()))
+            self._doubted[-1].tally.add(doubt)
+            self._doubted[-1].end = number + 1
+
+    def _refuse(self, number: int, refusal: Reason) -> None:
+        if not self._refused or self._refused[-1].end < number:
+            self._refused.append(_Refused(number, number, {}))
+        stretch = self._refused[-1]
+        stretch.end = number + 1
+        best = stretch.best.get(refusal.kind)
+        if best is None or refusal.reached >= best[1].reached:
+            stretch.best[refusal.kind] = number, refusal
 
     def lost(self, posed_ns: Sequence[NDArray[np.int64]], unsaid: Callable[[], Reason]) -> list[LostInterval]:
-        """Runs of frames whose times are in none of ``posed_ns``; ``unsaid`` gives the reason where none was noted."""
+        """Runs of frames whose times are in none of ``posed_ns``; ``unsaid`` gives the reason of frames of which none
+        was noted. Each frame has one reason: a frame that got its pose later, as the first view of a track, parts a
+        stretch of refused ones."""
         stamps = np.array(self._stamp_ns, dtype=np.int64)
         missing = ~np.isin(stamps, np.concatenate([np.zeros(0, dtype=np.int64), *posed_ns]))
         edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
-        out = []
-        for first, end in edges.reshape(-1, 2).tolist():
-            tally = Tally()
-            for stretch in self._refused:
-                if stretch.first < end and stretch.end > first:
-                    tally.merge(stretch.tally)
-            main = tally.main()
-            if main is None:
-                tally.add(unsaid())
-                main = tally.main()
-            assert main is not None
-            interval = LostInterval(int(stamps[first]), int(stamps[end - 1]), end - first, tally.text(), main[1].kind)
-            out.append(interval)
-        return out
+        return [self._interval(first, end, unsaid) for first, end in edges.reshape(-1, 2).tolist()]
+
+    def _interval(self, first: int, end: int, unsaid: Callable[[], Reason]) -> LostInterval:
+        tally, runs = Tally(), list[tuple[str, int]]()
+        for code, same in groupby(self._kind[first:end]):
+            refusal = self._nearest(self._kinds[code], first, end) if code else unsaid()
+            runs.append((refusal.kind, len(list(same))))
+            tally.add(refusal, runs[-1][1])
+        main, times = tally.main(), (self._stamp_ns[first], self._stamp_ns[end - 1])
+        assert main is not None
+        return LostInterval(*times, end - first, tally.text(), main[1].kind, tuple(runs))
+
+    def _nearest(self, kind: str, first: int, end: int) -> Reason:
+        """The refusal of this kind that came nearest among these frames, as far as it was kept; else the kind alone."""
+        known = [s.best[kind] for s in self._refused if s.first < end and s.end > first and kind in s.best]
+        inside = [best for number, best in known if first <= number < end]
+        return max(inside[::-1], key=lambda refusal: refusal.reached, default=Reason(kind, kind))
 
     def doubtful(
         self, posed_ns: Sequence[NDArray[np.int64]], later: Iterable[tuple[int, Reason]]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tracemalloc
+from collections import Counter
 
 import numpy as np
 
@@ -38,10 +40,11 @@ def test_lost_intervals_group_reasons_by_kind_and_tell_the_best_figure() -> None
     assert len(log) == 9 and log.latest_ns == 8
     # Three frames of one kind are one reason, with the best value reached; the other kind is counted.
     reason = "parallax 0.79 of 0.80 deg (nearest of 3 frames); too few corners in the image (1 frame)"
+    corners, parallax = "too few corners in the image", "parallax too small"
     assert log.lost(posed, hardly) == [
-        LostInterval(0, 0, 1, "only 3 corners", "too few corners in the image"),
-        LostInterval(3, 6, 4, reason, "parallax too small"),
-        LostInterval(8, 8, 1, "too short", "hardly moved"),
+        LostInterval(0, 0, 1, "only 3 corners", corners, ((corners, 1),)),
+        LostInterval(3, 6, 4, reason, parallax, ((corners, 1), (parallax, 3))),
+        LostInterval(8, 8, 1, "too short", "hardly moved", (("hardly moved", 1),)),
     ]
     assert log.lost([np.arange(9)], hardly) == []
 
@@ -50,7 +53,44 @@ def test_a_track_left_out_joins_the_refusals_around_it() -> None:
     log, static = MomentLog(), Reason("static", "moved by 1 px", 0.1)
     for stamp, refusal in enumerate([static, NO_REASON, NO_REASON, static, static]):
         log.note(stamp, refusal)
-    assert log.lost([], hardly) == [LostInterval(0, 4, 5, "moved by 1 px (nearest of 3 frames)", "static")]
+    reason = "moved by 1 px (nearest of 3 frames); hardly moved (2 frames)"
+    runs = (("static", 1), ("hardly moved", 2), ("static", 2))
+    assert log.lost([], hardly) == [LostInterval(0, 4, 5, reason, "static", runs)]
+
+
+def test_each_frame_of_an_interval_has_one_reason() -> None:
+    """Frames refused at random, some of which get a pose later, as a first view does: what is said of each interval is
+    counted anew here, frame by frame."""
+    rng, kinds = np.random.default_rng(4), ["", "", "dark", "static", "few"]
+    for _ in range(50):
+        of_frame = [kinds[k] for k in rng.integers(0, 5, 60)]
+        reached = rng.uniform(0.1, 0.9, 60)
+        log = MomentLog()
+        for stamp, kind in enumerate(of_frame):
+            log.note(stamp, Reason(kind, f"{kind} {stamp}", float(reached[stamp])) if kind else NO_REASON)
+        posed = np.flatnonzero(rng.uniform(size=60) < 0.2)
+        for one in log.lost([posed], hardly):
+            inside = [of_frame[k] or "hardly moved" for k in range(one.first_ns, one.last_ns + 1)]
+            assert [kind for kind, n in one.kinds for _ in range(n)] == inside
+            first, *others = one.reason.split("; ")
+            said = {text.partition(" (")[0]: int(text.partition(" (")[2].split()[0]) for text in others}
+            main = re.search(r"(\d+) frames\)$", first)
+            said[one.kind] = int(main[1]) if main else 1
+            assert said == Counter(inside) and sum(said.values()) == one.frames == len(inside)
+            # The figure is one of its own frames', where it has one.
+            figure = re.match(rf"{one.kind} (\d+)", first)
+            assert figure is None or one.first_ns <= int(figure[1]) <= one.last_ns
+
+
+def test_a_first_view_parts_the_frames_before_a_start() -> None:
+    """Five refused frames, of which the third is the first view of the track that starts after them."""
+    log = MomentLog()
+    for stamp, reached in enumerate([0.2, 0.4, 0.0, 0.6, 0.8]):
+        log.note(stamp, Reason("static", f"moved by {stamp} px", reached))
+    log.note(5, NO_REASON)
+    before, after = log.lost([np.array([2, 5])], hardly)
+    assert (before.frames, before.reason) == (2, "static (2 frames)")
+    assert (after.frames, after.reason) == (2, "moved by 4 px (nearest of 2 frames)")
 
 
 def hardly() -> Reason:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -83,3 +85,24 @@ def test_a_stretch_without_a_pose_is_one_interval_with_its_best_figure() -> None
     assert interval.kind == "the camera stands still" == results[-1].kind and interval.frames == 12
     moved = max(float(r.reason.split(" by ")[1].split(" px")[0]) for r in results if " by " in r.reason)
     assert f"moved by {moved:.2f} px" in interval.reason and "nearest of 11 frames" in interval.reason
+
+
+def test_each_frame_before_a_start_is_counted_once() -> None:
+    """Four black images, five from one spot, then a walk: the start's first view gets a pose later, and the frames
+    before and after it are two intervals. Each is counted anew here by what was said of each frame."""
+    odometry = Odometry(room.rig(RigKind.MONO), CONFIG, Vocabulary.load())
+    scene, poses = room.Room(3), room.walk(30)
+    stands = [poses[0]] * 5
+    frames = [scene.frame(i, pose, RigKind.MONO) for i, pose in enumerate([*[poses[0]] * 4, *stands, *poses])]
+    frames[:4] = [replace(f, image=np.zeros_like(f.image)) for f in frames[:4]]
+    kinds = {f.stamp_ns: odometry.process(f).kind for f in frames}
+    lost = odometry.finish().lost
+    assert len(lost) >= 2 and lost[0].frames == 4
+    for one in lost:
+        inside = Counter(kind for stamp, kind in kinds.items() if one.first_ns <= stamp <= one.last_ns)
+        counts = Counter[str]()
+        for kind, n in one.kinds:
+            counts[kind] += n
+        assert counts == inside and sum(counts.values()) == one.frames
+        numbers = [int(n) for n in re.findall(r"(?:of |\()(\d+) frames?\)", one.reason)]
+        assert sum(numbers) == one.frames

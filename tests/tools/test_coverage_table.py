@@ -41,6 +41,19 @@ def test_reasons_that_differ_by_figures_are_one_kind_and_many_are_cut() -> None:
     assert lines[-1] == "agent_00: 4 frames lost for 4 other reasons" and len(lines) == 5
 
 
+def test_frames_of_several_intervals_are_counted_by_kind() -> None:
+    def lost(first: int, last: int, **kinds: int) -> dict[str, Any]:
+        return {"first_frame": first, "last_frame": last, "reason": f"of {first}", "kinds": kinds}
+
+    alike = [lost(0, 4, dark=3, few=2), lost(10, 19, few=9, dark=1)]
+    lines = lost_lines(summary(lost=[*alike, lost(30, 33, dark=4), lost(40, 40, dark=1)]))
+    assert lines == [
+        "agent_00: 15 frames lost (0 to 4, 10 to 19): few (11 frames); dark (4 frames)",
+        "agent_00: 5 frames lost (30 to 33, 40 to 40): dark",
+    ]
+    assert lost_lines(summary(lost=[lost(0, 4, dark=3, few=2)])) == ["agent_00: 5 frames lost (0 to 4): of 0"]
+
+
 def test_agents_are_named_for_their_images_where_these_tell_them_apart() -> None:
     coverage = summary()["coverage"][0]
     several = {"agents": 2, "coverage": [{**coverage, "sequence": name} for name in ("kitchen", "agent_01")]}

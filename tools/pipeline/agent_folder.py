@@ -5,6 +5,7 @@ the folder.
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,8 +39,9 @@ from maslam.mas.sequence import (
     write_manifest,
 )
 
+from ..common.text_table import kinds_text
 from .split import SequenceShare, cut_track, share_out
-from .tracking import Gap, Tracked
+from .tracking import UNREADABLE, Gap, Tracked
 
 
 @dataclass(frozen=True)
@@ -196,19 +198,32 @@ def lost_frames(plan: SharePlan, placed_ns: NDArray[np.int64]) -> tuple[LostEntr
     odometry says why, in its words; the others were not readable, or are of a track without a key-frame here."""
     first, last = plan.share.first, plan.share.last
     stamps = plan.sequence.stamps_ns[first : last + 1]
-    reasons = np.full(len(stamps), "the image could not be read", dtype=object)
+    kinds = np.full(len(stamps), UNREADABLE, dtype=object)
     tracked = np.concatenate([t.stamps_ns for t in plan.tracked.trajectories])
-    reasons[np.isin(stamps, tracked)] = "tracked, but no key-frame of its track is the agent's"
+    kinds[np.isin(stamps, tracked)] = "tracked, but no key-frame of its track is the agent's"
     gap = np.full(len(stamps), -1)  # intervals of odometry stay apart, also where they touch
     for number, lost in enumerate(plan.tracked.lost):
         inside = slice(max(lost.first_frame - first, 0), max(lost.last_frame + 1 - first, 0))
-        gap[inside], reasons[inside] = number, lost.reason
+        of_frames = [kind for kind, frames in lost.kinds for _ in range(frames)]
+        of_frames = of_frames or [lost.reason] * (lost.last_frame - lost.first_frame + 1)
+        gap[inside], kinds[inside] = number, of_frames[max(first - lost.first_frame, 0) :][: len(kinds[inside])]
     rows = np.flatnonzero(~np.isin(stamps, placed_ns))
-    changes = (np.diff(rows) > 1) | (np.diff(gap[rows]) != 0) | (reasons[rows][1:] != reasons[rows][:-1])
+    apart = (gap[rows][1:] == -1) & (kinds[rows][1:] != kinds[rows][:-1])
+    changes = (np.diff(rows) > 1) | (np.diff(gap[rows]) != 0) | apart
     runs = np.split(rows, np.flatnonzero(changes) + 1) if len(rows) else []
-    return tuple(
-        LostEntry(first_frame=int(run[0]), last_frame=int(run[-1]), reason=str(reasons[run[0]])) for run in runs
-    )
+    return tuple(_lost_entry(run, kinds, plan.tracked.lost[gap[run[0]]] if gap[run[0]] >= 0 else None) for run in runs)
+
+
+def _lost_entry(rows: NDArray[np.int64], kinds: NDArray[np.object_], whole: Gap | None) -> LostEntry:
+    """Frames ``rows`` of one interval. What odometry says of the ``whole`` interval counts its frames: of a part of it
+    the kinds are counted anew."""
+    counts = Counter(kinds[rows].tolist())
+    if whole is not None and len(rows) == whole.last_frame - whole.first_frame + 1:
+        reason = whole.reason
+    else:
+        reason = kinds_text(counts)
+    known = dict(counts.most_common()) if whole is None or whole.kinds else {}
+    return LostEntry(first_frame=int(rows[0]), last_frame=int(rows[-1]), reason=reason, kinds=known)
 
 
 def _within(share: SequenceShare, gaps: tuple[Gap, ...]) -> tuple[LostEntry, ...]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,16 +28,18 @@ if TYPE_CHECKING:
 UNREADABLE_SHARE = (
     0.1  # more unreadable frames than this, and the sequence is refused: what is left is not what was filmed
 )
+UNREADABLE = "the image could not be read"
 
 
 @dataclass(frozen=True)
 class Gap:
     """Frames ``first_frame`` to ``last_frame`` (inclusive, counted in the sequence) have no pose, or a doubtful one,
-    and why."""
+    and why. ``kinds``: the reason of each frame without figures, as runs ``(kind, frames)``; empty: not known."""
 
     first_frame: int
     last_frame: int
     reason: str
+    kinds: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,9 @@ def track(
     places = _Places(sequence, model)
     unreadable: list[str] = []
     refusals: Counter[str] = Counter()
+    read = np.zeros(len(sequence), dtype=bool)
     for frame, result in follow(sequence, odometry, unreadable):
+        read[frame.index] = True
         for keyframe in (result.first, frame if result.stays else None):
             if keyframe is not None:
                 places.describe(keyframe.index, keyframe.image)
@@ -89,7 +94,7 @@ def track(
     if not any(len(one) for one in finished.tracks):
         why = ", ".join(f"{kind} ({count} x)" for kind, count in refusals.most_common(3)) or "no frame could be used"
         raise FrontendError(f"no frame of {len(sequence)} could be tracked: {why}")
-    return _collect(finished, places, sequence.stamps_ns, tuple(unreadable))
+    return _collect(finished, places, sequence.stamps_ns, read, tuple(unreadable))
 
 
 def follow(sequence: ImageSequence, odometry: Odometry, unreadable: list[str]) -> Iterator[tuple[Frame, FrameResult]]:
@@ -144,14 +149,34 @@ class _Places:
         return self._made[index]
 
 
-def _collect(
-    finished: OdometryResult, places: _Places, stamps_ns: NDArray[np.int64], unreadable: tuple[str, ...]
-) -> Tracked:
-    def frame(stamp_ns: int) -> int:
-        return int(np.searchsorted(stamps_ns, stamp_ns))
+def lost_gap(interval: LostInterval, stamps_ns: NDArray[np.int64], read: NDArray[np.bool_]) -> Gap:
+    """The interval in frames of a sequence, each of which has one reason; odometry saw those ``read`` ``(F,)`` only."""
+    first, last = (int(np.searchsorted(stamps_ns, t)) for t in (interval.first_ns, interval.last_ns))
+    kinds = np.full(last - first + 1, UNREADABLE, dtype=object)
+    seen = [kind for kind, frames in interval.kinds for _ in range(frames)]
+    if not seen:
+        return Gap(first, last, interval.reason)
+    kinds[read[first : last + 1]] = seen
+    missing = len(kinds) - len(seen)
+    more = f"; {UNREADABLE} ({missing} frame{'s'[missing == 1 :]})" if missing else ""
+    return Gap(first, last, interval.reason + more, runs_of(kinds.tolist()))
 
-    def gap(interval: LostInterval | DoubtfulInterval, reason: str) -> Gap:
-        return Gap(frame(interval.first_ns), frame(interval.last_ns), reason)
+
+def runs_of(kinds: Iterable[str]) -> tuple[tuple[str, int], ...]:
+    """Equal neighbours as one, with their number."""
+    return tuple((kind, len(list(same))) for kind, same in groupby(kinds))
+
+
+def _collect(
+    finished: OdometryResult,
+    places: _Places,
+    stamps_ns: NDArray[np.int64],
+    read: NDArray[np.bool_],
+    unreadable: tuple[str, ...],
+) -> Tracked:
+    def doubtful(interval: DoubtfulInterval) -> Gap:
+        first, last = (int(np.searchsorted(stamps_ns, t)) for t in (interval.first_ns, interval.last_ns))
+        return Gap(first, last, f"{interval.kind}: {interval.reason}")
 
     order = [k for k in range(len(finished.tracks)) if len(finished.tracks[k])]
     described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
@@ -161,8 +186,8 @@ def _collect(
         trajectories=tuple(finished.trajectories[k] for k in order),
         vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
         textured=np.array([textured for _, textured in described], dtype=bool),
-        lost=tuple(gap(one, one.reason) for one in finished.lost),
+        lost=tuple(lost_gap(one, stamps_ns, read) for one in finished.lost),
         unreadable=unreadable,
         stats={name: float(value) for name, value in sorted(finished.stats.items())},
-        doubtful=tuple(gap(one, f"{one.kind}: {one.reason}") for one in finished.doubtful),
+        doubtful=tuple(doubtful(one) for one in finished.doubtful),
     )

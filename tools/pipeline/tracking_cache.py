@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -163,10 +163,14 @@ def load_tracked(path: Path, fingerprint: str) -> Tracked | None:
                 ),
                 vectors=stored["vectors"],
                 textured=stored["textured"],
-                lost=tuple(Gap(**gap) for gap in header["lost"]),
-                doubtful=tuple(Gap(**gap) for gap in header["doubtful"]),
+                lost=tuple(_gap(gap) for gap in header["lost"]),
+                doubtful=tuple(_gap(gap) for gap in header["doubtful"]),
                 unreadable=tuple(header["unreadable"]),
                 stats=header["stats"],
             )
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None  # damaged: made anew
+
+
+def _gap(stored: dict[str, Any]) -> Gap:
+    return Gap(**{**stored, "kinds": tuple((kind, frames) for kind, frames in stored["kinds"])})

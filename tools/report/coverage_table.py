@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from ..common.text_table import counted
+from ..common.text_table import counted, kinds_text
 from .html import Section, table
 
 HEAD = ("frames read", "tracked", "placed", "tracks placed", "ATE measured on", "alignment")
@@ -122,22 +123,30 @@ def agent_names(summary: dict[str, Any]) -> list[str]:
 
 
 def _by_reason(intervals: Sequence[dict[str, Any]], what: str) -> list[str]:
-    """Intervals whose reasons differ by their figures only are one kind."""
-    kinds: dict[str, list[dict[str, Any]]] = {}
+    """Intervals of the same kinds of reasons together, their frames by kind; where kinds are not known, those whose
+    reasons differ by their figures only."""
+    alike: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for one in intervals:
-        kinds.setdefault(_FIGURE.sub("…", one["reason"]), []).append(one)
-    most = sorted(kinds.items(), key=lambda kind: -_frames(kind[1]))
+        alike.setdefault(tuple(sorted(one.get("kinds") or [_FIGURE.sub("…", one["reason"])])), []).append(one)
+    most = sorted(alike.items(), key=lambda entry: -_frames(entry[1]))
     lines = []
     for _, members in most[:_KINDS]:
         spans = [f"{m['first_frame']} to {m['last_frame']}" for m in members[:_INTERVALS]]
         more = f" and {len(members) - _INTERVALS} more" if len(members) > _INTERVALS else ""
-        alike = len({m["reason"] for m in members})
-        reason = members[0]["reason"] + ("" if alike == 1 else f" (the first of {len(members)})")
-        lines.append(f"{counted(_frames(members), 'frame')} {what} ({', '.join(spans)}{more}): {reason}")
+        lines.append(f"{counted(_frames(members), 'frame')} {what} ({', '.join(spans)}{more}): {_reason(members)}")
     rest = [m for _, members in most[_KINDS:] for m in members]
     if rest:
         lines.append(f"{counted(_frames(rest), 'frame')} {what} for {len(most) - _KINDS} other reasons")
     return lines
+
+
+def _reason(members: Sequence[dict[str, Any]]) -> str:
+    """That of one interval in its own words; of several the sums of their frames by kind."""
+    if len({m["reason"] for m in members}) == 1 and (len(members) == 1 or not members[0].get("kinds")):
+        return str(members[0]["reason"])
+    if all(m.get("kinds") for m in members):
+        return kinds_text(sum((Counter(m["kinds"]) for m in members), Counter()))
+    return f"{members[0]['reason']} (the first of {len(members)})"
 
 
 def _frames(intervals: Sequence[dict[str, Any]]) -> int:
