@@ -21,8 +21,9 @@ from .mapping.map import Map
 from .mapping.range_sensor import Ranging
 from .reason import NO_REASON, Reason
 from .stopwatch import Stopwatch, TimedStage
+from .tracking.darkness import unless_dark
 from .tracking.export import export_track
-from .tracking.initialisation import make_starter
+from .tracking.initialisation import WITHOUT_SECOND, make_starter
 from .tracking.keyframe_policy import wants_keyframe
 from .tracking.pose_log import DoubtfulInterval, LostInterval, MomentLog
 from .tracking.relocalisation import Relocaliser
@@ -215,6 +216,7 @@ class Odometry:
         return FrameResult(frame.stamp_ns, T_W_C, TrackingState.TRACKING, True, stays=True, first=start.first)
 
     def _refused(self, frame: Frame, state: TrackingState, refusal: Reason) -> FrameResult:
+        refusal = refusal if refusal.kind in WITHOUT_SECOND else unless_dark(refusal, frame.image)
         self._moments.note(frame.stamp_ns, refusal)
         return FrameResult(frame.stamp_ns, None, state, False, refusal.text, frame.problem, kind=refusal.kind)
 

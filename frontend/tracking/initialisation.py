@@ -23,6 +23,8 @@ from .track import Segment
 _RENEW = 0.75
 """Share of a first view's corners below which the next first view is taken beside it."""
 _FIRST_VIEWS = 3
+WITHOUT_SECOND = ("the right image is missing", "the depth image is missing")
+"""Refusals that are not about the image itself."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,9 @@ class MetricStarter:
     def offer(self, frame: Frame) -> Start:
         """Refuses a frame without its second image, and one with too few points with depth."""
         if self.ranging.rig.kind is RigKind.STEREO and frame.right is None:
-            return Start(None, _without("right", frame))
+            return Start(None, _without(0, frame))
         if self.ranging.rig.kind is RigKind.RGBD and frame.depth_m is None:
-            return Start(None, _without("depth", frame))
+            return Start(None, _without(1, frame))
         segment = Segment(self.ranging, self.config, self.watch)
         nothing = FrameObservations(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
         segment.latest = segment.mapper.insert(frame, np.eye(4), nothing)
@@ -76,9 +78,8 @@ class MetricStarter:
         return Start(segment)
 
 
-def _without(second: str, frame: Frame) -> Reason:
-    kind = f"the {second} image is missing"
-    return Reason(kind, frame.problem or kind)
+def _without(second: int, frame: Frame) -> Reason:
+    return Reason(WITHOUT_SECOND[second], frame.problem or WITHOUT_SECOND[second])
 
 
 class MonoStarter:
