@@ -79,6 +79,16 @@ class LostEntry(_Entry):
     )
 
 
+class MissingEntry(_Entry):
+    """Images that the numbers of the source's file names lack after a frame of the agent's block: ``first`` to
+    ``last``, ``count`` of them. They were never read and are no lost frames."""
+
+    after_frame: int
+    first: str
+    last: str
+    count: int = Field(ge=1)
+
+
 class AgentEntry(_Entry):
     """One agent: its folder in SEQS, and which frames of which source sequence it was made from."""
 
@@ -92,6 +102,7 @@ class AgentEntry(_Entry):
     camera: CameraEntry
     lost: tuple[LostEntry, ...] = ()
     doubtful: tuple[LostEntry, ...] = Field(default=(), description="intervals with poses that are not to be relied on")
+    missing: tuple[MissingEntry, ...] = Field(default=(), description="images that the source's numbering lacks")
 
     @property
     def metric(self) -> bool:
@@ -153,9 +164,9 @@ class AgentSequence:
     in the source. ``tracks``: key-frames and map points of each uninterrupted track, in order of time, each in its own
     world frame (that of its first key-frame); ``metric``: in metres. ``places``: one unit vector a key-frame, all
     tracks in order. ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image
-    sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation` alone, as are ``first_frame``, ``frames``, ``lost``
-    and ``doubtful``, which are those of :class:`AgentEntry` (``frames`` None: as many as were tracked); no agent ever
-    sees them.
+    sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation` alone, as are ``first_frame``, ``frames``, ``lost``,
+    ``doubtful`` and ``missing``, which are those of :class:`AgentEntry` (``frames`` None: as many as were tracked); no
+    agent ever sees them.
     """
 
     name: str
@@ -170,6 +181,7 @@ class AgentSequence:
     frames: int | None = None
     lost: tuple[LostEntry, ...] = ()
     doubtful: tuple[LostEntry, ...] = ()
+    missing: tuple[MissingEntry, ...] = ()
 
     def __post_init__(self) -> None:
         stamps = self.keyframe_stamps_ns
@@ -266,6 +278,7 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
         frames=entry.frames,
         lost=entry.lost,
         doubtful=entry.doubtful,
+        missing=entry.missing,
     )
     count = len(sequence.keyframe_stamps_ns)
     if count != entry.keyframes:

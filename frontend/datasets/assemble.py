@@ -18,6 +18,7 @@ from ..files.trajectory import Trajectory
 from . import checks
 from .base import ImageSequence, Problems
 from .images import first_size
+from .numbering import MissingImages
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class FoundSequence:
     Paths need not exist: missing ones become problems. ``calibration``: source of ``raw``; ``stamps_source``: source of
     ``stamps_ns`` (both for messages). ``truth``: ``T_W_C`` of the calibrated left camera, before rectification.
     ``depth_unit_m``: metres per step of the depth images. ``depth_sensor``: None where depth is stored registered to
-    the image.
+    the image. ``missing``: images that the names' numbers lack.
     """
 
     kind: str
@@ -53,6 +54,7 @@ class FoundSequence:
     depth_unit_m: float = 0.001
     depth_sensor: DepthSensor | None = None
     truth: Trajectory | None = None
+    missing: tuple[MissingImages, ...] = ()
 
 
 def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSequence:
@@ -64,6 +66,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
     checks.check_files(found.images, "image", problems)
     checks.check_files(right, "right image", problems)
     checks.check_files(depth, "depth image", problems)
+    checks.check_numbers(found.missing, found.images[0].parent, problems)
     checks.check_stamps(found.stamps_ns, [path.name for path in found.images], found.stamps_source, problems)
     size = first_size(found.images)
     checks.check_size(found.raw.left.size, size, found.calibration, found.images[0], problems)
@@ -93,6 +96,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         rectifier=ideal.rectifier,
         registration=registration,
         groundtruth=truth,
+        missing=found.missing,
         problems=tuple(dict.fromkeys(problems.found)),
     )
 

@@ -24,6 +24,7 @@ from ..files.trajectory import Trajectory
 from ..frames import Frame, PutOff
 from ..stopwatch import Stopwatch, TimedStage
 from .images import read_colour, read_depth, read_grey
+from .numbering import MissingImages
 
 Pixel = TypeVar("Pixel", bound=np.generic)
 Value = TypeVar("Value")
@@ -69,7 +70,7 @@ class ImageSequence:
     those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the camera of
     ``rig``; None where it is stored registered to the image (and goes through the ``rectifier`` with it).
     ``stored_size`` ``(width, height)`` of the image files, pixels. ``groundtruth``: ``T_W_C`` of the rectified left
-    camera, at all known moments, not only those of frames.
+    camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
     """
 
     kind: str
@@ -85,6 +86,7 @@ class ImageSequence:
     registration: DepthRegistration | None = None
     groundtruth: Trajectory | None = None
     problems: tuple[Problem, ...] = ()
+    missing: tuple[MissingImages, ...] = ()
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from ..cameras.models import PinholeCamera
 from ..files.timestamps import NS_PER_S, seconds_text
 from .base import Problems
+from .numbering import MissingImages
 
 MAX_RATE_HZ = 1000.0
 MIN_RATE_HZ = 0.01
 MAX_BASELINE_M = 10.0
 MIN_BASELINE_M = 0.001
+_SHOWN = 5  # gaps in numbers that are named
 _GAP_FACTOR = 5.0  # times the median interval: a gap worth a warning
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
@@ -25,6 +27,17 @@ def check_count(images: int, folder: Path, problems: Problems) -> None:
     """Check that there are images to follow a camera through."""
     if images == 1:
         problems.error(f"{folder}: one image is too few; a camera is followed from image to image")
+
+
+def check_numbers(missing: Sequence[MissingImages], folder: Path, problems: Problems) -> None:
+    """Name the images that the numbers in the file names lack."""
+    if missing:
+        count = sum(one.count for one in missing)
+        shown = ", ".join(str(one) for one in missing[:_SHOWN])
+        problems.warning(
+            f"{folder}: {count} image{'s' if count > 1 else ''} missing by the numbers in the file names: "
+            f"{shown}{_more(len(missing) - _SHOWN)}; time goes on meanwhile"
+        )
 
 
 def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Path, problems: Problems) -> None:

@@ -16,6 +16,7 @@ from .assemble import FoundSequence, assemble, available_rigs, frame_truth
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
 from .images import list_images
+from .numbering import MissingImages, missing_images, numbered_steps
 
 _LEFT = ("image_0", "left", "images", "image", "rgb", "color", "cam0", ".")
 _RIGHT = {"image_0": "image_1", "left": "right", "cam0": "cam1"}
@@ -31,7 +32,8 @@ class FolderReader(Reader):
     :mod:`maslam.frontend.cameras.calibration_files`).
 
     Time stamps: ``times.txt`` (seconds, one an image), else file names that are times (seconds with a point; ns, us
-    or ms by their number of digits), else the rate in the calibration file. Ground truth: ``poses.txt`` (KITTI rows,
+    or ms by their number of digits), else the rate in the calibration file; images missing in the file names' numbers
+    then take their time. Ground truth: ``poses.txt`` (KITTI rows,
     one an image) or ``groundtruth.txt|.tum``.
     """
 
@@ -63,7 +65,7 @@ class FolderReader(Reader):
         depth = next((files for name in _DEPTH if (files := _partners(folder, name, images))), ())
         if depth and raw.depth_unit_m is None:
             problems.warning(f"{source}: no depth unit (depth_unit_m, DepthMapFactor): millimetres taken")
-        times, times_source = _times(folder, images, raw, problems)
+        times, times_source, missing = _times(folder, images, raw, problems)
         found = FoundSequence(
             kind=self.kind,
             folder=folder,
@@ -76,6 +78,7 @@ class FolderReader(Reader):
             depth=depth,
             depth_unit_m=raw.depth_unit_m or 0.001,
             truth=_groundtruth(folder, times),
+            missing=missing,
         )
         return assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, folder), problems)
 
@@ -93,23 +96,30 @@ def _partners(folder: Path, name: str | None, images: tuple[Path, ...]) -> tuple
     return tuple(by_stem.get(path.stem, folder / name / path.name) for path in images)
 
 
-def _times(folder: Path, images: tuple[Path, ...], raw: RawRig, problems: Problems) -> tuple[NDArray[np.int64], Path]:
+def _times(
+    folder: Path, images: tuple[Path, ...], raw: RawRig, problems: Problems
+) -> tuple[NDArray[np.int64], Path, tuple[MissingImages, ...]]:
+    """Time stamps, their source, and images missing in the names' numbers; names that are times count nothing, and a
+    list of times says what there was."""
+    stems = [path.stem for path in images]
     path = next((folder / name for name in _TIMES if (folder / name).is_file()), None)
     if path is not None:
         times = read_stamps(path)
         if len(times) != len(images):
             raise FrontendError(f"{path}: {len(times)} times for {len(images)} images in {images[0].parent}")
-        return times, path
-    by_name = _times_of_names([path.stem for path in images])
+        return times, path, ()
+    by_name = _times_of_names(stems)
     if by_name is not None:
-        return by_name, images[0].parent
+        return by_name, images[0].parent, ()
     rate_hz = raw.rate_hz
     if rate_hz is None or rate_hz <= 0:
         rate_hz = _DEFAULT_RATE_HZ
         problems.warning(
             f"{folder}: no times.txt, no times in the file names, no rate in the calibration: {rate_hz:.0f} Hz taken"
         )
-    return np.rint(np.arange(len(images)) * (NS_PER_S / rate_hz)).astype(np.int64), folder
+    numbers, step = numbered_steps(stems)
+    ticks = (numbers - numbers[0]) // step if step else np.arange(len(images))
+    return np.rint(ticks * (NS_PER_S / rate_hz)).astype(np.int64), folder, missing_images(stems)
 
 
 def _times_of_names(stems: list[str]) -> NDArray[np.int64] | None:

@@ -28,6 +28,7 @@ def coverage_of(agent: Agent, sequence: AgentSequence) -> Coverage:
         tracks_placed=sum(piece.frame == state.frame for piece in state.pieces),
         lost=list(sequence.lost),
         doubtful=list(sequence.doubtful),
+        missing=list(sequence.missing),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
-from ..sequence import LeftOutEntry, LostEntry
+from ..sequence import LeftOutEntry, LostEntry, MissingEntry
 
 
 class _Figures(BaseModel):
@@ -48,7 +48,8 @@ class Alignments(_Figures):
 class Coverage(_Figures):
     """How much of what an agent read has a place in the end: frames ``read``, ``tracked`` (by odometry) and ``placed``
     (in the agent's reference frame); its ``tracks`` and those that are joined, ``tracks_placed``; intervals of ``lost``
-    and of ``doubtful`` frames. ``sequence``: name of the images in the source."""
+    and of ``doubtful`` frames; images ``missing`` in the source's numbering. ``sequence``: name of the images in the
+    source."""
 
     sequence: str
     read: int
@@ -58,6 +59,7 @@ class Coverage(_Figures):
     tracks_placed: int
     lost: list[LostEntry]
     doubtful: list[LostEntry] = []
+    missing: list[MissingEntry] = []
 
 
 class TrafficFigures(_Figures):

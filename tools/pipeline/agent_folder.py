@@ -35,6 +35,7 @@ from maslam.mas.sequence import (
     LeftOutEntry,
     LostEntry,
     Manifest,
+    MissingEntry,
     SplitEntry,
     write_manifest,
 )
@@ -132,6 +133,11 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
         camera=CameraEntry.from_rig(plan.sequence.rig),
         lost=lost_frames(plan, trajectory.stamps_ns + plan.start_ns),
         doubtful=_within(plan.share, plan.tracked.doubtful),
+        missing=tuple(
+            MissingEntry(after_frame=one.after - plan.share.first, first=one.first, last=one.last, count=one.count)
+            for one in plan.sequence.missing
+            if plan.share.first <= one.after <= plan.share.last
+        ),
     )
 
 

@@ -106,6 +106,8 @@ def lost_lines(summary: dict[str, Any]) -> list[str]:
         if apart:
             frames = counted(c["tracked"] - c["placed"], "tracked frame")
             lines.append(f"{name}: {counted(apart, 'track')} that nothing joins, {frames} without a place")
+        if c.get("missing"):
+            lines.append(f"{name}: {_missing(c['missing'])}")
     for one in summary.get("left_out") or []:
         lines.append(f"{one['sequence']}: no agent, {counted(one['frames'], 'frame')}: {one['reason']}")
     return lines
@@ -147,6 +149,13 @@ def _reason(members: Sequence[dict[str, Any]]) -> str:
     if all(m.get("kinds") for m in members):
         return kinds_text(sum((Counter(m["kinds"]) for m in members), Counter()))
     return f"{members[0]['reason']} (the first of {len(members)})"
+
+
+def _missing(holes: Sequence[dict[str, Any]]) -> str:
+    count = sum(int(one["count"]) for one in holes)
+    spans = [one["first"] if one["count"] == 1 else f"{one['first']} to {one['last']}" for one in holes[:_INTERVALS]]
+    more = f" and {len(holes) - _INTERVALS} more gaps" if len(holes) > _INTERVALS else ""
+    return f"{counted(count, 'image')} missing by the numbers in the file names: {', '.join(spans)}{more}"
 
 
 def _frames(intervals: Sequence[dict[str, Any]]) -> int:
