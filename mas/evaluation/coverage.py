@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..agent import Agent
 from ..sequence import STAMP_TOLERANCE_NS, AgentSequence
 from ..state.trajectories import frame_trajectory
-from .summary import Coverage
+from .summary import Coverage, OneFrame
 
 FrameName = tuple[str, int]
 """A frame whoever saw it: its image sequence, and its time stamp in it."""
@@ -30,6 +30,16 @@ def coverage_of(agent: Agent, sequence: AgentSequence) -> Coverage:
         doubtful=list(sequence.doubtful),
         missing=list(sequence.missing),
     )
+
+
+def one_frame(
+    groups: Sequence[Sequence[int]], names: Sequence[str], placed: Sequence[int], left_out: Sequence[str]
+) -> OneFrame:
+    """The largest of ``groups`` of agents, of which those without a ``placed`` frame are in none; ``left_out``:
+    sequences without an agent."""
+    nowhere = [name for name, frames in zip(names, placed, strict=True) if not frames]
+    largest = max((sum(placed[a] > 0 for a in group) for group in groups), default=0)
+    return OneFrame(agents=largest, of=len(names) + len(left_out), without=[*nowhere, *left_out])
 
 
 def frames_read(sequences: Sequence[AgentSequence]) -> int:

@@ -19,7 +19,7 @@ from ..sequence import AgentSequence, LeftOutEntry
 from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
-from .coverage import coverage_of
+from .coverage import coverage_of, one_frame
 from .graph_fit import graph_figures
 from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames, of_same_image
 from .map_copies import map_copies
@@ -62,6 +62,8 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
     columns = (own, maps, [connected.get(a.state.me) for a in agents])
     placed = [evaluator.placed_with_scale(a.state) for a in agents]
     rmse = [None if e is None else e.rmse_m for e in odometry]
+    coverage, groups = [coverage_of(a, s) for a, s in zip(agents, sequences, strict=True)], groups_of(agents)
+    left_out = [one.sequence for one in run.left_out]
     traffic = {t.value: _traffic([count]) for t, count in transport.by_operation.items()}
     return Summary(
         version=_version(),
@@ -77,7 +79,8 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         keyframes_placed=[len(a.state.placed()) for a in agents],
         duration_s=0.0,
         steps=run.steps,
-        groups=groups_of(agents),
+        groups=groups,
+        one_frame=one_frame(groups, [s.name for s in sequences], [c.placed for c in coverage], left_out),
         ate_rmse_m=_errors(columns, "rmse_m"),
         ate_mean_m=_errors(columns, "mean_m"),
         odometry_rmse_m=rmse,
@@ -90,7 +93,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
             connected=_alignments(columns[2], placed),
             odometry=_alignments(odometry, [not s.metric for s in sequences]),
         ),
-        coverage=[coverage_of(a, s) for a, s in zip(agents, sequences, strict=True)],
+        coverage=coverage,
         left_out=list(run.left_out),
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),

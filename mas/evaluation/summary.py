@@ -62,6 +62,15 @@ class Coverage(_Figures):
     missing: list[MissingEntry] = []
 
 
+class OneFrame(_Figures):
+    """The largest group: ``agents`` that share one frame, ``of`` all that there should be, those without a place
+    included: sequences without an agent, agents without a placed frame (``without``: their names)."""
+
+    agents: int
+    of: int
+    without: list[str]
+
+
 class TrafficFigures(_Figures):
     """Messages of one operation, and their bytes by two counts."""
 
@@ -194,6 +203,7 @@ class Summary(_Figures):
     duration_s: float
     steps: int
     groups: list[list[int]]
+    one_frame: OneFrame | None = Field(default=None, description="None: a run before it was written")
     ate_rmse_m: Errors
     ate_mean_m: Errors
     odometry_rmse_m: list[float | None]

@@ -134,7 +134,12 @@ LOSSES = {
         ),
         [(42, 42, 42, 1, 1)],
         [50.0],
-        ("dark: no agent, 42 frames: no frame of 42 could be tracked: too dark (42 x)", "measured on 42 of 84 frames"),
+        (
+            "dark: no agent, 42 frames: no frame of 42 could be tracked: too dark (42 x)",
+            "measured on 42 of 84 frames",
+            "1 of 2",
+            "without a place: dark",
+        ),
         tile=("42 of 84", "bad"),
     ),
     "a sequence that ends early": Loss(
@@ -235,6 +240,36 @@ def test_what_is_said_of_same_images_is_counted(tmp_path: Path, capsys: pytest.C
     assert matches["same_image"] == matches["candidates"] >= 10 and matches["accepted"] == 0
     said = f"{matches['same_image']} pairs of one image seen by two agents, no evidence"
     assert said in capsys.readouterr().out
+
+
+def test_agents_without_a_place_are_counted_among_those_that_could_share_a_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two that meet, one whose frames were all lost, one of which no agent was made: two of four."""
+    met = [drive(a, circuit(5.0 * a, 21.0)) for a in range(2)]
+    lost = without(drive(2, circuit(60.0, 21.0)), 0, "too few points")
+    parts = [*met, lost], (LeftOutEntry(sequence="cellar", frames=42, reason="too dark"),)
+    write(tmp_path, parts[0])
+    write_manifest(tmp_path, manifest(parts))
+    run = tmp_path / "run"
+    assert cli.main(["run", str(tmp_path), str(run), "--preset", "default", "--quiet"]) == 0
+    assert "2 of 4 agents share one frame; without a place: agent_02, cellar" in capsys.readouterr().out
+    expected = {"agents": 2, "of": 4, "without": ["agent_02", "cellar"]}
+    assert json.loads((run / "summary.json").read_text())["one_frame"] == expected
+    assert cli.main(["report", str(run)]) == 0
+    page = unescape((run / "report" / "index.html").read_text())
+    assert re.search(r"<span>agents in one frame</span><b>2 of 4</b><em>without a place: agent_02, cellar</em>", page)
+    assert "All agents in one frame" not in page
+
+
+def test_a_team_in_one_frame_is_not_all_where_one_is_left_out(tmp_path: Path) -> None:
+    parts = [drive(a, circuit(5.0 * a, 21.0)) for a in range(2)], LOSSES["an agent that never starts"].make()[1]
+    write(tmp_path, parts[0])
+    write_manifest(tmp_path, manifest(parts))
+    assert cli.main(["run", str(tmp_path), str(tmp_path / "run"), "--preset", "default"]) == 0
+    assert cli.main(["report", str(tmp_path / "run")]) == 0
+    page = (tmp_path / "run" / "report" / "index.html").read_text()
+    assert "2 of 3 agents in one frame" in page and "All agents in one frame" not in page
 
 
 def test_without_metres_there_is_no_metre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,6 +83,14 @@ def measured_on(summary: dict[str, Any]) -> str:
     return f"measured on {measured} of {read} frames read, after {after}"
 
 
+def in_one_frame(summary: dict[str, Any]) -> tuple[int, int, list[str]]:
+    """Agents that share one frame, of how many that there should be, and the names of those without any place."""
+    known = summary.get("one_frame")
+    if known:
+        return int(known["agents"]), int(known["of"]), list(known["without"])
+    return max((len(group) for group in summary["groups"]), default=0), int(summary["agents"]), []
+
+
 def percent_text(percent: float) -> str:
     """``99.8 %``; what is not all is never 100 %."""
     return f"{percent if percent >= 100.0 - 1e-9 else min(percent, 99.9):.1f} %"

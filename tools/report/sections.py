@@ -24,7 +24,7 @@ from .charts import (
     top_view,
     traffic_matrix,
 )
-from .coverage_table import coverage_sections, frames_read, measured_on, percent_text
+from .coverage_table import coverage_sections, frames_read, in_one_frame, measured_on, percent_text
 from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
@@ -46,8 +46,9 @@ def headline(run: RunData) -> tuple[str, str]:
 def tiles(run: RunData) -> list[Tile]:
     """The key figures; green and red only where there was something to gain."""
     s = run.summary
-    biggest = max((len(group) for group in run.groups), default=0)
-    shared = "good" if biggest == s["agents"] > 1 else ""
+    together, of, without = in_one_frame(s)
+    shared = "good" if together == of > 1 else "bad" if without else ""
+    apart = f"without a place: {', '.join(without)}" if without else ""
     accepted, false = s["matches"]["accepted"], s["matches"]["false_accepted"]
     known = "truth unknown" if false is None else f"{false} of them false"
     judged = "" if false is None or not accepted else "bad" if false else "good"
@@ -56,7 +57,7 @@ def tiles(run: RunData) -> list[Tile]:
     return [
         *_error_tiles(run),
         *_placed_tile(run),
-        Tile("agents in one frame", f"{biggest} of {s['agents']}", mood=shared),
+        Tile("agents in one frame", f"{together} of {of}", apart, shared),
         Tile("accepted matches", str(accepted), known, judged),
         Tile(
             "exploration, mean", percent_text(float(np.mean(exploration))), f"minimum {percent_text(min(exploration))}"
@@ -125,15 +126,16 @@ def _map(run: RunData) -> list[Section]:
         note += " With one camera alone, a frame's unit of length is its own and no metre."
     shown = ([laid] if laid else []) + sorted(apart, key=lambda group: (-len(group), group))
     charts = [_map_of(run, group) for group in shown]
-    shared = len(run.groups) == 1
-    title = (
-        "Trajectory"
-        if len(run.agents) == 1
-        else "All agents in one frame"
-        if shared
-        else f"Agents in {len(run.groups)} frames that no match joins"
-    )
-    return [Section(title, note, _agent_legend(run) + "".join(charts))]
+    return [Section(_map_title(run), note, _agent_legend(run) + "".join(charts))]
+
+
+def _map_title(run: RunData) -> str:
+    together, of, _ = in_one_frame(run.summary)
+    if len(run.agents) == 1:
+        return "Trajectory"
+    if len(run.groups) > 1:
+        return f"Agents in {len(run.groups)} frames that no match joins"
+    return "All agents in one frame" if together == of else f"{together} of {of} agents in one frame"
 
 
 def _map_of(run: RunData, members: list[int]) -> str:

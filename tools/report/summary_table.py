@@ -10,7 +10,7 @@ from typing import Any
 
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
-from .coverage_table import HEAD, coverage_rows, lost_lines, measured_on, percent_text
+from .coverage_table import HEAD, coverage_rows, in_one_frame, lost_lines, measured_on, percent_text
 from .graph_warnings import graph_lines
 
 SUMMARY = "summary.json"
@@ -107,8 +107,9 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     for i in range(summary["agents"]):
         rows.append([f"agent_{i:02d}", *(_metres(column[i]) for column in metres), _percent(exploration[i])])
     rows.append(["mean", *(_metres(_mean(column)) for column in metres), _percent(_mean(exploration))])
-    biggest = max(len(group) for group in summary["groups"])
-    shared = [f"{biggest} of {summary['agents']} agents share one frame"] if summary["agents"] > 1 else []
+    together, of, without = in_one_frame(summary)
+    apart = f"; without a place: {', '.join(without)}" if without else ""
+    shared = [f"{together} of {of} agents share one frame{apart}"] if of > 1 else []
     known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") in ("arbitrary", "mixed")
     said = [f"errors {measured_on(summary)}"] if known and measured_on(summary) else []
     truth_there = any(length is not None for length in summary["path_length_m"])
