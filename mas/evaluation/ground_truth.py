@@ -278,19 +278,6 @@ def of_same_image(match: MatchId, agents: Sequence[Agent]) -> bool:
     return agents[match.match_agent].state.keyframes[match.match].is_image(query.recording, query.stamp_ns)
 
 
-def odometry_frames(agent: Agent, sequence: AgentSequence) -> Trajectory:
-    """Every frame of the agent's longest track as odometry left it: what its final trajectory is compared with."""
-    raw = sequence.trajectory
-    chosen = sequence.track_of(raw.stamps_ns) == longest_track(agent)
-    return Trajectory(raw.stamps_ns[chosen], raw.poses[chosen])
-
-
-def longest_track(agent: Agent) -> int:
-    """Number of the track with the most key-frames, the first of equals."""
-    tracks = [k.track for k in agent.state.keyframes]
-    return max(sorted(set(tracks)), key=tracks.count, default=0)
-
-
 def groups_of(agents: Sequence[Agent]) -> list[list[int]]:
     """Agents whose reference frames are the same, sorted."""
     frames: dict[tuple[int, int], list[int]] = {}

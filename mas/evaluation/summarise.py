@@ -21,8 +21,9 @@ from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
 from .coverage import coverage_of, one_frame
 from .graph_fit import graph_figures
-from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, odometry_frames, of_same_image
+from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, of_same_image
 from .map_copies import map_copies
+from .odometry_error import odometry_error
 from .reputation_figures import fault_figures, reputations
 from .summary import (
     Alignments,
@@ -56,7 +57,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         evaluator.error_of(a.state.me, frame_trajectory(a.state, s), evaluator.placed_with_scale(a.state))
         for a, s in zip(agents, sequences, strict=True)
     ]
-    odometry = [evaluator.error_of(a.state.me, odometry_frames(a, s)) for a, s in zip(agents, sequences, strict=True)]
+    odometry = [odometry_error(a, s, evaluator) for a, s in zip(agents, sequences, strict=True)]
     maps = [evaluator.map_error(a) for a in agents]
     connected = evaluator.connected_errors(agents)
     columns = (own, maps, [connected.get(a.state.me) for a in agents])
@@ -91,7 +92,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
             agents=_alignments(own, placed),
             maps=_alignments(maps, placed),
             connected=_alignments(columns[2], placed),
-            odometry=_alignments(odometry, [not s.metric for s in sequences]),
+            odometry=[None if e is None else e.on for e in odometry],
         ),
         coverage=coverage,
         left_out=list(run.left_out),

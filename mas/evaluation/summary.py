@@ -28,11 +28,12 @@ class Errors(_Figures):
 class MeasuredOn(_Figures):
     """What an error was measured on and after: ``kind``: SE(3) or Sim(3); ``scale``: metres of the truth in one unit
     of the estimate (1 with SE(3)); ``frames``: poses that have a true one: frames of a trajectory, key-frames of
-    maps."""
+    maps. ``tracks``, of odometry only: each was aligned by itself, and ``scale`` is that of the longest."""
 
     kind: str
     scale: float
     frames: int
+    tracks: int | None = None
 
 
 class Alignments(_Figures):
@@ -181,11 +182,11 @@ class Timing(_Figures):
 
 
 class Summary(_Figures):
-    """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation,
-    under each agent's own alignment. ``path_length_m`` from ground truth. ``exploration_percent``: of each agent,
-    frames that have a place in its own map or in a copy it holds (of a copy those between neighbouring key-frames, of
-    which it holds both), over all frames read of all agents, each counted once. ``refused_messages``: dropped as
-    unbelievable."""
+    """``groups``: agents that share one coordinate frame at the end. ``odometry_*``: errors before any optimisation, of
+    the same frames, each track under an alignment of its own. ``path_length_m`` from ground truth.
+    ``exploration_percent``: of each agent, frames that have a place in its own map or in a copy it holds (of a copy
+    those between neighbouring key-frames, of which it holds both), over all frames read of all agents, each counted
+    once. ``refused_messages``: dropped as unbelievable."""
 
     version: str
     preset: str

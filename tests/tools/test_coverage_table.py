@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from maslam.tools.report.coverage_table import agent_names, coverage_rows, lost_lines, measured_on, percent_text
+from maslam.tools.report.coverage_table import agent_names, coverage_rows, lost_lines, percent_text
+from maslam.tools.report.measured import measured_on
 
 
 def summary(**coverage: Any) -> dict[str, Any]:

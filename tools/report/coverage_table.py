@@ -10,6 +10,7 @@ from typing import Any
 
 from ..common.text_table import counted, kinds_text
 from .html import Section, table
+from .measured import alignment_text
 
 HEAD = ("frames read", "tracked", "placed", "tracks placed", "ATE measured on", "alignment")
 _KINDS = 4  # of reasons that are named for one agent
@@ -59,30 +60,6 @@ def coverage_sections(summary: dict[str, Any]) -> list[Section]:
     return [Section("Coverage", note, body + (f"<ul>{lost}</ul>" if lost else "<p>No frame was lost.</p>"))]
 
 
-def alignment_text(alignment: dict[str, Any] | None) -> str:
-    """``SE(3)``, or ``Sim(3), scale 3.21``."""
-    if alignment is None:
-        return "-"
-    scale = f", scale {alignment['scale']:.4g}" if alignment["kind"] != "SE(3)" else ""
-    return f"{alignment['kind']}{scale}"
-
-
-def measured_on(summary: dict[str, Any]) -> str:
-    """On how many of the frames read the mean error was measured, and after which alignment; empty where neither was
-    written."""
-    coverage = summary.get("coverage") or []
-    known = [a for a in (summary.get("alignments") or {}).get("agents") or [] if a is not None]
-    if not coverage or not known:
-        return ""
-    scales = sorted(a["scale"] for a in known if a["kind"] != "SE(3)")
-    kinds = " or ".join(sorted({a["kind"] for a in known}))
-    after = f"{kinds} alignment"
-    if scales:
-        after += f", scale {scales[0]:.4g}" + (f" to {scales[-1]:.4g}" if len(scales) > 1 else "")
-    measured, read = sum(a["frames"] for a in known), frames_read(summary)
-    return f"measured on {measured} of {read} frames read, after {after}"
-
-
 def in_one_frame(summary: dict[str, Any]) -> tuple[int, int, list[str]]:
     """Agents that share one frame, of how many that there should be, and the names of those without any place."""
     known = summary.get("one_frame")
@@ -94,12 +71,6 @@ def in_one_frame(summary: dict[str, Any]) -> tuple[int, int, list[str]]:
 def percent_text(percent: float) -> str:
     """``99.8 %``; what is not all is never 100 %."""
     return f"{percent if percent >= 100.0 - 1e-9 else min(percent, 99.9):.1f} %"
-
-
-def frames_read(summary: dict[str, Any]) -> int:
-    """By all agents, and of sequences that no agent was made of."""
-    found = [c["read"] for c in summary.get("coverage") or []]
-    return sum(found) + sum(one["frames"] for one in summary.get("left_out") or [])
 
 
 def lost_lines(summary: dict[str, Any]) -> list[str]:

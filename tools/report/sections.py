@@ -24,10 +24,11 @@ from .charts import (
     top_view,
     traffic_matrix,
 )
-from .coverage_table import coverage_sections, frames_read, in_one_frame, measured_on, percent_text
+from .coverage_table import coverage_sections, in_one_frame, percent_text
 from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
 from .match_images import sample_images
+from .measured import frames_read, measured_on, table_note
 from .run_data import AgentData, RunData
 from .summary_table import who_decided
 
@@ -177,13 +178,16 @@ def _errors(run: RunData) -> Section:
             ("Own map and all copies held", maps, "ATE RMSE, m"),
         )
     ]
-    known = [a for a in (run.summary.get("alignments") or {}).get("agents") or [] if a is not None]
-    kind = f"{known[0]['kind']} " if known else ""
-    note = f"Position error after {kind}alignment, of the key-frames that each agent had at that moment (the table "
-    note += "counts all frames). Dotted lines: an optimisation ended."
+    note = f"Position error{_after(run)} of the key-frames that each agent had at that moment. "
+    note += f"The table's errors are {table_note(run.summary)}Dotted lines: an optimisation ended."
     mean: list[tuple[str, str, tuple[int, ...]]] = [("mean", INK, ())] if len(run.agents) > 1 else []
     key = legend([(a.name, colour_of(a.index), dash_of(a.index)) for a in run.agents] + mean)
     return Section("Error over time", note, f'{key}<div class="columns">{"".join(charts)}</div>{_error_table(run)}')
+
+
+def _after(run: RunData) -> str:
+    known = [a for a in (run.summary.get("alignments") or {}).get("agents") or [] if a is not None]
+    return f" after {known[0]['kind']} alignment," if known else ","
 
 
 def _error_table(run: RunData) -> str:

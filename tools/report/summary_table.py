@@ -10,8 +10,9 @@ from typing import Any
 
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
-from .coverage_table import HEAD, coverage_rows, in_one_frame, lost_lines, measured_on, percent_text
+from .coverage_table import HEAD, coverage_rows, in_one_frame, lost_lines, percent_text
 from .graph_warnings import graph_lines
+from .measured import keyframes_measured_on, measured_on, odometry_measured_on
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -111,13 +112,23 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     apart = f"; without a place: {', '.join(without)}" if without else ""
     shared = [f"{together} of {of} agents share one frame{apart}"] if of > 1 else []
     known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") in ("arbitrary", "mixed")
-    said = [f"errors {measured_on(summary)}"] if known and measured_on(summary) else []
+    said = _measured(summary) if known and measured_on(summary) else []
     truth_there = any(length is not None for length in summary["path_length_m"])
     why = "no frame has both a place and a true one" if truth_there else "no ground truth"
     truth = [] if known else [f"{why}: errors cannot be known"]
     whose = "agents with one camera alone" if summary.get("scale") == "mixed" else "one camera"
     own = [f"{whose}: lengths in their files are in units of their own, not metres"] if unit else []
     return [*aligned(rows), *shared, *said, *truth, *own]
+
+
+def _measured(summary: dict[str, Any]) -> list[str]:
+    """What each column of errors was measured on: ATE, odometry, the others."""
+    odometry, others = odometry_measured_on(summary), keyframes_measured_on(summary)
+    return [
+        f"errors {measured_on(summary)}",
+        *([f"  odometry {odometry}"] if odometry else []),
+        *([f"  {others}"] if others else []),
+    ]
 
 
 def _traffic(summary: dict[str, Any]) -> list[str]:
