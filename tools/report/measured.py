@@ -39,21 +39,24 @@ def odometry_measured_on(summary: dict[str, Any]) -> str:
     return f"{on}, after {_kinds(known, 'alignment')}{' of each track by itself' if several else ''}"
 
 
-def keyframes_measured_on(summary: dict[str, Any]) -> str:
+def keyframes_measured_on(summary: dict[str, Any]) -> list[str]:
     """The same of maps and of agents under a common alignment, which are of key-frames."""
-    maps, connected = _known(summary, "maps"), _known(summary, "connected")
-    if not maps and not connected:
-        return ""
-    of_maps = f"maps held on {counted(_frames(maps), 'key-frame')}, each holder's after one {_kinds(maps, 'alignment')}"
-    together = f"connected on {counted(_frames(connected), 'key-frame')}, each group after one "
-    return f"{of_maps}; {together}{_kinds(connected, 'alignment')}"
+    columns = (
+        ("maps held", "each holder's", _known(summary, "maps")),
+        ("connected", "each group's", _known(summary, "connected")),
+    )
+    return [
+        f"{name} on {counted(_frames(known), 'key-frame')}, {whose} after one {_kinds(known, 'alignment')}"
+        for name, whose, known in columns
+        if known
+    ]
 
 
 def table_note(summary: dict[str, Any]) -> str:
     """What each column of the report's table of errors was measured on."""
-    odometry, others = odometry_measured_on(summary), keyframes_measured_on(summary)
-    parts = [measured_on(summary) or "of all frames", f"odometry {odometry}" if odometry else "", others]
-    return "; ".join(part for part in parts if part) + ". "
+    odometry = odometry_measured_on(summary)
+    parts = [measured_on(summary) or "of all frames", *([f"odometry {odometry}"] if odometry else [])]
+    return "; ".join([*parts, *keyframes_measured_on(summary)]) + ". "
 
 
 def frames_read(summary: dict[str, Any]) -> int:

@@ -123,12 +123,9 @@ def _errors(summary: dict[str, Any]) -> list[str]:
 
 def _measured(summary: dict[str, Any]) -> list[str]:
     """What each column of errors was measured on: ATE, odometry, the others."""
-    odometry, others = odometry_measured_on(summary), keyframes_measured_on(summary)
-    return [
-        f"errors {measured_on(summary)}",
-        *([f"  odometry {odometry}"] if odometry else []),
-        *([f"  {others}"] if others else []),
-    ]
+    odometry = odometry_measured_on(summary)
+    others = [*([f"odometry {odometry}"] if odometry else []), *keyframes_measured_on(summary)]
+    return [f"errors {measured_on(summary)}", *(f"  {line}" for line in others)]
 
 
 def _traffic(summary: dict[str, Any]) -> list[str]:
