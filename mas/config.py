@@ -85,10 +85,17 @@ class PlacesConfig(_Section):
     )
     own_loops: bool = Field(default=True, description="close loops with the agent's own earlier key-frames")
     own_age_s: float = Field(
-        default=30.0, ge=0, description="own key-frames at least this much older are candidates, seconds"
+        default=30.0, ge=0, description="own key-frames at least this much older are candidates, seconds ..."
+    )
+    own_apart_keyframes: int | None = Field(
+        default=15,
+        ge=1,
+        description="... if so many key-frames lie between, or a path of four median depths; null: by age alone",
     )
     own_age_keyframes: int | None = Field(
-        default=40, ge=1, description="so are those at least so many key-frames older; null: by age in seconds only"
+        default=40,
+        ge=1,
+        description="so are those at least so many key-frames older, whatever their age; null: by age in seconds only",
     )
 
     @field_validator("code")

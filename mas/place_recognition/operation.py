@@ -22,16 +22,13 @@ from ..protocol.messages import Award, Bid, Call, Confirmation, Rejection, Resul
 from ..protocol.tasks import EarlierAnswer, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
 from ..state.agent_state import Ownership
 from ..state.keyframe import KeyFrame
-from ..state.place_match import Match
-from .candidates import Candidate, Candidates, MatchCheck
+from .candidates import Candidate, Candidates
+from .own_loops import FARTHEST, OwnLoops
 from .peer_queries import ClusterIndex, RecentQueries
 from .sent_queries import SentQueries
-from .verification import Verification, kind_of, match_end, verify, view_of
+from .verification import Verification
 from .wider_search import WiderSearch
 
-_FARTHEST = 2.0
-# Key-frames at the beginning of a track, and at the end of the one before, that are compared with each other.
-_BEGINNING = 3
 # Ticks after all sequences are over until answers to the last queries are in.
 _SETTLED = 4
 
@@ -52,6 +49,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         super().__init__(context)
         self.candidates = candidates
         self.verification = verification
+        self.own_loops = OwnLoops(context, candidates, verification)
         self._waiting: dict[int, deque[int]] = {}
         self._asked: dict[ContractId, int] = {}
         self._cluster = ClusterIndex()
@@ -126,7 +124,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
     def _answer(self, asker: int, keyframe: int, vector: NDArray[np.float32]) -> PlaceAnswer | EarlierAnswer:
         found = self._latest.nearest(asker, keyframe, vector)
         if found is None:
-            return PlaceAnswer(None, _FARTHEST)
+            return PlaceAnswer(None, FARTHEST)
         if found.query == keyframe:
             return PlaceAnswer(found.keyframe, found.distance)
         return EarlierAnswer(found.query, found.keyframe, found.distance)
@@ -135,7 +133,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         found = self._cluster.nearest(vector, asker)
         self._cluster.remember(asker, keyframe, vector)
         if found is None:
-            return PlaceRedirect(None, None, _FARTHEST)
+            return PlaceRedirect(None, None, FARTHEST)
         return PlaceRedirect(found.agent, found.keyframe, self.candidates.restored(found.distance))
 
     def _coded(self, keyframe: int) -> NDArray[np.uint8]:
@@ -204,7 +202,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         for candidate in self.wider.due(self.context.closing):
             match, keyframes = candidate.id, self.state.keyframes
             if match.match_agent == self.state.me:
-                effects += self._consider_own(keyframes[match.query], keyframes[match.match], None, wider=True)
+                effects += self.own_loops.consider(keyframes[match.query], keyframes[match.match], None, wider=True)
             elif self.context.may_call(match.match_agent, OperationKind.RELPOSE):
                 effects += self.verification.request(replace(candidate, now_ns=self.context.now_ns))
         return effects
@@ -251,77 +249,6 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
             effects += call.effects
         return effects
 
-    # -- own loop closures --------------------------------------------------------------------------------------------
-
     def close_own_loop(self, keyframe: KeyFrame) -> Effects:
         """Compare a key-frame with the agent's own much earlier ones, and verify the nearest: no message needed."""
-        newest = self._newest_candidate(keyframe)
-        if not keyframe.textured or not newest:
-            return NOTHING
-        effects = self._join_track_before(keyframe)
-        found = self.candidates.nearest(keyframe.vector, below=newest)
-        if found is None or found[1] >= self.wide_threshold:
-            return effects
-        wider = found[1] >= self.threshold
-        if wider and self.state.piece_of(found[0]).frame == self.state.piece_of(keyframe.index).frame:
-            return effects
-        return effects + self._consider_own(keyframe, self.state.keyframes[found[0]], found[1], wider)
-
-    def _join_track_before(self, keyframe: KeyFrame) -> Effects:
-        """A track's first key-frames may still see what the last ones of the track before saw, however different the
-        images are: they are verified whatever their vectors say."""
-        first = self.state.piece_of(keyframe.index).first
-        widened = self.state.config.places.widen_keyframes is not None
-        if not widened or not first or keyframe.index - first >= _BEGINNING:
-            return NOTHING
-        effects = NOTHING
-        for earlier in reversed(self.state.keyframes[max(first - _BEGINNING, 0) : first]):
-            if earlier.track == keyframe.track - 1:
-                apart = float(np.linalg.norm(earlier.vector - keyframe.vector))
-                effects += self._consider_own(keyframe, earlier, min(apart, _FARTHEST), wider=True)
-        return effects
-
-    def _consider_own(self, query: KeyFrame, match: KeyFrame, distance: float | None, wider: bool) -> Effects:
-        me = self.state.me
-        candidate = Candidate(MatchId(me, query.index, me, match.index), self.context.now_ns, distance, wider=wider)
-        return self._verify_own(candidate, query, match) if self.candidates.propose(candidate) else NOTHING
-
-    def _newest_candidate(self, keyframe: KeyFrame) -> int:
-        """Number of first key-frames that are loop candidates: those old enough, and all of earlier tracks, which
-        no odometry links to this one."""
-        config = self.state.config.places
-        times = [k.time_ns for k in self.state.keyframes]
-        by_age = int(np.searchsorted(times, keyframe.time_ns - round(config.own_age_s * 1e9), side="right"))
-        by_count = 0 if config.own_age_keyframes is None else keyframe.index - config.own_age_keyframes + 1
-        earlier_tracks = self.state.piece_of(keyframe.index).first
-        return min(max(by_age, by_count, earlier_tracks), keyframe.index)
-
-    def _verify_own(self, candidate: Candidate, query: KeyFrame, match: KeyFrame) -> Effects:
-        verdict = verify(self.state, candidate.id, view_of(self.state, query), match)
-        reason, learned = verdict.reason, None
-        full = verdict.full_information
-        if verdict.accepted and verdict.T_M_Q is not None and full is not None:
-            ends = match_end(self.state, query), match_end(self.state, match)
-            learned = Match.of(candidate.id, *ends, verdict.T_M_Q, full, verdict.inliers, match.depth)
-            if not self._plausible(learned):
-                learned, reason = None, "beyond odometry's drift"
-        check = MatchCheck(
-            verified=learned is not None,
-            reason=kind_of(reason),
-            detail=reason,
-            matches=verdict.matches,
-            inliers=verdict.inliers,
-            rmse=float(verdict.rmse) if np.isfinite(verdict.rmse) else None,
-            T_M_Q=verdict.T_M_Q,
-        )
-        self.candidates.checked(candidate.id, check)
-        return NOTHING if learned is None else self.verification.learn(learned)
-
-    def _plausible(self, match: Match) -> bool:
-        """Within one track the loop may not move the query farther than odometry can have drifted on the way."""
-        if match.query.track != match.match.track:
-            return True
-        config = self.state.config.consistency
-        way = self.state.travelled[match.id.query] - self.state.travelled[match.id.match]
-        moved = match.joins() @ match.query.T_T_C[:3, 3] - match.query.T_T_C[:3, 3]
-        return float(np.linalg.norm(moved)) <= config.depth_share * match.depth + config.loop_drift * way
+        return self.own_loops.close(keyframe, self.threshold, self.wide_threshold)

@@ -29,6 +29,7 @@ _PREDECESSOR = MasConfig(
         gap_keyframes=0,
         gap_m=10.0,
         own_age_s=30.0,
+        own_apart_keyframes=None,
         own_age_keyframes=None,
     ),
     relpose=RelPoseConfig(search_angle_deg=5.0, hypotheses=300, ratio=0.75, max_hamming=50, min_inliers=20),

@@ -25,6 +25,7 @@ from maslam.backend.geometry import Sim3
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_poses
 from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
+from maslam.mas.place_recognition.own_loops import candidates_below
 from maslam.mas.place_recognition.verification import match_end, verify, view_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
@@ -131,22 +132,17 @@ def _candidates(states: Sequence[AgentState], config: MasConfig) -> Iterator[Mat
             distances[~usable[query]] = np.inf
             distances[:, ~usable[match]] = np.inf
             if query == match:
-                distances[_too_young(states[query], config)] = np.inf
+                distances[_too_young(states[query])] = np.inf
             nearest = distances.argmin(axis=1)
             limit = states[query].profile.threshold
             for row in np.flatnonzero(distances[np.arange(len(mine)), nearest] < limit):
                 yield MatchId(query, int(row), match, int(nearest[row]))
 
 
-def _too_young(state: AgentState, config: MasConfig) -> NDArray[np.bool_]:
+def _too_young(state: AgentState) -> NDArray[np.bool_]:
     """Pairs ``(n, n)`` of an agent's own key-frames that are no loop: the other one is not old enough."""
-    times = np.array([k.time_ns for k in state.keyframes])
-    tracks = np.array([k.track for k in state.keyframes])
-    numbers = np.arange(len(times))
-    old = times[:, None] - times[None, :] >= config.places.own_age_s * 1e9
-    if config.places.own_age_keyframes is not None:
-        old |= numbers[:, None] - numbers[None, :] >= config.places.own_age_keyframes
-    return np.asarray(~(old | (tracks[:, None] > tracks[None, :])))
+    newest = np.array([candidates_below(state, keyframe) for keyframe in state.keyframes])
+    return np.arange(len(newest))[None, :] >= newest[:, None]
 
 
 def _verify(states: Sequence[AgentState], pair: MatchId) -> None:
