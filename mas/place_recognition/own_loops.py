@@ -19,6 +19,8 @@ _BEGINNING = 3
 """Key-frames at the beginning of a track, and at the end of the one before, that are compared with each other."""
 _APART_DEPTHS = 4.0
 """Path in median depths after which a camera that comes back closes a loop, however few key-frames it made."""
+_SCALE_SIGMAS = 4.0
+"""Standard deviations of the unit's drift that a loop may correct."""
 
 
 class OwnLoops:
@@ -104,7 +106,8 @@ def candidates_below(state: AgentState, keyframe: KeyFrame) -> int:
 def implausible(state: AgentState, match: Match) -> str:
     """Why odometry cannot have drifted as far as an own loop says; empty where it can, and between tracks.
 
-    The query may not move farther than a share of the path between.
+    The query may not move farther than a share of the path between. With one camera the unit drifts by a random walk
+    on the way: each step adds its variance.
     """
     if match.query.track != match.match.track:
         return ""
@@ -113,4 +116,12 @@ def implausible(state: AgentState, match: Match) -> str:
     moved = match.joins() @ match.query.T_T_C[:3, 3] - match.query.T_T_C[:3, 3]
     if float(np.linalg.norm(moved)) > config.depth_share * match.depth + config.loop_drift * way:
         return "beyond odometry's drift"
-    return ""
+    if state.profile.metric or match.scale_sigma is None:
+        return ""
+    steps = match.id.query - match.id.match
+    drift = state.config.optimisation.odometry_sigma_scale * np.sqrt(steps)
+    noise = np.hypot(match.scale_sigma, state.config.optimisation.match_sigma_scale)
+    allowed, found = _SCALE_SIGMAS * float(np.hypot(drift, noise)), abs(float(np.log(match.T_M_Q.scale)))
+    if found <= allowed:
+        return ""
+    return f"beyond the unit's drift: log scale {found:.2f}, {allowed:.2f} at most in {steps} key-frames"

@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 from factory import circuit, make_sequence, make_world, manifest_of
 
+from maslam.backend.geometry import Sim3, se3_inverse
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.mas.config import MasConfig
-from maslam.mas.place_recognition.own_loops import candidates_below
+from maslam.mas.place_recognition.own_loops import candidates_below, implausible
 from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import MatchId
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import make_agents, run
 from maslam.mas.state.agent_state import AgentState
 from maslam.mas.state.keyframe import KeyFrame, keyframes_of
+from maslam.mas.state.place_match import Match, MatchEnd
 
 DEFAULT = preset("default")
 PAUSE_S = 100.0
@@ -107,3 +110,59 @@ def test_candidates_are_those_that_the_rule_says() -> None:
                 candidates.append(other.index)
         assert candidates == list(range(candidates_below(state, one)))
     assert by_path > 10
+
+
+# -- what one camera's loop says of its unit ---------------------------------------------------------------------------
+
+
+def loop(state: AgentState, log_scale: float, sigma: float | None, steps: int = 60) -> Match:
+    """A loop that says where odometry is, with another unit."""
+    query, match = state.keyframes[70], state.keyframes[70 - steps]
+    T = se3_inverse(match.T_T_C) @ query.T_T_C
+    ends = [MatchEnd(k.track, k.T_T_C, state.travelled[k.index]) for k in (query, match)]
+    transform = Sim3(T[:3, :3], T[:3, 3], float(np.exp(log_scale)))
+    return Match(MatchId(0, query.index, 0, match.index), *ends, transform, np.eye(6), 60, match.depth, sigma)
+
+
+@pytest.mark.parametrize(("log_scale", "sigma", "steps", "possible"), [
+    (0.0, 0.01, 60, True),
+    (0.06, 0.01, 60, True),  # a walk of 0.5 % a step: 0.039 in sixty
+    (-0.12, 0.01, 60, True),
+    (0.20, 0.01, 60, False),
+    (-0.20, 0.01, 60, False),
+    (0.12, 0.01, 16, False),  # 0.02 in sixteen
+    (0.20, 0.2, 60, True),  # a match that hardly tells
+])  # fmt: skip
+def test_a_loop_may_say_of_the_unit_what_its_drift_allows(
+    log_scale: float, sigma: float, steps: int, possible: bool
+) -> None:
+    sequence = make_sequence(make_world(2), LAP, 2, 0, scale=0.7)
+    state = state_of(keyframes_of(sequence), DEFAULT, sequence)
+    objection = implausible(state, loop(state, log_scale, sigma, steps))
+    assert (objection == "") == possible, objection
+    assert possible or objection.startswith("beyond the unit's drift: ")
+
+
+def test_metres_do_not_drift_and_tracks_have_units_of_their_own() -> None:
+    metric = make_sequence(make_world(2), LAP, 2, 0)
+    state = state_of(keyframes_of(metric), DEFAULT, metric)
+    assert implausible(state, loop(state, 0.0, None)) == ""
+    cut = make_sequence(make_world(2), LAP, 2, 0, scale=0.7, cuts=(120,))
+    state = state_of(keyframes_of(cut), DEFAULT, cut)
+    assert implausible(state, loop(state, np.log(1.5), 0.01)) == ""
+
+
+@pytest.mark.parametrize(("size", "right"), [(1.0, True), (1.6, False)])
+def test_a_place_of_another_size_is_no_loop(size: float, right: bool) -> None:
+    """The camera comes back to where everything is as it was, or 1.6 times as large, as in a model of the place."""
+    sequence = make_sequence(make_world(2), LAP, 2, 0, scale=0.7, drifting=0.0)
+    agent = make_agents(manifest_of([sequence]), [sequence], preset("maslam"))[0]
+    for keyframe in keyframes_of(sequence):
+        later = keyframe.index >= 70
+        points = (keyframe.points_C * size).astype(np.float32) if later else keyframe.points_C
+        agent.observe(replace(keyframe, points_C=points, depth=keyframe.depth * (size if later else 1.0)))
+        agent.tick(keyframe.time_ns)
+    own = [c for c in agent.candidates.by_id.values() if c.check.inliers >= 20]
+    assert len(own) >= 2
+    assert all(c.check.verified == right for c in own)
+    assert right or {c.check.reason for c in own} == {"beyond the unit's drift"}
