@@ -21,6 +21,8 @@ from .g2o_ids import Ids, symbol
 from .graph import Edge, EdgeKind, NodeId, PoseGraph, Prior, spread_poses
 
 _IGNORED = ("#", "FIX", "PARAMS_")
+_UNKNOWN_SCALE = 100.0
+"""Standard deviation of a log scale that nobody measured."""
 _NO_OFFSET = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 _UPPER = np.triu_indices(6)
 # Rows of a planar measurement (x, y, angle) in the tangent of SE(3), translation first.
@@ -49,6 +51,7 @@ class _Line(NamedTuple):
 def read_g2o(paths: Path | Sequence[Path], skipped: list[str] | None = None) -> PoseGraph:
     """One graph from one file, or from a set with one file per robot.
 
+    Lines are rigid: where nodes have units of length of their own, loops and edges between robots say nothing of them.
     Edges between robots that stand in both robots' files count once; what stands twice in one file counts twice. Nodes
     without a VERTEX line get their pose from the edges, odometry first. A line that makes no sense raises
     :class:`BackendError` with its number; where ``skipped`` is given, it is left out and the message is appended there.
@@ -110,8 +113,13 @@ class _Reading:
             raise BackendError(f"{first}: 2-D and 3-D lines in one graph")
         lonely = sorted({p.node for p in self.priors} - set(self.poses) - {n for e in self.edges for n in (e.i, e.j)})
         known = self.poses | {p.node: p.T_O_i for p in self.priors if p.node in lonely}
-        edges = _with_odometry(self.edges, known)
+        edges = [_without_scale(e) for e in _with_odometry(self.edges, known)]
         return PoseGraph(spread_poses(known, edges), tuple(edges), self.dimensions.pop(), tuple(self.priors))
+
+
+def _without_scale(e: Edge) -> Edge:
+    """An SE3 line measures no scale: where nodes have units of their own, a loop or separator leaves them open."""
+    return e if e.kind is EdgeKind.ODOMETRY else replace(e, scale_sigma=_UNKNOWN_SCALE)
 
 
 def _with_odometry(edges: list[Edge], poses: dict[NodeId, Array]) -> list[Edge]:

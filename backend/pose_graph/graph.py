@@ -198,12 +198,15 @@ class PoseGraph:
         return all(np.array_equal(e.information, np.eye(6)) for e in self.edges)
 
     def with_unit_weights(self) -> PoseGraph:
-        """The same graph with information that makes both isotropic weights 1: cost F is then twice cost U."""
+        """The same graph with information that makes both isotropic weights 1: cost F is then twice cost U. So is the
+        weight of a scale, unless nobody knows it."""
         rotation = 2.0 if self.dimension == 3 else 1.0
         information = np.diag([1.0, 1.0, 1.0, rotation, rotation, rotation])
         return replace(
             self,
-            edges=tuple(replace(e, information=information) for e in self.edges),
+            edges=tuple(
+                replace(e, information=information, scale_sigma=max(e.scale_sigma or 1.0, 1.0)) for e in self.edges
+            ),
             priors=tuple(replace(p, information=information) for p in self.priors),
         )
 

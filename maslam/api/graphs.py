@@ -18,7 +18,7 @@ from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.backend.robust.select import RobustMethod, RobustResult, optimise_robustly
 from maslam.tools.common.errors import UnknownName
 from maslam.tools.pgo.files import expand
-from maslam.tools.pgo.methods import CENTRAL, METHODS, ROBUST, WEIGHTS, solver_of, takes_unit_weights
+from maslam.tools.pgo.methods import CENTRAL, METHODS, ROBUST, WEIGHTS, own_units, solver_of, takes_unit_weights
 
 from .common import PathLike, Settings, changed, nested, on_one_thread
 
@@ -130,7 +130,8 @@ def optimise_distributed(
         settings: of ``maslam.backend.config.SolverConfig``, ``{"descent_sweeps": 100}``.
         monocular: robots whose unit of length is their own and drifts: each of their nodes has a unit, found along with
             its pose (similarities); an edge's translation is in the unit of its first node, and its ``scale`` is the
-            size of the second one's in it. ``elected`` reaches the optimum; sweeps take many rounds to it.
+            size of the second one's in it, up to ``scale_sigma``: of loops that were read from a file, unknown.
+            ``elected`` reaches the optimum; sweeps take many rounds to it.
 
     Returns:
         ``graph``, with its own information, in one unit throughout; ``units`` of the nodes in it; ``outcomes`` by
@@ -144,15 +145,8 @@ def optimise_distributed(
     unit = takes_unit_weights(weights, graph)
     config = changed(solver_of(method), nested(settings))
     weighted = graph.with_unit_weights() if unit else graph
-    found = exchange.optimise_distributed(weighted, config, _own_units(graph, monocular))
+    found = exchange.optimise_distributed(weighted, config, own_units(graph, monocular))
     return replace(found, graph=graph.in_one_unit(found.graph.poses, found.units))
-
-
-def _own_units(graph: PoseGraph, monocular: Collection[int]) -> frozenset[int]:
-    strangers = sorted(set(monocular) - set(graph.robots))
-    if strangers:
-        raise UnknownName(f"monocular: there is no robot {strangers[0]}, only {', '.join(map(str, graph.robots))}")
-    return frozenset(monocular)
 
 
 def _check_known(what: str, name: str, there: Sequence[str]) -> None:

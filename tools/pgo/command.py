@@ -16,7 +16,9 @@ from ..common.options import DEST, add_model_options, build, option_name
 from .report import PgoReport
 
 if TYPE_CHECKING:
-    from maslam.backend.pose_graph.graph import PoseGraph
+    from collections.abc import Mapping
+
+    from maslam.backend.pose_graph.graph import NodeId, PoseGraph
 
     from .methods import Request, Solution
 
@@ -27,6 +29,10 @@ methods
   quick        sor with the schedule that ends within 1 % in the fewest bytes
   rbcd         block-coordinate descent to the optimum, in agreed rounds; rbcd-async: late, lost, repeated messages
   elected      one robot gathers the condensed graph, solves it, and sends poses back
+monocular
+  one camera's unit of length drifts: each pose has one, found along with it (--monocular). A g2o line is rigid (SE3):
+  its translation is in the unit of its first pose, and loops leave the units open. The result is rigid again, in one
+  unit throughout: that of the other robots, or of the first pose; the units stand in OUT/units.csv
 robust
   pcm          pairwise consistency: the largest set of loops and separators that agree with each other
   gnc          graduated non-convexity: weights found along with the solution; pcm+gnc: one after the other
@@ -45,7 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "files", metavar="FILES", type=Path, nargs="+", help="a g2o file, one file per robot, or a folder of them"
     )
     parser.add_argument("out", metavar="OUT", type=Path, help="a .g2o file, or a folder for one file per robot")
-    parser.add_argument("--method", choices=METHODS, default="rbcd", help="see below (default: %(default)s)")
+    parser.add_argument(
+        "--method", choices=METHODS, help="see below (default: rbcd; elected where --monocular is given)"
+    )
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(
         "--weights",
@@ -59,6 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         help="cut a single graph into N robots of consecutive poses (default: the robots of the files)",
+    )
+    parser.add_argument(
+        "--monocular",
+        metavar="ROBOTS",
+        help="robots with one camera, whose unit of length is their own and drifts: all, or numbers, 0,2 "
+        "(default: none; see below)",
     )
     parser.add_argument(
         "--skip-broken-lines", action="store_true", help="name broken lines and go on, instead of failing"
@@ -79,9 +93,13 @@ def main(arguments: argparse.Namespace) -> None:
 
     from ..common.figures import check_picture
     from .files import check_free, expand, write
-    from .methods import check
+    from .methods import check, default_method
 
-    check(arguments.method, arguments.robust)
+    if arguments.method is None:
+        arguments.method = default_method(bool(arguments.monocular))
+    check(arguments.method, arguments.robust, bool(arguments.monocular))
+    if arguments.monocular and arguments.plot is not None:
+        raise UsageError("--plot compares methods on rigid graphs; leave out --monocular, or --plot")
     for path, instead in (("solver.method", "--method"), ("solver.robust", "--robust"), ("central.loss", "--robust")):
         if hasattr(arguments, DEST + path):
             raise UsageError(f"{option_name(path)} is chosen by {instead}")
@@ -94,8 +112,8 @@ def main(arguments: argparse.Namespace) -> None:
         print(f"maslam: skipped: {line}", file=sys.stderr)
     if arguments.agents is not None:
         graph = graph.partitioned(arguments.agents)
-    solved, report = optimise_graph(graph, arguments)
-    write(arguments.out, solved, report)
+    solved, report, units = optimise_graph(graph, arguments)
+    write(arguments.out, solved, report, units)
     if arguments.plot is not None:
         plot(graph, arguments)
     print(json.dumps(asdict(report)) if arguments.json else "\n".join([*report.lines(), f"  {arguments.out}"]))
@@ -112,11 +130,29 @@ def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
     central = build(CentralConfig(cost="U" if unit else "F", loss=loss), arguments, prefix="central")
     solver = build(solver_of(arguments.method), arguments, prefix="solver")
     selection = build(RobustConfig(), arguments, prefix="robust")
-    return Request(arguments.method, arguments.robust, unit, central, solver, selection)
+    monocular = _monocular(graph, arguments.monocular)
+    return Request(arguments.method, arguments.robust, unit, central, solver, selection, monocular)
 
 
-def optimise_graph(graph: PoseGraph, arguments: argparse.Namespace) -> tuple[PoseGraph, PgoReport]:
-    """Run the method that ``arguments`` name; returns the graph with its own information and the report."""
+def _monocular(graph: PoseGraph, robots: str | None) -> frozenset[int]:
+    """The robots that ``--monocular`` names."""
+    from .methods import own_units
+
+    if not robots:
+        return frozenset()
+    if robots == "all":
+        return frozenset(graph.robots)
+    try:
+        return own_units(graph, [int(number) for number in robots.split(",")])
+    except ValueError:
+        raise UsageError(f"--monocular {robots}: all, or numbers of robots, like 0,2") from None
+
+
+def optimise_graph(
+    graph: PoseGraph, arguments: argparse.Namespace
+) -> tuple[PoseGraph, PgoReport, Mapping[NodeId, float]]:
+    """Run the method that ``arguments`` name; returns the graph with its own information, in one unit of length, the
+    report, and the poses' units where they were found."""
     from maslam.backend.central.graph_report import report as look_at
 
     from .methods import solve
@@ -125,9 +161,10 @@ def optimise_graph(graph: PoseGraph, arguments: argparse.Namespace) -> tuple[Pos
     start = time.perf_counter()
     found = solve(graph, request)
     seconds = time.perf_counter() - start
-    solved = graph.with_poses(found.poses)
+    solved = graph.in_one_unit(found.poses, found.units) if found.units else graph.with_poses(found.poses)
     believed = solved.with_weights(found.weights)
-    certified, gap = (None, None) if arguments.no_certificate else _proof(believed, found)
+    certified, gap = (None, None) if arguments.no_certificate or found.units else _proof(believed, found)
+    sizes = [found.units[n] for n in found.units if n.robot in request.monocular]
     report = PgoReport(
         method=arguments.method,
         robust=arguments.robust,
@@ -151,10 +188,12 @@ def optimise_graph(graph: PoseGraph, arguments: argparse.Namespace) -> tuple[Pos
         unreached_poses=found.unreached_poses,
         rejected=found.rejected,
         warnings=look_at(graph).lines(),
+        monocular=sorted(request.monocular),
+        units={"smallest": min(sizes), "largest": max(sizes)} if sizes else None,
     )
     if not all(map(math.isfinite, report.cost.values())):
         raise ToolError("the optimised graph's cost is not finite")
-    return solved, report
+    return solved, report, found.units
 
 
 def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:

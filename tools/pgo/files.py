@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,9 +15,10 @@ from ..common.errors import ToolError, UsageError
 from .report import PgoReport
 
 if TYPE_CHECKING:
-    from maslam.backend.pose_graph.graph import PoseGraph
+    from maslam.backend.pose_graph.graph import NodeId, PoseGraph
 
 SUMMARY = "summary.json"
+UNITS = "units.csv"
 
 
 def expand(paths: Sequence[Path]) -> list[Path]:
@@ -55,8 +56,8 @@ def _without_number(path: Path) -> str:
     return re.sub(r"\d+", "#", path.stem)
 
 
-def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:
-    """One file, or a folder with one file per robot and the report."""
+def write(out: Path, graph: PoseGraph, report: PgoReport, units: Mapping[NodeId, float]) -> None:
+    """One file, or a folder with one file per robot, the report, and the ``units`` of poses where they were found."""
     from maslam.backend.pose_graph.g2o import write_g2o
 
     alone = len(graph.robots) == 1
@@ -69,4 +70,9 @@ def write(out: Path, graph: PoseGraph, report: PgoReport) -> None:
     for path, part in parts.items():
         write_g2o(path, part, plain_ids=alone)
     if out.suffix != ".g2o":
+        if units:
+            rows = "".join(f"{n.robot},{n.index},{unit:.12g}\n" for n, unit in sorted(units.items()))
+            write_atomically(out / UNITS, "robot,index,unit\n" + rows)
+        else:
+            (out / UNITS).unlink(missing_ok=True)
         write_atomically(out / SUMMARY, json.dumps(asdict(report), indent=2) + "\n")

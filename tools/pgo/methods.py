@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from maslam._replaced import replaced
 from maslam.backend.central.optimise import optimise
-from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
+from maslam.backend.central.similarity import optimise_similarity
+from maslam.backend.config import CentralConfig, RobustConfig, SimilarityConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
@@ -17,7 +18,7 @@ from maslam.backend.robust.noise import Noise
 from maslam.backend.robust.pcm import consistent_edges
 from maslam.backend.robust.select import optimise_robustly
 
-from ..common.errors import UsageError
+from ..common.errors import UnknownName, UsageError
 
 CENTRAL = "central"
 TWO_STAGE = ("dgs", "jor", "sor")
@@ -31,7 +32,8 @@ WEIGHTS = ("auto", "information", "unit")
 
 @dataclass(frozen=True)
 class Request:
-    """``unit``: minimise U instead of what ``central.cost`` or F says."""
+    """``unit``: minimise U instead of what ``central.cost`` or F says; ``monocular``: robots whose nodes have units of
+    length of their own."""
 
     method: str
     robust: str
@@ -39,11 +41,13 @@ class Request:
     central: CentralConfig
     solver: SolverConfig
     selection: RobustConfig
+    monocular: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """``weights`` ``(m,)``: of the edges, 0 where rejected; ``rejected``: records of those."""
+    """``weights`` ``(m,)``: of the edges, 0 where rejected; ``rejected``: records of those; ``units``: of the nodes, in
+    the common one, where they were variables."""
 
     poses: Mapping[NodeId, Array]
     weights: Array
@@ -56,6 +60,20 @@ class Solution:
     wire_bytes: int = 0
     messages: int = 0
     unreached_poses: int = 0
+    units: Mapping[NodeId, float] = field(default_factory=dict)
+
+
+def default_method(monocular: bool) -> str:
+    """With units of length sweeps take many rounds to the optimum."""
+    return "elected" if monocular else "rbcd"
+
+
+def own_units(graph: PoseGraph, monocular: Collection[int]) -> frozenset[int]:
+    """These robots, all of which the graph must have."""
+    strangers = sorted(set(monocular) - set(graph.robots))
+    if strangers:
+        raise UnknownName(f"monocular: there is no robot {strangers[0]}, only {', '.join(map(str, graph.robots))}")
+    return frozenset(monocular)
 
 
 def solver_of(method: str) -> SolverConfig:
@@ -70,8 +88,10 @@ def takes_unit_weights(weights: str, graph: PoseGraph) -> bool:
     return weights == "unit" or (weights == "auto" and graph.is_unweighted)
 
 
-def check(method: str, robust: str) -> None:
+def check(method: str, robust: str, monocular: bool = False) -> None:
     """Refuse what does not go together."""
+    if monocular and robust != "none":
+        raise UsageError(f"--robust {robust} judges rigid graphs only; leave out --monocular, or --robust")
     if robust in LOSSES and method != CENTRAL:
         raise UsageError(f"--robust {robust} works with --method central, not {method}")
     if "gnc" in robust and method not in (CENTRAL, "rbcd"):
@@ -80,7 +100,9 @@ def check(method: str, robust: str) -> None:
 
 def solve(graph: PoseGraph, request: Request) -> Solution:
     """Run the method."""
-    check(request.method, request.robust)
+    check(request.method, request.robust, bool(request.monocular))
+    if request.monocular and request.method == CENTRAL:
+        return _with_units(graph, request)
     return (_central if request.method == CENTRAL else _distributed)(graph, request)
 
 
@@ -92,6 +114,21 @@ def _central(graph: PoseGraph, request: Request) -> Solution:
         return Solution(found.graph.poses, found.weights, rejected, config.cost, found.iterations)
     result = optimise(graph, config)
     return Solution(result.graph.poses, np.ones(len(graph.edges)), [], config.cost, result.iterations)
+
+
+def _with_units(graph: PoseGraph, request: Request) -> Solution:
+    """Similarities in one place."""
+    working = graph.with_unit_weights() if request.unit else graph
+    metric = frozenset(graph.robots) - request.monocular
+    found = optimise_similarity(working, SimilarityConfig(iterations=request.central.iterations), metric)
+    return Solution(
+        poses={n: S.se3() for n, S in found.poses.items()},
+        weights=np.ones(len(graph.edges)),
+        rejected=[],
+        minimised="U" if request.unit else "F",
+        iterations=found.iterations,
+        units={n: S.scale for n, S in found.poses.items()},
+    )
 
 
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
@@ -115,7 +152,8 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         ]
     kept = [k for k, weight in enumerate(weights) if weight > 0]
     working = replace(graph, edges=tuple(graph.edges[k] for k in kept))
-    result = optimise_distributed(working.with_unit_weights() if request.unit else working, config)
+    weighted = working.with_unit_weights() if request.unit else working
+    result = optimise_distributed(weighted, config, request.monocular)
     for k, verdict in zip(kept, result.judged, strict=True):
         if verdict is not None and verdict.rejected:
             weights[k] = 0.0
@@ -134,6 +172,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         wire_bytes=traffic.wire_bytes,
         messages=traffic.messages,
         unreached_poses=sum(len(o.unreached) for o in result.outcomes.values()),
+        units=result.units if request.monocular else {},
     )
 
 

@@ -13,6 +13,8 @@ class PgoReport:
     be above it at most; both None where they were not asked for, or there is no proof (cost E). ``rotation_sweeps`` and
     ``pose_sweeps`` are None for methods without sweeps; ``iterations`` is their sum, or the solver's own.
     ``rejected``: each edge that robust selection turned down, and why. ``warnings``: irregularities of the graph.
+    ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
+    of them in the common one, which the graph is written in; None where there are none.
     """
 
     method: str
@@ -37,6 +39,8 @@ class PgoReport:
     unreached_poses: int
     rejected: list[dict[str, object]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    monocular: list[int] = field(default_factory=list)
+    units: dict[str, float] | None = None
 
     def lines(self) -> list[str]:
         """For people."""
@@ -47,10 +51,24 @@ class PgoReport:
             mark = "  (minimised)" if name == self.minimised else ""
             out.append(f"  {name}  {self.initial_cost[name]:.6g} -> {self.cost[name]:.9g}{mark}")
         out += self._proof() + self._effort()
+        out += self._units()
         if self.robust != "none" and self.robust not in ("huber", "cauchy"):
             out.append(f"  {self.rejected_edges} edges rejected by {self.robust}; --json lists them")
         if self.unreached_poses:
             out.append(f"  {self.unreached_poses} poses are joined to the anchor by no edge and stay")
+        return out
+
+    def _units(self) -> list[str]:
+        """That units were estimated: the graph is in one unit, and no longer in those of the input."""
+        if self.units is None:
+            return []
+        whose = f"robot{'s'[len(self.monocular) == 1 :]} {', '.join(map(str, self.monocular))}"
+        metric = self.robots > len(self.monocular)
+        common = "that of the other robots" if metric else "that of the first pose"
+        sizes = f"{self.units['smallest']:.4g} to {self.units['largest']:.4g}"
+        out = [f"  units of length estimated for {whose}: {sizes}, in {common}, which the result is in throughout"]
+        if self.method not in ("central", "elected"):
+            out.append("  with units, sweeps take many rounds to the optimum: elected and central reach it")
         return out
 
     def _proof(self) -> list[str]:
