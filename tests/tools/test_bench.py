@@ -169,6 +169,7 @@ def test_the_command(town: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     first, second = records
     assert first["sequence"] == name and (first["frames"], first["tracked"], first["tracks"]) == (FRAMES, FRAMES, 1)
     assert first["ate_m"] < 0.02 and first["alignment"] == "se3" and first["scale"] == pytest.approx(1.0, abs=0.02)
+    assert first["measured_on"] == FRAMES and second["measured_on"] is None
     assert first["rpe_10m_percent"] is None and first["rpe_frame_m"] < 0.02
     assert first["compared"][0]["name"] == "perfect.txt" and first["compared"][0]["ate_m"] < 1e-6
     assert second["ate_m"] is None and second["tracked"] == FRAMES and second["compared"] == []

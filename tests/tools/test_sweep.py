@@ -101,6 +101,10 @@ def test_a_sweep_is_taken_up_again(tmp_path: Path, capsys: pytest.CaptureFixture
         summary = json.loads((out / "runs" / f"town_002_{one['preset']}_{one['seed']}" / "summary.json").read_text())
         assert one["wire_total"] == pytest.approx(summary["traffic"]["total"]["wire_bytes"] / 1e6)
         assert one["keyframes"] == summary["keyframes"] > 4
+        counts = {key: sum(c[key] for c in summary["coverage"]) for key in ("read", "placed")}
+        assert (one["frames_read"], one["frames_placed"]) == (counts["read"], counts["placed"])
+        assert one["frames_measured"] <= one["frames_placed"] and one["alignment"] == "SE(3)"
+        assert one["graphs_fit"] == all(graph["cost"] <= 10 * max(graph["dof"], 1) for graph in summary["graphs"])
     with open(out / "results.csv", newline="") as file:
         assert [r["preset"] for r in csv.DictReader(file)] == [r["preset"] for r in rows]
     assert len(list((out / "figures").glob("*.png"))) >= 5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from maslam.frontend.cameras.models import Rig, RigKind
     from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.datasets.numbering import MissingImages
 
     from ..common.progress import Progress
 
@@ -20,7 +22,8 @@ _SHOWN_PROBLEMS = 20
 @dataclass(frozen=True)
 class SequenceReport:
     """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say."""
+    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``: images that
+    the names' numbers lack."""
 
     name: str
     kind: str
@@ -37,6 +40,7 @@ class SequenceReport:
     problems: tuple[Problem, ...]
     rows: str = ""
     depth: str = ""
+    missing: tuple[MissingImages, ...] = ()
 
     def lines(self) -> list[str]:
         """The report of this sequence, a line each."""
@@ -153,6 +157,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         problems=(*sequence.problems, *damaged, *sensors.problems),
         rows=sensors.rows,
         depth=sensors.depth,
+        missing=sequence.missing,
     )
 
 
@@ -214,6 +219,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the middle frame, undistorted, with its features; a pair with common rows, or the depth beside it",
     )
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
+    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -221,11 +227,12 @@ def main(arguments: argparse.Namespace) -> int:
     from maslam.frontend.cameras.models import RigKind
 
     from ..common.progress import progress_on
+    from .record import record
 
     rig = RigKind(arguments.rig) if arguments.rig else None
     with progress_on(quiet=not arguments.all) as progress:
         report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png)
-    print("\n".join(report.lines()))
-    if arguments.png is not None:
+    print(json.dumps(record(report), indent=2) if arguments.json else "\n".join(report.lines()))
+    if arguments.png is not None and not arguments.json:
         print(f"picture: {arguments.png}")
     return 1 if report.errors else 0

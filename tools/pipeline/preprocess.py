@@ -71,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_preprocess_arguments(parser)
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument("--json", action="store_true", help="print what was made, OUT/manifest.json, as one object")
 
 
 def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
@@ -160,7 +161,7 @@ def main(arguments: argparse.Namespace) -> None:
     settings = settings_from(arguments, read_settings(arguments.config, [SECTION]))
     with progress_on(quiet=arguments.quiet) as progress:
         manifest = preprocess(arguments.source, arguments.out, settings, progress)
-    print(summary_line(manifest, arguments.out))
+    print(manifest.model_dump_json(indent=2) if arguments.json else summary_line(manifest, arguments.out))
 
 
 def summary_line(manifest: Manifest, out: Path) -> str:

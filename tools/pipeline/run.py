@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, metavar="FILE", help="YAML with settings; a run's config.yaml repeats it"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
     add_run_arguments(parser)
 
 
@@ -77,7 +78,7 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.mas.simulation import run
 
     from ..common.compiling import compile_for
-    from ..report.summary_table import table_of
+    from ..report.summary_table import json_of, table_of
 
     config = config_from(arguments, read_settings(arguments.config))
     check_out(arguments.out)
@@ -85,4 +86,4 @@ def main(arguments: argparse.Namespace) -> None:
     with progress_on(quiet=arguments.quiet) as progress:
         compile_for(agent_kernels(len(sequences)), progress)
         run(manifest, sequences, config, arguments.out, counter(progress, "agents"))
-    print(table_of(arguments.out))
+    print(json_of(arguments.out) if arguments.json else table_of(arguments.out))

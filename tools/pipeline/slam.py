@@ -43,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, metavar="FILE", help=f"YAML with settings of `run`, and `{SECTION}: {{...}}`"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
     add_preprocess_arguments(parser)
     add_run_arguments(parser)
 
@@ -51,14 +52,14 @@ def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from maslam.mas.config import MasConfig
 
-    from ..report.summary_table import table_of
+    from ..report.summary_table import json_of, table_of
 
     content = read_settings(arguments.config, (SECTION, *MasConfig.model_fields))
     settings = settings_from(arguments, content)
     config = config_from(arguments, {key: value for key, value in content.items() if key != SECTION})
     with progress_on(quiet=arguments.quiet) as progress:
         page = slam(arguments.source, arguments.out, settings, config, progress)
-    print(f"{table_of(arguments.out)}\n\nreport: {page}")
+    print(json_of(arguments.out) if arguments.json else f"{table_of(arguments.out)}\n\nreport: {page}")
 
 
 def slam(

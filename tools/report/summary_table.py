@@ -34,7 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """Print the figures."""
-    print(json.dumps(read_summary(arguments.run), indent=2) if arguments.json else table_of(arguments.run))
+    print(json_of(arguments.run) if arguments.json else table_of(arguments.run))
+
+
+def json_of(run: Path) -> str:
+    """The figures of a finished run as one JSON object: its ``summary.json``."""
+    return json.dumps(read_summary(run), indent=2)
 
 
 def table_of(run: Path) -> str:

@@ -26,7 +26,9 @@ class Row:
     """One run. Errors in metres (means over the agents), MB = 10^6 bytes: ``payload_*`` as published, ``wire_*`` true;
     exploration in percent, and of what connectivity allows; ``reference_*``: the omniscient reference's;
     ``regret_ate``: error over its error, ``regret_bytes``: wire bytes over its bytes. Of map copies: map points per
-    key-frame, and the median distance of their points from their owner's. None without truth, reference, copies."""
+    key-frame, and the median distance of their points from their owner's. Errors of agents are of ``frames_measured``
+    of the frames read, after ``alignment``; ``graphs_fit``: no graph's cost is far above what noise costs. None without
+    truth, reference, copies."""
 
     sequence: str
     agents: int
@@ -60,6 +62,11 @@ class Row:
     reference_mb: float | None
     regret_ate: float | None
     regret_bytes: float | None
+    frames_read: int | None
+    frames_placed: int | None
+    frames_measured: int | None
+    alignment: str | None
+    graphs_fit: bool | None
 
 
 def row_of(cell: Cell, figures: Figures, reference: Mapping[str, Any] | None) -> Row:
@@ -98,8 +105,24 @@ def row_of(cell: Cell, figures: Figures, reference: Mapping[str, Any] | None) ->
         reference_mb=size,
         regret_ate=ate / best if ate is not None and best else None,
         regret_bytes=megabytes["wire_total"] / size if size else None,
+        **_measured(summary),
         **megabytes,
     )
+
+
+def _measured(summary: dict[str, Any]) -> dict[str, Any]:
+    """What errors were measured on; None of a run before it was written."""
+    coverage, left_out = summary.get("coverage") or [], summary.get("left_out") or []
+    known = [a for a in (summary.get("alignments") or {}).get("agents") or [] if a is not None]
+    graphs = summary.get("graphs") or []
+    read = sum(c["read"] for c in coverage) + sum(one["frames"] for one in left_out)
+    return {
+        "frames_read": read if coverage else None,
+        "frames_placed": sum(c["placed"] for c in coverage) if coverage else None,
+        "frames_measured": sum(a["frames"] for a in known) if known else None,
+        "alignment": " or ".join(sorted({a["kind"] for a in known})) or None,
+        "graphs_fit": all(graph["fits"] for graph in graphs) if graphs else None,
+    }
 
 
 @dataclass(frozen=True)

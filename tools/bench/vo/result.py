@@ -48,7 +48,8 @@ class BenchResult:
 
 
 def record(result: BenchResult) -> dict[str, Any]:
-    """Plain values for JSON, None where unknown. ``unit_ms``: the reference unit, one OpenCV ORB call on an image of
+    """Plain values for JSON, None where unknown. ``measured_on``: frames that errors are of, each track under its own
+    ``alignment``. ``unit_ms``: the reference unit, one OpenCV ORB call on an image of
     the sequence; ``unit_cpu`` and ``unit_wall``: ``cpu_ms`` and ``wall_ms`` (per frame) in multiples of it."""
     measured, times = result.measured, result.measured.times
     unit_ms = 1e3 * times.unit_s
@@ -112,7 +113,12 @@ def _errors(accuracy: Accuracy | None) -> dict[str, Any]:
     names += [f"rpe_{length:.0f}m_{unit}" for length in LENGTHS_M for unit in ("percent", "deg_per_m")]
     names += ["rpe_frame_m", "rpe_frame_deg", "scale"]
     alignment = None if accuracy is None else ("sim3" if accuracy.with_scale else "se3")
-    return {"alignment": alignment, **{name: _rounded(values.get(name, math.nan), 6) for name in names}}
+    posed = None if accuracy is None else accuracy.posed
+    return {
+        "alignment": alignment,
+        "measured_on": posed,
+        **{name: _rounded(values.get(name, math.nan), 6) for name in names},
+    }
 
 
 def _accuracy_table(results: Sequence[BenchResult]) -> list[str]:

@@ -1,0 +1,61 @@
+"""What ``maslam inspect --json`` prints: the report as plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from maslam.frontend.datasets import Problem
+
+    from .command import InspectReport, SequenceReport
+
+
+def record(report: InspectReport) -> dict[str, Any]:
+    """Numbers in the units that their names say; ``problems`` with their severity."""
+    return {
+        "path": str(report.path),
+        "kind": report.kind,
+        "frames": sum(sequence.frames for sequence in report.sequences),
+        "errors": report.errors,
+        "warnings": report.warnings,
+        "problems": _problems(report.problems),
+        "sequences": [_sequence(sequence) for sequence in report.sequences],
+    }
+
+
+def _sequence(one: SequenceReport) -> dict[str, Any]:
+    camera = one.rig.camera
+    return {
+        "name": one.name,
+        "kind": one.kind,
+        "frames": one.frames,
+        "missing": [asdict(missing) for missing in one.missing],
+        "rate_hz": one.rate_hz,
+        "duration_s": one.duration_s,
+        "start_s": one.start_s,
+        "rig": one.rig.kind.value,
+        "scale": "metric" if one.rig.metric else "arbitrary",
+        "baseline_m": one.rig.baseline_m,
+        "camera": {
+            "width": camera.width,
+            "height": camera.height,
+            "fx": camera.fx,
+            "fy": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+        },
+        "stored_size": list(one.stored_size),
+        "rectified_here": one.rectified_here,
+        "groundtruth_poses": one.groundtruth_poses,
+        "path_length_m": one.path_length_m,
+        "decoded": one.decoded,
+        "rows": one.rows,
+        "depth": one.depth,
+        "problems": _problems(one.problems),
+    }
+
+
+def _problems(problems: Sequence[Problem]) -> list[dict[str, str]]:
+    return [{"severity": problem.severity.value, "message": problem.message} for problem in problems]
