@@ -223,7 +223,7 @@ class Odometry:
     def _search(self, frame: Frame, segment: Segment, refusal: Reason) -> tuple[Segment, TrackedFrame]:
         """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""
         if not self._lost_frames:
-            log.warning("tracking lost at frame %d: %s", frame.index, refusal.text)
+            log.warning("tracking lost at frame %d: %s", frame.index, unless_dark(refusal, frame.image).text)
             self._starter = make_starter(self.ranging, self.config, self.stopwatch)
             if self._finished and not segment.lasting(self.config.min_track_keyframes):
                 self._forgotten.append(segment)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from maslam.tools.report.coverage_table import agent_names, coverage_rows, lost_lines, percent_text
-from maslam.tools.report.measured import measured_on
+from maslam.tools.report.measured import measured_on, odometry_measured_on
 
 
 def summary(**coverage: Any) -> dict[str, Any]:
@@ -27,6 +27,23 @@ def test_a_row_says_frames_and_alignment() -> None:
     (row,) = coverage_rows(summary())
     assert row == ["agent_00", "551", "88 (16.0 %)", "88 (16.0 %)", "1 of 1", "88 frames", "Sim(3), scale 3.21"]
     assert measured_on(summary()) == "measured on 88 of 551 frames read, after Sim(3) alignment, scale 3.21"
+
+
+def test_odometry_says_its_frames_and_alignment() -> None:
+    def odometry(*found: tuple[int, int] | None) -> str:
+        one = [None if f is None else {"kind": "Sim(3)", "scale": 2.5, "frames": f[0], "tracks": f[1]} for f in found]
+        own = [None if f is None else {"kind": "SE(3)", "scale": 1.0, "frames": 88} for f in found]
+        return odometry_measured_on({"alignments": {"agents": own, "odometry": one}})
+
+    assert odometry((88, 1)) == "on the same frames, after Sim(3) alignment, scale 2.5"
+    assert odometry((88, 2)) == "on the same frames, after Sim(3) alignment of each track by itself, scale 2.5"
+    assert odometry((88, 1), (86, 3), None) == (
+        "on 174 of these 176 frames, after Sim(3) alignment of each track by itself, scale 2.5 to 2.5"
+    )
+    assert odometry(None) == ""
+    before = {"kind": "SE(3)", "scale": 1.0, "frames": 60}
+    said = odometry_measured_on({"alignments": {"agents": [before], "odometry": [before]}})
+    assert said == "on the longest track of each agent (60 frames), after SE(3) alignment"
 
 
 def test_reasons_that_differ_by_figures_are_one_kind_and_many_are_cut() -> None:

@@ -36,7 +36,7 @@ def odometry_measured_on(summary: dict[str, Any]) -> str:
     ]
     on = "on the same frames" if same else f"on {_frames(known)} of these {_frames(placed)} frames"
     several = sum(a["tracks"] for a in known) > len(known)
-    return f"{on}, after {_kinds(known, 'alignment')}{' of each track by itself' if several else ''}"
+    return f"{on}, after {_kinds(known, 'alignment of each track by itself' if several else 'alignment')}"
 
 
 def keyframes_measured_on(summary: dict[str, Any]) -> list[str]:
