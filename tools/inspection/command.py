@@ -8,92 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .record import record
+from .report import InspectReport, SequenceReport
+
 if TYPE_CHECKING:
-    from maslam.frontend.cameras.models import Rig, RigKind
+    from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.datasets import ImageSequence, Problem
-    from maslam.frontend.datasets.numbering import MissingImages
 
     from ..common.progress import Progress
 
 _SAMPLES = 8  # frames decoded of each sequence when not all are
-_SHOWN_PROBLEMS = 20
-
-
-@dataclass(frozen=True)
-class SequenceReport:
-    """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``: images that
-    the names' numbers lack."""
-
-    name: str
-    kind: str
-    frames: int
-    rate_hz: float
-    duration_s: float
-    start_s: float
-    rig: Rig
-    stored_size: tuple[int, int]
-    rectified_here: bool
-    groundtruth_poses: int
-    path_length_m: float | None
-    decoded: int
-    problems: tuple[Problem, ...]
-    rows: str = ""
-    depth: str = ""
-    missing: tuple[MissingImages, ...] = ()
-
-    def lines(self) -> list[str]:
-        """The report of this sequence, a line each."""
-        camera = self.rig.camera
-        baseline = f", baseline {self.rig.baseline_m:.4f} m" if self.rig.baseline_m is not None else ""
-        how = f"rectified here from {self.stored_size[0]}x{self.stored_size[1]}" if self.rectified_here else "as stored"
-        truth = "none"
-        if self.path_length_m is not None:
-            truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path"
-        first = [
-            f"{self.name} ({self.kind})",
-            f"  frames        {self.frames}, {self.rate_hz:.2f} a second, {self.duration_s:.2f} s "
-            f"from {self.start_s:.3f} s",
-            f"  rig           {self.rig.kind}{baseline}; scale {'metric' if self.rig.metric else 'arbitrary'}",
-            f"  camera        {camera.width}x{camera.height} px, fx {camera.fx:.2f} fy {camera.fy:.2f} "
-            f"cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
-            f"  ground truth  {truth}",
-            f"  decoded       {self.decoded} of {self.frames} frames",
-            *([f"  rows          {self.rows}"] if self.rows else []),
-            *([f"  depth         {self.depth}"] if self.depth else []),
-        ]
-        shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
-        hidden = len(self.problems) - len(shown)
-        return first + shown + ([f"  and {hidden} more problems"] if hidden > 0 else [])
-
-
-@dataclass(frozen=True)
-class InspectReport:
-    """Properties of a data set, sequence by sequence; ``problems``: agents that could not be opened."""
-
-    path: Path
-    kind: str
-    sequences: tuple[SequenceReport, ...]
-    problems: tuple[Problem, ...] = ()
-
-    @property
-    def errors(self) -> int:
-        """Problems that would spoil a run."""
-        listed = [problem for sequence in self.sequences for problem in sequence.problems]
-        return sum(problem.severity == "error" for problem in (*self.problems, *listed))
-
-    @property
-    def warnings(self) -> int:
-        """Problems that a run can live with."""
-        return len(self.problems) + sum(len(sequence.problems) for sequence in self.sequences) - self.errors
-
-    def lines(self) -> list[str]:
-        """The whole report, a line each."""
-        frames = sum(sequence.frames for sequence in self.sequences)
-        head = f"{self.path}: {self.kind}, {_count(len(self.sequences), 'sequence')}, {_count(frames, 'frame')}"
-        verdict = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
-        unopened = [f"{problem.severity.upper():8} {problem.message}" for problem in self.problems]
-        return [head, *(line for sequence in self.sequences for line in sequence.lines()), *unopened, verdict]
 
 
 def inspect_dataset(
@@ -202,10 +126,6 @@ def _decode(
     return problems, _Sensors(row_line, depth_line, (*row_problems, *depth_problems))
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("source", metavar="SRC", type=Path, help="a data set, or a folder of agent_00, agent_01, ...")
@@ -227,7 +147,6 @@ def main(arguments: argparse.Namespace) -> int:
     from maslam.frontend.cameras.models import RigKind
 
     from ..common.progress import progress_on
-    from .record import record
 
     rig = RigKind(arguments.rig) if arguments.rig else None
     with progress_on(quiet=not arguments.all) as progress:

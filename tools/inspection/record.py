@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from maslam.frontend.datasets import Problem
 
-    from .command import InspectReport, SequenceReport
+    from .report import InspectReport, SequenceReport
 
 
 def record(report: InspectReport) -> dict[str, Any]:
