@@ -7,7 +7,7 @@ point: those stand in the owner's sequence.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,15 @@ class MapOwner:
     keyframes: Sequence[KeyFrame] = ()
     views: OwnerViews = _NOTHING
     images: Sequence[str] = ()
+    _trees: dict[int, cKDTree] = field(default_factory=dict)
+
+    def nearest(self, k: int, points_C: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Distance ``(n,)`` from each of ``points_C`` to the nearest point of key-frame k, and the ids of those. Every
+        holder of a copy asks."""
+        if k not in self._trees:
+            self._trees[k] = cKDTree(self.keyframes[k].points_C.astype(np.float64))
+        apart, row = self._trees[k].query(points_C)
+        return apart, self.keyframes[k].point_ids[row]
 
 
 def map_owner(sequence: AgentSequence, keyframes: Sequence[KeyFrame], camera: CameraEntry) -> MapOwner:
@@ -103,7 +112,7 @@ def sightings(copy: MapCopy, owner: MapOwner) -> Sightings:
     """Every view of the map's points from its key-frames. A point that is none of the owner's is seen by the key-frame
     that it belongs to alone, where the map has it."""
     views = owner.views
-    number = _numbers(copy, owner.keyframes)
+    number = _numbers(copy, owner)
     rows, points = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
     uv = [np.zeros((0, 2))]
     for row, index in enumerate(copy.keyframes.tolist()):
@@ -127,16 +136,18 @@ def sightings(copy: MapCopy, owner: MapOwner) -> Sightings:
     return Sightings(every[order], np.concatenate([seen_points, alone])[order], pixels[order])
 
 
-def _numbers(copy: MapCopy, owner: Sequence[KeyFrame]) -> NDArray[np.intp]:
+def _numbers(copy: MapCopy, owner: MapOwner) -> NDArray[np.intp]:
     """Number in the map of each of the owner's points, by their ids; -1 where it is not in it."""
     found: dict[int, int] = {}
+    by_row = np.argsort(copy.references, kind="stable")
+    bounds = np.searchsorted(copy.references[by_row], np.arange(len(copy.keyframes) + 1))
     for row, index in enumerate(copy.keyframes.tolist()):
-        mine = np.flatnonzero(copy.references == row)
-        if not len(mine) or not 0 <= index < len(owner) or not len(owner[index].points_C):
+        mine = by_row[bounds[row] : bounds[row + 1]]
+        if not len(mine) or not 0 <= index < len(owner.keyframes) or not len(owner.keyframes[index].points_C):
             continue
-        apart, nearest = cKDTree(owner[index].points_C.astype(np.float64)).query(copy.points_C[mine])
+        apart, ids = owner.nearest(index, copy.points_C[mine])
         near = apart <= _SAME_POINT * np.abs(copy.points_C[mine, 2])
-        for point, id_ in zip(mine[near].tolist(), owner[index].point_ids[nearest[near]].tolist(), strict=True):
+        for point, id_ in zip(mine[near].tolist(), ids[near].tolist(), strict=True):
             found.setdefault(id_, point)
     out = np.full(max(found, default=-1) + 1, -1)
     out[list(found.keys())] = list(found.values())
