@@ -94,15 +94,10 @@ class MoreViews:
 
     def _expected(self, home: _Held, at: _Held, rows: Ints) -> tuple[Ints, Array, Array]:
         """The ``rows`` of ``home`` that should show in ``at``, their pixels there ``(n, 2)``, and how a step around
-        them in ``home`` shows there ``(n, 2, 2)``: as on a plane parallel to its image."""
+        them in ``home`` shows there ``(n, 2, 2)``."""
         p = transform_points(home.keyframe.T_C_W, self.map.xyz[home.keyframe.point[rows]])
         T_A_H = product(at.keyframe.T_C_W, home.keyframe.T_W_C)
-        guess, _ = self.ranging.project(T_A_H, p)
-        warp = np.empty((len(p), 2, 2))
-        for axis in range(2):
-            step = p.copy()
-            step[:, axis] += p[:, 2] / self.ranging.cam[axis]
-            warp[:, :, axis] = self.ranging.project(T_A_H, step)[0] - guess
+        guess, warp = self.ranging.show(T_A_H, p)
         # What the model is off at home it is off nearby.
         guess += home.keyframe.uv[rows] - self.ranging.project(np.eye(4), p)[0]
         height, width = at.image[0].shape

@@ -24,9 +24,10 @@ from ..state.agent_state import Ownership
 from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
 from .candidates import Candidate, Candidates, MatchCheck
+from .comparison import kind_of, match_end, verify, view_of
 from .peer_queries import ClusterIndex, RecentQueries
 from .sent_queries import SentQueries
-from .verification import Verification, kind_of, match_end, verify, view_of
+from .verification import Verification
 from .wider_search import WiderSearch
 
 _FARTHEST = 2.0
