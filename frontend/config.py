@@ -204,6 +204,13 @@ class MappingConfig(_Frozen):
         lt=1.0,
         description="share of the key-frames expected to see a point (0 to 1) below which it is not written",
     )
+    view_neighbours: int = Field(
+        default=5,
+        ge=0,
+        le=20,
+        description="key-frames before and after one that sees a point in which further views of it are looked for, "
+        "for the files alone (0: none)",
+    )
     match_radius_px: float = Field(
         default=8.0, gt=0.0, description="radius of guided search around a projection at level 0, pixels"
     )

@@ -14,6 +14,7 @@ from maslam.backend.geometry import se3_inverse
 from .cameras.models import Rig, RigKind
 from .config import OdometryConfig
 from .errors import FrontendError
+from .files.point_views import PointViews
 from .files.trajectory import Trajectory
 from .files.vo_files import VoTrack
 from .frames import Frame
@@ -73,13 +74,15 @@ class FrameResult:
 class OdometryResult:
     """Tracks of one sequence, with final values.
 
-    ``tracks``: one for each uninterrupted track. ``keyframe_indices`` ``(K,)`` for each track: frame index of each
-    key-frame. ``trajectories``: for each track ``T_W_C`` of every frame with a pose. ``lost``: the intervals without a
-    pose, before, between and after the tracks. ``doubtful``: the intervals whose poses may be wrong. ``stats``: counts,
-    and the estimated calibration of the rig.
+    ``tracks``: one for each uninterrupted track. ``views``: for each track where its key-frames see its points.
+    ``keyframe_indices`` ``(K,)`` for each track: frame index of each key-frame.
+    ``trajectories``: for each track ``T_W_C`` of every frame with a pose. ``lost``: the intervals without a pose,
+    before, between and after the tracks. ``doubtful``: the intervals whose poses may be wrong. ``stats``: counts, and
+    the estimated calibration of the rig.
     """
 
     tracks: list[VoTrack]
+    views: list[PointViews]
     keyframe_indices: list[NDArray[np.int64]]
     trajectories: list[Trajectory]
     lost: list[LostInterval]
@@ -171,9 +174,13 @@ class Odometry:
         kept = [s for s in segments if len(s.map.keyframes) >= self.config.min_track_keyframes]
         trajectories = [s.trajectory() for s in kept]
         with self.stopwatch.stage(TimedStage.EXPORT):
-            tracks = [export_track(s, self.vocabulary) for s in kept]
+            written = [export_track(s, self.vocabulary) for s in kept]
         return OdometryResult(
-            tracks=tracks,
+            tracks=[track for track, _ in written],
+            views=[
+                PointViews(views.observations, self.ranging.ideal(views.uv.astype(np.float64)).astype(np.float32))
+                for _, views in written
+            ],
             keyframe_indices=[s.keyframe_indices() for s in kept],
             trajectories=trajectories,
             lost=self._moments.lost([t.stamps_ns for t in trajectories], self._too_short),

@@ -21,6 +21,7 @@ class TimedStage(StrEnum):
     TRIANGULATE = "triangulate"
     ADJUST = "adjust"
     CULL = "cull"
+    VIEWS = "views"
     EXPORT = "export"
 
 

@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from maslam._atomic import write_atomically
 from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
+from maslam.frontend.files.point_views import PointViews, read_views
 from maslam.frontend.files.trajectory import Trajectory, read_tum, stamp_ns_from_s
-from maslam.frontend.files.vo_files import VoTrack, read_tracks
+from maslam.frontend.files.vo_files import VoTrack, read_tracks, track_numbers
 
 from .errors import MasError
 
@@ -166,7 +167,8 @@ class AgentSequence:
     tracks in order. ``trajectory``: every tracked frame, ``T_W_C`` in its track's frame. ``source``: name of the image
     sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation` alone, as are ``first_frame``, ``frames``, ``lost``,
     ``doubtful`` and ``missing``, which are those of :class:`AgentEntry` (``frames`` None: as many as were tracked); no
-    agent ever sees them.
+    agent ever sees them. Nor ``views``, which are for :mod:`maslam.mas.output`: one a track, None where the front end
+    wrote none.
     """
 
     name: str
@@ -182,6 +184,7 @@ class AgentSequence:
     lost: tuple[LostEntry, ...] = ()
     doubtful: tuple[LostEntry, ...] = ()
     missing: tuple[MissingEntry, ...] = ()
+    views: tuple[PointViews | None, ...] = ()
 
     def __post_init__(self) -> None:
         stamps = self.keyframe_stamps_ns
@@ -265,9 +268,10 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
             f"but {MANIFEST} says {wanted.name} ({wanted.sha256[:12]}, {wanted.dim}): make the folder anew"
         )
     truth = folder / GROUNDTRUTH
+    tracks, views = _load_tracks(folder) if entry.tracks else ((), ())
     sequence = AgentSequence(
         name=entry.name,
-        tracks=tuple(t for t in read_tracks(folder) if len(t)) if entry.tracks else (),
+        tracks=tracks,
         places=places,
         trajectory=read_tum(folder / TRAJECTORY),
         metric=manifest.scale == "metric" and entry.metric,
@@ -279,8 +283,17 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
         lost=entry.lost,
         doubtful=entry.doubtful,
         missing=entry.missing,
+        views=views,
     )
     count = len(sequence.keyframe_stamps_ns)
     if count != entry.keyframes:
         raise MasError(f"{folder}: {count} key-frames, but {MANIFEST} says {entry.keyframes}")
     return sequence
+
+
+def _load_tracks(folder: Path) -> tuple[tuple[VoTrack, ...], tuple[PointViews | None, ...]]:
+    """The tracks that have key-frames, and the views of each."""
+    numbered = zip(track_numbers(folder), read_tracks(folder), strict=True)
+    kept = [(number, track) for number, track in numbered if len(track)]
+    views = tuple(read_views(folder, number, len(track), len(track.points)) for number, track in kept)
+    return tuple(track for _, track in kept), views

@@ -1,27 +1,23 @@
-"""Contributions of members to the elected robot, and the solution sent back: contents and bytes.
+"""Contributions of members to the elected robot: contents and bytes.
 
 Where units of length are variables (``scaled``), an edge's weights, its steps and a node's place have one number more.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..central.similarity_edges import SimilarityEdges, edges_of
-from ..geometry import Array, se3_inverse
+from ..geometry import Array
 from ..pose_graph.graph import NodeId
-from .compact import CompactReader, CompactWriter, from_steps, numbers_of, poses_of, step_sizes, to_steps
+from .compact import CompactReader, CompactWriter, numbers_of, poses_of
 from .condense import Condensed, Known, OwnGraph
+from .place_steps import place_from_steps, place_to_steps, sizes_of
 from .share import Share
-
-Place = tuple[Array, float]
-"""Pose ``(4, 4)`` and logarithm of the unit of a node."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +110,7 @@ def encode(c: Contribution) -> bytes:
     known = {weights: k for k, weights in enumerate(table)}
     pairs = [w[: c.width - 4] for w in rounded]
     edges = len(c.graph.edges.ends)
-    steps = _to_steps(both.measured, both.log_scale, _NOTHING, _sizes(rounded, fineness))[:, : c.width].tolist()
+    steps = place_to_steps(both.measured, both.log_scale, _NOTHING, sizes_of(rounded, fineness))[:, : c.width].tolist()
     out.count(edges)
     last = 0
     for (i, j), weights, moved in zip(c.graph.edges.ends.tolist(), pairs[:edges], steps[:edges], strict=True):
@@ -169,7 +165,7 @@ def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
     if not scaled:
         numbers = np.concatenate([numbers, np.ones((len(numbers), 1))], axis=1)
     moved = np.array(steps, dtype=np.float64).reshape(-1, width)
-    measured, log_scale = _from_steps(moved, _NOTHING, _sizes(numbers, fineness))
+    measured, log_scale = place_from_steps(moved, _NOTHING, sizes_of(numbers, fineness))
     edges = len(ends)
     own = np.arange(len(weights)) < edges
     at = np.concatenate([np.array(ends, dtype=np.intp).reshape(-1, 2), _in_pairs(len(others))])
@@ -187,53 +183,6 @@ def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
     return Contribution(robot, Condensed(nodes, both.only(own)), between, start, first, cost, fineness, scaled)
 
 
-def encode_solution(graph: Condensed, places: Known, fineness: float, scaled: bool = False) -> tuple[bytes, Known]:
-    """The places of a member's nodes that are known: steps from the prediction of its own edges; and the places that it
-    will read from them.
-
-    ``graph`` as it arrived, so that the member predicts the same.
-    """
-    out, fineness = CompactWriter(), float(np.float32(fineness))
-    out.rough(fineness)
-    reached = np.array([n in places.poses for n in graph.nodes], dtype=bool)
-    out.count(0 if reached.all() else 1 + int(reached.sum()))
-    if not reached.all():
-        for k in np.flatnonzero(reached).tolist():
-            out.count(k)
-    known: dict[int, Place] = {}
-    for k, predicted, sizes in _walk(graph, reached, known, fineness):
-        T, log_unit = places.poses[graph.nodes[k]], places.log_units.get(graph.nodes[k], 0.0)
-        if predicted is None:
-            out.pose(T)
-            if scaled:
-                out.number(log_unit)
-            known[k] = poses_of(numbers_of(T)), log_unit
-            continue
-        steps = _to_steps(T, log_unit, predicted, sizes)[: 7 if scaled else 6]
-        out.steps(steps.tolist())
-        known[k] = _from_steps(steps, predicted, sizes)
-    return out.bytes(), _named(graph, known)
-
-
-def decode_solution(data: bytes, graph: Condensed, scaled: bool = False) -> Known:
-    """Inverse of :func:`encode_solution`: places of the nodes that were reached."""
-    source = CompactReader(data)
-    fineness = source.rough()
-    reached = np.ones(len(graph.nodes), dtype=bool)
-    some = source.count()
-    if some:
-        reached[:] = False
-        reached[[source.count() for _ in range(some - 1)]] = True
-    known: dict[int, Place] = {}
-    for k, predicted, sizes in _walk(graph, reached, known, fineness):
-        if predicted is None:
-            known[k] = source.pose(), source.number() if scaled else 0.0
-        else:
-            steps = np.array(source.steps(7 if scaled else 6), dtype=np.float64)
-            known[k] = _from_steps(steps, predicted, sizes)
-    return _named(graph, known)
-
-
 def _in_pairs(count: int) -> NDArray[np.intp]:
     """Ends ``(count, 2)`` of edges whose nodes stand one after the other."""
     return np.arange(2 * count, dtype=np.intp).reshape(-1, 2)
@@ -247,85 +196,3 @@ def _weights(edges: SimilarityEdges) -> list[tuple[float, ...]]:
     """kappa, tau and precision of each edge as the receiver reads them: single precision."""
     rounded = np.stack([edges.kappa, edges.tau, edges.precision], axis=1).astype(np.float32).astype(np.float64)
     return [tuple(row) for row in rounded.tolist()]
-
-
-def _sizes(weights: ArrayLike, fineness: float) -> Array:
-    """Steps ``(n, 7)`` of edges with these weights ``(n, 3)``."""
-    kappa, tau, precision = np.asarray(weights, dtype=np.float64).reshape(-1, 3).T
-    return np.concatenate([step_sizes(kappa, tau, fineness), _unit_steps(precision, fineness)], axis=1)
-
-
-def _unit_steps(precision: Array, fineness: float) -> Array:
-    """Steps ``(n, 1)`` of log units."""
-    return np.asarray(1.0 / (np.sqrt(precision) * fineness))[:, None]
-
-
-def _to_steps(T: Array, log_unit: ArrayLike, predicted: Place, sizes: Array) -> Array:
-    """Whole steps ``(..., 7)`` from what is predicted."""
-    unit = np.rint((np.asarray(log_unit, dtype=np.float64) - predicted[1]) / sizes[..., 6])
-    return np.concatenate([to_steps(T, predicted[0], sizes[..., :6]), unit[..., None]], axis=-1)
-
-
-def _from_steps(steps: Array, predicted: Place, sizes: Array) -> tuple[Array, Any]:
-    """Inverse of :func:`_to_steps`, up to half a step; of six numbers the unit is the predicted one."""
-    T = from_steps(steps[..., :6], predicted[0], sizes[..., :6])
-    moved = steps[..., 6] * sizes[..., 6] if steps.shape[-1] > 6 else np.zeros(steps.shape[:-1])
-    return T, predicted[1] + moved
-
-
-def _named(graph: Condensed, known: dict[int, Place]) -> Known:
-    found = sorted(known.items())
-    return Known({graph.nodes[k]: T for k, (T, _) in found}, {graph.nodes[k]: float(unit) for k, (_, unit) in found})
-
-
-def _walk(
-    graph: Condensed, reached: NDArray[np.bool_], known: dict[int, Place], fineness: float
-) -> Iterator[tuple[int, Place | None, Array]]:
-    """Nodes breadth first along the edges: the node, its place by the edge from the one before (None: there is none)
-    and the steps' sizes. The caller puts each node's place into ``known`` before it asks for the next.
-
-    A member without edges of its own has no weights either: nothing predicts its poses, and there are no steps.
-    """
-    edges, nothing = graph.edges, np.ones(7)
-    if not len(edges.ends):
-        yield from ((root, None, nothing) for root in np.flatnonzero(reached).tolist())
-        return
-    links: list[list[tuple[int, int]]] = [[] for _ in graph.nodes]
-    for k, (i, j) in enumerate(edges.ends.tolist()):
-        links[i].append((j, k))
-        links[j].append((i, k))
-    sizes = _sizes(np.stack([_stiffness(graph, w) for w in (edges.kappa, edges.tau, edges.precision)], 1), fineness)
-    backwards = se3_inverse(edges.measured)
-    starts, log_scale = edges.ends[:, 0].tolist(), edges.log_scale.tolist()
-    seen = (~reached).tolist()
-    for root in range(len(graph.nodes)):
-        if seen[root]:
-            continue
-        seen[root] = True
-        yield root, None, nothing
-        queue = deque([root])
-        while queue:
-            i = queue.popleft()
-            T_i, log_unit = known[i]
-            for j, k in links[i]:
-                if not seen[j]:
-                    seen[j] = True
-                    forward = starts[k] == i
-                    T = (edges.measured[k] if forward else backwards[k]).copy()
-                    there = log_unit + (log_scale[k] if forward else -log_scale[k])
-                    # A translation is in the unit of the edge's first node.
-                    T[:3, 3] *= np.exp(log_unit if forward else there)
-                    # Sizes of shifts are in the node's own unit.
-                    in_own = np.array([np.exp(there)] * 3 + [1.0] * 4)
-                    yield j, (T_i @ T, there), sizes[j] * in_own
-                    queue.append(j)
-
-
-def _stiffness(graph: Condensed, weights: Array) -> Array:
-    """Weight ``(n,)`` of the stiffest edge at each node, and not much less than that of the stiffest of all: a pose
-    must be as exact as any of its edges, among them those to others, is sensitive.
-    """
-    out = np.full(len(graph.nodes), 0.01 * weights.max(initial=0.0))
-    for side in range(2):
-        np.maximum.at(out, graph.edges.ends[:, side], weights)
-    return out

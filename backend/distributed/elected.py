@@ -24,6 +24,7 @@ from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
 from .gathered import Gathered, cost_between, solve
 from .share import Share, SolverOutcome, anchor_of
+from .solution import decode_solution, encode_solution
 
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
@@ -189,7 +190,7 @@ class ElectedNode:
                 self._known = self._known.also(places)
                 self._costs[me] = self._complete(places)
                 continue
-            body, known = parcel.encode_solution(c.graph, places, fineness, self.share.scaled)
+            body, known = encode_solution(c.graph, places, fineness, self.share.scaled)
             self._known = self._known.also(known)
             out += self._to([robot], Kind.SOLUTION, body)
         self._say(out)
@@ -205,7 +206,7 @@ class ElectedNode:
         return own.cost(poses, log_units)
 
     def _finish_own(self, body: bytes) -> list[ElectedMessage]:
-        cost = self._complete(parcel.decode_solution(body, self._sent, self.share.scaled))
+        cost = self._complete(decode_solution(body, self._sent, self.share.scaled))
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
 

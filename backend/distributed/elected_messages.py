@@ -1,4 +1,4 @@
-"""Messages of an elected group: one kind of envelope; ``contribution.py`` has the layouts of the bodies."""
+"""Messages of an elected group: one kind of envelope; ``contribution.py`` and ``solution.py`` have its bodies."""
 
 from __future__ import annotations
 

@@ -13,7 +13,8 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from .elected_messages import ElectedMessage
-from .messages import Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values, decode, encode
+from .message_bytes import decode, encode
+from .messages import Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values
 from .methods import node_for
 from .share import JudgedEdge, Share, SolverOutcome, shares
 

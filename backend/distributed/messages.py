@@ -1,7 +1,8 @@
-"""Messages between solver nodes: plain values with a sender and a receiver, and their encoding.
+"""Messages between solver nodes: plain values with a sender and a receiver.
 
 ``payload_bytes`` is what the published tables count: the numbers of separator poses, 8 bytes each where they travel in
-double precision, else what they take. The bytes sent are those of :func:`encode`.
+double precision, else what they take. The bytes sent are those of
+:mod:`maslam.backend.distributed.message_bytes`.
 """
 
 from __future__ import annotations
@@ -233,6 +234,11 @@ class SeparatorState(_SolverMessage):
         _check_rows(self.values, SolverStage.FREE)
 
 
+STANDING = struct.Struct("<HHH?B")
+"""Of a :class:`Standing`: robot, serial, version, quiet, number of states used; and each of these: robot, version."""
+USED = struct.Struct("<HH")
+
+
 @dataclass(frozen=True)
 class Standing:
     """State of convergence that a robot reports: it has nothing to change (``quiet``) at its ``version`` given these of
@@ -256,7 +262,7 @@ class Status(_SolverMessage):
 
     @property
     def payload_bytes(self) -> int:
-        return sum(_STANDING.size + _USED.size * len(s.used) for s in self.standings)
+        return sum(STANDING.size + USED.size * len(s.used) for s in self.standings)
 
     @property
     def place(self) -> tuple[int, ...]:
@@ -272,8 +278,6 @@ class Status(_SolverMessage):
 
 
 NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status
-_STANDING = struct.Struct("<HHH?B")
-_USED = struct.Struct("<HH")
 
 
 def number_type(stage: SolverStage) -> str:
@@ -289,76 +293,6 @@ def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
 
 # More sums than any method needs are a mistake.
 _MOST_SUMS = 64
-# kind, stage, step, sweep, sender, receiver
-_HEADER = struct.Struct("<BBHHHH")
-_REPORT = struct.Struct("<dd")
-_DECISION = struct.Struct("<?d")
-# In the kind: rows have one number more than their stage, the log unit.
-_SCALED = 0x40
-
-
-def encode(message: NodeMessage) -> bytes:
-    """The message as bytes, little endian: a header of 10, then its numbers."""
-    r = message.round
-    kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
-    if _columns(message) > WIDTH[r.stage]:
-        kind |= _SCALED
-    head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
-    match message:
-        case Values():
-            return head + np.ascontiguousarray(message.values, dtype=number_type(r.stage)).tobytes()
-        case Deltas():
-            return head + _pack(message.scales) + np.ascontiguousarray(message.steps, dtype="<i1").tobytes()
-        case Report():
-            return head + _REPORT.pack(message.change, message.cost) + _pack(message.numbers)
-        case Decision():
-            return head + _DECISION.pack(message.go_on, message.cost) + _pack(message.numbers)
-        case SeparatorState():
-            numbers = np.ascontiguousarray(message.values, dtype=number_type(r.stage)).tobytes()
-            return head + _USED.pack(message.version, message.used) + numbers
-        case Status():
-            return head + b"".join(_pack_standing(s) for s in message.standings)
-
-
-def decode(data: bytes) -> NodeMessage:
-    """Inverse of :func:`encode`; bytes that are no such message raise :class:`BackendError`."""
-    try:
-        kind, stage, step, sweep, sender, receiver = _HEADER.unpack_from(data)
-        body, round_ = data[_HEADER.size :], Round(SolverStage(stage), step, sweep)
-        kind, scaled = kind & ~_SCALED, bool(kind & _SCALED)
-        width = max(width_of(round_.stage, scaled), 1)
-        if kind == 0:
-            values = np.frombuffer(body, dtype=number_type(round_.stage)).reshape(-1, width).astype(np.float64)
-            return Values(sender, receiver, round_, values)
-        if kind == 1:
-            change, cost = _REPORT.unpack_from(body)
-            return Report(sender, receiver, round_, change, cost, _unpack(body[_REPORT.size :]))
-        if kind == 2:
-            go_on, cost = _DECISION.unpack_from(body)
-            return Decision(sender, receiver, round_, go_on, cost, _unpack(body[_DECISION.size :]))
-        if kind == 3:
-            scales = 4 * (width - 4)
-            steps = np.frombuffer(body[scales:], dtype="<i1").reshape(-1, width)
-            return Deltas(sender, receiver, round_, _unpack(body[:scales]), steps)
-        if kind == 4:
-            values = np.frombuffer(body[_USED.size :], dtype=number_type(round_.stage)).reshape(-1, width)
-            version, used = _USED.unpack_from(body)
-            return SeparatorState(sender, receiver, round_, version, used, values.astype(np.float64))
-        if kind == 5:
-            return Status(sender, receiver, round_, _unpack_standings(body))
-    except (struct.error, ValueError) as error:
-        raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
-    raise BackendError(f"not a solver message: unknown kind {kind}")
-
-
-def _columns(message: NodeMessage) -> int:
-    """Numbers in a row of its separators; 0 where it has none."""
-    match message:
-        case Values() | SeparatorState():
-            return message.values.shape[1]
-        case Deltas():
-            return message.steps.shape[1]
-    return 0
 
 
 def _check_rows(values: Array, stage: SolverStage) -> None:
@@ -372,27 +306,3 @@ def _check_rows(values: Array, stage: SolverStage) -> None:
 def _check_sums(numbers: tuple[float, ...]) -> None:
     if len(numbers) > _MOST_SUMS or not np.isfinite(numbers).all():
         raise BackendError(f"{len(numbers)} sums: more than {_MOST_SUMS}, or not finite")
-
-
-def _pack(numbers: tuple[float, ...]) -> bytes:
-    return np.array(numbers, dtype="<f4").tobytes()
-
-
-def _unpack(data: bytes) -> tuple[float, ...]:
-    return tuple(np.frombuffer(data, dtype="<f4").astype(np.float64).tolist())
-
-
-def _pack_standing(s: Standing) -> bytes:
-    head = _STANDING.pack(s.robot, s.serial, s.version, s.quiet, len(s.used))
-    return head + b"".join(_USED.pack(*pair) for pair in s.used)
-
-
-def _unpack_standings(data: bytes) -> tuple[Standing, ...]:
-    standings, at = [], 0
-    while at < len(data):
-        robot, serial, version, quiet, count = _STANDING.unpack_from(data, at)
-        at += _STANDING.size
-        used = tuple(_USED.unpack_from(data, at + k * _USED.size) for k in range(count))
-        at += count * _USED.size
-        standings.append(Standing(robot, serial, version, quiet, used))
-    return tuple(standings)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 
 from .elected_messages import FIRST_KIND, ElectedMessage
-from .messages import NodeMessage, decode, encode
+from .message_bytes import decode, encode
+from .messages import NodeMessage
 
 SolverMessage = NodeMessage | ElectedMessage
 """What nodes send to each other, whatever their method."""

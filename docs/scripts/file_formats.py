@@ -96,7 +96,7 @@ TRAJECTORIES = {
     "map.ply": "own map and all copies merged: `x y z`, colour by owner, `agent`",
     "maps/agent_NN.tum, .ply": "the copy of another agent's map: key-frames, points",
     "maps/colmap/": "the merged map as a COLMAP model: `cameras.bin`, `images.bin`, `points3D.bin`; images have the "
-    "names of their files, from the data set's folder on, and points every view that odometry has of them",
+    "names of their files, from the data set's folder on, and points every view that was found, where it was measured",
 }
 _ROLE = re.compile(r":(?:class|func|mod|meth|data|attr):`~?([^`]+)`")
 
@@ -114,6 +114,10 @@ def page() -> str:
         "### The five VO files",
         "One set a track; ASCII, separated by blanks. The layout is that of dslam_open.",
         _table("file", VO_FILES),
+        "### views_K.npz",
+        "Where the key-frames of track K see its points, for programs that want pixels; no agent reads it, and other "
+        "front ends need not write it. `observations` (N, 2) int32: key-frame and map point as in `lm_obs_K.txt`, all "
+        "of those and further ones; `uv` (N, 2) float32: pixels of the pinhole camera, the first's centre at (0, 0).",
         "### netvlad.npz",
         "numpy arrays: `vectors` (K, dim) float32 unit rows, `textured` (K,) bool, `stamps_ns` (K,) int64, `images` "
         "(file names), `name` and `sha256` of the model, `dim`.",

@@ -93,6 +93,11 @@ def read_tracks(folder: Path) -> list[VoTrack]:
     :class:`FrontendError` with file and line for a broken row, and for a folder that has no track or only some of a
     track's five files.
     """
+    return [_read_track(folder, number) for number in track_numbers(folder)]
+
+
+def track_numbers(folder: Path) -> list[int]:
+    """The numbers of the tracks in ``folder``, ascending; :class:`FrontendError` where there is none."""
     if not folder.is_dir():
         raise FrontendError(f"{folder}: no such folder")
     pattern = re.compile(rf"(?:{'|'.join(_NAMES)})_(\d+)\.txt")
@@ -101,7 +106,7 @@ def read_tracks(folder: Path) -> list[VoTrack]:
         raise FrontendError(
             f"{folder}: no VO files here (poses_0.txt, times_0.txt, lm_pos_0.txt, lm_obs_0.txt, descs_0.txt)"
         )
-    return [_read_track(folder, number) for number in numbers]
+    return numbers
 
 
 def _read_track(folder: Path, number: int) -> VoTrack:

@@ -38,6 +38,9 @@ _SAME_VIEW_PX = 0.05
 _FLAT = 1.2
 """Smallest eigenvalue of the mean gradient matrix, grey levels squared a pixel squared, of a patch that has a place."""
 
+_SAME_GREY = 1e-2
+"""Sum of squares about the mean, grey levels squared, of a patch whose pixels are all the same."""
+
 
 @dataclass(frozen=True)
 class Patches:
@@ -265,7 +268,8 @@ def _align_level(
         (offset, sum_T, sum_gx, sum_gy), (var_T, own_x, own_y, hxx, hxy, hyy) = _template(P, inside, T, gx, gy, acc)
         det_h = hxx * hyy - hxy * hxy
         smallest = 0.5 * (hxx + hyy - np.sqrt((hxx - hyy) ** 2 + 4.0 * hxy * hxy))
-        if smallest < _FLAT * count or det_h <= 0.0:
+        # A patch beside an edge may have gradients at its border alone: all its pixels are the same.
+        if smallest < _FLAT * count or det_h <= 0.0 or var_T < _SAME_GREY:
             continue
         u, v = guess[i, 0], guess[i, 1]
         for step in range(_STEPS):
@@ -275,7 +279,7 @@ def _align_level(
             total, squares, cross, bx, by = _compare(flat, width, u, v, offset, T, gx, gy, inside, acc)
             mean = total / count
             var_I = squares - mean * total
-            if var_I < 1e-2:
+            if var_I < _SAME_GREY:
                 score[i] = -1.0
                 break
             score[i] = (cross - mean * sum_T) / np.sqrt(var_I * var_T)

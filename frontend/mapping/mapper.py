@@ -15,6 +15,7 @@ from ..image.orb_features import Detector, Keypoints, Pyramid, describe, spread_
 from ..stopwatch import Stopwatch, TimedStage
 from .local_bundle_adjustment import adjust_locally, window_keyframes
 from .map import Array, FrameObservations, Ints, Map, MapKeyFrame, union, without
+from .more_views import MoreViews
 from .range_sensor import Ranging
 
 _TRIANGULATION_SIGMAS = 4.0
@@ -27,6 +28,7 @@ class Mapper:
     def __init__(self, map_: Map, ranging: Ranging, config: OdometryConfig, watch: Stopwatch | None = None) -> None:
         self.map, self.ranging, self.config = map_, ranging, config
         self._stage = (watch or Stopwatch()).stage
+        self.more_views = MoreViews(map_, ranging, config.flow, config.mapping.view_neighbours)
         self._detector = Detector(config.features)
         self._log_scale = np.log(config.features.scale_factor)
 
@@ -44,6 +46,9 @@ class Mapper:
             adjust_locally(self.map, self.ranging, self.config)
         with self._stage(TimedStage.CULL):
             self._cull_keyframes()
+        if keyframe.stays:
+            with self._stage(TimedStage.VIEWS):
+                self.more_views.add(keyframe, frame.image)
         return keyframe
 
     def _make(self, frame: Frame, T_C_W: Array, seen: FrameObservations) -> MapKeyFrame:

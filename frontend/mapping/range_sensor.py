@@ -270,3 +270,16 @@ class Ranging:
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
         ideal = np.stack([fx * p[:, 0] / z + cx, fy * p[:, 1] / z + cy], axis=1)
         return distort(ideal, self.cam, self.calib) if self.calib.any() else ideal, p[:, 2]
+
+    def show(
+        self, T_2_1: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixels ``(n, 2)`` at which camera 2 shows ``points`` ``(n, 3)`` of camera 1, and how a step around them in
+        image 1 shows there ``(n, 2, 2)``: as on a plane parallel to that image."""
+        uv, _ = self.project(T_2_1, points)
+        warp = np.empty((len(points), 2, 2))
+        for k in range(2):
+            step = points.copy()
+            step[:, k] += points[:, 2] / self.cam[k]
+            warp[:, :, k] = self.project(T_2_1, step)[0] - uv
+        return uv, warp

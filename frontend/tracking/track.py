@@ -80,6 +80,7 @@ class Segment:
 
     def close(self) -> None:
         """No more frames: what only supported the window goes."""
+        self.mapper.more_views.finish()
         numbers = sorted(self.map.keyframes)
         for k in range(1, len(numbers)):
             if not self.map.keyframes[numbers[k]].stays:

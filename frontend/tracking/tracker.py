@@ -192,7 +192,8 @@ class Tracker:
         """Points of known position looked for around their projection with ``T_C_W``: pixels ``(n, 2)``, found
         ``(n,)``."""
         uv, found = self.followed.uv.copy(), np.zeros(len(self.followed.uv), dtype=bool)
-        guess, warp = self._projected(search.xyz, T_C_W)
+        T = product(T_C_W, se3_inverse(self.anchor_T))
+        guess, warp = self.ranging.show(T, transform_points(self.anchor_T, search.xyz))
         height, width = search.image[0].shape
         inside = (guess[:, 0] > 4) & (guess[:, 1] > 4) & (guess[:, 0] < width - 5) & (guess[:, 1] < height - 5)
         index = np.flatnonzero(inside if only is None else inside & only)
@@ -201,19 +202,6 @@ class Tracker:
             patches, search.image, warp[index], guess[index], flow.min_correlation, flow.reach_px
         )
         return uv, found
-
-    def _projected(self, xyz: Array, T_C_W: Array) -> tuple[Array, Array]:
-        """Projection of points, and how a step around them in the key-frame projects there: as on a plane parallel to
-        its image."""
-        T = product(T_C_W, se3_inverse(self.anchor_T))
-        p = transform_points(self.anchor_T, xyz)
-        guess, _ = self.ranging.project(T, p)
-        warp = np.empty((len(p), 2, 2))
-        for k in range(2):
-            step = p.copy()
-            step[:, k] += p[:, 2] / self.ranging.cam[k]
-            warp[:, :, k] = self.ranging.project(T, step)[0] - guess
-        return guess, warp
 
     def _rough_pose(self, search: _Search) -> Array | None:
         """A pose without any prediction: wide flow from the previous frame, then RANSAC."""

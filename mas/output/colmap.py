@@ -1,8 +1,8 @@
 """An agent's fused map as a COLMAP model: ``cameras.bin``, ``images.bin``, ``points3D.bin``.
 
 One camera an agent, one image a key-frame (under its file's name), one 2-D point for each view of a map point: where
-the owner's odometry has the point in that camera. Written without COLMAP: the format is three tables. COLMAP's first
-pixel has its centre at (0.5, 0.5), ours at (0, 0).
+the owner's front end has found the point in that image. Written without COLMAP: the format is three tables. COLMAP's
+first pixel has its centre at (0.5, 0.5), ours at (0, 0).
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.backend.geometry import quat_wxyz_from_rotation, se3_inverse
+from maslam.backend.geometry import Array, quat_wxyz_from_rotation, se3_inverse
 
 from ..map_exchange.map_copy import MapCopy
 from ..sequence import CameraEntry
-from ..state.keyframe import KeyFrame
 from .fused_map import COLOURS, FusedMap
-from .sightings import Sightings, first_sightings, sightings
+from .sightings import MapOwner, Sightings, project, sightings
 
 _PINHOLE = 1
 _HALF_PX = 0.5
@@ -28,39 +27,45 @@ _IMAGE, _COUNT = struct.Struct("<I7dI"), struct.Struct("<Q")
 _POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
-def write_colmap(
-    folder: Path,
-    one: FusedMap,
-    cameras: Mapping[int, CameraEntry],
-    owners: Mapping[int, Sequence[KeyFrame]] | None = None,
-    names: Mapping[int, Sequence[str]] | None = None,
-) -> None:
+def write_colmap(folder: Path, one: FusedMap, owners: Mapping[int, MapOwner]) -> None:
     """Write the model into ``folder``. Translations and points are in the holder's unit.
 
-    ``cameras``: of each owner. ``owners``: key-frames of each, for all views of a point; without, a point has that of
-    the map only. ``names``: of each owner's key-frames' image files; without, an image is called by agent and stamp.
+    ``owners``: what is known of each map's owner. Without its key-frames a point has the view of the map only; without
+    its images' names an image is called by agent and stamp.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    numbers = [m.owner for m in one.maps]
-    (folder / "cameras.bin").write_bytes(_table(len(numbers), [_camera(o, cameras[o]) for o in numbers]))
+    cameras = [_camera(m.owner, owners[m.owner].camera) for m in one.maps]
+    (folder / "cameras.bin").write_bytes(_table(len(cameras), cameras))
     firsts = np.cumsum([0, *[len(m.keyframes) for m in one.maps]])
     labels = np.split(one.labels, np.cumsum([len(m.references) for m in one.maps])[:-1])
-    images, tracks = [], [np.zeros((0, 3), dtype=np.int64)]
+    images, tracks, errors = [], [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0)]
     for copy, mine, first in zip(one.maps, labels, firsts, strict=False):
-        known = (owners or {}).get(copy.owner)
-        seen = _once(first_sightings(copy) if known is None else sightings(copy, known), mine)
-        images += _images(copy, mine, seen, int(first), cameras[copy.owner], (names or {}).get(copy.owner))
+        owner = owners[copy.owner]
+        seen = _once(sightings(copy, owner), mine)
+        images += _images(copy, mine, seen, int(first), owner.images)
         place = np.arange(len(seen.rows)) - np.searchsorted(seen.rows, seen.rows, side="left")
         tracks.append(np.column_stack([mine[seen.points], first + seen.rows + 1, place]))
+        errors.append(_off(copy, seen, one.points[mine[seen.points]], owner.camera))
     (folder / "images.bin").write_bytes(_table(int(firsts[-1]), images))
-    (folder / "points3D.bin").write_bytes(_points(one, np.concatenate(tracks)))
+    (folder / "points3D.bin").write_bytes(_points(one, np.concatenate(tracks), np.concatenate(errors)))
 
 
 def _once(seen: Sightings, labels: NDArray[np.intp]) -> Sightings:
     """An image sees a merged point once, whichever of its points was first."""
     _, first = np.unique(np.column_stack([seen.rows, labels[seen.points]]), axis=0, return_index=True)
     kept = np.sort(first)
-    return Sightings(seen.rows[kept], seen.points[kept], seen.points_C[kept])
+    return Sightings(seen.rows[kept], seen.points[kept], seen.uv[kept])
+
+
+def _off(copy: MapCopy, seen: Sightings, points: Array, camera: CameraEntry) -> Array:
+    """Distance, pixels, between each view and the projection of its point ``(n, 3)``, holder's coordinates; that of
+    the image's diagonal behind the camera."""
+    T_C_F = se3_inverse(copy.poses)[seen.rows]
+    points_C = np.einsum("nij,nj->ni", T_C_F[:, :3, :3], points) + T_C_F[:, :3, 3]
+    off = np.full(len(points), float(np.hypot(camera.width, camera.height)))
+    ahead = points_C[:, 2] > 0
+    off[ahead] = np.linalg.norm(project(points_C[ahead], camera) - seen.uv[ahead], axis=1)
+    return off
 
 
 def _table(rows: int, parts: list[bytes]) -> bytes:
@@ -77,13 +82,10 @@ def _images(
     labels: NDArray[np.intp],
     seen: Sightings,
     first: int,
-    c: CameraEntry,
-    names: Sequence[str] | None,
+    names: Sequence[str],
 ) -> list[bytes]:
-    p = seen.points_C
-    xy = p[:, :2] / p[:, 2:] * [c.fx, c.fy] + np.array([c.cx, c.cy]) + _HALF_PX
-    table = np.zeros(len(p), dtype=_POINT2D)
-    table["xy"], table["point"] = xy, labels[seen.points] + 1
+    table = np.zeros(len(seen.uv), dtype=_POINT2D)
+    table["xy"], table["point"] = seen.uv + _HALF_PX, labels[seen.points] + 1
     bounds = np.searchsorted(seen.rows, np.arange(len(copy.keyframes) + 1))
     T_C_F = se3_inverse(copy.poses)
     poses = np.concatenate([quat_wxyz_from_rotation(T_C_F[:, :3, :3]), T_C_F[:, :3, 3]], axis=1).tolist()
@@ -91,14 +93,16 @@ def _images(
     sizes = np.diff(bounds).tolist()
     out = []
     for row, (index, stamp) in enumerate(zip(copy.keyframes.tolist(), copy.stamps_ns.tolist(), strict=True)):
-        own = names[index] if names and 0 <= index < len(names) else f"agent_{copy.owner:02d}/{stamp}.png"
+        own = names[index] if 0 <= index < len(names) else f"agent_{copy.owner:02d}/{stamp}.png"
         head = _IMAGE.pack(first + row + 1, *poses[row], copy.owner + 1)
         out += [head, own.encode() + b"\0", _COUNT.pack(sizes[row]), views[ends[row] : ends[row + 1]]]
     return out
 
 
-def _points(one: FusedMap, tracks: NDArray[np.int64]) -> bytes:
-    """``tracks`` ``(n, 3)``: merged point, image, place in that image. Points of equally long tracks are one table."""
+def _points(one: FusedMap, tracks: NDArray[np.int64], errors: Array) -> bytes:
+    """``tracks`` ``(n, 3)``: merged point, image, place in that image; ``errors`` ``(n,)`` pixels. Points of equally
+    long tracks are one table."""
+    off = np.bincount(tracks[:, 0], errors, minlength=len(one.points))
     tracks = tracks[np.argsort(tracks[:, 0], kind="stable")]
     lengths = np.bincount(tracks[:, 0], minlength=len(one.points))
     starts = np.cumsum(lengths) - lengths
@@ -117,6 +121,7 @@ def _points(one: FusedMap, tracks: NDArray[np.int64]) -> bytes:
             ],
         )
         table["id"], table["xyz"], table["length"] = chosen + 1, one.points[chosen], length
+        table["error"] = off[chosen] / max(length, 1)
         table["rgb"] = COLOURS[one.owners[chosen] % len(COLOURS)]
         table["track"] = tracks[starts[chosen][:, None] + np.arange(length), 1:]
         parts.append(table.tobytes())

@@ -37,6 +37,7 @@ from ..state.trajectories import frame_trajectory, keyframe_trajectory
 from ..transport.transport import Sent
 from .colmap import write_colmap
 from .fused_map import fused, write_map, write_ply
+from .sightings import MapOwner, map_owner
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -98,6 +99,7 @@ class Recorder:
         self._traffic: Any = None
         self._timeline: Any = None
         self._cameras: dict[int, CameraEntry] = {}
+        self._owners: dict[int, MapOwner] = {}
         self._of_images = True
 
     def __enter__(self) -> Recorder:
@@ -209,9 +211,10 @@ class Recorder:
         copies = [copy for _, copy in sorted(agent.maps.copies.items())]
         one = fused([own_map(agent.state), *copies])
         write_map(folder / "map.ply", one)
-        owners = {m.owner: agents[m.owner].state.keyframes for m in one.maps}
-        names = {m.owner: sequences[m.owner].places.images for m in one.maps}
-        write_colmap(folder / "maps" / "colmap", one, self._cameras, owners, names)
+        for owner in {m.owner for m in one.maps} - self._owners.keys():
+            known = sequences[owner], agents[owner].state.keyframes, self._cameras[owner]
+            self._owners[owner] = map_owner(*known)
+        write_colmap(folder / "maps" / "colmap", one, self._owners)
         for copy in copies:
             owner, stamps = copy.owner, copy.stamps_ns.astype("int64")
             write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, copy.poses))

@@ -11,7 +11,8 @@ from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
 from ..state.place_match import Match
 from .candidates import Candidate, Candidates, MatchCheck
-from .verification import Verification, kind_of, match_end, verify, view_of
+from .comparison import kind_of, match_end, verify, view_of
+from .verification import Verification
 
 FARTHEST = 2.0
 """Distance of unit vectors that are opposite to each other."""

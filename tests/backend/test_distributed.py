@@ -13,6 +13,7 @@ from maslam.backend.central.costs import cost
 from maslam.backend.central.optimise import optimise, two_stage
 from maslam.backend.config import CentralConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.message_bytes import decode, encode
 from maslam.backend.distributed.messages import (
     WIDTH,
     Decision,
@@ -25,8 +26,6 @@ from maslam.backend.distributed.messages import (
     Status,
     Values,
     as_sent,
-    decode,
-    encode,
     number_type,
 )
 from maslam.backend.distributed.methods import node_for

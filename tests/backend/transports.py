@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from maslam.backend.distributed.messages import decode, encode
+from maslam.backend.distributed.message_bytes import decode, encode
 from maslam.backend.distributed.methods import node_for
 
 

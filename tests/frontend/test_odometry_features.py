@@ -121,6 +121,15 @@ def test_a_flat_patch_and_one_at_the_border_are_not_found() -> None:
     assert ok.tolist() == [False, False, True]
 
 
+def test_a_patch_of_one_grey_beside_an_edge_is_not_found() -> None:
+    """Its border has gradients, its pixels have none."""
+    image = np.full((80, 80), 40, dtype=np.uint8)
+    image[46:, :], image[:, 46:] = 200, 90
+    uv, warp = np.array([[40.0, 40.0]]), np.eye(2)[None]
+    _, ok = align(cut_patches([image], uv), [image], warp, uv + 4.0, 0.8, 16.0)
+    assert not ok.any()
+
+
 def test_flow_follows_a_shift_and_survives_no_points_at_all() -> None:
     image = texture(3)
     target = shifted(image, np.array([[1.0, 0, 7.3], [0, 1.0, -4.6]]))

@@ -12,7 +12,9 @@ from maslam.backend.geometry import Array, Sim3, se3_inverse, transform_points
 from maslam.mas.map_exchange.map_copy import MapCopy, SoldVersion
 from maslam.mas.output.colmap import write_colmap
 from maslam.mas.output.fused_map import FusedMap, fused, write_map
+from maslam.mas.output.sightings import MapOwner, OwnerViews
 from maslam.mas.protocol.ids import FrameId
+from maslam.mas.state.keyframe import KeyFrame
 
 POSES = np.array([heading(0.0, 2.0 * k, 0.05 * k) for k in range(3)])
 
@@ -46,6 +48,27 @@ def map_of(
     )
 
 
+def keyframe_with(index: int, points_C: Array, ids: Array) -> KeyFrame:
+    """A key-frame of which only its points matter."""
+    n = len(points_C)
+    return KeyFrame(
+        index=index,
+        time_ns=index,
+        stamp_ns=index,
+        recording=0,
+        track=0,
+        T_T_C=np.eye(4),
+        points_C=points_C,
+        descriptors=np.zeros((n, 32), dtype=np.uint8),
+        words=np.zeros(n, dtype=np.int32),
+        point_ids=ids,
+        first_seen=np.ones(n, dtype=bool),
+        depth=15.0,
+        vector=np.zeros(2, dtype=np.float32),
+        textured=True,
+    )
+
+
 def test_what_two_maps_share_is_there_once() -> None:
     rng = np.random.default_rng(0)
     points, rows = street(rng, 300), rng.integers(0, 3, 300)
@@ -74,7 +97,7 @@ def test_colmap_reads_the_model_and_its_points_lie_where_its_images_see_them(tmp
     points, rows = street(rng, 120), rng.integers(0, 3, 120)
     maps = [map_of(0, points[:80], rows[:80]), map_of(3, points[40:], rows[40:])]
     one = fused(maps)
-    write_colmap(tmp_path, one, {0: CAMERA, 3: CAMERA})
+    write_colmap(tmp_path, one, {0: MapOwner(CAMERA), 3: MapOwner(CAMERA)})
     model = pycolmap.Reconstruction(str(tmp_path))
     assert (model.num_cameras(), model.num_images(), model.num_points3D()) == (2, 6, 120)
     assert sorted(i.name for i in model.images.values())[0] == "agent_00/0.png"
@@ -89,13 +112,40 @@ def test_colmap_reads_the_model_and_its_points_lie_where_its_images_see_them(tmp
             np.testing.assert_allclose(seen.xy, expected, atol=1e-6)
 
 
+def test_a_point_has_every_view_of_its_owner_where_it_was_measured(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(4)
+    points, rows = street(rng, 30), np.sort(rng.integers(0, 3, 30))
+    copy = map_of(0, points, rows)
+    ids = rng.permutation(40)[:30]  # the owner's numbers of its points; it has ten more
+    keyframes = [keyframe_with(k, copy.points_C[rows == k].astype(np.float32), ids[rows == k]) for k in range(3)]
+    # Every key-frame shows every point, measured a little off its projection, and something that is not in the map.
+    project = CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy
+    seen, off = [], rng.normal(0.0, 0.5, (3, 30, 2))
+    for k, T_W_C in enumerate(POSES):
+        p = transform_points(se3_inverse(T_W_C), points)
+        uv = p[:, :2] / p[:, 2:] * project[:2] + project[2:] + off[k]
+        seen.append(np.vstack([uv, [[5.0, 5.0]]]))
+    views = OwnerViews(np.array([0, 31, 62, 93]), np.tile(np.append(ids, 77), 3), np.concatenate(seen))
+    one = fused([copy])
+    write_colmap(tmp_path, one, {0: MapOwner(CAMERA, keyframes, views, ("a.png", "b/c.png", "d.png"))})
+    model = pycolmap.Reconstruction(str(tmp_path))
+    assert model.compute_mean_track_length() == 3.0
+    assert [i.name for i in sorted(model.images.values(), key=lambda i: i.image_id)] == ["a.png", "b/c.png", "d.png"]
+    for number, point in model.points3D.items():
+        assert point.error == pytest.approx(np.linalg.norm(off[:, number - 1], axis=1).mean())
+        for element in point.track.elements:
+            measured = seen[element.image_id - 1][number - 1] + 0.5
+            np.testing.assert_allclose(model.images[element.image_id].points2D[element.point2D_idx].xy, measured)
+
+
 def test_an_image_sees_a_merged_point_once(tmp_path: Path) -> None:
     """Two of a map's points are one to the merged map, and both are seen by the first image."""
     pycolmap = pytest.importorskip("pycolmap")
     points = np.array([[0.0, 0.0, 12.0], [0.01, 0.0, 12.0], [1.0, 0.0, 15.0]])
     copy = map_of(0, points, np.array([0, 0, 1]))
     one = FusedMap((copy,), points[[0, 2]], np.zeros(2, dtype=np.int32), np.array([0, 0, 1]))
-    write_colmap(tmp_path, one, {0: CAMERA})
+    write_colmap(tmp_path, one, {0: MapOwner(CAMERA)})
     model = pycolmap.Reconstruction(str(tmp_path))
     assert [len(p.track.elements) for p in model.points3D.values()] == [1, 1]
     assert [i.num_points2D() for i in sorted(model.images.values(), key=lambda i: i.image_id)] == [1, 1, 0]
@@ -105,5 +155,5 @@ def test_an_agent_without_points_has_an_empty_map(tmp_path: Path) -> None:
     nothing = fused([map_of(0, np.zeros((0, 3)), np.zeros(0, dtype=np.int64))])
     assert len(nothing.points) == 0
     write_map(tmp_path / "map.ply", nothing)
-    write_colmap(tmp_path / "colmap", nothing, {0: CAMERA})
+    write_colmap(tmp_path / "colmap", nothing, {0: MapOwner(CAMERA)})
     assert (tmp_path / "colmap" / "points3D.bin").read_bytes() == bytes(8)

@@ -17,6 +17,7 @@ import pytest
 
 from maslam.backend.geometry import se3_exp
 from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.trajectory import Trajectory, read_tum, write_kitti_poses
 from maslam.frontend.files.vo_files import VoTrack, read_tracks
 from maslam.frontend.frames import Frame
@@ -72,7 +73,13 @@ class KnownOdometry:
         trajectory = Trajectory(seen * 100_000_000 + 5_000_000_000, TRUTH[seen])
         weak = SimpleNamespace(first_ns=5_400_000_000, last_ns=5_800_000_000, reason="7 points", kind="few points")
         return SimpleNamespace(
-            tracks=[track], keyframe_indices=[keyframes], trajectories=[trajectory], lost=[], doubtful=[weak], stats={}
+            tracks=[track],
+            views=[PointViews(track.observations, np.float32(np.arange(2 * len(track.observations))).reshape(-1, 2))],
+            keyframe_indices=[keyframes],
+            trajectories=[trajectory],
+            lost=[],
+            doubtful=[weak],
+            stats={},
         )
 
 

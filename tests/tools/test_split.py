@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from maslam.backend.geometry import se3_exp, transform_points
+from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.vo_files import VoTrack
 from maslam.tools.common.errors import UsageError
-from maslam.tools.pipeline.split import cut_track, share_out
+from maslam.tools.pipeline.split import cut_track, cut_views, share_out
 
 EVERY_THIRD = [np.arange(0, 30, 3)]  # key-frames 0, 3, ... 27 of 30 frames
 
@@ -82,3 +83,9 @@ def test_cut_track_renumbers_points_and_moves_the_origin() -> None:
     np.testing.assert_allclose(poses[1] @ part.poses[1], poses[2], atol=1e-12)
     np.testing.assert_allclose(transform_points(poses[1], part.points), points[[1, 2, 4]], atol=1e-12)
     np.testing.assert_array_equal(part.stamps_s, [0.0, 1.0])
+    # Key-frame 2 shows point 4 too, which odometry has not looked for; key-frame 1 shows point 3, which is not theirs.
+    more = np.array([[0, 0], [1, 1], [1, 3], [1, 4], [2, 1], [2, 2], [2, 4], [3, 0]], dtype=np.int32)
+    views = PointViews(more, np.arange(16, dtype=np.float32).reshape(8, 2))
+    cut = cut_views(views, track, slice(1, 3))
+    np.testing.assert_array_equal(cut.observations, [[0, 0], [0, 2], [1, 0], [1, 1], [1, 2]])
+    np.testing.assert_array_equal(cut.uv, views.uv[[1, 3, 4, 5, 6]])

@@ -22,6 +22,7 @@ from maslam.descriptors.base import PlaceDescriptor
 from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.datasets.base import Dataset, ImageSequence
 from maslam.frontend.files.essential_graph import essential_graph
+from maslam.frontend.files.point_views import write_views
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory, write_tum
 from maslam.frontend.files.vo_files import VoTrack, write_track
 from maslam.mas.sequence import (
@@ -41,7 +42,7 @@ from maslam.mas.sequence import (
 )
 
 from ..common.text_table import kinds_text
-from .split import SequenceShare, cut_track, share_out
+from .split import SequenceShare, cut_track, cut_views, share_out
 from .tracking import UNREADABLE, Gap, Tracked
 
 
@@ -142,13 +143,14 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
 
 
 def _write_track(folder: Path, number: int, plan: SharePlan, k: int) -> Trajectory:
-    """The five files and the essential graph of track ``k`` as the agent's track ``number``; returns all its frames,
-    in the same origin and clock.
+    """The five files, the views and the essential graph of track ``k`` as the agent's track ``number``; returns all its
+    frames, in the same origin and clock.
     """
     kept = plan.share.keyframes[k]
     track = plan.tracked.tracks[k]
     cut = cut_track(track, kept, _keyframe_stamps_ns(plan, k) / NS_PER_S)
     write_track(folder, number, cut)
+    write_views(folder, number, cut_views(plan.tracked.views[k], track, kept))
     write_g2o(folder / f"essential_{number}.g2o", _essential(cut), plain_ids=True)
     frames = _during(plan, plan.tracked.trajectories[k])
     return Trajectory(frames.stamps_ns, product(se3_inverse(track.poses[kept.start]), frames.poses))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam.backend.geometry import product, se3_inverse, transform_points
+from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.vo_files import VoTrack
 
 from ..common.errors import UsageError
@@ -71,7 +72,7 @@ def cut_track(track: VoTrack, keyframes: slice, stamps_s: NDArray[np.float64]) -
     agent's clock.
     """
     lower, upper, _ = keyframes.indices(len(track))
-    kept = (track.observations[:, 0] >= lower) & (track.observations[:, 0] < upper)
+    kept = _between_keyframes(track.observations, lower, upper)
     observed, point = np.unique(track.observations[kept, 1], return_inverse=True)
     T_O_W = se3_inverse(track.poses[lower])
     return VoTrack(
@@ -82,3 +83,18 @@ def cut_track(track: VoTrack, keyframes: slice, stamps_s: NDArray[np.float64]) -
         descriptors=track.descriptors[kept],
         words=track.words[kept],
     )
+
+
+def cut_views(views: PointViews, track: VoTrack, keyframes: slice) -> PointViews:
+    """The views of ``track`` in the part that :func:`cut_track` makes of it, numbered as there."""
+    lower, upper, _ = keyframes.indices(len(track))
+    number = np.full(len(track.points), -1)
+    observed = np.unique(track.observations[_between_keyframes(track.observations, lower, upper), 1])
+    number[observed] = np.arange(len(observed))
+    kept = _between_keyframes(views.observations, lower, upper) & (number[views.observations[:, 1]] >= 0)
+    keyframe, point = views.observations[kept].T
+    return PointViews.sorted(keyframe - lower, number[point], views.uv[kept])
+
+
+def _between_keyframes(observations: NDArray[np.int32], lower: int, upper: int) -> NDArray[np.bool_]:
+    return (observations[:, 0] >= lower) & (observations[:, 0] < upper)

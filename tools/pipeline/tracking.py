@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
 
@@ -46,13 +47,15 @@ class Gap:
 class Tracked:
     """Result of the front end for one sequence of F frames.
 
-    ``tracks``: one for each uninterrupted track, their key-frames numbered in ``keyframes`` by frame (ascending).
+    ``tracks``: one for each uninterrupted track, their key-frames numbered in ``keyframes`` by frame (ascending);
+    ``views``: for each, every view of its points that was found, pixels of the pinhole camera.
     ``trajectories``: every tracked frame of each track, ``T_W_C`` in the track's frame. ``vectors`` ``(K, dim)`` and
     ``textured`` ``(K,)``: one per key-frame, all tracks in order. ``unreadable``: what was wrong with each image that
     was needed and could not be read.
     """
 
     tracks: tuple[VoTrack, ...]
+    views: tuple[PointViews, ...]
     keyframes: tuple[NDArray[np.int64], ...]
     trajectories: tuple[Trajectory, ...]
     vectors: NDArray[np.float32]
@@ -182,6 +185,7 @@ def _collect(
     described = [places.of(int(index)) for k in order for index in finished.keyframe_indices[k]]
     return Tracked(
         tracks=tuple(finished.tracks[k] for k in order),
+        views=tuple(finished.views[k] for k in order),
         keyframes=tuple(np.asarray(finished.keyframe_indices[k], dtype=np.int64) for k in order),
         trajectories=tuple(finished.trajectories[k] for k in order),
         vectors=np.stack([vector for vector, _ in described]).astype(np.float32),

@@ -14,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from maslam._atomic import write_npz
+from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
 
@@ -140,6 +141,7 @@ def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:
         arrays[f"keyframes_{k}"] = keyframes
         arrays[f"frame_stamps_ns_{k}"] = tracked.trajectories[k].stamps_ns
         arrays[f"frame_poses_{k}"] = tracked.trajectories[k].poses
+        arrays[f"views_{k}"], arrays[f"views_uv_{k}"] = tracked.views[k].observations, tracked.views[k].uv
         arrays |= {f"{name}_{k}": getattr(one, name) for name in TRACK_FIELDS}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_npz(path, arrays)
@@ -157,6 +159,7 @@ def load_tracked(path: Path, fingerprint: str) -> Tracked | None:
             count = header["tracks"]
             return Tracked(
                 tracks=tuple(VoTrack(**{name: stored[f"{name}_{k}"] for name in TRACK_FIELDS}) for k in range(count)),
+                views=tuple(PointViews(stored[f"views_{k}"], stored[f"views_uv_{k}"]) for k in range(count)),
                 keyframes=tuple(stored[f"keyframes_{k}"] for k in range(count)),
                 trajectories=tuple(
                     Trajectory(stored[f"frame_stamps_ns_{k}"], stored[f"frame_poses_{k}"]) for k in range(count)

@@ -25,8 +25,8 @@ from maslam.backend.geometry import Sim3
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_poses
 from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
+from maslam.mas.place_recognition.comparison import match_end, verify, view_of
 from maslam.mas.place_recognition.own_loops import candidates_below
-from maslam.mas.place_recognition.verification import match_end, verify, view_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
 from maslam.mas.sequence import AgentSequence, Manifest, load_sequences
