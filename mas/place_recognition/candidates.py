@@ -52,7 +52,8 @@ class Candidates:
     """Candidates of the agent's own queries, and when it was last matched with whom. ``by_id``: all candidates;
     ``gaps``: own key-frames until a next match with that agent is worth it.
 
-    ``recalled``: own key-frames that were sent to others later than they were made.
+    ``recalled``: own key-frames that were sent to others later than they were made. ``lengths``: how many key-frames
+    another agent has said that it has.
 
     ``whole``, ``kept``: vectors of its own key-frames, and what the place code keeps of them; one and the same where
     that is everything.
@@ -66,6 +67,7 @@ class Candidates:
     gaps: dict[int, int] = field(default_factory=dict)
     verified: dict[int, list[int]] = field(default_factory=dict)
     recalled: set[int] = field(default_factory=set)
+    lengths: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.state.profile.coder.whole:

@@ -115,5 +115,6 @@ def answer_to(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verd
         T_T_M=pack_poses(mine.T_T_C),
         way=state.travelled[mine.index],
         depth=mine.depth,
+        keyframes=len(state.keyframes),
         wants_more=bool(task.more) and promising(verdict),
     )

@@ -102,7 +102,7 @@ class WiderSearch:
         if other == self._state.me:
             return len(self._state.keyframes)
         named = [m.match for m in (*self.candidates.by_id, *self._kept) if m.match_agent == other]
-        return max(named, default=-1) + 1
+        return max(max(named, default=-1) + 1, self.candidates.lengths.get(other, 0))
 
 
 def _support(candidate: Candidate, kept: list[Candidate]) -> int:

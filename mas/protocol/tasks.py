@@ -220,7 +220,8 @@ class VerifyAnswer(Counted, frozen=True, array_like=True, tag=2):
     """The verdict on a match: ``T_M_Q`` (Sim(3)) and, where it holds, ``information`` in float32: the upper triangle
     ``(21,)`` of the 6x6 matrix, ``(28,)`` of the 7x7 one (log scale last) where a scale was estimated; the match camera
     in its own track by odometry, its way so far and its median depth, so that both sides can judge whether matches
-    agree with each other. ``wants_more``: not decided, the points kept back are asked for."""
+    agree with each other; ``keyframes``: how many the match agent has made. ``wants_more``: not decided, the points
+    kept back are asked for."""
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.RELPOSE
 
@@ -237,6 +238,7 @@ class VerifyAnswer(Counted, frozen=True, array_like=True, tag=2):
     T_T_M: Tensor
     way: Length
     depth: Depth
+    keyframes: Index
     wants_more: bool = False
 
     def __post_init__(self) -> None:

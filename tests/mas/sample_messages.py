@@ -112,6 +112,7 @@ def verify_answer(**changes: object) -> VerifyAnswer:
         "T_T_M": pack_poses(np.eye(4)),
         "way": 12.5,
         "depth": 8.0,
+        "keyframes": 7,
     }
     return VerifyAnswer(**{**fields, **changes})  # type: ignore[arg-type]
 

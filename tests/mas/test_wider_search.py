@@ -12,10 +12,14 @@ from factory import circuit, make_sequence, make_world, manifest_of, town
 
 from maslam.backend.geometry import Sim3
 from maslam.mas.config import MasConfig
+from maslam.mas.contracts.contract import Contract
+from maslam.mas.contracts.effects import Effects
 from maslam.mas.place_recognition.candidates import Candidate
+from maslam.mas.place_recognition.verification import Verification
 from maslam.mas.place_recognition.wider_search import _CLOSING
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
+from maslam.mas.protocol.tasks import VerifyAnswer
 from maslam.mas.sequence import AgentSequence, Manifest
 from maslam.mas.simulation import make_agents, run
 from maslam.mas.state.keyframe import keyframes_of
@@ -96,3 +100,44 @@ def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:
     beside = replace(alone_match, id=asked[0])
     state.add_match(beside)
     assert state.accepted == {alone, asked[0]} and search.due(closing=True) == []
+
+
+def test_neighbours_are_those_that_the_other_has_told_of() -> None:
+    """At the end of its own sequence an agent meets the other's beginning: there the neighbours are the other's."""
+    manifest, sequences = town(2, 40)
+    agent = make_agents(manifest, sequences, widened(1000))[0]
+    for keyframe in keyframes_of(sequences[0])[:11]:
+        agent.state.observe(keyframe)
+    end = MatchEnd(0, np.eye(4), 0.0)
+    alone = MatchId(0, 10, 1, 0)
+    agent.state.add_match(Match(alone, end, end, Sim3.identity(), np.eye(6), 30, 10.0))
+    agent.candidates.by_id[alone] = Candidate(alone, 0, 0.5)
+
+    def asked() -> list[MatchId]:
+        found = []
+        while due := agent.places.wider.due(closing=True):
+            agent.candidates.propose(due[0])
+            found.append(due[0].id)
+        return found
+
+    assert [(m.query, m.match) for m in asked()] == [(9, 0)]
+    agent.candidates.lengths[1] = 2
+    assert {(m.query, m.match) for m in asked()} == {(10, 1), (9, 1)}
+
+
+def test_an_agent_learns_how_many_key_frames_the_other_has(tmp_path: Path) -> None:
+    """From the answers to its verifications; nobody tells it otherwise."""
+    learnt: dict[tuple[int, int], int] = {}
+    on_result = Verification.on_result
+
+    def watched(self: Verification, contract: Contract, outcome: VerifyAnswer) -> Effects:
+        effects = on_result(self, contract, outcome)
+        learnt[self.state.me, outcome.match.match_agent] = self.candidates.lengths[outcome.match.match_agent]
+        return effects
+
+    manifest, sequences = town(2, 40, spacing_m=10.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Verification, "on_result", watched)
+        run(manifest, sequences, widened(1000), tmp_path / "run")
+    lengths = [len(s.keyframe_stamps_ns) for s in sequences]
+    assert learnt and all(0 < count <= lengths[other] for (_, other), count in learnt.items())
