@@ -68,7 +68,7 @@ def map_owner(sequence: AgentSequence, keyframes: Sequence[KeyFrame], camera: Ca
 
 
 def project(points_C: Array, camera: CameraEntry) -> Array:
-    """Pixels ``(n, 2)`` of points ``(n, 3)`` before the camera."""
+    """Pixels ``(n, 2)`` of points ``(n, 3)`` in front of the camera."""
     return points_C[:, :2] / points_C[:, 2:] * [camera.fx, camera.fy] + np.array([camera.cx, camera.cy])
 
 

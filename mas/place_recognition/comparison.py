@@ -95,7 +95,7 @@ def descriptor_width(view: PlaceView) -> int:
 
 
 def answer_to(state: AgentState, task: VerifyTask, mine: KeyFrame, verdict: Verdict) -> VerifyAnswer:
-    """What the manager is told of the verdict."""
+    """The verdict as the manager gets it."""
     good = verdict.accepted
     information = None
     if good and verdict.full_information is not None:
