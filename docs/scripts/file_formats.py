@@ -96,7 +96,8 @@ TRAJECTORIES = {
     "map.ply": "own map and all copies merged: `x y z`, colour by owner, `agent`",
     "maps/agent_NN.tum, .ply": "the copy of another agent's map: key-frames, points",
     "maps/colmap/": "the merged map as a COLMAP model: `cameras.bin`, `images.bin`, `points3D.bin`; images have the "
-    "names of their files, from the data set's folder on, and points every view that was found, where it was measured",
+    "names of their files, from the data set's folder on, and points every view that was found, where it was measured; "
+    "a point lies where its views see it best, and what one image alone sees is a pixel without a point",
 }
 _ROLE = re.compile(r":(?:class|func|mod|meth|data|attr):`~?([^`]+)`")
 

@@ -122,6 +122,10 @@ class Candidates:
             if check.verified:
                 self.verified.setdefault(match.match_agent, []).append(match.query)
 
+    def told_of(self, other: int, keyframes: int) -> None:
+        """Another agent has said how many key-frames it has."""
+        self.lengths[other] = max(keyframes, self.lengths.get(other, 0))
+
     def recall(self, keyframe: int) -> None:
         """An own key-frame is sent to others later than it was made."""
         self.recalled.add(keyframe)

@@ -121,7 +121,7 @@ def test_neighbours_are_those_that_the_other_has_told_of() -> None:
         return found
 
     assert [(m.query, m.match) for m in asked()] == [(9, 0)]
-    agent.candidates.lengths[1] = 2
+    agent.candidates.told_of(1, 2)
     assert {(m.query, m.match) for m in asked()} == {(10, 1), (9, 1)}
 
 
