@@ -122,7 +122,7 @@ class Candidates:
             if check.verified:
                 self.verified.setdefault(match.match_agent, []).append(match.query)
 
-    def told_of(self, other: int, keyframes: int) -> None:
+    def noted_length(self, other: int, keyframes: int) -> None:
         """Another agent has said how many key-frames it has."""
         self.lengths[other] = max(keyframes, self.lengths.get(other, 0))
 

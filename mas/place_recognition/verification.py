@@ -68,7 +68,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
 
     def on_result(self, contract: Contract, outcome: VerifyAnswer) -> Effects:
         match_id = outcome.match
-        self.candidates.told_of(match_id.match_agent, outcome.keyframes)
+        self.candidates.noted_length(match_id.match_agent, outcome.keyframes)
         if outcome.wants_more and match_id not in self._promising:
             self._promising.add(match_id)
             self._waiting.setdefault(match_id.match_agent, deque()).appendleft(match_id)

@@ -102,7 +102,7 @@ def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:
     assert state.accepted == {alone, asked[0]} and search.due(closing=True) == []
 
 
-def test_neighbours_are_those_that_the_other_has_told_of() -> None:
+def test_neighbours_are_those_that_the_other_has_noted_length() -> None:
     """At the end of its own sequence an agent meets the other's beginning: there the neighbours are the other's."""
     manifest, sequences = town(2, 40)
     agent = make_agents(manifest, sequences, widened(1000))[0]
@@ -121,7 +121,7 @@ def test_neighbours_are_those_that_the_other_has_told_of() -> None:
         return found
 
     assert [(m.query, m.match) for m in asked()] == [(9, 0)]
-    agent.candidates.told_of(1, 2)
+    agent.candidates.noted_length(1, 2)
     assert {(m.query, m.match) for m in asked()} == {(10, 1), (9, 1)}
 
 
