@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -84,6 +85,29 @@ def test_the_drift_of_the_unit_is_found(
     # Written in one unit: a rigid solver has nothing left to do.
     assert cli.main(["pgo", str(out), str(tmp_path / "again"), "--method", "central", "--weights", weights]) == 0
     assert error_m(read_g2o(tmp_path / "again" / "0.g2o")) < 0.08
+
+
+def test_central_and_elected_end_at_one_minimum_which_is_below_the_rigid_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Units of 1 are allowed, so that the rigid minimum, which is certified, bounds it. Information that is far from
+    isotropic tells F from E."""
+    graph, _ = drifting(0.1)
+    stretched = np.diag([1.0, 400.0, 1.0, 1.0, 1.0, 25.0])
+    uneven = tuple(replace(e, information=e.information @ stretched) for e in graph.edges)
+    write_g2o(tmp_path / "one.g2o", replace(graph, edges=uneven), plain_ids=True)
+    ends = {}
+    for name, words in (
+        ("rigid", ["--method", "central"]),
+        ("central", ["--method", "central", "--monocular", "all"]),
+        ("elected", ["--monocular", "all"]),
+    ):
+        assert cli.main(["pgo", str(tmp_path / "one.g2o"), str(tmp_path / name), *words, "--json"]) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert report["minimised"] == "F"
+        ends[name] = report["cost"]["F"]
+    assert ends["central"] == pytest.approx(ends["elected"], rel=1e-6)
+    assert ends["central"] < ends["rigid"]
 
 
 def test_robots_with_the_metre_give_it_to_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

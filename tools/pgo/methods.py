@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from maslam._replaced import replaced
+from maslam.backend.central.minimum import minimum
 from maslam.backend.central.optimise import optimise
-from maslam.backend.central.similarity import optimise_similarity
-from maslam.backend.config import CentralConfig, RobustConfig, SimilarityConfig, SolverConfig
+from maslam.backend.central.similarity_edges import edges_of
+from maslam.backend.components import parts
+from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
@@ -117,17 +119,27 @@ def _central(graph: PoseGraph, request: Request) -> Solution:
 
 
 def _with_units(graph: PoseGraph, request: Request) -> Solution:
-    """Similarities in one place."""
+    """F with the units of the nodes among its unknowns, in one place. Of each connected part a metric robot's first
+    node stays, else the first."""
     working = graph.with_unit_weights() if request.unit else graph
-    metric = frozenset(graph.robots) - request.monocular
-    found = optimise_similarity(working, SimilarityConfig(iterations=request.central.iterations), metric)
+    nodes = list(working.nodes)
+    ends = working.arrays().ends[: len(working.edges)]
+    edges = edges_of(working.edges, ends, working.dimension)
+    poses = np.stack([working.poses[n] for n in nodes])
+    metric = np.array([n.robot not in request.monocular for n in nodes])
+    label = parts(ends, len(nodes))
+    order = np.lexsort((np.arange(len(nodes)), ~metric, label))
+    held = order[np.unique(label[order], return_index=True)[1]]
+    fixed = metric.copy()
+    fixed[held] = True
+    found = minimum(edges, poses, np.zeros(len(nodes)), sorted(held.tolist()), fixed)
     return Solution(
-        poses={n: S.se3() for n, S in found.poses.items()},
+        poses=dict(zip(nodes, found.poses, strict=True)),
         weights=np.ones(len(graph.edges)),
         rejected=[],
         minimised="U" if request.unit else "F",
-        iterations=found.iterations,
-        units={n: S.scale for n, S in found.poses.items()},
+        iterations=found.steps,
+        units=dict(zip(nodes, np.exp(found.log_units).tolist(), strict=True)),
     )
 
 
