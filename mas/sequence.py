@@ -35,8 +35,22 @@ class _Entry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+class StoredCameraEntry(_Entry):
+    """The camera of image files that are not rectified as stored: pixels; ``coefficients`` in OpenCV's order;
+    ``rotation``: 9 numbers, row by row, of the matrix that turns its coordinates into the rectified camera's."""
+
+    distortion: Literal["none", "radial-tangential", "equidistant"]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    coefficients: tuple[float, ...] = Field(default=(), max_length=8)
+    rotation: tuple[float, ...] = Field(min_length=9, max_length=9)
+
+
 class CameraEntry(_Entry):
-    """A rectified rig as JSON: pixels, metres."""
+    """A rectified rig as JSON: pixels, metres; ``stored``: the camera of the image files, where they are not
+    rectified."""
 
     kind: Literal["mono", "stereo", "rgbd"]
     width: int = Field(gt=0)
@@ -46,9 +60,10 @@ class CameraEntry(_Entry):
     cx: float
     cy: float
     baseline_m: float | None = None
+    stored: StoredCameraEntry | None = None
 
     @classmethod
-    def from_rig(cls, rig: Rig) -> CameraEntry:
+    def from_rig(cls, rig: Rig, stored: StoredCameraEntry | None = None) -> CameraEntry:
         """The entry that describes a rig."""
         c = rig.camera
         return cls(
@@ -60,6 +75,7 @@ class CameraEntry(_Entry):
             cx=c.cx,
             cy=c.cy,
             baseline_m=rig.baseline_m,
+            stored=stored,
         )
 
     def rig(self) -> Rig:

@@ -94,6 +94,8 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         depth=depth,
         depth_unit_m=found.depth_unit_m,
         rectifier=ideal.rectifier,
+        stored_camera=None if ideal.rectifier is None else found.raw.left,
+        R_rectified_left=None if ideal.rectifier is None else ideal.R_rectified_left,
         registration=registration,
         groundtruth=truth,
         missing=found.missing,

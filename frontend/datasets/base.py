@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cameras.calibration import RawCamera
 from ..cameras.depth_registration import DepthRegistration
 from ..cameras.models import Rig, RigKind
 from ..cameras.rectification import Rectifier
@@ -69,7 +70,9 @@ class ImageSequence:
     (RGB-D, 16 bit, ``depth_unit_m`` metres per step) likewise, else empty. ``rectifier`` maps the images as stored to
     those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the camera of
     ``rig``; None where it is stored registered to the image (and goes through the ``rectifier`` with it).
-    ``stored_size`` ``(width, height)`` of the image files, pixels. ``groundtruth``: ``T_W_C`` of the rectified left
+    ``stored_size`` ``(width, height)`` of the image files, pixels; ``stored_camera``: the calibrated camera that took
+    them, and ``R_rectified_left`` ``(3, 3)``, which turns its coordinates into the rectified one's; None where the
+    images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left
     camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
     """
 
@@ -83,6 +86,8 @@ class ImageSequence:
     depth: tuple[Path, ...] = ()
     depth_unit_m: float = 0.001
     rectifier: Rectifier | None = None
+    stored_camera: RawCamera | None = None
+    R_rectified_left: NDArray[np.float64] | None = None
     registration: DepthRegistration | None = None
     groundtruth: Trajectory | None = None
     problems: tuple[Problem, ...] = ()

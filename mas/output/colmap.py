@@ -1,29 +1,29 @@
 """An agent's fused map as a COLMAP model: ``cameras.bin``, ``images.bin``, ``points3D.bin``.
 
-One camera an agent, one image a key-frame (under its file's name), one 2-D point for each view of a map point: where
-the owner's front end has found the point in that image. Written without COLMAP: the format is three tables. COLMAP's
-first pixel has its centre at (0.5, 0.5), ours at (0, 0).
+One camera an agent, that of its image files; one image a key-frame, under its file's name; one 2-D point for each view
+of a map point, where the owner's front end has found it in that image. Written without COLMAP: the format is three
+tables. COLMAP's first pixel has its centre at (0.5, 0.5), ours at (0, 0).
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.backend.geometry import Array, quat_wxyz_from_rotation, se3_inverse
+from maslam.backend.geometry import Array, product, quat_wxyz_from_rotation, se3_inverse
 from maslam.backend.refitting import refit_points
 
 from ..map_exchange.map_copy import MapCopy
 from ..sequence import CameraEntry
 from .fused_map import COLOURS, FusedMap
 from .sightings import MapOwner, Sightings, sightings
+from .stored_camera import colmap_model, stored_pixels, turn_to_stored
 
-_PINHOLE = 1
 _HALF_PX = 0.5
 _IMAGE, _COUNT = struct.Struct("<I7dI"), struct.Struct("<Q")
 _NO_POINT = -1  # COLMAP: of a pixel without a point
@@ -47,7 +47,7 @@ def write_colmap(folder: Path, one: FusedMap, owners: Mapping[int, MapOwner]) ->
     for copy, first in zip(one.maps, firsts, strict=False):
         own = slice(*np.searchsorted(views.image, [first, first + len(copy.keyframes)]))
         labels = np.where(twice[views.label[own]], views.label[own] + 1, _NO_POINT)
-        images += _images(copy, views.image[own] - first, labels, views.uv[own], int(first), owners[copy.owner].images)
+        images += _images(copy, views.image[own] - first, labels, views.uv[own], int(first), owners[copy.owner])
     (folder / "images.bin").write_bytes(_table(int(firsts[-1]), images))
     place = np.arange(len(views.image)) - np.searchsorted(views.image, views.image, side="left")
     of = twice[views.label]
@@ -108,24 +108,24 @@ def _table(rows: int, parts: list[bytes]) -> bytes:
 
 
 def _camera(owner: int, c: CameraEntry) -> bytes:
-    middle = (c.fx, c.fy, c.cx + _HALF_PX, c.cy + _HALF_PX)
-    return struct.pack("<IiQQ4d", owner + 1, _PINHOLE, c.width, c.height, *middle)
+    model, parameters = colmap_model(c)
+    return struct.pack(f"<IiQQ{len(parameters)}d", owner + 1, model, c.width, c.height, *parameters)
 
 
 def _images(
-    copy: MapCopy, rows: NDArray[np.intp], labels: NDArray[np.intp], uv: Array, first: int, names: Sequence[str]
+    copy: MapCopy, rows: NDArray[np.intp], labels: NDArray[np.intp], uv: Array, first: int, owner: MapOwner
 ) -> list[bytes]:
     """``rows``, ``labels`` ``(n,)``, ``uv`` ``(n, 2)``: key-frame, number of the point and pixels of each view."""
     table = np.zeros(len(uv), dtype=_POINT2D)
-    table["xy"], table["point"] = uv + _HALF_PX, labels
+    table["xy"], table["point"] = stored_pixels(uv, owner.camera) + _HALF_PX, labels
     bounds = np.searchsorted(rows, np.arange(len(copy.keyframes) + 1))
-    T_C_F = se3_inverse(copy.poses)
+    T_C_F = product(turn_to_stored(owner.camera), se3_inverse(copy.poses))
     poses = np.concatenate([quat_wxyz_from_rotation(T_C_F[:, :3, :3]), T_C_F[:, :3, 3]], axis=1).tolist()
     views, ends = table.tobytes(), (bounds * table.itemsize).tolist()
     sizes = np.diff(bounds).tolist()
     out = []
     for row, (index, stamp) in enumerate(zip(copy.keyframes.tolist(), copy.stamps_ns.tolist(), strict=True)):
-        own = names[index] if 0 <= index < len(names) else f"agent_{copy.owner:02d}/{stamp}.png"
+        own = owner.images[index] if 0 <= index < len(owner.images) else f"agent_{copy.owner:02d}/{stamp}.png"
         head = _IMAGE.pack(first + row + 1, *poses[row], copy.owner + 1)
         out += [head, own.encode() + b"\0", _COUNT.pack(sizes[row]), views[ends[row] : ends[row + 1]]]
     return out

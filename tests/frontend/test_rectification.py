@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
+from dataset_makers import make_scene, write_euroc, write_kitti
 from numpy.typing import NDArray
 
 from maslam.backend.geometry import se3, so3_exp
 from maslam.frontend.cameras.calibration import Distortion, RawCamera, RawRig
 from maslam.frontend.cameras.models import PinholeCamera, RigKind
 from maslam.frontend.cameras.rectification import rectify_rig, stereo_rotations
+from maslam.frontend.datasets import open_dataset
 
 SIZE = (188, 120)
 LEFT = RawCamera(114.7, 114.3, 91.8, 62.1, SIZE, Distortion.RADIAL_TANGENTIAL, (-0.283, 0.074, 0.0002, 1.8e-5))
@@ -139,3 +143,13 @@ def test_depth_takes_the_nearest_stored_pixel() -> None:
 def test_an_ideal_camera_is_left_alone() -> None:
     done = rectify_rig(RawRig(IDEAL), RigKind.MONO, SIZE)
     assert done.rectifier is None and (done.camera.fx, done.camera.fy) == (114.7, 114.3)
+
+
+def test_a_sequence_knows_the_camera_of_its_files_where_they_are_not_rectified(tmp_path: Path) -> None:
+    scene = make_scene()
+    write_euroc(tmp_path / "raw", scene)
+    write_kitti(tmp_path / "ideal", scene)
+    raw, ideal = (open_dataset(tmp_path / name).sequences[0] for name in ("raw", "ideal"))
+    assert raw.rectifier is not None and raw.stored_camera is not None and raw.R_rectified_left is not None
+    np.testing.assert_allclose(raw.R_rectified_left @ raw.R_rectified_left.T, np.eye(3), atol=1e-9)
+    assert ideal.rectifier is None and ideal.stored_camera is None and ideal.R_rectified_left is None

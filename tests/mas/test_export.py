@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from factory import CAMERA, heading
 
-from maslam.backend.geometry import Array, Sim3, se3_inverse, transform_points
+from maslam.backend.geometry import Array, Sim3, se3_inverse, so3_exp, transform_points
 from maslam.mas.map_exchange.map_copy import MapCopy, SoldVersion
 from maslam.mas.output.colmap import write_colmap
 from maslam.mas.output.fused_map import FusedMap, fused, write_map
 from maslam.mas.output.sightings import MapOwner, OwnerViews
 from maslam.mas.protocol.ids import FrameId
+from maslam.mas.sequence import StoredCameraEntry
 from maslam.mas.state.keyframe import KeyFrame
 
 POSES = np.array([heading(0.0, 2.0 * k, 0.05 * k) for k in range(3)])
@@ -146,6 +148,58 @@ def test_a_point_has_every_view_of_its_owner_where_it_was_measured(tmp_path: Pat
         for element in point.track.elements:
             measured = seen[element.image_id - 1][number - 1] + 0.5
             np.testing.assert_allclose(model.images[element.image_id].points2D[element.point2D_idx].xy, measured)
+
+
+TURN = so3_exp([0.01, -0.02, 0.015])
+LENSES = {
+    "none": ((), 1),
+    "radial-tangential": ((-0.28, 0.07, 0.0002, -0.0004), 4),
+    "radial-tangential, eight": ((0.3, -0.05, 0.001, 0.0005, 0.01, 0.6, -0.03, 0.02), 6),
+    "equidistant": ((0.01, -0.004, 0.002, -0.0005), 5),
+}
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_files_that_are_not_rectified_have_their_own_camera_in_the_model(tmp_path: Path, lens: str) -> None:
+    """Pixels are those of the files, as OpenCV projects; COLMAP's own camera projects each point to them."""
+    pycolmap = pytest.importorskip("pycolmap")
+    coefficients, number = LENSES[lens]
+    stored = StoredCameraEntry(
+        distortion=lens.partition(",")[0],
+        fx=300.0,
+        fy=310.0,
+        cx=322.0,
+        cy=239.0,
+        coefficients=coefficients,
+        rotation=tuple(TURN.ravel()),
+    )
+    camera = CAMERA.model_copy(update={"stored": stored})
+    rng = np.random.default_rng(6)
+    points = street(rng, 25)
+    copy = map_of(0, points, np.zeros(25, dtype=np.int64))
+    inside = [transform_points(se3_inverse(T_W_C), points) for T_W_C in POSES]
+    uv = [p[:, :2] / p[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy] for p in inside]
+    views = OwnerViews(np.array([0, 25, 50, 75]), np.tile(np.arange(25), 3), np.concatenate(uv))
+    keyframes = [keyframe_with(0, copy.points_C.astype(np.float32), np.arange(25))]
+    keyframes += [keyframe_with(k, np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.int64)) for k in (1, 2)]
+    write_colmap(tmp_path, fused([copy]), {0: MapOwner(camera, keyframes, views)})
+    model = pycolmap.Reconstruction(str(tmp_path))
+    (theirs,) = model.cameras.values()
+    assert int(theirs.model.value) == number and model.num_points3D() == 25
+    K = np.array([[stored.fx, 0, stored.cx], [0, stored.fy, stored.cy], [0, 0, 1.0]])
+    for k, p in enumerate(inside):
+        seen = (p @ TURN)[:, None]  # from the rectified camera to the stored one
+        if lens == "equidistant":
+            expected = cv2.fisheye.projectPoints(seen, np.zeros(3), np.zeros(3), K, np.array(coefficients))[0]
+        else:
+            expected = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), K, np.array(coefficients))[0]
+        image = model.images[k + 1]
+        found = np.array([q.xy for q in image.points2D])
+        order = [q.point3D_id - 1 for q in image.points2D]
+        np.testing.assert_allclose(found, expected[order, 0] + 0.5, atol=1e-3)
+        for q in image.points2D:
+            in_camera = image.cam_from_world() * model.points3D[q.point3D_id].xyz
+            np.testing.assert_allclose(theirs.img_from_cam(in_camera), q.xy, atol=1e-2)
 
 
 def test_an_image_sees_a_merged_point_once(tmp_path: Path) -> None:

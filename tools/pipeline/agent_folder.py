@@ -38,6 +38,7 @@ from maslam.mas.sequence import (
     Manifest,
     MissingEntry,
     SplitEntry,
+    StoredCameraEntry,
     write_manifest,
 )
 
@@ -131,7 +132,7 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
         keyframes=len(places.vectors),
         tracks=len(used),
         start_ns=plan.start_ns,
-        camera=CameraEntry.from_rig(plan.sequence.rig),
+        camera=CameraEntry.from_rig(plan.sequence.rig, _stored(plan.sequence)),
         lost=lost_frames(plan, trajectory.stamps_ns + plan.start_ns),
         doubtful=_within(plan.share, plan.tracked.doubtful),
         missing=tuple(
@@ -139,6 +140,22 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
             for one in plan.sequence.missing
             if plan.share.first <= one.after <= plan.share.last
         ),
+    )
+
+
+def _stored(sequence: ImageSequence) -> StoredCameraEntry | None:
+    """The camera of the image files, where they are not rectified."""
+    camera, rotation = sequence.stored_camera, sequence.R_rectified_left
+    if camera is None or rotation is None:
+        return None
+    return StoredCameraEntry(
+        distortion=camera.distortion.value,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        coefficients=camera.coefficients,
+        rotation=tuple(rotation.ravel().tolist()),
     )
 
 

@@ -1,0 +1,40 @@
+"""Where image files show what the rectified image shows, against the maps that OpenCV rectifies with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from maslam.backend.geometry import so3_exp
+from maslam.frontend.cameras.calibration import Distortion, RawCamera
+from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
+from maslam.frontend.cameras.rectification import _float_maps, common_camera
+from maslam.mas.output.stored_camera import stored_pixels
+from maslam.mas.sequence import CameraEntry, StoredCameraEntry
+
+SIZE = (640, 480)
+CAMERAS = [
+    RawCamera(450.0, 455.0, 330.0, 235.0, SIZE, Distortion.RADIAL_TANGENTIAL, (-0.3, 0.08, 0.0003, -0.0005, -0.01)),
+    RawCamera(300.0, 300.0, 320.0, 240.0, SIZE, Distortion.EQUIDISTANT, (0.02, -0.01, 0.003, -0.0004)),
+    RawCamera(450.0, 455.0, 330.0, 235.0, SIZE),
+]
+
+
+@pytest.mark.parametrize("raw", CAMERAS, ids=lambda raw: raw.distortion.value)
+def test_rectified_pixels_come_from_where_opencv_takes_them(raw: RawCamera) -> None:
+    rotation = so3_exp([0.02, -0.03, 0.01])
+    ideal: PinholeCamera = common_camera([(raw, rotation)], SIZE)
+    stored = StoredCameraEntry(
+        distortion=raw.distortion.value,
+        fx=raw.fx,
+        fy=raw.fy,
+        cx=raw.cx,
+        cy=raw.cy,
+        coefficients=raw.coefficients,
+        rotation=tuple(rotation.ravel().tolist()),
+    )
+    camera = CameraEntry.from_rig(Rig(RigKind.MONO, ideal), stored)
+    u, v = (a.ravel() for a in np.meshgrid(np.arange(0, 640, 13), np.arange(0, 480, 11)))
+    column, row = _float_maps(raw, rotation, ideal)
+    expected = np.column_stack([column[v, u], row[v, u]])
+    np.testing.assert_allclose(stored_pixels(np.column_stack([u, v]).astype(float), camera), expected, atol=2e-3)
