@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..common.errors import ToolError, UsageError
 from ..common.options import DEST, add_model_options, build, option_name
+from ..common.parser import at_least_one
 from .report import PgoReport
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--agents",
-        type=int,
+        type=at_least_one,
         metavar="N",
         help="cut a single graph into N robots of consecutive poses (default: the robots of the files)",
     )
