@@ -284,7 +284,7 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
             f"but {MANIFEST} says {wanted.name} ({wanted.sha256[:12]}, {wanted.dim}): make the folder anew"
         )
     truth = folder / GROUNDTRUTH
-    tracks, views = _load_tracks(folder) if entry.tracks else ((), ())
+    tracks, views = _load_tracks(folder, (entry.camera.width, entry.camera.height)) if entry.tracks else ((), ())
     sequence = AgentSequence(
         name=entry.name,
         tracks=tracks,
@@ -307,9 +307,9 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
     return sequence
 
 
-def _load_tracks(folder: Path) -> tuple[tuple[VoTrack, ...], tuple[PointViews | None, ...]]:
-    """The tracks that have key-frames, and the views of each."""
+def _load_tracks(folder: Path, size_px: tuple[int, int]) -> tuple[tuple[VoTrack, ...], tuple[PointViews | None, ...]]:
+    """The tracks that have key-frames, and the views of each, in images of ``size_px`` (width, height)."""
     numbered = zip(track_numbers(folder), read_tracks(folder), strict=True)
     kept = [(number, track) for number, track in numbered if len(track)]
-    views = tuple(read_views(folder, number, len(track), len(track.points)) for number, track in kept)
+    views = tuple(read_views(folder, number, len(track), len(track.points), size_px) for number, track in kept)
     return tuple(track for _, track in kept), views

@@ -118,7 +118,8 @@ def page() -> str:
         "### views_K.npz",
         "Where the key-frames of track K see its points, for programs that want pixels; no agent reads it, and other "
         "front ends need not write it. `observations` (N, 2) int32: key-frame and map point as in `lm_obs_K.txt`, all "
-        "of those and further ones; `uv` (N, 2) float32: pixels of the pinhole camera, the first's centre at (0, 0).",
+        "of those and further ones; `uv` (N, 2) float32: pixels of the pinhole camera, the first's centre at (0, 0), "
+        "outside the image by a tenth of its size at most.",
         "### netvlad.npz",
         "numpy arrays: `vectors` (K, dim) float32 unit rows, `textured` (K,) bool, `stamps_ns` (K,) int64, `images` "
         "(file names), `name` and `sha256` of the model, `dim`.",

@@ -62,7 +62,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
     added to ``problems``."""
     right = found.right if kind is RigKind.STEREO else ()
     depth = found.depth if kind is RigKind.RGBD else ()
-    checks.check_count(len(found.images), found.folder, problems)
+    checks.check_count(len(found.images), kind, found.folder, problems)
     checks.check_files(found.images, "image", problems)
     checks.check_files(right, "right image", problems)
     checks.check_files(depth, "depth image", problems)

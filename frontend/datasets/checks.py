@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.models import PinholeCamera
+from ..cameras.models import PinholeCamera, RigKind
 from ..files.timestamps import NS_PER_S, seconds_text
 from .base import Problems
 from .numbering import MissingImages
@@ -17,16 +17,21 @@ MAX_RATE_HZ = 1000.0
 MIN_RATE_HZ = 0.01
 MAX_BASELINE_M = 10.0
 MIN_BASELINE_M = 0.001
+_FEW = 2  # images of one camera, of which no third confirms what the others show
 _SHOWN = 5  # gaps in numbers that are named
 _GAP_FACTOR = 5.0  # times the median interval: a gap worth a warning
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
 
 
-def check_count(images: int, folder: Path, problems: Problems) -> None:
-    """Check that there are images to follow a camera through."""
+def check_count(images: int, kind: RigKind, folder: Path, problems: Problems) -> None:
+    """Check that there are images to follow a camera of this kind through."""
     if images == 1:
         problems.error(f"{folder}: one image is too few; a camera is followed from image to image")
+    elif images == _FEW and kind is RigKind.MONO:
+        problems.warning(
+            f"{folder}: {images} images: too few to track where these alone do not tell the motion of one camera"
+        )
 
 
 def check_numbers(missing: Sequence[MissingImages], folder: Path, problems: Problems) -> None:

@@ -22,7 +22,11 @@ _PATIENCE, _LEFT = 3, 0.6
 """Share of the points followed that must agree in all views."""
 _STILL, _STILL_SIGMAS = 0.25, 4.0
 """Share of points that may have moved by less than so many standard deviations when most have moved far."""
-STATIC = "the camera stands still"
+_STANDING = 0.9
+"""Share of the points that have moved by no more than that where the camera is said to stand."""
+STATIC, MOVED_LITTLE = "the camera stands still", "moved too little to start"
+UNMOVED = STATIC, MOVED_LITTLE
+"""Refusals of a first view that goes on: sooner or later the camera moves."""
 _WAITING = Reason("waiting for a third view", "waiting for a third view to confirm the motion")
 
 
@@ -99,14 +103,20 @@ class FirstView:
             )
         flow, least_px = self.flow_px, mono.several_views * need_px
         if flow < least_px:
-            text = f"static: the points have moved by {flow:.2f} px (median), need {least_px:.1f} px"
-            return Reason(STATIC, text, flow / least_px)
+            kind = STATIC if self._standing() else MOVED_LITTLE
+            text = f"{kind}: the points have moved by {flow:.2f} px (median), need {least_px:.1f} px"
+            return Reason(kind, text, flow / least_px)
         still = self._still(flow)
         if still > _STILL:
             what = f"{100 * still:.0f} % of the points stand still"
             text = f"{what}, {100 * _STILL:.0f} % at most: something moves, not the camera"
             return Reason("a part of the image stands still", text, _STILL / still)
         return None
+
+    def _standing(self) -> bool:
+        """Whether the points are where they were, within their noise."""
+        moved = np.linalg.norm(self.uv - self.first_uv, axis=1)
+        return float((moved < _STILL_SIGMAS * self.config.pose.pixel_sigma_px).mean()) >= _STANDING
 
     def _still(self, flow_px: float) -> float:
         """Share of points that never left their place: what a standing camera sees behind something that moves."""

@@ -17,7 +17,7 @@ from ..mapping.map import FrameObservations
 from ..mapping.range_sensor import Ranging
 from ..reason import NO_REASON, Reason
 from ..stopwatch import Stopwatch
-from .first_view import STATIC, FirstView, least_matches
+from .first_view import UNMOVED, FirstView, least_matches
 from .track import Segment
 
 _RENEW = 0.75
@@ -120,7 +120,7 @@ class MonoStarter:
     def _spent(self, view: FirstView, frame: Frame, refusal: Reason) -> bool:
         """Whether a first view has too few corners left, or was refused too long although the camera moved."""
         mono = self.config.mono
-        old = frame.index - view.frame.index >= mono.max_frames and refusal.kind != STATIC
+        old = frame.index - view.frame.index >= mono.max_frames and refusal.kind not in UNMOVED
         return old or len(view) < least_matches(mono)
 
     def _renew(self, frame: Frame, refusal: Reason | None) -> Reason:

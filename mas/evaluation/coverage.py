@@ -36,10 +36,12 @@ def one_frame(
     groups: Sequence[Sequence[int]], names: Sequence[str], placed: Sequence[int], left_out: Sequence[str]
 ) -> OneFrame:
     """The largest of ``groups`` of agents, of which those without a ``placed`` frame are in none; ``left_out``:
-    sequences without an agent."""
+    sequences without an agent, named as such: agents are numbered anew, and a sequence may be called as one."""
     nowhere = [name for name, frames in zip(names, placed, strict=True) if not frames]
     largest = max((sum(placed[a] > 0 for a in group) for group in groups), default=0)
-    return OneFrame(agents=largest, of=len(names) + len(left_out), without=[*nowhere, *left_out])
+    return OneFrame(
+        agents=largest, of=len(names) + len(left_out), without=[*nowhere, *(f"sequence {name}" for name in left_out)]
+    )
 
 
 def frames_read(sequences: Sequence[AgentSequence]) -> int:

@@ -65,7 +65,8 @@ class Coverage(_Figures):
 
 class OneFrame(_Figures):
     """The largest group: ``agents`` that share one frame, ``of`` all that there should be, those without a place
-    included: sequences without an agent, agents without a placed frame (``without``: their names)."""
+    included: agents without a placed frame, sequences without an agent (``without``: ``agent_02``, ``sequence dark``).
+    """
 
     agents: int
     of: int

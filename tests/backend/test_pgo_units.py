@@ -147,6 +147,7 @@ def test_a_graph_in_python_is_solved_as_by_the_command(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("words", "said"), [
     (["--monocular", "7"], "there is no robot 7, only 0"),
     (["--monocular", "left"], "all, or numbers of robots"),
+    (["--monocular", ""], "--monocular '': all, or numbers of robots"),
     (["--monocular", "all", "--robust", "pcm"], "judges rigid graphs only"),
     (["--monocular", "all", "--plot", "bytes.png"], "compares methods on rigid graphs"),
 ])  # fmt: skip

@@ -157,6 +157,22 @@ def test_warnings_do_not_stop(tmp_path: Path) -> None:
     assert any("principal point (90.0, 31.5) px is far from the centre" in m for m in messages)
 
 
+@pytest.mark.parametrize(("images", "rig", "few"), [
+    (2, RigKind.MONO, True), (3, RigKind.MONO, False), (2, RigKind.STEREO, False),
+])  # fmt: skip
+def test_two_images_of_one_camera_are_few(tmp_path: Path, images: int, rig: RigKind, few: bool) -> None:
+    write_rendered(tmp_path, make_scene(), "stereo")
+    for side in ("image_0", "image_1"):
+        for image in sorted((tmp_path / side).iterdir())[images:]:
+            image.unlink()
+    for name in ("times.txt", "poses.txt", "groundtruth.txt"):
+        (tmp_path / name).unlink(missing_ok=True)
+    [sequence] = open_dataset(tmp_path, rig).sequences
+    said = [problem for problem in sequence.problems if "too few to track" in problem.message]
+    assert [problem.severity for problem in said] == [Severity.WARNING] * few
+    assert all(f"{tmp_path}: 2 images: " in problem.message for problem in said)
+
+
 def test_a_calibration_for_another_size(tmp_path: Path) -> None:
     write_rendered(tmp_path, make_scene(), "stereo")
     camera = tmp_path / "camera.yaml"

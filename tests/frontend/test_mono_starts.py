@@ -18,6 +18,7 @@ from maslam.frontend.estimation.several_views import SeveralViews
 from maslam.frontend.frames import Frame
 from maslam.frontend.mapping.range_sensor import Ranging
 from maslam.frontend.odometry import Odometry
+from maslam.frontend.tracking.first_view import FirstView
 from maslam.frontend.tracking.initialisation import MonoStarter, Start
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
@@ -82,9 +83,37 @@ def test_a_stretch_without_a_pose_is_one_interval_with_its_best_figure() -> None
     scene, poses = room.Room(3), room.walk(12, step_m=0.002, turn_deg=0.0)
     results = [odometry.process(scene.frame(i, pose, RigKind.MONO)) for i, pose in enumerate(poses)]
     (interval,) = odometry.finish().lost
-    assert interval.kind == "the camera stands still" == results[-1].kind and interval.frames == 12
+    assert interval.kind == "moved too little to start" == results[-1].kind and interval.frames == 12
+    frames = [r.kind for r in results].count(interval.kind)
     moved = max(float(r.reason.split(" by ")[1].split(" px")[0]) for r in results if " by " in r.reason)
-    assert f"moved by {moved:.2f} px" in interval.reason and "nearest of 11 frames" in interval.reason
+    assert f"moved by {moved:.2f} px" in interval.reason and f"nearest of {frames} frames" in interval.reason
+    assert moved > 2.0
+
+
+def moved_by(px: float, share: float) -> str:
+    """Kind of the refusal where a ``share`` of the points has moved by so many pixels, the others not at all."""
+    ranging = Ranging(room.rig(RigKind.MONO), CONFIG.stereo, CONFIG.flow)
+    rng = np.random.default_rng(2)
+    first = rng.uniform((20.0, 20.0), (300.0, 220.0), (200, 2))
+    view = FirstView(room.Room(3).frame(0, room.walk(1)[0], RigKind.MONO), first, ranging, CONFIG)
+    step = np.where(np.arange(200)[:, None] < 200 * share, (px, 0.0), (0.0, 0.0))
+    view.follow(first + step + rng.normal(0.0, 0.1, (200, 2)), np.ones(200, dtype=bool))
+    return view.motion().refusal.kind
+
+
+def test_only_points_that_stand_within_their_noise_are_said_to_stand() -> None:
+    """A start needs 3 px of an image of 320 pixels a row; a point's noise is half a pixel."""
+    assert moved_by(0.0, 1.0) == moved_by(0.5, 1.0) == moved_by(60.0, 0.05) == "the camera stands still"
+    assert moved_by(2.6, 1.0) == moved_by(2.6, 0.6) == moved_by(60.0, 0.2) == "moved too little to start"
+
+
+def test_a_first_view_goes_on_while_the_camera_has_moved_too_little() -> None:
+    """Its parallax so far would be thrown away otherwise: the next view would begin with points that stand."""
+    config = CONFIG.model_copy(update={"mono": CONFIG.mono.model_copy(update={"max_frames": 5})})
+    start = MonoStarter(Ranging(room.rig(RigKind.MONO), config.stereo, config.flow), config)
+    scene, poses = room.Room(3), room.walk(10, step_m=0.002, turn_deg=0.0)
+    kinds = [start.offer(scene.frame(i, pose, RigKind.MONO)).refusal.kind for i, pose in enumerate(poses)]
+    assert kinds[1] == "the camera stands still" and kinds[4:] == ["moved too little to start"] * 6
 
 
 def test_each_frame_before_a_start_is_counted_once() -> None:

@@ -102,21 +102,70 @@ def test_only_the_images_of_the_neighbourhood_are_held(monkeypatch: pytest.Monke
     assert len(result.views[0]) > len(result.tracks[0].observations)
 
 
+SIZE = (100, 80)
+
+
 def test_views_come_back_from_their_file_and_damage_is_said(tmp_path: Path) -> None:
     views = PointViews.sorted(np.array([1, 0]), np.array([2, 0]), np.array([[3.5, 4.25], [1.0, 2.0]]))
     write_views(tmp_path, 3, views)
-    again = read_views(tmp_path, 3, keyframes=2, points=3)
+    again = read_views(tmp_path, 3, keyframes=2, points=3, size_px=SIZE)
     assert again is not None
     assert again.observations.tolist() == [[0, 0], [1, 2]] and again.uv.tolist() == [[1.0, 2.0], [3.5, 4.25]]
-    assert read_views(tmp_path, 0, 2, 3) is None
+    assert read_views(tmp_path, 0, 2, 3, SIZE) is None
     with pytest.raises(FrontendError, match=r"views_3\.npz: a view of a key-frame or point beyond"):
-        read_views(tmp_path, 3, keyframes=2, points=2)
+        read_views(tmp_path, 3, keyframes=2, points=2, size_px=SIZE)
     write_views(tmp_path, 4, PointViews(views.observations, views.uv * np.nan))
     with pytest.raises(FrontendError, match=r"views_4\.npz: NaN"):
-        read_views(tmp_path, 4, 2, 3)
+        read_views(tmp_path, 4, 2, 3, SIZE)
     write_views(tmp_path, 5, PointViews(views.observations, views.uv[:1]))
     with pytest.raises(FrontendError, match=r"views_5\.npz: arrays of shapes"):
-        read_views(tmp_path, 5, 2, 3)
-    (tmp_path / "views_6.npz").write_bytes(b"PK\x03\x04 cut")
-    with pytest.raises(FrontendError, match=r"views_6\.npz: cannot be read"):
-        read_views(tmp_path, 6, 2, 3)
+        read_views(tmp_path, 5, 2, 3, SIZE)
+
+
+def damaged(path: Path, how: str) -> None:
+    whole = path.read_bytes()
+    if how == "pickled":
+        np.savez(path, observations=np.array([[{}, {}]]), uv=np.zeros((1, 2)))
+    elif how == "one array":
+        with path.open("wb") as file:
+            np.save(file, np.zeros((1, 2)))
+    elif how == "another name":
+        np.savez(path, observations=np.zeros((1, 2), dtype=np.int32))
+    else:
+        at = len(whole) // 3
+        changes = {
+            "text": b"no archive",
+            "empty": b"",
+            "cut at the front": b"PK\x03\x04 cut",
+            "cut": whole[: 2 * at],
+            "changed": whole[:at] + bytes(255 - b for b in whole[at : at + 60]) + whole[at + 60 :],
+        }
+        path.write_bytes(changes[how])
+
+
+@pytest.mark.parametrize(
+    "how", ["text", "empty", "cut at the front", "cut", "changed", "pickled", "one array", "another name"]
+)
+def test_a_damaged_file_of_views_is_said_in_our_words(tmp_path: Path, how: str) -> None:
+    keyframe, point = np.divmod(np.arange(60), 30)
+    write_views(tmp_path, 0, PointViews.sorted(keyframe, point, np.ones((60, 2))))
+    damaged(tmp_path / "views_0.npz", how)
+    with pytest.raises(FrontendError) as said:
+        read_views(tmp_path, 0, 2, 30, SIZE)
+    assert str(said.value) == f"{tmp_path / 'views_0.npz'}: damaged: run preprocess again, or delete it"
+
+
+@pytest.mark.parametrize(
+    ("uv", "far"),
+    [
+        *(((u, v), False) for u, v in [(0.0, 0.0), (-9.9, 87.9), (109.9, -7.9)]),
+        *(((u, v), True) for u, v in [(-10.1, 5.0), (110.1, 5.0), (5.0, -8.1), (5.0, 88.1), (1e9, 5.0)]),
+    ],
+)
+def test_a_pixel_far_outside_the_image_is_refused(tmp_path: Path, uv: tuple[float, float], far: bool) -> None:
+    write_views(tmp_path, 0, PointViews.sorted(np.array([0, 1]), np.array([0, 0]), np.array([[5.0, 5.0], uv])))
+    if not far:
+        assert read_views(tmp_path, 0, 2, 1, SIZE) is not None
+        return
+    with pytest.raises(FrontendError, match=r"views_0\.npz: a view at pixel .* outside the image of 100x80"):
+        read_views(tmp_path, 0, 2, 1, SIZE)

@@ -135,10 +135,10 @@ LOSSES = {
         [(42, 42, 42, 1, 1)],
         [50.0],
         (
-            "dark: no agent, 42 frames: no frame of 42 could be tracked: too dark (42 x)",
+            "sequence dark: no agent, 42 frames: no frame of 42 could be tracked: too dark (42 x)",
             "measured on 42 of 84 frames",
             "1 of 2",
-            "without a place: dark",
+            "without a place: sequence dark",
         ),
         tile=("42 of 84", "bad"),
     ),
@@ -253,13 +253,34 @@ def test_agents_without_a_place_are_counted_among_those_that_could_share_a_frame
     write_manifest(tmp_path, manifest(parts))
     run = tmp_path / "run"
     assert cli.main(["run", str(tmp_path), str(run), "--preset", "default", "--quiet"]) == 0
-    assert "2 of 4 agents share one frame; without a place: agent_02, cellar" in capsys.readouterr().out
-    expected = {"agents": 2, "of": 4, "without": ["agent_02", "cellar"]}
+    assert "2 of 4 agents share one frame; without a place: agent_02, sequence cellar" in capsys.readouterr().out
+    expected = {"agents": 2, "of": 4, "without": ["agent_02", "sequence cellar"]}
     assert json.loads((run / "summary.json").read_text())["one_frame"] == expected
     assert cli.main(["report", str(run)]) == 0
     page = unescape((run / "report" / "index.html").read_text())
-    assert re.search(r"<span>agents in one frame</span><b>2 of 4</b><em>without a place: agent_02, cellar</em>", page)
+    assert re.search(
+        r"<span>agents in one frame</span><b>2 of 4</b><em>without a place: agent_02, sequence cellar</em>", page
+    )
     assert "All agents in one frame" not in page
+
+
+def test_a_sequence_without_an_agent_is_not_taken_for_the_agent_of_that_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the source's agent_00, agent_01 (dark) and agent_02 two agents are made: the run's agent_01 is the third."""
+    met = [replace(drive(a, circuit(5.0 * a, 21.0)), source=f"agent_{2 * a:02d}") for a in range(2)]
+    parts = met, (LeftOutEntry(sequence="agent_01", frames=42, reason="too dark"),)
+    write(tmp_path, met)
+    write_manifest(tmp_path, manifest(parts))
+    run = tmp_path / "run"
+    assert cli.main(["run", str(tmp_path), str(run), "--preset", "default", "--quiet"]) == 0
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["one_frame"] == {"agents": 2, "of": 3, "without": ["sequence agent_01"]}
+    assert cli.main(["report", str(run)]) == 0
+    page = unescape((run / "report" / "index.html").read_text())
+    for said in (capsys.readouterr().out, page):
+        assert "without a place: sequence agent_01" in said and "sequence agent_01: no agent, 42 frames" in said
+        assert not re.search(r"without a place: agent_01|(?<!sequence )agent_01: no agent", said)
 
 
 def test_a_team_in_one_frame_is_not_all_where_one_is_left_out(tmp_path: Path) -> None:

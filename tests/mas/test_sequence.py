@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from factory import manifest_of, town
 
+from maslam.frontend.errors import FrontendError
+from maslam.frontend.files.point_views import PointViews, write_views
 from maslam.frontend.files.trajectory import write_tum
 from maslam.frontend.files.vo_files import write_track
 from maslam.mas.errors import MasError
@@ -67,6 +69,19 @@ def test_an_unfinished_folder_is_refused(tmp_path: Path) -> None:
     write(tmp_path, sequences)
     (tmp_path / MANIFEST).unlink()
     with pytest.raises(MasError, match=r"no manifest\.json"):
+        load_sequences(tmp_path)
+
+
+@pytest.mark.parametrize(("u", "refused"), [(639.0, False), (705.0, True)])
+def test_views_are_checked_against_the_manifests_camera(tmp_path: Path, u: float, refused: bool) -> None:
+    """The second agent's camera has 640 pixels a row."""
+    _, sequences = town(2, 3)
+    write(tmp_path, sequences)
+    write_views(tmp_path / sequences[1].name, 0, PointViews.sorted(np.zeros(1, int), np.zeros(1, int), [[u, 5.0]]))
+    if not refused:
+        assert load_sequences(tmp_path)[1][1].views[0] is not None
+        return
+    with pytest.raises(FrontendError, match=r"agent_01/views_0\.npz: a view at pixel .* outside the image of 640x360"):
         load_sequences(tmp_path)
 
 

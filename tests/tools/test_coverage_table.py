@@ -8,6 +8,7 @@ import pytest
 
 from maslam.tools.report.coverage_table import agent_names, coverage_rows, lost_lines, percent_text
 from maslam.tools.report.measured import measured_on, odometry_measured_on
+from maslam.tools.report.summary_table import why_text
 
 
 def summary(**coverage: Any) -> dict[str, Any]:
@@ -83,3 +84,15 @@ def test_agents_are_named_for_their_images_where_these_tell_them_apart() -> None
 def test_a_run_from_before_has_no_coverage() -> None:
     old: dict[str, Any] = {"agents": 2}
     assert coverage_rows(old) == [] and lost_lines(old) == [] and measured_on(old) == ""
+
+
+@pytest.mark.parametrize(("outcome", "reason", "detail", "text"), [
+    ("rejected", "too few matches", "too few matches: 5 < 8", "too few matches: 5 < 8"),
+    ("rejected", "beyond the unit's drift", "beyond the unit's drift", "beyond the unit's drift"),
+    ("rejected", "no agreeing match", "accepted", "no agreeing match"),
+    ("skipped", "not verified", "the contract ended", "not verified: the contract ended"),
+    ("skipped", "close to an accepted match", "", "close to an accepted match"),
+    ("accepted", "accepted", "accepted", ""),
+])  # fmt: skip
+def test_a_match_has_its_reason_once(outcome: str, reason: str, detail: str, text: str) -> None:
+    assert why_text({"outcome": outcome, "reason": reason, "detail": detail}) == text

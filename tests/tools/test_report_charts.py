@@ -89,6 +89,13 @@ def test_bands_of_bytes_stand_on_each_other() -> None:
     assert [(box.ymin, box.ymax) for box in extents] == [(0.0, 2.0), (0.0, 7.0)]
 
 
+@pytest.mark.parametrize(("sent", "shown"), [(0.0, ["0 B", "1 B"]), (3.0, ["0 B", "1 B", "2 B", "3 B"])])
+def test_an_axis_of_bytes_has_no_fractions_of_one(sent: float, shown: list[str]) -> None:
+    svg = ElementTree.fromstring(bytes_chart(np.arange(3.0), {"dvpr": np.array([0.0, 0.0, sent])}))
+    marks = [text for one in svg.iter("text") if re.search(r"\dB$", text := re.sub(r"\s", "", "".join(one.itertext())))]
+    assert marks == [text.replace(" ", "") for text in shown]
+
+
 def test_a_copy_of_anothers_map_is_drawn_thinner() -> None:
     with house_figure((3.0, 2.0)) as figure:
         axes = figure.add_subplot()

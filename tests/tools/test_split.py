@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from maslam.backend.geometry import se3_exp, transform_points
 from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.vo_files import VoTrack
+from maslam.tools import cli
 from maslam.tools.common.errors import UsageError
 from maslam.tools.pipeline.split import cut_track, cut_views, share_out
 
@@ -58,10 +61,25 @@ def test_where_equal_blocks_leave_none_for_the_last_they_differ_by_one() -> None
     assert (many[0].first, many[-1].last) == (0, 4540)
 
 
-@pytest.mark.parametrize(("frames", "agents"), [(3, 4), (5, 0)])
-def test_too_many_agents_is_a_usage_error(frames: int, agents: int) -> None:
-    with pytest.raises(UsageError, match=f"--agents {agents}"):
-        share_out(frames, [np.arange(frames)], agents, overlap=0)
+def test_too_many_agents_is_a_usage_error() -> None:
+    with pytest.raises(UsageError, match="--agents 4: the sequence has 3 frames"):
+        share_out(3, [np.arange(3)], 4, overlap=0)
+
+
+@pytest.mark.parametrize("agents", [0, -1])
+def test_an_agent_at_least_is_needed(agents: int) -> None:
+    with pytest.raises(UsageError, match=f"--agents {agents}: at least 1 is needed"):
+        share_out(5, [np.arange(5)], agents, overlap=0)
+
+
+@pytest.mark.parametrize("command", ["preprocess", "slam", "pgo"])
+@pytest.mark.parametrize("agents", [0, -1])
+def test_the_command_says_so_of_its_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, agents: int
+) -> None:
+    assert cli.main([command, str(tmp_path / "none"), str(tmp_path / "out"), "--agents", str(agents)]) == 2
+    said = capsys.readouterr().err
+    assert f"--agents: at least 1, not {agents}" in said and not (tmp_path / "out").exists()
 
 
 def test_cut_track_renumbers_points_and_moves_the_origin() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from maslam.descriptors.inference import NetVlad
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets import open_dataset
+from maslam.frontend.errors import FrontendError
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
 from maslam.tools.pipeline.tracking import track
 from tests.descriptors.conftest import tiny_model
@@ -51,3 +53,16 @@ def test_a_colour_network_sees_the_colours_of_the_key_frames(town_stereo: Path, 
     files = [sequence.left[int(i)] for k in result.keyframes for i in k]
     means = np.stack([cv2.imread(str(path)).mean(axis=(0, 1))[::-1] for path in files])
     np.testing.assert_allclose(result.vectors, means / np.linalg.norm(means, axis=1, keepdims=True), atol=1e-4)
+
+
+@pytest.mark.parametrize("rig", ["mono", "stereo"])
+def test_frames_of_a_track_that_is_not_kept_have_their_reason(town_stereo: Path, rig: str) -> None:
+    """Each frame of the sequence is counted once: those before a start by their refusal, those with a pose in a track
+    that ends too soon as such."""
+    sequence = open_dataset(town_stereo, RigKind(rig)).sequences[0]
+    config = OdometryConfig(min_track_keyframes=1000)
+    with pytest.raises(FrontendError) as refused:
+        track(sequence, config, Vocabulary.load(None), NetVlad.load(), lambda _: None)
+    message = str(refused.value)
+    assert message.startswith(f"no frame of {len(sequence)} could be tracked: the track is too short (")
+    assert sum(int(n) for n in re.findall(r"\((\d+) x\)", message)) == len(sequence)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..common.errors import ToolError, UsageError
 from ..common.options import DEST, add_model_options, build, option_name
+from ..common.parser import at_least_one
 from .report import PgoReport
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--agents",
-        type=int,
+        type=at_least_one,
         metavar="N",
         help="cut a single graph into N robots of consecutive poses (default: the robots of the files)",
     )
@@ -96,9 +97,9 @@ def main(arguments: argparse.Namespace) -> None:
     from .methods import check, default_method
 
     if arguments.method is None:
-        arguments.method = default_method(bool(arguments.monocular))
-    check(arguments.method, arguments.robust, bool(arguments.monocular))
-    if arguments.monocular and arguments.plot is not None:
+        arguments.method = default_method(arguments.monocular is not None)
+    check(arguments.method, arguments.robust, arguments.monocular is not None)
+    if arguments.monocular is not None and arguments.plot is not None:
         raise UsageError("--plot compares methods on rigid graphs; leave out --monocular, or --plot")
     for path, instead in (("solver.method", "--method"), ("solver.robust", "--robust"), ("central.loss", "--robust")):
         if hasattr(arguments, DEST + path):
@@ -138,14 +139,15 @@ def _monocular(graph: PoseGraph, robots: str | None) -> frozenset[int]:
     """The robots that ``--monocular`` names."""
     from .methods import own_units
 
-    if not robots:
+    if robots is None:
         return frozenset()
     if robots == "all":
         return frozenset(graph.robots)
     try:
         return own_units(graph, [int(number) for number in robots.split(",")])
     except ValueError:
-        raise UsageError(f"--monocular {robots}: all, or numbers of robots, like 0,2") from None
+        given = robots or "''"
+        raise UsageError(f"--monocular {given}: all, or numbers of robots, like 0,2") from None
 
 
 def optimise_graph(

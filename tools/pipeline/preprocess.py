@@ -78,7 +78,7 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     """The options shared with ``maslam slam``."""
     parser.add_argument(
         "--agents",
-        type=int,
+        type=at_least_one,
         metavar="N",
         help="cut one sequence into blocks for N agents (default: one agent a sequence)",
     )

@@ -34,7 +34,9 @@ class SequenceShare:
 
 def check_shares(frames: int, agents: int) -> None:
     """Each agent must get a frame at least."""
-    if not 1 <= agents <= max(frames, 1):
+    if agents < 1:
+        raise UsageError(f"--agents {agents}: at least 1 is needed")
+    if agents > max(frames, 1):
         raise UsageError(f"--agents {agents}: the sequence has {frames} frames to share out")
 
 

@@ -83,21 +83,26 @@ def track(
     odometry = Odometry(sequence.rig, config, vocabulary)
     places = _Places(sequence, model)
     unreadable: list[str] = []
-    refusals: Counter[str] = Counter()
     read = np.zeros(len(sequence), dtype=bool)
     for frame, result in follow(sequence, odometry, unreadable):
         read[frame.index] = True
         for keyframe in (result.first, frame if result.stays else None):
             if keyframe is not None:
                 places.describe(keyframe.index, keyframe.image)
-        if result.T_W_C is None:
-            refusals[result.kind] += 1
         advance(frame.index + 1)
     finished = odometry.finish()
     if not any(len(one) for one in finished.tracks):
-        why = ", ".join(f"{kind} ({count} x)" for kind, count in refusals.most_common(3)) or "no frame could be used"
-        raise FrontendError(f"no frame of {len(sequence)} could be tracked: {why}")
+        raise FrontendError(f"no frame of {len(sequence)} could be tracked: {_why_none(finished, sequence, read)}")
     return _collect(finished, places, sequence.stamps_ns, read, tuple(unreadable))
+
+
+def _why_none(finished: OdometryResult, sequence: ImageSequence, read: NDArray[np.bool_]) -> str:
+    """Why a result has no track. A frame that had a pose in a track too short to be kept counts as well."""
+    reasons: Counter[str] = Counter()
+    for interval in finished.lost:
+        for kind, frames in lost_gap(interval, sequence.stamps_ns, read).kinds:
+            reasons[kind] += frames
+    return ", ".join(f"{kind} ({count} x)" for kind, count in reasons.most_common(3)) or "no frame could be used"
 
 
 def follow(sequence: ImageSequence, odometry: Odometry, unreadable: list[str]) -> Iterator[tuple[Frame, FrameResult]]:

@@ -109,15 +109,16 @@ def draw_lines(axes: Any, times_s: Array, series: Mapping[str, Array], moments_s
 
 def draw_bytes(axes: Any, times_s: Array, cumulative: Mapping[str, Array]) -> None:
     """Bytes since the start, one band per operation, stacked."""
-    from matplotlib.ticker import EngFormatter
+    from matplotlib.ticker import EngFormatter, MaxNLocator
 
     below = np.zeros(len(times_s))
     for name, values in cumulative.items():
         band = {"color": OPERATION_COLOUR[name], "linewidth": 0, "label": OPERATIONS[name]}
         axes.fill_between(times_s, below, below + values, gid=tip(OPERATIONS[name]), **band)
         below = below + values
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, max(axes.get_ylim()[1], 1.0))
     axes.margins(x=0.01)
+    axes.yaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     axes.yaxis.set_major_formatter(EngFormatter("B"))
 
 

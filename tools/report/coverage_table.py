@@ -88,7 +88,7 @@ def lost_lines(summary: dict[str, Any]) -> list[str]:
         if c.get("missing"):
             lines.append(f"{name}: {_missing(c['missing'])}")
     for one in summary.get("left_out") or []:
-        lines.append(f"{one['sequence']}: no agent, {counted(one['frames'], 'frame')}: {one['reason']}")
+        lines.append(f"sequence {one['sequence']}: no agent, {counted(one['frames'], 'frame')}: {one['reason']}")
     return lines
 
 

@@ -30,7 +30,7 @@ from .html import Section, Tile, legend, table
 from .match_images import sample_images
 from .measured import frames_read, measured_on, table_note
 from .run_data import AgentData, RunData
-from .summary_table import who_decided
+from .summary_table import who_decided, why_text
 
 MAX_MATCH_ROWS = 400
 
@@ -281,7 +281,7 @@ def _match_cells(row: dict[str, str]) -> list[str]:
     label = "accepted, but false" if false else row["outcome"]
     ends = [f"agent_{int(row[f'{end}_agent']):02d} · {row[f'{end}_keyframe']}" for end in ("query", "match")]
     error = f"{float(row['error_m']):.2f} m" if row["error_m"] else "–"
-    why = escape(" ".join(word for word in (row["reason"], row["detail"]) if word and word != row["outcome"]))
+    why = escape(why_text(row))
     badge = f'<span class="outcome {outcome}">{escape(label)}</span>'
     return [f"{float(row['time_s']):.1f} s", *ends, row["distance"], badge, why, row["matches"], row["inliers"], error]
 

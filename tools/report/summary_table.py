@@ -192,3 +192,13 @@ def _metres(value: float | None) -> str:
 
 def _percent(value: float | None) -> str:
     return "-" if value is None else percent_text(value)
+
+
+def why_text(row: dict[str, str]) -> str:
+    """Why a match of ``matches.csv`` has its outcome: the reason, and its figures where they are more than that."""
+    reason, figures = (
+        word if word not in (row["outcome"], "accepted") else "" for word in (row["reason"], row["detail"])
+    )
+    if figures.startswith(reason):
+        return figures
+    return f"{reason}: {figures}" if figures else reason
