@@ -21,7 +21,9 @@ from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.trajectory import Trajectory, read_tum, write_kitti_poses
 from maslam.frontend.files.vo_files import VoTrack, read_tracks
 from maslam.frontend.frames import Frame
+from maslam.frontend.reason import NO_REASON, Reason
 from maslam.frontend.stopwatch import Stopwatch
+from maslam.frontend.tracking.pose_log import MomentLog
 from maslam.mas.sequence import load_sequences
 from maslam.tools import cli
 from maslam.tools.pipeline.agent_folder import lost_frames
@@ -41,6 +43,7 @@ class KnownOdometry:
 
     def __init__(self, *_: Any) -> None:
         self._seen: list[int] = []
+        self._moments = MomentLog()
         self.stopwatch = Stopwatch()
 
     def process(self, frame: Frame) -> Any:
@@ -48,6 +51,7 @@ class KnownOdometry:
         tracked = frame.image.max() > 0
         if tracked:
             self._seen.append(frame.index)
+        self._moments.note(frame.stamp_ns, NO_REASON if tracked else Reason("too dark", "too dark"))
         pose = TRUTH[frame.index] if tracked else None
         return SimpleNamespace(
             is_keyframe=tracked and frame.index % EVERY == 0,
@@ -77,7 +81,7 @@ class KnownOdometry:
             views=[PointViews(track.observations, np.float32(np.arange(2 * len(track.observations))).reshape(-1, 2))],
             keyframe_indices=[keyframes],
             trajectories=[trajectory],
-            lost=[],
+            lost=self._moments.lost([trajectory.stamps_ns], lambda: NO_REASON),
             doubtful=[weak],
             stats={},
         )
