@@ -127,7 +127,7 @@ class Odometry:
             return self._start(frame)
         # Follow the points into this frame; the pose that explains them best.
         with self.stopwatch.stage(TimedStage.TRACK):
-            tracked = segment.tracker.track(frame, segment.map)
+            tracked = segment.track(frame)
         found_again = tracked.T_C_W is None
         if found_again:
             # Lost: look for the map in this frame by its words.
@@ -140,7 +140,8 @@ class Odometry:
         # A view that brings something new stays, and the map around it is refined.
         since = segment.since_keyframe(frame, self.rig)
         wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
-        is_keyframe = found_again or (wanted and not segment.tracker.held)
+        allowed = not segment.tracker.held and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
+        is_keyframe = found_again or (wanted and allowed)
         if is_keyframe:
             frame.prepare()
             segment.insert_keyframe(frame)

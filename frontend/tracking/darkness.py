@@ -20,6 +20,12 @@ def brightness(image: NDArray[np.uint8]) -> int:
     return int(np.searchsorted(below, _SHARE * below[-1]))
 
 
+def is_dark(image: NDArray[np.uint8]) -> bool:
+    """Whether :func:`brightness` is at most that of a dark image; much quicker."""
+    seen = image[::2, ::2]
+    return int(np.count_nonzero(seen <= _LEVEL)) >= _SHARE * seen.size
+
+
 def unless_dark(refusal: Reason, image: NDArray[np.uint8]) -> Reason:
     """The ``refusal`` of an image, or that it is too dark: noise then looks like corners, which are lost, or stand
     still."""
