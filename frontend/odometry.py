@@ -22,7 +22,7 @@ from .mapping.map import Map
 from .mapping.range_sensor import Ranging
 from .reason import NO_REASON, Reason
 from .stopwatch import Stopwatch, TimedStage
-from .tracking.darkness import unless_dark
+from .tracking.darkness import doubt_dark, unless_dark
 from .tracking.export import export_track
 from .tracking.initialisation import WITHOUT_SECOND, make_starter
 from .tracking.keyframe_policy import wants_keyframe
@@ -127,7 +127,7 @@ class Odometry:
             return self._start(frame)
         # Follow the points into this frame; the pose that explains them best.
         with self.stopwatch.stage(TimedStage.TRACK):
-            tracked = segment.tracker.track(frame, segment.map)
+            tracked = segment.track(frame)
         found_again = tracked.T_C_W is None
         if found_again:
             # Lost: look for the map in this frame by its words.
@@ -137,10 +137,13 @@ class Odometry:
         self._lost_frames = 0
         segment.record(frame, tracked.T_C_W)
         doubt = self._doubt(tracked, found_again)
+        if segment.light.out and not doubt.kind:
+            doubt = doubt_dark(frame.image)
         # A view that brings something new stays, and the map around it is refined.
         since = segment.since_keyframe(frame, self.rig)
         wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
-        is_keyframe = found_again or (wanted and not segment.tracker.held)
+        allowed = not segment.tracker.held and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
+        is_keyframe = found_again or (wanted and allowed)
         if is_keyframe:
             frame.prepare()
             segment.insert_keyframe(frame)

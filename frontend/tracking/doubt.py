@@ -35,7 +35,7 @@ _SECOND_SHARE, _DISAGREE_SHARE = 0.25, 0.3
 """Shares of the points found that agree on a second motion, and above which that is looked for."""
 _NEIGHBOURS, _STEP_SPREADS, _STEP_SHARE = 4, 2.0, 0.005
 """A step is a jump where it differs from the median of its neighbours on each side by more than so many times their
-spread and a share of the median depth."""
+spread and a share of the median depth, and by more the farther these are away in time."""
 
 
 @dataclass(frozen=True)
@@ -143,15 +143,30 @@ def jumps(stamps_ns: NDArray[np.int64], centres: Array, depth: Array) -> list[tu
         return []
     dt = np.maximum(np.diff(stamps_ns).astype(np.float64), 1.0)
     velocity = np.diff(centres, axis=0) / dt[:, None]
-    around = np.full((n + 2 * _NEIGHBOURS, 3), np.nan)
-    around[_NEIGHBOURS:-_NEIGHBOURS] = velocity
-    near = np.stack([around[k : k + n] for k in range(2 * _NEIGHBOURS + 1) if k != _NEIGHBOURS])
+    near = _neighbours(velocity)
     usual = np.nanmedian(near, axis=0)
     spread = np.nanmedian(np.linalg.norm(near - usual, axis=2), axis=0) * dt
     beyond = np.linalg.norm(velocity - usual, axis=1) * dt
-    bound = _STEP_SPREADS * spread + _STEP_SHARE * depth[1:]
+    bound = _away(stamps_ns) * (_STEP_SPREADS * spread + _STEP_SHARE * depth[1:])
     out = []
     for k in np.flatnonzero(beyond > bound).tolist():
         text = f"a step {beyond[k]:.3g} beyond its neighbours', bound {bound[k]:.3g} (unit of the track)"
         out.append((k + 1, Reason("a jump in the trajectory", text, float(beyond[k] / max(bound[k], 1e-12)))))
     return out
+
+
+def _neighbours(values: Array) -> Array:
+    """Of each step the values ``(8, n, ...)`` of those before and after it, NaN beyond the ends."""
+    n = len(values)
+    around = np.full((n + 2 * _NEIGHBOURS, *values.shape[1:]), np.nan)
+    around[_NEIGHBOURS:-_NEIGHBOURS] = values
+    return np.stack([around[k : k + n] for k in range(2 * _NEIGHBOURS + 1) if k != _NEIGHBOURS])
+
+
+def _away(stamps_ns: NDArray[np.int64]) -> Array:
+    """How far in time each step ``(n,)`` is from the middle of its neighbours, in multiples of what it is at the ends
+    of a track without gaps, at least 1. A track may begin with a view of some frames ago; the camera that turns or
+    brakes meanwhile moves otherwise than its neighbours, which are on one side only, tell."""
+    middle = (stamps_ns[1:] + stamps_ns[:-1] - 2 * stamps_ns[0]) / 2.0
+    apart = np.abs(np.nanmedian(_neighbours(middle) - middle, axis=0))
+    return np.maximum(apart / ((_NEIGHBOURS + 1) / 2 * float(np.median(np.diff(stamps_ns)))), 1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,8 +20,9 @@ from ..reason import Reason
 from ..stopwatch import Stopwatch
 from .doubt import jumps
 from .keyframe_policy import SinceKeyframe
+from .light import Light
 from .pose_log import PoseLog
-from .tracker import Tracker
+from .tracker import TrackedFrame, Tracker
 
 Array = NDArray[np.float64]
 
@@ -31,9 +34,35 @@ class Segment:
         self.map = Map()
         self.mapper = Mapper(self.map, ranging, config, watch)
         self.tracker = Tracker(ranging, config)
+        self.light = Light()
         self.frames = PoseLog()
         self.latest: MapKeyFrame | None = None
         self._reference_points = 0
+
+    def track(self, frame: Frame) -> TrackedFrame:
+        """Follow the points into ``frame``; where the light is back, those that were followed before it went out, if
+        more of them agree."""
+        assert self.latest is not None
+        self.light.look(frame.image, self.tracker, self.latest)
+        last = copy(self.tracker)
+        tracked = self.tracker.track(frame, self.map)
+        before = self.light.kept(self.map)
+        if before is not None and before.stamp_ns < last.stamp_ns:
+            again = before.track(frame, self.map, last.predict(frame) if tracked.T_C_W is None else tracked.T_C_W)
+            if again.T_C_W is not None and (tracked.T_C_W is None or again.inliers > tracked.inliers):
+                # The frame before is the last one without light.
+                before.motion = product(again.T_C_W, se3_inverse(last.T_C_W))
+                before.step_s = (frame.stamp_ns - last.stamp_ns) / 1e9
+                self._go_on(before)
+                tracked = again
+        if before is not None and tracked.T_C_W is not None:
+            self.light.forget()
+        return tracked
+
+    def _go_on(self, tracker: Tracker) -> None:
+        """Follow what ``tracker`` follows from here on."""
+        self.tracker = tracker
+        self._reference_points = int(np.isfinite(self.map.xyz[tracker.followed.point, 0]).sum())
 
     def record(self, frame: Frame, T_C_W: Array) -> None:
         """Note a tracked frame, relative to the latest key-frame."""
@@ -62,6 +91,7 @@ class Segment:
         """Follow the points of the latest key-frame from ``frame``, its own image, on."""
         latest = self.latest
         assert latest is not None
+        self.light.at_keyframe(frame.image)
         self.frames.note(frame.index, frame.stamp_ns, latest.number, np.eye(4))
         rows = np.flatnonzero(latest.followed & (latest.point >= 0))
         previous = None

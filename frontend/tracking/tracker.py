@@ -73,6 +73,11 @@ class FollowedPoints:
         """Begin with ``seen`` in the key-frame's ``image`` and its halvings."""
         return cls(seen.point, seen.uv, cut_patches(image, seen.uv), seen.uv, np.ones(len(seen.point), dtype=bool))
 
+    def take(self, rows: NDArray[np.bool_]) -> FollowedPoints:
+        """The points of ``rows``, a mask."""
+        parts = self.point[rows], self.anchor_uv[rows], self.patches.take(rows), self.uv[rows], self.found[rows]
+        return FollowedPoints(*parts)
+
     @property
     def seen(self) -> FrameObservations:
         """Those found in the last frame."""
@@ -130,13 +135,14 @@ class Tracker:
         self.followed = FollowedPoints.at_keyframe(seen, self.image)
         self.motion = None
 
-    def track(self, frame: Frame, map_: Map) -> TrackedFrame:
-        """Find the points in ``frame`` and its pose. On failure the state stays as it was."""
+    def track(self, frame: Frame, map_: Map, predicted: Array | None = None) -> TrackedFrame:
+        """Find the points in ``frame`` and its pose, which is ``predicted``, or by the motion so far. On failure the
+        state stays as it was."""
         image = half_sized(frame.image, self.config.flow.align_levels)
         search = _Search(frame, image, map_.xyz[self.followed.point])
         dt = (frame.stamp_ns - self.stamp_ns) / 1e9
         # Patches of the key-frame, searched where the motion so far would put them ...
-        fit = self._fit_from(search, self._predict(dt))
+        fit = self._fit_from(search, self.predict(frame) if predicted is None else predicted)
         known = np.isfinite(search.xyz[:, 0])
         if fit.result.T_C_W is None or fit.result.inliers < self.config.pose.trusted_share * int(known.sum()):
             # ... and where that finds too few, where flow from the previous frame has taken them.
@@ -176,7 +182,9 @@ class Tracker:
         standing = self._fit(search, self.T_C_W, fit.uv, found)
         return fit if standing.result.T_C_W is None else replace(standing, found=fit.found)
 
-    def _predict(self, dt: float) -> Array:
+    def predict(self, frame: Frame) -> Array:
+        """``T_C_W`` of ``frame`` by the last step, where that is of use; else the last pose."""
+        dt = (frame.stamp_ns - self.stamp_ns) / 1e9
         regular = (
             self.step_s > 0.0 and 0.3 * self.step_s < dt < 3.0 * self.step_s and dt <= self.config.pose.max_frame_gap_s
         )

@@ -103,6 +103,25 @@ def test_a_step_beyond_its_neighbours_is_a_jump() -> None:
     assert jumps(stamps, waited, depth) == []  # five times the time for five times the step
 
 
+@pytest.mark.parametrize("missing", [0, 2, 4, 8])
+@pytest.mark.parametrize("where", [1, 2, 20, 38, 39])
+@pytest.mark.parametrize("motion", ["even", "turning", "faster"])
+def test_frames_missing_in_an_even_motion_are_no_jump_and_hide_none(missing: int, where: int, motion: str) -> None:
+    """Also next to a track's ends, where neighbours are on one side only."""
+    t = np.arange(40 + missing, dtype=np.float64)
+    x, z = 0.03 * t, np.zeros_like(t)
+    if motion == "turning":
+        x, z = np.sin(0.03 * t), np.cos(0.03 * t)
+    elif motion == "faster":
+        x = x + 0.0002 * t**2
+    kept = np.concatenate([np.arange(where), np.arange(where + missing, len(t))])
+    stamps, centres, depth = (kept * 1e8).astype(np.int64), np.stack([x, 0 * t, z], axis=1)[kept], np.ones(40)
+    assert jumps(stamps, centres, depth) == []
+    broken = centres.copy()
+    broken[where:] += [0.0, 0.3, 0.0]
+    assert [frame for frame, _ in jumps(stamps, broken, depth)] == [where]
+
+
 def test_a_camera_found_by_few_points_is_doubted_until_more_confirm_it() -> None:
     odometry, T = Odometry(room.rig(RigKind.STEREO), CONFIG, Vocabulary.load()), np.eye(4)
     kinds = [
