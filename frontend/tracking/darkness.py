@@ -33,7 +33,7 @@ def doubt_dark(image: NDArray[np.uint8]) -> Reason:
 
 
 def _said(level: int) -> str:
-    return f"{TOO_DARK}: {100 * _SHARE:.0f} % of the pixels have at most {level} of 255 grey levels, need {_LEVEL + 1}"
+    return f"{100 * _SHARE:.0f} % of the pixels have at most {level} of 255 grey levels, need {_LEVEL + 1}"
 
 
 def unless_dark(refusal: Reason, image: NDArray[np.uint8]) -> Reason:
@@ -42,4 +42,4 @@ def unless_dark(refusal: Reason, image: NDArray[np.uint8]) -> Reason:
     level = brightness(image)
     if level > _LEVEL:
         return refusal
-    return Reason(TOO_DARK, _said(level), (level + 1) / (_LEVEL + 2))
+    return Reason(TOO_DARK, f"{TOO_DARK}: {_said(level)}", (level + 1) / (_LEVEL + 2))
