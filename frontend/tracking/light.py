@@ -27,7 +27,7 @@ _ENOUGH = 4
 one is: the light may stay away, and images with a tenth of it are followed on by what is cut out of them."""
 
 
-class Light:
+class AmbientLight:
     """Brightness of the latest key-frame made in the light, and the tracker as it was when the light went out."""
 
     def __init__(self) -> None:

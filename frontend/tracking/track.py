@@ -20,7 +20,7 @@ from ..reason import Reason
 from ..stopwatch import Stopwatch
 from .doubt import jumps
 from .keyframe_policy import SinceKeyframe
-from .light import Light
+from .light import AmbientLight
 from .pose_log import PoseLog
 from .tracker import TrackedFrame, Tracker
 
@@ -34,7 +34,7 @@ class Segment:
         self.map = Map()
         self.mapper = Mapper(self.map, ranging, config, watch)
         self.tracker = Tracker(ranging, config)
-        self.light = Light()
+        self.light = AmbientLight()
         self.frames = PoseLog()
         self.latest: MapKeyFrame | None = None
         self._reference_points = 0

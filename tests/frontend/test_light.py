@@ -87,7 +87,7 @@ def test_what_stays_dim_but_can_be_followed_is_followed(kind: RigKind, falls: bo
 
 def test_an_evening_is_no_light_that_goes_out() -> None:
     """Each key-frame is a little darker than the one before."""
-    lamp, image = light.Light(), np.full((48, 64), 200, dtype=np.uint8)
+    lamp, image = light.AmbientLight(), np.full((48, 64), 200, dtype=np.uint8)
     tracker, latest = cast(Tracker, None), cast(MapKeyFrame, SimpleNamespace(number=0))
     for share in 0.95 ** np.arange(80):
         dim = (share * image).astype(np.uint8)
