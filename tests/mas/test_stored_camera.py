@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,8 +12,10 @@ from maslam.backend.geometry import so3_exp
 from maslam.frontend.cameras.calibration import Distortion, RawCamera
 from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
 from maslam.frontend.cameras.rectification import _float_maps, common_camera
+from maslam.frontend.datasets import open_dataset
 from maslam.mas.output.stored_camera import stored_pixels
 from maslam.mas.sequence import CameraEntry, StoredCameraEntry
+from maslam.tools.pipeline.agent_folder import _stored
 
 SIZE = (640, 480)
 CAMERAS = [
@@ -38,3 +43,15 @@ def test_rectified_pixels_come_from_where_opencv_takes_them(raw: RawCamera) -> N
     column, row = _float_maps(raw, rotation, ideal)
     expected = np.column_stack([column[v, u], row[v, u]])
     np.testing.assert_allclose(stored_pixels(np.column_stack([u, v]).astype(float), camera), expected, atol=2e-3)
+
+
+@pytest.mark.parametrize(("tail", "kept"), [((), 5), ((0.0,) * 7, 8), ((0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0), None)])
+def test_a_lens_of_any_number_of_coefficients_is_written(
+    indoor_rgbd: Path, tail: tuple[float, ...], kept: int | None
+) -> None:
+    """12 and 14 coefficients, too; those beyond the eighth have no model elsewhere: the rectified camera stands."""
+    raw = replace(CAMERAS[0], coefficients=(*CAMERAS[0].coefficients, *tail))
+    sequence = open_dataset(indoor_rgbd).sequences[0]
+    entry = _stored(replace(sequence, stored_camera=raw, R_rectified_left=np.eye(3)))
+    assert (entry is None) == (kept is None)
+    assert entry is None or entry.coefficients == raw.coefficients[:kept]

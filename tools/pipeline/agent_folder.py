@@ -46,6 +46,8 @@ from ..common.text_table import kinds_text
 from .split import SequenceShare, cut_track, cut_views, share_out
 from .tracking import UNREADABLE, Gap, Tracked
 
+_COMMON = 8  # coefficients of a lens that other programs have a model for
+
 
 @dataclass(frozen=True)
 class SharePlan:
@@ -144,9 +146,10 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
 
 
 def _stored(sequence: ImageSequence) -> StoredCameraEntry | None:
-    """The camera of the image files, where they are not rectified."""
+    """The camera of the image files, where they are not rectified. A lens with thin-prism or tilt coefficients (OpenCV:
+    the 9th to 14th) has no model in other programs: there the rectified camera stands for it."""
     camera, rotation = sequence.stored_camera, sequence.R_rectified_left
-    if camera is None or rotation is None:
+    if camera is None or rotation is None or any(camera.coefficients[_COMMON:]):
         return None
     return StoredCameraEntry(
         distortion=camera.distortion.value,
@@ -154,7 +157,7 @@ def _stored(sequence: ImageSequence) -> StoredCameraEntry | None:
         fy=camera.fy,
         cx=camera.cx,
         cy=camera.cy,
-        coefficients=camera.coefficients,
+        coefficients=camera.coefficients[:_COMMON],
         rotation=tuple(rotation.ravel().tolist()),
     )
 
