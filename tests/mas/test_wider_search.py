@@ -102,7 +102,7 @@ def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:
     assert state.accepted == {alone, asked[0]} and search.due(closing=True) == []
 
 
-def test_neighbours_are_those_that_the_other_has_noted_length() -> None:
+def test_neighbours_are_those_that_the_other_is_known_to_have() -> None:
     """At the end of its own sequence an agent meets the other's beginning: there the neighbours are the other's."""
     manifest, sequences = town(2, 40)
     agent = make_agents(manifest, sequences, widened(1000))[0]
