@@ -13,6 +13,7 @@ from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import MappingConfig, OdometryConfig
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.files.point_views import PointViews, read_views, write_views
+from maslam.frontend.mapping.map import MapKeyFrame
 from maslam.frontend.mapping.more_views import MoreViews
 from maslam.frontend.odometry import Odometry, OdometryResult
 
@@ -169,3 +170,23 @@ def test_a_pixel_far_outside_the_image_is_refused(tmp_path: Path, uv: tuple[floa
         return
     with pytest.raises(FrontendError, match=r"views_0\.npz: a view at pixel .* outside the image of 100x80"):
         read_views(tmp_path, 0, 2, 1, SIZE)
+
+
+def test_a_point_is_not_found_where_the_image_shows_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The image of the fourth key-frame is that of another room: points project into it all the same."""
+    add, strange = MoreViews.add, room.Room(77).render(WALK[20])[0]
+    found: dict[bool, int] = {}
+    for swapped in (False, True):
+        calls: list[int] = []
+
+        def watched(
+            self: MoreViews, keyframe: MapKeyFrame, image: np.ndarray, calls: list[int] = calls, swap: bool = swapped
+        ) -> None:
+            calls.append(keyframe.number)
+            add(self, keyframe, strange if swap and len(calls) == 4 else image)
+
+        monkeypatch.setattr(MoreViews, "add", watched)
+        _, odometry = tracked(RigKind.STEREO, 5)
+        assert odometry._segment is not None
+        found[swapped] = len(odometry._segment.mapper.more_views.found[calls[3]].point)
+    assert found[False] > 100 and found[True] < 0.05 * found[False]
