@@ -24,8 +24,6 @@ _TRIES = 2
 """Key-frames that a point's looks are taken from, the nearest first."""
 _REACH_SHARE = 0.006
 """Search radius around the projection, share of the image's width: what poses and points are uncertain by."""
-_APART_PX = 2.0
-"""Two points of one image are farther apart than this; nearer ones are one place, seen already."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +69,6 @@ class MoreViews:
         near = [p for d in range(1, self.neighbours + 1) for p in (place - d, place + d) if 0 <= p < len(self._held)]
         tries = np.zeros(len(self.map), dtype=np.int8)
         tries[at.keyframe.point[at.keyframe.point >= 0]] = _TRIES
-        taken = _Taken(at.image[0].shape)
-        taken.take(at.keyframe.uv[at.keyframe.point >= 0])
         reach_px = _REACH_SHARE * at.image[0].shape[1]
         points, uv = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
         for home in (self._held[p] for p in near):
@@ -81,7 +77,6 @@ class MoreViews:
             ids = home.keyframe.point[rows]
             tries[ids] += 1
             xy, good = align(home.patches.take(rows), at.image, warp, guess, self.flow.min_correlation, reach_px)
-            good[good] &= taken.take(xy[good])
             tries[ids[good]] = _TRIES
             points.append(ids[good])
             uv.append(xy[good])
@@ -103,22 +98,3 @@ class MoreViews:
         height, width = at.image[0].shape
         inside = ((guess >= HALF + 1) & (guess < [width - HALF - 2, height - HALF - 2])).all(axis=1)
         return rows[inside], guess[inside], warp[inside]
-
-
-class _Taken:
-    """Pixels of one image at which a point is seen."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self._columns = int(shape[1] / _APART_PX) + 3
-        self._cells = np.zeros((int(shape[0] / _APART_PX) + 3) * self._columns, dtype=np.bool_)
-
-    def take(self, uv: Array) -> NDArray[np.bool_]:
-        """Take the places ``uv`` ``(n, 2)``; which of them were free."""
-        column, row = (uv / _APART_PX).astype(np.intp).T + 1
-        cells = row * self._columns + column
-        _, first = np.unique(cells, return_index=True)
-        free = np.zeros(len(uv), dtype=bool)
-        free[first] = True
-        free &= ~self._cells[cells]
-        self._cells[cells] = True
-        return free

@@ -97,7 +97,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         coverage=coverage,
         left_out=list(run.left_out),
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
-        matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences)),
+        matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences), transport),
         optimisations=_optimisations(run.events),
         graphs=graph_figures(agents),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
@@ -132,7 +132,9 @@ def _traffic(counts: Sequence[TrafficCount]) -> TrafficFigures:
     )
 
 
-def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: bool) -> MatchFigures:
+def _matches(
+    agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: bool, transport: Transport
+) -> MatchFigures:
     outcomes = [(agent, c, agent.candidates.outcome_of(c)) for agent in agents for c in agent.candidates.by_id.values()]
     accepted = [c.id for _, c, (outcome, _) in outcomes if outcome is MatchOutcome.ACCEPTED]
     reasons = {kind: Counter(str(why) for _, _, (outcome, why) in outcomes if outcome is kind) for kind in MatchOutcome}
@@ -146,6 +148,7 @@ def _matches(agents: Sequence[Agent], errors: dict[MatchId, MatchError], truth: 
         same_image=sum(of_same_image(c.id, agents) for _, c, _ in outcomes),
         wider=sum(c.wider for _, c, (outcome, _) in outcomes if outcome is not MatchOutcome.SKIPPED),
         wider_accepted=sum(c.wider for _, c, (outcome, _) in outcomes if outcome is MatchOutcome.ACCEPTED),
+        wider_traffic=_traffic([transport.by_contract[i] for a in agents for i in sorted(a.places.verification.wider)]),
         own_loops=own,
         between_agents=len(accepted) - own,
         # Without the truth at both ends of any of them there is nothing to be said.

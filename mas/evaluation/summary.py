@@ -86,7 +86,8 @@ class MatchFigures(_Figures):
     ``rejected``: checked and not used, by reason; ``skipped``: not checked, by reason; the three
     together are all candidates. ``same_image``: those of them whose key-frames are of one and the same image, which two
     agents were given: no evidence, never accepted. ``wider``: verified beyond the strict distance because their agents
-    or tracks were not in one frame, ``wider_accepted`` of them. ``false_accepted``: against ground truth, None without;
+    or tracks were not in one frame, ``wider_accepted`` of them, for ``wider_traffic``, which stands in the operations'
+    figures too. ``false_accepted``: against ground truth, None without;
     ``own_loops``: those among ``accepted`` that an agent found with itself; ``between_agents``: the rest."""
 
     candidates: int
@@ -97,6 +98,7 @@ class MatchFigures(_Figures):
     same_image: int = Field(default=0, description="0, too: a run before they were counted apart")
     wider: int = Field(default=0, description="0, too: a run before there were any")
     wider_accepted: int = 0
+    wider_traffic: TrafficFigures = TrafficFigures(messages=0, payload_bytes=0, wire_bytes=0)
     own_loops: int
     between_agents: int
     false_accepted: int | None

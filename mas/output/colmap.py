@@ -21,6 +21,7 @@ from maslam.backend.refitting import refit_points
 from ..map_exchange.map_copy import MapCopy
 from ..sequence import CameraEntry
 from .fused_map import COLOURS, FusedMap
+from .one_place import one_place
 from .sightings import MapOwner, Sightings, sightings
 from .stored_camera import colmap_model, stored_pixels, turn_to_stored
 
@@ -40,7 +41,7 @@ def write_colmap(folder: Path, one: FusedMap, owners: Mapping[int, MapOwner]) ->
     folder.mkdir(parents=True, exist_ok=True)
     cameras = [_camera(m.owner, owners[m.owner].camera) for m in one.maps]
     (folder / "cameras.bin").write_bytes(_table(len(cameras), cameras))
-    views = _views(one, owners)
+    views = _joined(_views(one, owners), one)
     points, off = _refitted(one, owners, views)
     twice = np.bincount(views.label, minlength=len(one.points)) >= 2
     firsts, images = np.cumsum([0, *[len(m.keyframes) for m in one.maps]]), []
@@ -76,6 +77,16 @@ def _views(one: FusedMap, owners: Mapping[int, MapOwner]) -> _Views:
         uv.append(seen.uv)
         first += len(copy.keyframes)
     return _Views(np.concatenate(image), np.concatenate(label), np.concatenate(uv))
+
+
+def _joined(views: _Views, one: FusedMap) -> _Views:
+    """The views of points that are one place as views of the first of them; an image sees that once."""
+    T = np.concatenate([np.zeros((0, 4, 4)), *(se3_inverse(m.poses) for m in one.maps)])[views.image]
+    depth = np.einsum("nj,nj->n", T[:, 2, :3], one.points[views.label]) + T[:, 2, 3]
+    label = one_place(views.image, views.label, views.uv, depth, len(one.points))[views.label]
+    _, first = np.unique(np.column_stack([views.image, label]), axis=0, return_index=True)
+    kept = np.sort(first)
+    return _Views(views.image[kept], label[kept], views.uv[kept])
 
 
 def _once(seen: Sightings, labels: NDArray[np.intp]) -> Sightings:

@@ -35,7 +35,8 @@ _NO_EVIDENCE = Verdict(False, SkipReason.SAME_IMAGE.value, None, 0, 0, np.nan, N
 
 
 class Verification(Operation[VerifyTask, VerifyAnswer]):
-    """Manager: the agent that asked; contractor: the agent that knew the place."""
+    """Manager: the agent that asked; contractor: the agent that knew the place. ``wider``: contracts about candidates
+    of the wider search."""
 
     kind = OperationKind.RELPOSE
 
@@ -44,6 +45,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         self.candidates = candidates
         self._waiting: dict[int, deque[MatchId]] = {}
         self._running: dict[ContractId, MatchId] = {}
+        self.wider: set[ContractId] = set()
         self._again = RetryBudget(context.state.config.link.retries)
         self._promising: set[MatchId] = set()
         self._first: dict[MatchId, PlaceView] = {}
@@ -115,7 +117,10 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
             return NOTHING
         call = self.context.call(OperationKind.RELPOSE, [other])
         if call.contractors:
-            self._running[call.identity] = waiting.popleft()
+            match = waiting.popleft()
+            self._running[call.identity] = match
+            if self.candidates.by_id[match].wider:
+                self.wider.add(call.identity)
         return call.effects
 
     # -- contractor ---------------------------------------------------------------------------------------------------

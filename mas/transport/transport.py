@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..protocol.accounting import Traffic
+from ..protocol.ids import ContractId
 from ..protocol.messages import Message, decode, encode
 from ..protocol.tensors import MessageError
 
@@ -61,6 +62,7 @@ class Transport(ABC):
         self.max_message_bytes = max_message_bytes
         self.by_operation: dict[Traffic, TrafficCount] = {t: TrafficCount() for t in Traffic}
         self.by_pair: dict[tuple[int, int], TrafficCount] = {}
+        self.by_contract: dict[ContractId, TrafficCount] = {}
         self.refused: list[tuple[int, str]] = []
         self._record = record
 
@@ -77,6 +79,8 @@ class Transport(ABC):
         sent = Sent(*ends, body.traffic, body.kind, body.payload_bytes, len(data))
         self.by_operation[sent.operation].add(sent)
         self.by_pair.setdefault((message.sender, message.recipient), TrafficCount()).add(sent)
+        if message.contract is not None:
+            self.by_contract.setdefault(message.contract, TrafficCount()).add(sent)
         if self._record is not None:
             self._record(sent)
         self.carry(message.recipient, data)

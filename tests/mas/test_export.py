@@ -214,6 +214,29 @@ def test_an_image_sees_a_merged_point_once(tmp_path: Path) -> None:
     assert [i.num_points2D() for i in sorted(model.images.values(), key=lambda i: i.image_id)] == [1, 1, 0]
 
 
+def test_points_that_images_show_at_one_pixel_are_one_point_with_the_views_of_both(tmp_path: Path) -> None:
+    """Odometry lost a point after its first key-frame, and made it anew; the second shows both at one pixel."""
+    pycolmap = pytest.importorskip("pycolmap")
+    place = np.array([0.5, 0.2, 14.0])
+    copy = map_of(0, np.array([place, place + 0.002, [-2.0, 0.0, 15.0]]), np.array([0, 1, 0]))
+    keyframes = [
+        keyframe_with(k, copy.points_C[copy.references == k].astype(np.float32), np.array(ids))
+        for k, ids in enumerate([[0, 2], [1], []])
+    ]
+    seen = [transform_points(se3_inverse(T_W_C), place[None])[0] for T_W_C in POSES]
+    uv = [p[:2] / p[2] * [CAMERA.fx, CAMERA.fy] + np.array([CAMERA.cx, CAMERA.cy]) for p in seen]
+    away = np.array([9.0, 9.0])
+    views = OwnerViews(
+        np.array([0, 2, 4, 5]), np.array([0, 2, 0, 1, 1]), np.array([uv[0], away, uv[1], uv[1] + 0.4, uv[2]])
+    )
+    one = fused([copy])
+    write_colmap(tmp_path, one, {0: MapOwner(CAMERA, keyframes, views, ("a.png", "b.png", "c.png"))})
+    model = pycolmap.Reconstruction(str(tmp_path))
+    (point,) = model.points3D.values()
+    assert sorted(element.image_id for element in point.track.elements) == [1, 2, 3]
+    np.testing.assert_allclose(point.xyz, place, atol=0.1)
+
+
 def test_an_agent_without_points_has_an_empty_map(tmp_path: Path) -> None:
     nothing = fused([map_of(0, np.zeros((0, 3)), np.zeros(0, dtype=np.int64))])
     assert len(nothing.points) == 0

@@ -66,6 +66,13 @@ def test_the_search_is_bounded_and_finds_nothing_that_is_not_there(tmp_path: Pat
     checked = len(verified_pairs(tmp_path / "run"))
     assert 0 < checked <= 2 * (keyframes // every + _CLOSING), "both agents ask"
     assert summary.groups == [[0], [1]] and summary.matches.accepted == 0
+    with open(tmp_path / "run" / "traffic.csv", encoding="utf-8", newline="") as file:
+        bodies = [row for row in csv.DictReader(file) if row["operation"] == "relpose"]
+    counted = summary.matches.wider_traffic
+    asked = sum(row["kind"] == "VerifyTask" for row in bodies)
+    assert counted.messages == 5 * asked > 0, "call, bid, award, confirmation and result of each"
+    assert counted.payload_bytes == sum(int(row["payload_bytes"]) for row in bodies)
+    assert counted.wire_bytes > sum(int(row["wire_bytes"]) for row in bodies)
 
 
 def test_where_agents_join_by_strict_distances_nothing_wider_is_verified(tmp_path: Path) -> None:
@@ -74,6 +81,7 @@ def test_where_agents_join_by_strict_distances_nothing_wider_is_verified(tmp_pat
     with_it = run(manifest, sequences, widened(50), tmp_path / "with")
     assert without.groups == [[0, 1]]
     assert with_it.traffic["total"].wire_bytes == without.traffic["total"].wire_bytes
+    assert with_it.matches.wider_traffic.messages == 0 < with_it.traffic["relpose"].messages
 
 
 def test_a_match_that_stays_alone_has_its_neighbours_verified() -> None:

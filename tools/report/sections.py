@@ -270,7 +270,8 @@ def _matches(run: RunData) -> Section:
     same = matches.get("same_image", 0)
     note += f", or of one and the same image, which is no evidence ({same}). " if same else ". "
     if matches.get("wider"):
-        note += f"{matches['wider']} were verified beyond the strict distance, while agents or tracks were apart. "
+        note += f"{matches['wider']} were verified beyond the strict distance, while agents or tracks were apart"
+        note += f" ({matches.get('wider_traffic', {}).get('wire_bytes', 0):,} bytes). "
     note += more
     return Section("Candidate matches and their outcome", note, outcomes + listing)
 

@@ -170,6 +170,8 @@ def _wider(matches: dict[str, Any]) -> list[str]:
     """Said only where it happens: candidates that only agents apart from each other look at."""
     count = matches.get("wider", 0)
     tried = f"{counted(count, 'pair')} beyond the strict distance verified, {matches.get('wider_accepted', 0)} accepted"
+    if bytes_ := matches.get("wider_traffic", {}).get("wire_bytes"):
+        tried += f", {bytes_:,} of the bytes"
     return [f"  {'wider search':<13}{tried}"] if count else []
 
 
