@@ -39,7 +39,7 @@ class StoredCameraEntry(_Entry):
     """The camera of image files that are not rectified as stored: pixels; ``coefficients`` in OpenCV's order;
     ``rotation``: 9 numbers, row by row, of the matrix that turns its coordinates into the rectified camera's."""
 
-    distortion: Literal["none", "radial-tangential", "equidistant"]
+    distortion: Literal["none", "radial-tangential", "equidistant", "field-of-view"]
     fx: float
     fy: float
     cx: float

@@ -12,11 +12,27 @@ from .models import PinholeCamera
 
 
 class Distortion(StrEnum):
-    """Lens distortion model of a raw camera; coefficients in OpenCV's order."""
+    """Model of a raw camera's lens; :attr:`RawCamera.coefficients` are in the order given here."""
 
     NONE = "none"
-    RADIAL_TANGENTIAL = "radial-tangential"  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
+    RADIAL_TANGENTIAL = "radial-tangential"  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]
     EQUIDISTANT = "equidistant"  # Kannala-Brandt, OpenCV's fisheye: k1 k2 k3 k4
+    FIELD_OF_VIEW = "field-of-view"  # Devernay and Faugeras 2001: w
+    DOUBLE_SPHERE = "double-sphere"  # Usenko et al. 2018: xi alpha
+    EXTENDED_UNIFIED = "extended-unified"  # Khomutenko et al. 2016: alpha beta; the unified model with beta 1
+    OMNIDIRECTIONAL = "omnidirectional"  # Mei and Rives 2007, OpenCV's omnidir: xi k1 k2 p1 p2
+
+
+_OPENCVS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
+COEFFICIENT_NAMES: dict[Distortion, tuple[str, ...]] = {
+    Distortion.NONE: (),
+    Distortion.RADIAL_TANGENTIAL: _OPENCVS,
+    Distortion.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
+    Distortion.FIELD_OF_VIEW: ("w",),
+    Distortion.DOUBLE_SPHERE: ("xi", "alpha"),
+    Distortion.EXTENDED_UNIFIED: ("alpha", "beta"),
+    Distortion.OMNIDIRECTIONAL: ("xi", "k1", "k2", "p1", "p2"),
+}
 
 
 @dataclass(frozen=True)
@@ -39,8 +55,10 @@ class RawCamera:
 
     @property
     def distorted(self) -> bool:
-        """Whether the lens differs from a pinhole."""
-        return self.distortion is not Distortion.NONE and any(c != 0.0 for c in self.coefficients)
+        """Whether the lens differs from a pinhole. An equidistant one does without any coefficient, too."""
+        if self.distortion is Distortion.EXTENDED_UNIFIED:
+            return self.coefficients[0] != 0.0
+        return self.distortion is Distortion.EQUIDISTANT or any(c != 0.0 for c in self.coefficients)
 
     def pinhole(self, size: tuple[int, int]) -> PinholeCamera:
         """The same camera, distortion left out, for images of ``size`` ``(width, height)``."""
@@ -53,7 +71,9 @@ class RawRig:
 
     ``T_left_right`` ``(4, 4)`` maps the right camera's coordinates into the left's, metres. ``rectified``: the images
     are an ideal stereo pair already; then only its x is used. ``depth_unit_m``: metres per step of the depth images.
-    ``rate_hz``: frames per second.
+    ``rate_hz``: frames per second. ``form``: name of the file's format. ``no_pair``: what the file of one
+    camera lacks to be a pair's; ``contradiction``: why the pair that it speaks of cannot be. Both are for whoever has
+    right images.
     """
 
     left: RawCamera
@@ -62,6 +82,9 @@ class RawRig:
     rectified: bool = True
     depth_unit_m: float | None = None
     rate_hz: float | None = None
+    form: str = ""
+    no_pair: str = ""
+    contradiction: str = ""
 
     @property
     def baseline_m(self) -> float | None:

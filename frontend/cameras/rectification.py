@@ -4,6 +4,7 @@ every frame."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product, se3_inverse
 
 from .calibration import Distortion, RawCamera, RawRig
+from .lens import project, unproject
 from .models import PinholeCamera, RigKind
 
 Array = NDArray[np.float64]
@@ -21,6 +23,13 @@ _MAX_TANGENT = (
     2.0  # of the half field of view kept on each side (63 degrees): beyond, an ideal pinhole has hardly any pixels left
 )
 _BORDER_SAMPLES = 64  # points along each side of the image
+_HARDLY_AHEAD = 0.01  # of a direction's length along the axis: less is 89.4 degrees off it
+_OUTSIDE = -1000.0  # a column and a row that no image has
+_OPENCV: dict[Distortion, Any] = {
+    Distortion.NONE: cv2.initUndistortRectifyMap,
+    Distortion.RADIAL_TANGENTIAL: cv2.initUndistortRectifyMap,
+    Distortion.EQUIDISTANT: cv2.fisheye.initUndistortRectifyMap,
+}
 
 
 @dataclass(frozen=True)
@@ -120,21 +129,17 @@ def _inner_rectangle(camera: RawCamera, rotation: Array, size: tuple[int, int]) 
     bottom = _directions(camera, rotation, along_x, np.full(_BORDER_SAMPLES, height - 1.0))
     left = _directions(camera, rotation, np.zeros(_BORDER_SAMPLES), along_y)
     right = _directions(camera, rotation, np.full(_BORDER_SAMPLES, width - 1.0), along_y)
-    low = np.array([left[:, 0].max(), top[:, 1].max()])
-    high = np.array([right[:, 0].min(), bottom[:, 1].min()])
+    low = np.array([left[:, 0].max(initial=-np.inf), top[:, 1].max(initial=-np.inf)])
+    high = np.array([right[:, 0].min(initial=np.inf), bottom[:, 1].min(initial=np.inf)])
     return low, high
 
 
 def _directions(camera: RawCamera, rotation: Array, u: Array, v: Array) -> Array:
-    """``x/z, y/z`` ``(n, 2)`` in the turned camera of stored pixels ``u``, ``v``."""
-    points = np.stack([u, v], axis=1)[:, None]
-    if camera.distortion is Distortion.EQUIDISTANT:
-        xy = cv2.fisheye.undistortPoints(points, camera.K, np.array(camera.coefficients))[:, 0]
-    else:
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-        xy = cv2.undistortPoints(points, camera.K, np.array(camera.coefficients), criteria=criteria)[:, 0]
-    rays = product(np.concatenate([xy, np.ones((len(xy), 1))], axis=1), rotation.T)
-    return rays[:, :2] / rays[:, 2:]
+    """``x/z, y/z`` ``(n, 2)`` in the turned camera of those stored pixels ``u``, ``v`` that look ahead: the border of
+    a wide lens looks sideways or back, or shows nothing, and bounds no pinhole."""
+    rays = product(unproject(camera, np.stack([u, v], axis=1)), rotation.T)
+    ahead = rays[rays[:, 2] > _HARDLY_AHEAD]
+    return ahead[:, :2] / ahead[:, 2:]
 
 
 def _float_maps(
@@ -142,12 +147,13 @@ def _float_maps(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Column and row of the stored image for each rectified pixel."""
     coefficients, size = np.array(camera.coefficients), (ideal.width, ideal.height)
-    make = (
-        cv2.fisheye.initUndistortRectifyMap
-        if camera.distortion is Distortion.EQUIDISTANT
-        else cv2.initUndistortRectifyMap
-    )
-    return make(camera.K, coefficients, rotation, ideal.K, size, cv2.CV_32FC1)
+    make = _OPENCV.get(camera.distortion)
+    if make is not None:
+        return make(camera.K, coefficients, rotation, ideal.K, size, cv2.CV_32FC1)
+    u, v = np.meshgrid(np.arange(ideal.width, dtype=np.float64), np.arange(ideal.height, dtype=np.float64))
+    rays = np.stack([(u - ideal.cx) / ideal.fx, (v - ideal.cy) / ideal.fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
+    pixels = np.nan_to_num(project(camera, product(rays, rotation)), nan=_OUTSIDE).astype(np.float32)
+    return pixels[:, 0].reshape(u.shape), pixels[:, 1].reshape(u.shape)
 
 
 def _maps(camera: RawCamera, rotation: Array, ideal: PinholeCamera) -> Maps:

@@ -12,6 +12,7 @@ from maslam.backend.geometry import product, se3
 
 from ..cameras.calibration import RawRig
 from ..cameras.depth_registration import DepthRegistration
+from ..cameras.description import UnderstoodCamera
 from ..cameras.models import PinholeCamera, Rig, RigKind
 from ..cameras.rectification import rectify_rig
 from ..files.trajectory import Trajectory
@@ -72,6 +73,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
     checks.check_size(found.raw.left.size, size, found.calibration, found.images[0], problems)
     checks.check_camera(found.raw.left.pinhole(size), found.calibration, problems)
     if kind is RigKind.STEREO and found.raw.right is not None and found.raw.baseline_m is not None:
+        checks.check_size(found.raw.right.size, size, found.calibration, right[0], problems)
         checks.check_camera(found.raw.right.pinhole(size), found.calibration, problems)
         checks.check_baseline(found.raw.baseline_m, found.calibration, problems)
     ideal = rectify_rig(found.raw, kind, size)
@@ -99,8 +101,17 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         registration=registration,
         groundtruth=truth,
         missing=found.missing,
+        understood=_understood(found, kind, None if ideal.rectifier is None else ideal.camera),
         problems=tuple(dict.fromkeys(problems.found)),
     )
+
+
+def _understood(found: FoundSequence, kind: RigKind, ideal: PinholeCamera | None) -> tuple[UnderstoodCamera, ...]:
+    raw, right = found.raw, found.raw.right
+    if kind is not RigKind.STEREO or right is None:
+        return (UnderstoodCamera("camera", raw.left, found.calibration, raw.form, ideal),)
+    sides = (("left", raw.left), ("right", right))
+    return tuple(UnderstoodCamera(side, one, found.calibration, raw.form, ideal) for side, one in sides)
 
 
 def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..cameras.calibration import RawCamera
 from ..cameras.depth_registration import DepthRegistration
+from ..cameras.description import UnderstoodCamera
 from ..cameras.models import Rig, RigKind
 from ..cameras.rectification import Rectifier
 from ..errors import FrontendError
@@ -74,6 +75,7 @@ class ImageSequence:
     them, and ``R_rectified_left`` ``(3, 3)``, which turns its coordinates into the rectified one's; None where the
     images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left
     camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
+    ``understood``: each camera as its calibration file describes it.
     """
 
     kind: str
@@ -92,6 +94,7 @@ class ImageSequence:
     groundtruth: Trajectory | None = None
     problems: tuple[Problem, ...] = ()
     missing: tuple[MissingImages, ...] = ()
+    understood: tuple[UnderstoodCamera, ...] = ()
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):

@@ -21,6 +21,7 @@ _FEW = 2  # images of one camera, of which no third confirms what the others sho
 _SHOWN = 5  # gaps in numbers that are named
 _GAP_FACTOR = 5.0  # times the median interval: a gap worth a warning
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
+_SAME_SHAPE = 0.01  # of the ratio of width and height
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
 
 
@@ -105,11 +106,15 @@ def check_size(
 ) -> None:
     """Compare the size that the calibration was made for with that of the first image; both ``(width, height)``,
     pixels."""
-    if calibrated is not None and calibrated != stored:
-        problems.error(
-            f"{source}: a calibration for {calibrated[0]}x{calibrated[1]} pixels, "
-            f"but {image} has {stored[0]}x{stored[1]}"
-        )
+    if calibrated is None or calibrated == stored:
+        return
+    made_for, found = (f"{width}x{height}" for width, height in (calibrated, stored))
+    line = f"{source}: a calibration for {made_for} pixels, but {image} has {found}"
+    if calibrated == stored[::-1]:
+        line += ": turned by 90 degrees"
+    elif abs(calibrated[0] * stored[1] / (calibrated[1] * stored[0]) - 1.0) < _SAME_SHAPE:
+        line += f": images scaled by {stored[0] / calibrated[0]:.4g} after calibration need their own calibration"
+    problems.error(line)
 
 
 def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product, rotation_from_quat_wxyz, se3, se3_inverse
 
 from ..cameras.calibration import RawCamera, RawRig
-from ..cameras.calibration_files import camera, load_fields
+from ..cameras.calibration_files import kalibr, load_fields
 from ..cameras.models import RigKind
 from ..cameras.rectification import stereo_rotations
 from ..errors import FrontendError
@@ -85,7 +85,7 @@ def _images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
             raise FrontendError(f"{cam / 'data'}: no images named by their time in nanoseconds, and no {table.name}")
         return named, tuple(images)
     stamps, files = [], []
-    for number, line in enumerate(text_tables.read_bytes(table).decode("ascii", "replace").splitlines(), 1):
+    for number, line in enumerate(text_tables.read_text(table).splitlines(), 1):
         fields = [field.strip() for field in line.split(",")]
         if not line.strip() or line.startswith("#"):
             continue
@@ -103,11 +103,7 @@ def _images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
 def _sensor(cam: Path) -> tuple[RawCamera, NDArray[np.float64]]:
     """The camera and its ``T_body_camera``."""
     fields = load_fields(cam / "sensor.yaml")
-    if fields.text("camera_model") not in ("pinhole", ""):
-        raise fields.fail("camera_model", "pinhole")
-    width, height = fields.numbers("resolution", 2)
-    model, coefficients = fields.text("distortion_model"), fields.numbers("distortion_coefficients")
-    raw = camera(fields, fields.numbers("intrinsics", 4), (int(width), int(height)), model, coefficients)
+    raw = kalibr.one_camera(fields, "distortion_coefficients")
     return raw, fields.transform("T_BS")
 
 

@@ -56,13 +56,12 @@ class FolderReader(Reader):
             )
         raw, source = calibration
         right = _partners(folder, _RIGHT.get(inside or ""), images)
-        if right and raw.right is None:
-            if rig is None:
-                problems.warning(f"{source}: right images in {folder}, but no baseline of a pair: read as one camera")
-            right = ()
-        if raw.right is not None and not right:
-            problems.warning(f"{source}: a calibrated pair, but {folder} has no right images: read as mono")
         depth = next((files for name in _DEPTH if (files := _partners(folder, name, images))), ())
+        if right and raw.right is None:
+            _say_unused(source, right[0].parent, raw, RigKind.RGBD if depth and rig is None else rig, problems)
+            right = ()
+        if raw.right is not None and not right and not depth:  # of RGB-D, Camera.bf is the projector's
+            problems.warning(f"{source}: a calibrated pair, but {folder} has no right images: read as mono")
         if depth and raw.depth_unit_m is None:
             problems.warning(f"{source}: no depth unit (depth_unit_m, DepthMapFactor): millimetres taken")
         times, times_source, missing = _times(folder, images, raw, problems)
@@ -85,6 +84,15 @@ class FolderReader(Reader):
 
 def _image_folder(folder: Path) -> str | None:
     return next((name for name in _LEFT if list_images(folder / name)), None)
+
+
+def _say_unused(source: Path, folder: Path, raw: RawRig, rig: RigKind | None, problems: Problems) -> None:
+    """Right images that the calibration is of no use for: an error where its pair cannot be what it says."""
+    why = raw.contradiction or raw.no_pair or "no baseline of a pair: add baseline_m"
+    if rig is RigKind.STEREO or (rig is None and raw.contradiction):
+        raise FrontendError(f"{source}: {why}")
+    if rig is None:
+        problems.warning(f"{source}: right images in {folder} are not used, read as one camera: {why}")
 
 
 def _partners(folder: Path, name: str | None, images: tuple[Path, ...]) -> tuple[Path, ...]:

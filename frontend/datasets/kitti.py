@@ -63,7 +63,7 @@ def read_projections(path: Path) -> dict[int, Array]:
     """Camera number to 3x4 projection matrix; rows without a label count up from 0; labels other than ``P<n>:`` are
     passed over."""
     projections: dict[int, Array] = {}
-    for number, line in enumerate(text_tables.read_bytes(path).decode("ascii", "replace").splitlines(), 1):
+    for number, line in enumerate(text_tables.read_text(path).splitlines(), 1):
         label, colon, rest = line.partition(":")
         fields = (rest if colon else line).split()
         label = label.strip() if colon else f"P{len(projections)}"

@@ -72,7 +72,7 @@ class TumReader(Reader):
 
 def _listed(path: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
     stamps, files = [], []
-    for number, line in enumerate(text_tables.read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+    for number, line in enumerate(text_tables.read_text(path).splitlines(), 1):
         fields = line.split()
         if not fields or fields[0].startswith("#"):
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ def read_integer_table(path: Path, columns: int | Sequence[int], what: str) -> N
 def _read(path: Path, columns: int | Sequence[int], what: str, dtype: type) -> tuple[NDArray[Any], int]:
     """All numbers in one row, and the number of columns."""
     allowed = (columns,) if isinstance(columns, int) else tuple(columns)
-    data = read_bytes(path)
+    data = read_text_bytes(path)
     if b"," in data:
         data = data.replace(b",", b" ")
     per_line = _tokens_per_line(data)
@@ -74,10 +75,25 @@ def read_bytes(path: Path) -> bytes:
         raise FrontendError(f"{path}: cannot be read: {error.strerror}") from error
 
 
+def read_text_bytes(path: Path) -> bytes:
+    """A text file's bytes as every tool's parser expects them: lines end in one line feed, and there is no byte order
+    mark; UTF-16, known by its mark, becomes UTF-8. Errors as :func:`read_bytes`'s."""
+    data = read_bytes(path)
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = data.decode("utf-16", "replace").encode()
+    data = data.removeprefix(codecs.BOM_UTF8)
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
+
+
+def read_text(path: Path) -> str:
+    """A text file as :func:`read_text_bytes` gives it, decoded; what is no UTF-8 becomes the replacement character."""
+    return read_text_bytes(path).decode("utf-8", "replace")
+
+
 def row_line(path: Path, row: int) -> int:
     """Line number (from 1) of data row ``row`` (from 0): for messages about a value found wrong after reading."""
     seen = -1
-    for number, line in enumerate(read_bytes(path).split(b"\n"), 1):
+    for number, line in enumerate(read_text_bytes(path).split(b"\n"), 1):
         if line.strip() and not line.lstrip().startswith(b"#"):
             seen += 1
             if seen == row:
@@ -124,7 +140,7 @@ def _parse(data: bytes, count: int, dtype: type) -> NDArray[Any] | None:
 
 
 def _first_bad_number(path: Path) -> FrontendError:
-    for number, line in enumerate(read_bytes(path).split(b"\n"), 1):
+    for number, line in enumerate(read_text_bytes(path).split(b"\n"), 1):
         if line.lstrip().startswith(b"#"):
             continue
         for field in line.replace(b",", b" ").split():

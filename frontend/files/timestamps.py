@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FrontendError
-from .text_tables import read_bytes
+from .text_tables import read_text
 
 NS_PER_S = 1_000_000_000
 _DECIMAL = re.compile(r"([+-]?)(\d+)(?:\.(\d*))?", re.ASCII)
@@ -65,7 +65,7 @@ def read_stamps(path: Path, nanoseconds: bool = False) -> NDArray[np.int64]:
     """
     parse = integer_ns if nanoseconds else decimal_ns
     stamps = []
-    for number, line in enumerate(read_bytes(path).decode("ascii", "replace").splitlines(), 1):
+    for number, line in enumerate(read_text(path).splitlines(), 1):
         fields = line.replace(",", " ").split()
         if not fields or fields[0].startswith("#"):
             continue

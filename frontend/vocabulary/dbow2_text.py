@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from maslam._atomic import write_atomically
 
 from ..errors import FrontendError
-from ..files.text_tables import read_bytes
+from ..files.text_tables import read_text_bytes
 
 _TF_IDF, _L1 = 0, 0
 _BLOCK = 50_000
@@ -49,7 +49,7 @@ def write_text(tree: TreeArrays, path: Path) -> None:
 def read_text(path: Path) -> TreeArrays:
     """Inverse of :func:`write_text`. Scoring and weighting must be tf-idf and L1, as in every published ORB
     vocabulary."""
-    lines = read_bytes(path).split(b"\n")
+    lines = read_text_bytes(path).split(b"\n")
     branching, depth = _header(lines[0], path)
     blocks = [_read_block(lines, first, path) for first in range(1, max(len(lines), 2), _BLOCK)]
     del lines

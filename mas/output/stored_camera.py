@@ -10,7 +10,7 @@ from maslam.backend.geometry import Array, se3
 from ..sequence import CameraEntry, StoredCameraEntry
 
 _HALF_PX = 0.5
-_PINHOLE, _OPENCV, _OPENCV_FISHEYE, _FULL_OPENCV = 1, 4, 5, 6
+_PINHOLE, _OPENCV, _OPENCV_FISHEYE, _FULL_OPENCV, _FOV = 1, 4, 5, 6, 7
 
 
 def colmap_model(camera: CameraEntry) -> tuple[int, list[float]]:
@@ -18,11 +18,15 @@ def colmap_model(camera: CameraEntry) -> tuple[int, list[float]]:
     (0.5, 0.5)."""
     c = camera.stored or camera
     middle = [c.fx, c.fy, c.cx + _HALF_PX, c.cy + _HALF_PX]
-    if camera.stored is None or not any(camera.stored.coefficients) or camera.stored.distortion == "none":
+    if camera.stored is None:
         return _PINHOLE, middle
     k = _padded(camera.stored)
-    if camera.stored.distortion == "equidistant":
+    if camera.stored.distortion == "equidistant":  # bends without a coefficient, too
         return _OPENCV_FISHEYE, middle + k[:4]
+    if camera.stored.distortion == "none" or not any(k):
+        return _PINHOLE, middle
+    if camera.stored.distortion == "field-of-view":
+        return _FOV, middle + k[:1]
     # OpenCV's k1 k2 p1 p2 k3 k4 k5 k6 is COLMAP's order too.
     return (_FULL_OPENCV, middle + k[:8]) if any(k[4:8]) else (_OPENCV, middle + k[:4])
 
@@ -46,6 +50,10 @@ def stored_pixels(uv: Array, camera: CameraEntry) -> Array:
         q = angle * angle
         bent = angle * (1.0 + q * (k[0] + q * (k[1] + q * (k[2] + q * k[3]))))
         grown = np.where(r > 1e-9, bent / np.where(r > 1e-9, r, 1.0), 1.0)
+        x, y = x * grown, y * grown
+    elif s.distortion == "field-of-view" and k[0] != 0.0:
+        widened, r = 2.0 * np.tan(k[0] / 2.0), np.sqrt(r2)
+        grown = np.where(r > 1e-9, np.arctan(widened * r) / np.where(r > 1e-9, r, 1.0), widened) / k[0]
         x, y = x * grown, y * grown
     elif s.distortion == "radial-tangential":
         grown = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))

@@ -245,8 +245,8 @@ def test_a_pair_of_ros_files_stands_as_its_rectification_says(tmp_path: Path) ->
         (ros("equidistant"), "5 coefficients for equidistant distortion"),
         (ros().replace("data: [500.0, 0.0,", "data: [500.0,"), "camera_matrix: 9 finite numbers expected"),
         (
-            KALIBR.replace("camera_model: pinhole", "camera_model: omni"),
-            "cam0.camera_model: pinhole expected, found 'omni'",
+            KALIBR.replace("camera_model: pinhole", "camera_model: scaramuzza"),
+            "cam0.camera_model: pinhole, omni, eucm or ds expected, found 'scaramuzza'",
         ),
         (
             KALIBR.replace("[0.0, 1.0, 0.0, 0.0]", "[0.0, 2.0, 0.0, 0.0]"),

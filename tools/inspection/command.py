@@ -82,6 +82,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         rows=sensors.rows,
         depth=sensors.depth,
         missing=sequence.missing,
+        understood=sequence.understood,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from maslam.frontend.cameras.description import UnderstoodCamera
     from maslam.frontend.datasets import Problem
 
     from .report import InspectReport, SequenceReport
@@ -46,6 +47,7 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
             "cx": camera.cx,
             "cy": camera.cy,
         },
+        "calibration": [_understood(camera) for camera in one.understood],
         "stored_size": list(one.stored_size),
         "rectified_here": one.rectified_here,
         "groundtruth_poses": one.groundtruth_poses,
@@ -54,6 +56,24 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
         "rows": one.rows,
         "depth": one.depth,
         "problems": _problems(one.problems),
+    }
+
+
+def _understood(one: UnderstoodCamera) -> dict[str, Any]:
+    c = one.camera
+    return {
+        "side": one.side,
+        "model": c.distortion.value,
+        "coefficients": one.coefficients,
+        "fx": c.fx,
+        "fy": c.fy,
+        "cx": c.cx,
+        "cy": c.cy,
+        "size": None if c.size is None else list(c.size),
+        "file": str(one.source),
+        "format": one.form,
+        "done": one.done,
+        "sentence": one.sentence(),
     }
 
 

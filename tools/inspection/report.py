@@ -7,18 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from maslam.frontend.cameras.description import UnderstoodCamera
     from maslam.frontend.cameras.models import Rig
     from maslam.frontend.datasets import Problem
     from maslam.frontend.datasets.numbering import MissingImages
 
 _SHOWN_PROBLEMS = 20
+_LABEL = {"camera": "calibration", "left": "left camera", "right": "right camera"}
 
 
 @dataclass(frozen=True)
 class SequenceReport:
     """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
     frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``: images that
-    the names' numbers lack."""
+    the names' numbers lack; ``understood``: each camera as its calibration file describes it."""
 
     name: str
     kind: str
@@ -36,6 +38,7 @@ class SequenceReport:
     rows: str = ""
     depth: str = ""
     missing: tuple[MissingImages, ...] = ()
+    understood: tuple[UnderstoodCamera, ...] = ()
 
     def lines(self) -> list[str]:
         """The report of this sequence, a line each."""
@@ -52,6 +55,7 @@ class SequenceReport:
             f"  rig           {self.rig.kind}{baseline}; scale {'metric' if self.rig.metric else 'arbitrary'}",
             f"  camera        {camera.width}x{camera.height} px, fx {camera.fx:.2f} fy {camera.fy:.2f} "
             f"cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
+            *(f"  {_LABEL[one.side]:13} {one.sentence()}" for one in self.understood),
             f"  ground truth  {truth}",
             f"  decoded       {self.decoded} of {self.frames} frames",
             *([f"  rows          {self.rows}"] if self.rows else []),

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,10 +146,13 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
 
 
 def _stored(sequence: ImageSequence) -> StoredCameraEntry | None:
-    """The camera of the image files, where they are not rectified. A lens with thin-prism or tilt coefficients (OpenCV:
-    the 9th to 14th) has no model in other programs: there the rectified camera stands for it."""
+    """The camera of the image files, where they are not rectified. Lenses of spheres and mirrors, and those with
+    thin-prism or tilt coefficients (OpenCV: the 9th to 14th), have no model in most programs: there the rectified
+    camera stands for them."""
     camera, rotation = sequence.stored_camera, sequence.R_rectified_left
     if camera is None or rotation is None or any(camera.coefficients[_COMMON:]):
+        return None
+    if camera.distortion.value not in get_args(StoredCameraEntry.model_fields["distortion"].annotation):
         return None
     return StoredCameraEntry(
         distortion=camera.distortion.value,
