@@ -146,7 +146,7 @@ def _float_maps(
     camera: RawCamera, rotation: Array, ideal: PinholeCamera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Column and row of the stored image for each rectified pixel."""
-    coefficients, size = np.array(camera.coefficients), (ideal.width, ideal.height)
+    coefficients, size = np.array(camera.coefficients, dtype=np.float64), (ideal.width, ideal.height)
     make = _OPENCV.get(camera.distortion)
     if make is not None:
         return make(camera.K, coefficients, rotation, ideal.K, size, cv2.CV_32FC1)

@@ -17,7 +17,7 @@ from maslam.frontend.cameras.rectification import _float_maps, common_camera
 from maslam.frontend.datasets import open_dataset
 from maslam.mas.output.stored_camera import colmap_model, stored_pixels
 from maslam.mas.sequence import CameraEntry, StoredCameraEntry
-from maslam.tools.pipeline.agent_folder import _stored
+from maslam.tools.pipeline.agent_folder import _stored, stand_in
 
 SIZE = (640, 480)
 CAMERAS = [
@@ -76,7 +76,10 @@ def test_the_rectified_camera_stands_for_a_lens_that_other_programs_lack(
 ) -> None:
     raw = RawCamera(450.0, 455.0, 330.0, 235.0, SIZE, distortion, coefficients)
     sequence = open_dataset(indoor_rgbd).sequences[0]
-    assert _stored(replace(sequence, stored_camera=raw, R_rectified_left=np.eye(3))) is None
+    curved = replace(sequence, stored_camera=raw, R_rectified_left=np.eye(3))
+    assert _stored(curved) is None
+    assert f"its lens ({distortion.value}, " in stand_in(curved)
+    assert stand_in(sequence) == "" and stand_in(replace(curved, stored_camera=CAMERAS[0])) == ""
 
 
 @pytest.mark.parametrize(("tail", "kept"), [((), 5), ((0.0,) * 7, 8), ((0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0), None)])

@@ -145,6 +145,18 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
     )
 
 
+def stand_in(sequence: ImageSequence) -> str:
+    """What to say where :func:`_stored` has no entry for the camera of image files that are not rectified; else
+    empty."""
+    camera = sequence.stored_camera
+    if camera is None or _stored(sequence) is not None:
+        return ""
+    return (
+        f"its lens ({camera.distortion}, {len(camera.coefficients)} coefficients) has no COLMAP model: "
+        "maps/colmap has the rectified images' camera, not the files'"
+    )
+
+
 def _stored(sequence: ImageSequence) -> StoredCameraEntry | None:
     """The camera of the image files, where they are not rectified. Lenses of spheres and mirrors, and those with
     thin-prism or tilt coefficients (OpenCV: the 9th to 14th), have no model in most programs: there the rectified

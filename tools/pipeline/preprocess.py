@@ -205,7 +205,7 @@ def _made(
 
     from ..common.compiling import compile_for
     from ..common.parallel import core_count, run_jobs
-    from .agent_folder import plan_agents, write_sequences
+    from .agent_folder import plan_agents, stand_in, write_sequences
     from .tracking_cache import is_tracked, take_tracked, track_job
 
     jobs, problems, left_out = _plan(dataset, out, settings)
@@ -219,6 +219,7 @@ def _made(
     left_out += [LeftOutEntry(sequence=n, frames=named[n][1], reason=describe(e)) for n, e in errors.items()]
     tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
     problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
+    problems += [f"{sequence.name}: {line}" for sequence, _ in tracked if (line := stand_in(sequence))]
     if not tracked:
         why, count = [*refused, *untracked], len(dataset.sequences)
         said = why[0] if len(why) == 1 else f"{dataset.root}: none of {count} sequences can be used: {why[0]}"

@@ -38,8 +38,7 @@ def read(data: Fields) -> RawRig:
 def _size(data: Fields, sizes: object, i: int) -> tuple[int, int] | None:
     if not isinstance(sizes, list) or i >= len(sizes):
         return None
-    pair = Fields({"resolution": sizes[i]}, data.path, data.prefix).numbers("resolution", 2)
-    return int(pair[0]), int(pair[1])
+    return Fields({"resolution": sizes[i]}, data.path, data.prefix).resolution("resolution")
 
 
 def _pose(pose: Fields) -> NDArray[np.float64]:

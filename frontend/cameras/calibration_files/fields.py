@@ -88,8 +88,17 @@ class Fields:
             return None
         return self._pixels(width), self._pixels(height)
 
+    def resolution(self, key: str) -> tuple[int, int] | None:
+        """``(width, height)`` pixels in a list under one key; None where it is absent."""
+        if key not in self:
+            return None
+        width, height = (self._whole(key, value) for value in self.numbers(key, 2))
+        return width, height
+
     def _pixels(self, key: str) -> int:
-        value = self.number(key)
+        return self._whole(key, self.number(key))
+
+    def _whole(self, key: str, value: float) -> int:
         if value != int(value) or not 0 < value <= _MAX_SIZE:
             raise self.fail(key, "a whole number of pixels")
         return int(value)

@@ -60,14 +60,7 @@ def one_camera(cam: Fields, coefficients_key: str) -> RawCamera:
         if any(bent):
             raise cam.fail(coefficients_key, "no coefficient of a distortion none")
         distortion, bent = model, lens
-    return camera(cam, values[count:], _resolution(cam), distortion, bent)
-
-
-def _resolution(fields: Fields) -> tuple[int, int] | None:
-    if "resolution" not in fields:
-        return None
-    width, height = fields.numbers("resolution", 2)
-    return int(width), int(height)
+    return camera(cam, values[count:], cam.resolution("resolution"), distortion, bent)
 
 
 def recognises_sensor(data: Fields) -> bool:

@@ -32,8 +32,10 @@ def load_fields(path: Path) -> Fields:
         data = _yaml(text) if data is None else data
     except RecursionError:
         raise FrontendError(f"{path}: nested too deeply for a calibration") from None
-    except (yaml.YAMLError, ValueError) as error:
+    except yaml.YAMLError as error:
         raise FrontendError(f"{path}: {_cure(text) or 'not YAML: ' + ' '.join(str(error).split())}") from error
+    except ValueError as error:
+        raise FrontendError(f"{path}: {error}") from error
     if not isinstance(data, dict) or any(":" in str(key) and data[key] is None for key in data):
         raise FrontendError(f"{path}: {_cure(text) or 'not a calibration: keys and values expected'}")
     return Fields(data, path)

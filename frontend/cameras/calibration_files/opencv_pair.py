@@ -64,11 +64,7 @@ def _size(data: Fields) -> tuple[int, int] | None:
     for keys in (("image_width", "image_height"), ("width", "height")):
         if keys[0] in data:
             return data.size(*keys)
-    for key in ("imageSize", "image_size", "size"):
-        if key in data:
-            width, height = data.numbers(key, 2)
-            return int(width), int(height)
-    return None
+    return data.resolution(data.first("imageSize", "image_size", "size"))
 
 
 def pair_of_files(left: Path, right: Path, stand: Path | None = None) -> RawRig:

@@ -25,14 +25,7 @@ def recognises(data: Fields) -> bool:
 def read(data: Fields) -> RawRig:
     """Rectified cameras; a key that is not ours is refused: read as nothing, ``baseline: 0.5`` makes a pair one camera,
     and ``k1: -0.3`` makes straight lines of bent ones."""
-    for key in map(str, data.data):
-        if key.lower() in _DISTORTION:
-            raise FrontendError(
-                f"{data.path}: {key}: no such key: this format is of rectified images; "
-                "for distorted ones use OpenCV's form (camera_matrix, distortion_coefficients)"
-            )
-        if key not in _KEYS:
-            raise FrontendError(f"{data.path}: {key}: no such key{did_you_mean(key, _KEYS)}")
+    _refuse_unknown(data)
     intrinsics = [data.number(key) for key in ("fx", "fy", "cx", "cy")]
     left = camera(data, intrinsics, data.size("width", "height"), "none", ())
     optional = {key: data.number(key) for key in ("baseline_m", *_POSITIVE) if key in data}
@@ -44,3 +37,17 @@ def read(data: Fields) -> RawRig:
     no_pair = "" if right is not None else "no baseline of a rectified pair: add baseline_m"
     unit, rate = optional.get("depth_unit_m"), optional.get("rate_hz")
     return RawRig(left, right, T_left_right, depth_unit_m=unit, rate_hz=rate, no_pair=no_pair)
+
+
+def _refuse_unknown(data: Fields) -> None:
+    """One line that names every key which is not ours, and what to write instead."""
+    unknown = [key for key in map(str, data.data) if key not in _KEYS]
+    lens = [key for key in unknown if key.lower() in _DISTORTION]
+    parts = [f"{key}: no such key{did_you_mean(key, _KEYS)}" for key in unknown if key not in lens]
+    if lens:
+        parts.append(
+            f"{', '.join(lens)}: no such key: this format is of rectified images; for distorted ones use OpenCV's "
+            "form (camera_matrix, distortion_coefficients)"
+        )
+    if parts:
+        raise FrontendError(f"{data.path}: {'; '.join(parts)}")
