@@ -10,11 +10,12 @@ from ..cameras.calibration_files import Fields, colmap, kalibr, load_fields, ope
 from ..cameras.calibration_files.registry import CalibrationFormat, format_of
 from ..errors import FrontendError
 
-_SUFFIXES = (".yaml", ".yml", ".json")
+_SUFFIXES = (".yaml", ".yml", ".xml", ".json")
+_OFTEN_OTHERS = (".json", ".xml")  # passed over where they hold no camera
 _USUAL = ("camera", "calibration", "camera_info", "camchain", "calib")
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("camera0", "camera1"))
 _MODELS = (".", "sparse", "sparse/0", "colmap/sparse/0")  # folders where COLMAP's cameras lie beside images
-_MANY = 30  # files of these suffixes in one folder: more are of the images
+_MANY = 30  # files of one suffix in a folder: more are of the images
 _ONE_CAMERA = ("OpenCV or ROS", "EuRoC")  # forms of which two files make a pair
 
 _Known = dict[Path, tuple[Fields, CalibrationFormat]]
@@ -35,7 +36,7 @@ def find_camera_file(folder: Path) -> tuple[RawRig, Path] | None:
         return pair
     chosen = _chosen(folder, known, refused) or _colmaps(folder)
     if chosen is None:
-        chosen = _only_one(folder, [path for path in files if path.suffix.lower() != ".json"])
+        chosen = _only_one(folder, [path for path in files if path.suffix.lower() not in _OFTEN_OTHERS])
     return None if chosen is None else (read_calibration(chosen), chosen)
 
 
@@ -50,9 +51,11 @@ def _only_one(folder: Path, without_camera: list[Path]) -> Path | None:
 def _candidates(folder: Path) -> list[Path]:
     """Files that may hold a camera, by their names; where there is one for each image, only those named as usual."""
     files = [p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".")]
-    if len(files) > _MANY:
-        files = [path for path in files if path.stem.lower() in (*_USUAL, "transforms")]
-    return sorted(path for path in files if path.is_file())
+    kept = []
+    for suffix in _SUFFIXES:
+        of_one = [path for path in files if path.suffix.lower() == suffix]
+        kept += [path for path in of_one if len(of_one) <= _MANY or path.stem.lower() in (*_USUAL, "transforms")]
+    return sorted(path for path in kept if path.is_file())
 
 
 def _load(files: list[Path]) -> tuple[dict[Path, Fields], dict[Path, FrontendError]]:
@@ -68,7 +71,7 @@ def _load(files: list[Path]) -> tuple[dict[Path, Fields], dict[Path, FrontendErr
 
 def _chosen(folder: Path, known: _Known, refused: dict[Path, FrontendError]) -> Path | None:
     """The file with the camera; an error where several might be meant, or the one meant cannot be read."""
-    meant = [*known, *(path for path in refused if path.suffix.lower() != ".json")]
+    meant = [*known, *(path for path in refused if path.suffix.lower() not in _OFTEN_OTHERS)]
     for stem in _USUAL:
         for path in meant:
             if path.stem.lower() == stem:

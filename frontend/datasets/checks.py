@@ -21,6 +21,7 @@ _FEW = 2  # images of one camera, of which no third confirms what the others sho
 _SHOWN = 5  # gaps in numbers that are named
 _GAP_FACTOR = 5.0  # times the median interval: a gap worth a warning
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
+_SHORTEST_FOCAL = 0.1  # of the width: a pinhole of 157 degrees; a fisheye's of 180 degrees is 0.32
 _SAME_SHAPE = 0.01  # of the ratio of width and height
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
 
@@ -83,6 +84,11 @@ def check_camera(camera: PinholeCamera, source: Path, problems: Problems) -> Non
             f"{camera.cx}, {camera.cy} px cannot be"
         )
         return
+    if camera.fx < _SHORTEST_FOCAL * camera.width:
+        problems.error(
+            f"{source}: a focal length of {camera.fx:.4g} px for an image {camera.width} px wide is that of no camera: "
+            "in millimetres, or relative to the width? pixels are meant"
+        )
     ratio = max(camera.fx, camera.fy) / min(camera.fx, camera.fy)
     if ratio > _FOCAL_RATIO:
         problems.warning(

@@ -37,6 +37,7 @@ from calibration_texts import (
 
 from maslam.backend.geometry import se3, se3_inverse, so3_exp
 from maslam.frontend.cameras.calibration import Distortion, RawCamera, RawRig
+from maslam.frontend.cameras.calibration_files import read_calibration
 from maslam.frontend.datasets.camera_file import find_camera_file
 from maslam.frontend.errors import FrontendError
 
@@ -191,6 +192,26 @@ def test_opencvs_own_files_are_read(tmp_path: Path) -> None:
     found = find_camera_file(tmp_path)
     assert found is not None and found[0].right is not None and found[0].baseline_m == pytest.approx(0.54)
     assert found[0].left.size is None and found[0].right.coefficients == (0.02,) * 5
+
+
+def test_opencvs_xml_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "out_camera_data.xml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for key, value in (("image_width", 752), ("image_height", 480), ("fisheye_model", 1)):
+        storage.write(key, value)
+    storage.write("calibration_time", "Mon 12:00")
+    storage.write("camera_matrix", K)
+    storage.write("distortion_coefficients", np.array(K4)[:, None])
+    storage.release()
+    found = find_camera_file(tmp_path)
+    assert found is not None and found[1] == path
+    assert found[0].left == RawCamera(400.0, 401.0, 360.0, 240.0, (752, 480), D.EQUIDISTANT, K4)
+    path.write_text('<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>')
+    with pytest.raises(FrontendError, match="declarations inside XML are not read"):
+        read_calibration(path)
+    path.write_text('<?xml version="1.0"?><a>')
+    with pytest.raises(FrontendError, match="not XML: no element found"):
+        read_calibration(path)
 
 
 def test_stella_vslams_rectifier(tmp_path: Path) -> None:

@@ -127,6 +127,13 @@ def test_the_right_cameras_size_is_compared_too(tmp_path: Path) -> None:
         open_dataset(tmp_path)
 
 
+@pytest.mark.parametrize("focal", ["4.2", "0.8"])
+def test_a_focal_length_in_another_unit_is_refused(tmp_path: Path, focal: str) -> None:
+    folder_of(tmp_path, {"camera.yaml": own_camera().replace(f"fx: {FX}", f"fx: {focal}")}, "images")
+    with pytest.raises(FrontendError, match=r"focal length of (4.2|0.8) px .* pixels are meant"):
+        open_dataset(tmp_path)
+
+
 def test_files_that_hold_no_camera_are_passed_over(tmp_path: Path) -> None:
     files = {"notes.yaml": "weather: rain\n", "world.json": "{}", "broken.yaml": "a: [", "front.yaml": ONE_CAMERA}
     assert the_sequence(folder_of(tmp_path, files, "images")).rig.camera.fx == FX
@@ -145,7 +152,7 @@ def test_several_cameras_must_be_told_apart(tmp_path: Path) -> None:
 
 def test_a_file_for_each_image_is_not_opened(tmp_path: Path) -> None:
     poses = {f"{i:06d}.json": '{"fl_x": 1}' for i in range(40)}
-    folder_of(tmp_path, {**poses, "camera.yaml": own_camera()}, "images")
+    folder_of(tmp_path, {**poses, "front.yaml": own_camera()}, "images")
     assert the_sequence(tmp_path).rig.camera.fx == FX
 
 

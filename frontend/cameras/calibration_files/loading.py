@@ -1,4 +1,4 @@
-"""YAML and JSON as calibration tools and people write them: OpenCV's dialect, messages as ROS echoes them."""
+"""YAML, JSON and XML as calibration tools and people write them: OpenCV's dialect, messages as ROS echoes them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import yaml
 
@@ -19,7 +20,7 @@ _BLANK_MISSING = re.compile(r"\s*(?:- +)?[A-Za-z_][\w.]*:(?![\s/])\S")
 
 
 def load_fields(path: Path) -> Fields:
-    """The keys of a YAML or JSON file; of several documents in one file, the first.
+    """The keys of a YAML, JSON or OpenCV XML file; of several documents in one file, the first.
 
     Values stay text until they are asked for, so no number is taken for an octal one or a time. Raises
     :class:`FrontendError` for anything else, and for a key that is there twice with two values.
@@ -28,7 +29,8 @@ def load_fields(path: Path) -> Fields:
     if len(text) > (_MAX_JSON if path.suffix.lower() == ".json" else _MAX_YAML):
         raise FrontendError(f"{path}: {len(text)} characters: too large for a calibration")
     try:
-        data = _json(text) if text.lstrip().startswith("{") else None
+        start = text.lstrip()[:5]
+        data = _xml(text) if start == "<?xml" else _json(text) if start.startswith("{") else None
         data = _yaml(text) if data is None else data
     except RecursionError:
         raise FrontendError(f"{path}: nested too deeply for a calibration") from None
@@ -63,6 +65,25 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if found.setdefault(key, value) != value:
             raise ValueError(f"{key} is there twice, with two values")
     return found
+
+
+def _xml(text: str) -> dict[str, Any]:
+    """OpenCV's form of XML: a group of keys, matrices with their numbers in ``data``."""
+    if "<!" in text.replace("<!--", ""):
+        raise ValueError("declarations inside XML are not read")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"not XML: {error}") from error
+    found = _element(root)
+    return found if isinstance(found, dict) else {}
+
+
+def _element(element: ElementTree.Element) -> Any:
+    if len(element):
+        return _unique([(one.tag, _element(one)) for one in element if one.tag != "_"])
+    words = (element.text or "").split()
+    return words if element.tag == "data" else " ".join(words).strip('"') or None
 
 
 def _yaml(text: str) -> Any:

@@ -18,7 +18,8 @@ def recognises(data: Fields) -> bool:
     """Whether these are the keys of this format."""
     frames = data.data.get("frames")
     first = frames[0] if isinstance(frames, list) and frames and isinstance(frames[0], dict) else {}
-    return any(key in data or key in first for key in ("fl_x", "camera_angle_x"))
+    named = any(key in data or key in first for key in ("fl_x", "camera_angle_x"))
+    return named or (bool(first) and "camera_model" in data)
 
 
 def read(data: Fields) -> RawRig:
