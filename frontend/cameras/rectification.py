@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from maslam.backend.geometry import product, se3_inverse
 
+from ..errors import FrontendError
 from .calibration import Distortion, RawCamera, RawRig
 from .lens import project, unproject
 from .models import PinholeCamera, RigKind
@@ -23,6 +24,10 @@ _MAX_TANGENT = (
     2.0  # of the half field of view kept on each side (63 degrees): beyond, an ideal pinhole has hardly any pixels left
 )
 _BORDER_SAMPLES = 64  # points along each side of the image
+_NO_VIEW = "the calibration leaves no view: the cameras look apart, or the coefficients are not those of this lens"
+_GRID = 9  # points along each side of the rectified view
+_LEAST_SEEN = 0.5  # of them, in each stored image: all are, but for a lens whose formula bends its corners back
+_LEAST_VIEW = 0.02  # of x/z or y/z across the rectified image: a degree
 _HARDLY_AHEAD = 0.01  # of a direction's length along the axis: less is 89.4 degrees off it
 _OUTSIDE = -1000.0  # a column and a row that no image has
 _OPENCV: dict[Distortion, Any] = {
@@ -108,17 +113,32 @@ def stereo_rotations(T_left_right: Array) -> tuple[Array, Array, float]:
 
 def common_camera(cameras: list[tuple[RawCamera, Array]], size: tuple[int, int]) -> PinholeCamera:
     """The pinhole with square pixels, of the largest field of view that all ``cameras``, each turned by its
-    rotation, fill entirely."""
+    rotation, fill entirely. :class:`FrontendError` where that is nothing."""
     width, height = size
     low, high = np.full(2, -_MAX_TANGENT), np.full(2, _MAX_TANGENT)
     for camera, rotation in cameras:
         inner_low, inner_high = _inner_rectangle(camera, rotation, size)
         low, high = np.maximum(low, inner_low), np.minimum(high, inner_high)
+    if (high - low).min() < _LEAST_VIEW:
+        raise FrontendError(_NO_VIEW)
     extent = np.array([width - 1.0, height - 1.0])
     focal = float((extent / (high - low)).max())
     # The axis with room to spare is placed so that the optical axis stays as near to the middle as it can.
     centre = np.clip(extent / 2.0, extent - focal * high, -focal * low)
-    return PinholeCamera(width, height, focal, focal, float(centre[0]), float(centre[1]))
+    ideal = PinholeCamera(width, height, focal, focal, float(centre[0]), float(centre[1]))
+    if min(_seen_share(camera, rotation, ideal, size) for camera, rotation in cameras) < _LEAST_SEEN:
+        raise FrontendError(_NO_VIEW)
+    return ideal
+
+
+def _seen_share(camera: RawCamera, rotation: Array, ideal: PinholeCamera, size: tuple[int, int]) -> float:
+    """Share of the rectified view that the stored image shows: a border without a direction ahead is that of a wide
+    lens, or of a camera that looks away."""
+    across, down = np.meshgrid(np.linspace(0, ideal.width - 1, _GRID), np.linspace(0, ideal.height - 1, _GRID))
+    x, y = (across - ideal.cx) / ideal.fx, (down - ideal.cy) / ideal.fy
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    pixels = project(camera, product(rays, rotation))
+    return float(((pixels > -1.0) & (pixels < np.array(size))).all(axis=1).mean())
 
 
 def _inner_rectangle(camera: RawCamera, rotation: Array, size: tuple[int, int]) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from ..cameras.depth_registration import DepthRegistration
 from ..cameras.description import UnderstoodCamera
 from ..cameras.models import PinholeCamera, Rig, RigKind
 from ..cameras.rectification import rectify_rig
+from ..errors import FrontendError
 from ..files.trajectory import Trajectory
 from . import checks
 from .base import ImageSequence, Problems
@@ -76,7 +77,10 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         checks.check_size(found.raw.right.size, size, found.calibration, right[0], problems)
         checks.check_camera(found.raw.right.pinhole(size), found.calibration, problems)
         checks.check_baseline(found.raw.baseline_m, found.calibration, problems)
-    ideal = rectify_rig(found.raw, kind, size)
+    try:
+        ideal = rectify_rig(found.raw, kind, size)
+    except FrontendError as error:
+        raise FrontendError(f"{found.calibration}: {error}") from None
     registration = None
     if depth and found.depth_sensor is not None:
         T_ideal_left = se3(ideal.R_rectified_left, np.zeros(3))

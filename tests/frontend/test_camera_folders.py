@@ -134,6 +134,14 @@ def test_a_focal_length_in_another_unit_is_refused(tmp_path: Path, focal: str) -
         open_dataset(tmp_path)
 
 
+def test_cameras_that_look_apart_have_no_common_view(tmp_path: Path) -> None:
+    chain = KALIBR + KALIBR.replace("cam0", "cam1")
+    chain += "  T_cn_cnm1: [[-1, 0, 0, 0.2], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]\n"
+    folder_of(tmp_path, {"camchain.yaml": chain.replace("[-0.1, 0.55, 60", "[-0.1, 0.1, 160")}, "left", "right")
+    with pytest.raises(FrontendError, match=r"camchain.yaml: the calibration leaves no view"):
+        open_dataset(tmp_path)
+
+
 def test_files_that_hold_no_camera_are_passed_over(tmp_path: Path) -> None:
     files = {"notes.yaml": "weather: rain\n", "world.json": "{}", "broken.yaml": "a: [", "front.yaml": ONE_CAMERA}
     assert the_sequence(folder_of(tmp_path, files, "images")).rig.camera.fx == FX
