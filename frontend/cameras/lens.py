@@ -24,7 +24,11 @@ def project(camera: RawCamera, rays: Array) -> Array:
 
 def unproject(camera: RawCamera, pixels: Array) -> Array:
     """Directions ``(n, 3)`` of length 1 of stored pixels ``(n, 2)``; NaN for a pixel that shows nothing."""
-    xy = (np.asarray(pixels, dtype=np.float64) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    pixels = np.asarray(pixels, dtype=np.float64)
+    xy = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    if camera.distortion is Distortion.RADIAL_TANGENTIAL:
+        rays = np.column_stack([_unbend(pixels, camera.coefficients, camera.K), np.ones(len(pixels))])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
         rays = _rays(camera, xy)
         return rays / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -78,11 +82,11 @@ def _rays(camera: RawCamera, xy: Array) -> Array:
             root = np.sqrt(1.0 - (2.0 * alpha - 1.0) * beta * r2)
             return np.column_stack([xy, (1.0 - beta * alpha**2 * r2) / (alpha * root + 1.0 - alpha)])
         case Distortion.OMNIDIRECTIONAL:
-            flat = _unbend(xy, k[1:])
+            flat = _unbend(xy, k[1:], np.eye(3))
             r2 = (flat**2).sum(axis=1)
             scale = (k[0] + np.sqrt(1.0 + (1.0 - k[0] ** 2) * r2)) / (1.0 + r2)
             return np.column_stack([flat * scale[:, None], scale - k[0]])
-    return np.column_stack([_unbend(xy, k) if k else xy, np.ones(len(xy))])
+    return np.column_stack([xy, np.ones(len(xy))])
 
 
 def _limit(rays: Array, camera: RawCamera) -> NDArray[np.bool_]:
@@ -144,8 +148,8 @@ def _bend(xy: Array, k: tuple[float, ...]) -> Array:
     return np.column_stack([x * radial + across, y * radial + down])
 
 
-def _unbend(xy: Array, k: tuple[float, ...]) -> Array:
-    """The inverse of :func:`_bend`, by OpenCV's iteration."""
+def _unbend(pixels: Array, k: tuple[float, ...], K: Array) -> Array:
+    """The inverse of :func:`_bend`, by OpenCV's iteration, of pixels of a camera matrix."""
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-    points = np.ascontiguousarray(xy)[:, None]
-    return np.asarray(cv2.undistortPoints(points, np.eye(3), np.array(k), criteria=criteria))[:, 0]
+    points = np.ascontiguousarray(pixels)[:, None]
+    return np.asarray(cv2.undistortPoints(points, K, np.array(k, dtype=np.float64), criteria=criteria))[:, 0]

@@ -170,10 +170,11 @@ def _float_maps(
     make = _OPENCV.get(camera.distortion)
     if make is not None:
         return make(camera.K, coefficients, rotation, ideal.K, size, cv2.CV_32FC1)
-    u, v = np.meshgrid(np.arange(ideal.width, dtype=np.float64), np.arange(ideal.height, dtype=np.float64))
-    rays = np.stack([(u - ideal.cx) / ideal.fx, (v - ideal.cy) / ideal.fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
-    pixels = np.nan_to_num(project(camera, product(rays, rotation)), nan=_OUTSIDE).astype(np.float32)
-    return pixels[:, 0].reshape(u.shape), pixels[:, 1].reshape(u.shape)
+    x, maps = (np.arange(ideal.width) - ideal.cx) / ideal.fx, np.empty((2, ideal.height, ideal.width), np.float32)
+    for row in range(ideal.height):  # one at a time: directions of all pixels of a large image would fill the memory
+        rays = np.column_stack([x, np.full(len(x), (row - ideal.cy) / ideal.fy), np.ones(len(x))])
+        maps[:, row] = np.nan_to_num(project(camera, product(rays, rotation)), nan=_OUTSIDE).T
+    return maps[0], maps[1]
 
 
 def _maps(camera: RawCamera, rotation: Array, ideal: PinholeCamera) -> Maps:

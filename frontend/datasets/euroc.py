@@ -44,11 +44,11 @@ class EurocReader(Reader):
         left, T_body_left = _sensor(mav / "cam0")
         has_right = (mav / "cam1" / "sensor.yaml").is_file()
         kind = choose_rig(available_rigs(has_right, False), rig, folder)
-        raw = RawRig(left)
+        raw = RawRig(left, form="EuRoC")
         right_images: tuple[Path, ...] = ()
         if has_right:
             right, T_body_right = _sensor(mav / "cam1")
-            raw = RawRig(left, right, product(se3_inverse(T_body_left), T_body_right), rectified=False)
+            raw = RawRig(left, right, product(se3_inverse(T_body_left), T_body_right), rectified=False, form="EuRoC")
         if kind is RigKind.STEREO:
             right_stamps, right_images = _images(mav / "cam1")
             left_stamps, left_images, right_images = _pairs(

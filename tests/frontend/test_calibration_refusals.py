@@ -45,6 +45,10 @@ REFUSED = [
     ("cam0:\n" + kalibr("omni", [1, 400, 401, 360, 240], "equidistant", [0] * 4), "cam0.distortion_model: one of"),
     ("cam0:\n" + kalibr("ds", [400, 401, 360, 240], "none", []), "cam0.intrinsics: 6 finite numbers expected"),
     ("cam0:\n" + kalibr("ds", [0, 0.5, 4, 4, 3, 2], "none", [0.1]), "no coefficient of a distortion none expected"),
+    ("cam0:\n  intrinsics: [400, 401, 360, 240]\n  distortion_type: 0\n  distortion: [0.1, 0.1, 0, 0, 0]\n",
+     "cam0.distortion_type: no such key; did you mean 'distortion_model'"),
+    ("cam0:\n  intrinsics: [400, 401, 360, 240]\n", "cam0.distortion_coeffs: a list of numbers expected"),
+    (OWN.replace("fx: 400", "f: 400"), "f: no such key"),
     (kalibr_pair("", ""), "cam1.T_cn_cnm1: a list of numbers expected"),
     (orb("Camera").replace("KannalaBrandt8", "Omni"), "Camera.type: PinHole, KannalaBrandt8 or Rectified expected"),
     (orb("Camera").replace("KannalaBrandt8", "Rectified"), "coefficients for none distortion"),
@@ -80,6 +84,14 @@ def test_what_is_refused_in_one_line(tmp_path: Path, text: str, message: str) ->
     with pytest.raises(FrontendError, match=message) as error:
         read(tmp_path, text)
     assert "\n" not in str(error.value) and str(error.value).startswith(str(tmp_path))
+
+
+def test_tabs_between_words_are_blanks(tmp_path: Path) -> None:
+    """OpenCV reads such settings; in front of a line they are refused, as YAML has it."""
+    text = OWN.replace("fx: 400", "fx:\t400\t# pixels")
+    assert read(tmp_path, text).left.fx == 400.0
+    with pytest.raises(FrontendError, match="line 3"):
+        read(tmp_path, OWN.replace("fx: 400", "\tfx: 400"))
 
 
 def test_digits_are_decimal_ones(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._suggestions import did_you_mean
 from maslam.backend.geometry import product, se3, se3_inverse
 
 from ...errors import FrontendError
@@ -98,6 +99,14 @@ def camera_matrix(fields: Fields, key: str) -> tuple[float, float, float, float]
     if abs(K[0, 1]) > _MAX_SKEW * abs(K[0, 0]):
         raise fields.fail(key, f"a camera without skew (here {K[0, 1]:g} px; calibrate with it fixed to 0)")
     return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+
+def refuse_other_names(fields: Fields, word: str, known: Sequence[str]) -> None:
+    """Refuse a key with ``word`` in it that is none of the ``known``: passed over, a lens would be without
+    distortion."""
+    for key in map(str, fields.data):
+        if word in key.lower() and key not in known:
+            raise FrontendError(f"{fields.path}: {fields.prefix}{key}: no such key{did_you_mean(key, known)}")
 
 
 def in_opencvs_order(k: dict[str, float]) -> tuple[float, ...]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product, se3_inverse
 
 from ..calibration import RawCamera, RawRig
-from .checked_camera import camera
+from .checked_camera import camera, refuse_other_names
 from .fields import Fields
 
 _FIRST = {"pinhole": (), "": (), "omni": ("xi",), "eucm": ("alpha", "beta"), "ds": ("xi", "alpha")}
@@ -50,10 +50,12 @@ def one_camera(cam: Fields, coefficients_key: str) -> RawCamera:
         raise cam.fail("camera_model", "pinhole, omni, eucm or ds")
     if distortion not in _DISTORTIONS[model or "pinhole"]:
         raise cam.fail("distortion_model", f"one of {', '.join(filter(None, _DISTORTIONS[model or 'pinhole']))}")
+    refuse_other_names(cam, "dist", (coefficients_key, "distortion_model"))
     count = len(_FIRST[model])
     values = cam.numbers("intrinsics", count + 4)
     lens = values[:count]
-    bent = cam.numbers(coefficients_key) if coefficients_key in cam or distortion not in ("none", "") else ()
+    unbent = distortion == "none" or (lens and not distortion)
+    bent = () if unbent and coefficients_key not in cam else cam.numbers(coefficients_key)
     if model == "omni":
         distortion, bent = "mei", (*lens, *(bent or (0.0,) * 4))
     elif lens:

@@ -16,6 +16,7 @@ from .fields import Fields
 
 _MAX_YAML, _MAX_JSON = 1_000_000, 50_000_000  # characters: transforms.json names every image
 _MAX_REFERENCES = 20  # to other parts of the file: some of them, nested, would fill the memory
+_TAB = re.compile(r"(?<=\S)[ \t]*\t[ \t]*")  # between words, where OpenCV takes it for a blank
 _BLANK_MISSING = re.compile(r"\s*(?:- +)?[A-Za-z_][\w.]*:(?![\s/])\S")
 
 
@@ -90,7 +91,7 @@ def _yaml(text: str) -> Any:
     """The first document that is not empty."""
     if text.startswith("%YAML"):  # OpenCV's "%YAML:1.0" is not what YAML allows there
         text = "#" + text
-    loader = _Loader(text)
+    loader = _Loader(_TAB.sub(" ", text))
     try:
         while loader.check_data():
             data = loader.get_data()

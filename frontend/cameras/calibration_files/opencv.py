@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from maslam._suggestions import did_you_mean
-
-from ...errors import FrontendError
 from ..calibration import RawCamera, RawRig
-from .checked_camera import camera, camera_matrix
+from .checked_camera import camera, camera_matrix, refuse_other_names
 from .fields import Fields
 
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k")
@@ -30,10 +27,7 @@ NO_PAIR = "the file of one camera: a pair needs left.yaml and right.yaml (or bas
 
 def read_one(data: Fields) -> RawCamera:
     """The camera of one file, by the names of OpenCV, of ROS files, or of a ROS message."""
-    for key in map(str, data.data):
-        known = (*_COEFFICIENTS, "distortion_model")
-        if "dist" in key.lower() and key not in known:
-            raise FrontendError(f"{data.path}: {key}: no such key{did_you_mean(key, known)}")
+    refuse_other_names(data, "dist", (*_COEFFICIENTS, "distortion_model"))
     _refuse_part_of_image(data)
     coefficients_key = next((key for key in _COEFFICIENTS if key in data), None)
     coefficients = data.numbers(coefficients_key) if coefficients_key else ()

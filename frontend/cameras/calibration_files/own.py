@@ -14,12 +14,13 @@ from .fields import Fields
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "baseline_m", "depth_unit_m", "rate_hz")
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "d", "distortion", "distortion_model")
+_SOME = 4  # of our keys: then it is meant to be this format, whatever key is missing
 _POSITIVE = ("depth_unit_m", "rate_hz")
 
 
 def recognises(data: Fields) -> bool:
     """Whether these are the keys of this format."""
-    return "fx" in data
+    return "fx" in data or sum(key in data for key in _KEYS) >= _SOME
 
 
 def read(data: Fields) -> RawRig:
