@@ -19,8 +19,8 @@ from ..errors import FrontendError
 from ..files.trajectory import Trajectory
 from . import checks
 from .base import ImageSequence, Problems
-from .images import first_size
 from .numbering import MissingImages
+from .stored_image import ImageRef, first_size, folder_of
 
 
 @dataclass(frozen=True)
@@ -41,22 +41,25 @@ class FoundSequence:
     Paths need not exist: missing ones become problems. ``calibration``: source of ``raw``; ``stamps_source``: source of
     ``stamps_ns`` (both for messages). ``truth``: ``T_W_C`` of the calibrated left camera, before rectification.
     ``depth_unit_m``: metres per step of the depth images. ``depth_sensor``: None where depth is stored registered to
-    the image. ``missing``: images that the names' numbers lack.
+    the image. ``missing``: images that the names' numbers lack. ``name``: of the sequence, by default the folder's;
+    ``origin``: what of a recording is read, for people.
     """
 
     kind: str
     folder: Path
     raw: RawRig
     calibration: Path
-    images: tuple[Path, ...]
+    images: tuple[ImageRef, ...]
     stamps_ns: NDArray[np.int64]
     stamps_source: Path
-    right: tuple[Path, ...] = ()
-    depth: tuple[Path, ...] = ()
+    right: tuple[ImageRef, ...] = ()
+    depth: tuple[ImageRef, ...] = ()
     depth_unit_m: float = 0.001
     depth_sensor: DepthSensor | None = None
     truth: Trajectory | None = None
     missing: tuple[MissingImages, ...] = ()
+    name: str = ""
+    origin: str = ""
 
 
 def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSequence:
@@ -68,7 +71,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
     checks.check_files(found.images, "image", problems)
     checks.check_files(right, "right image", problems)
     checks.check_files(depth, "depth image", problems)
-    checks.check_numbers(found.missing, found.images[0].parent, problems)
+    checks.check_numbers(found.missing, folder_of(found.images[0]), problems)
     checks.check_stamps(found.stamps_ns, [path.name for path in found.images], found.stamps_source, problems)
     size = first_size(found.images)
     checks.check_size(found.raw.left.size, size, found.calibration, found.images[0], problems)
@@ -91,7 +94,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         truth = Trajectory(truth.stamps_ns, product(truth.poses, se3(ideal.R_rectified_left.T, np.zeros(3))))
     return ImageSequence(
         kind=found.kind,
-        name=found.folder.resolve().name,
+        name=found.name or found.folder.resolve().name,
         rig=Rig(kind, ideal.camera, ideal.baseline_m),
         stamps_ns=found.stamps_ns,
         left=found.images,
@@ -106,6 +109,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         groundtruth=truth,
         missing=found.missing,
         understood=_understood(found, kind, None if ideal.rectifier is None else ideal.camera),
+        origin=found.origin,
         problems=tuple(dict.fromkeys(problems.found)),
     )
 

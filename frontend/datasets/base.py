@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ from ..errors import FrontendError
 from ..files.trajectory import Trajectory
 from ..frames import Frame, PutOff
 from ..stopwatch import Stopwatch, TimedStage
-from .images import read_colour, read_depth, read_grey
 from .numbering import MissingImages
+from .stored_image import ImageRef, read_colour, read_depth, read_grey
 
 Pixel = TypeVar("Pixel", bound=np.generic)
 Value = TypeVar("Value")
@@ -67,25 +67,27 @@ class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
 
     ``kind``: the reader's; ``name``: of the folder, unique in a data set.
-    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image file per frame; ``right`` (stereo) and ``depth``
-    (RGB-D, 16 bit, ``depth_unit_m`` metres per step) likewise, else empty. ``rectifier`` maps the images as stored to
-    those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the camera of
-    ``rig``; None where it is stored registered to the image (and goes through the ``rectifier`` with it).
+    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image per frame, a file or a part of a recording;
+    ``right`` (stereo) and ``depth`` (RGB-D, 16 bit, ``depth_unit_m`` metres per step) likewise, else empty.
+    ``rectifier`` maps the images as stored to those of ``rig``; None where they are rectified already.
+    ``registration`` maps depth as stored to the camera of ``rig``; None where it is stored registered to the image
+    (and goes through the ``rectifier`` with it).
     ``stored_size`` ``(width, height)`` of the image files, pixels; ``stored_camera``: the calibrated camera that took
     them, and ``R_rectified_left`` ``(3, 3)``, which turns its coordinates into the rectified one's; None where the
     images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left
     camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
     ``understood``: each camera as its calibration file describes it.
+    ``origin``: what of a recording is read, in a line for people; empty for image files.
     """
 
     kind: str
     name: str
     rig: Rig
     stamps_ns: NDArray[np.int64]
-    left: tuple[Path, ...]
+    left: tuple[ImageRef, ...]
     stored_size: tuple[int, int]
-    right: tuple[Path, ...] = ()
-    depth: tuple[Path, ...] = ()
+    right: tuple[ImageRef, ...] = ()
+    depth: tuple[ImageRef, ...] = ()
     depth_unit_m: float = 0.001
     rectifier: Rectifier | None = None
     stored_camera: RawCamera | None = None
@@ -95,6 +97,7 @@ class ImageSequence:
     problems: tuple[Problem, ...] = ()
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
+    origin: str = ""
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):
@@ -168,11 +171,11 @@ class ImageSequence:
             return self.registration.register(depth)
         return depth if self.rectifier is None else self.rectifier.rectify_depth(depth)
 
-    def _sized(self, image: NDArray[Pixel], path: Path) -> NDArray[Pixel]:
+    def _sized(self, image: NDArray[Pixel], stored: ImageRef) -> NDArray[Pixel]:
         width, height = self.stored_size
         if image.shape[:2] != (height, width):
             raise FrontendError(
-                f"{path}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}"
+                f"{stored}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}"
             )
         return image
 
@@ -213,6 +216,8 @@ class Reader(ABC):
     """
 
     kind: str
+    suffixes: ClassVar[frozenset[str]] = frozenset()
+    """Of single files that this kind of data set may be, in lower case with the dot."""
 
     @abstractmethod
     def recognises(self, folder: Path) -> bool:
@@ -224,6 +229,10 @@ class Reader(ABC):
 
         Problems of a usable sequence are listed in it; others are raised as :class:`FrontendError`.
         """
+
+    def openers(self, path: Path, rig: RigKind | None) -> dict[str, Callable[[], ImageSequence]]:
+        """What opens each sequence in ``path``, by its name: one, unless a recording holds several robots."""
+        return {path.resolve().name: partial(self.open, path, rig)}
 
 
 def choose_rig(available: Sequence[RigKind], wanted: RigKind | None, folder: Path) -> RigKind:

@@ -12,6 +12,7 @@ from ..cameras.models import PinholeCamera, RigKind
 from ..files.timestamps import NS_PER_S, seconds_text
 from .base import Problems
 from .numbering import MissingImages
+from .stored_image import ImageRef, file_of
 
 MAX_RATE_HZ = 1000.0
 MIN_RATE_HZ = 0.01
@@ -108,7 +109,7 @@ def check_camera(camera: PinholeCamera, source: Path, problems: Problems) -> Non
 
 
 def check_size(
-    calibrated: tuple[int, int] | None, stored: tuple[int, int], source: Path, image: Path, problems: Problems
+    calibrated: tuple[int, int] | None, stored: tuple[int, int], source: Path, image: ImageRef, problems: Problems
 ) -> None:
     """Compare the size that the calibration was made for with that of the first image; both ``(width, height)``,
     pixels."""
@@ -139,9 +140,9 @@ def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
         )
 
 
-def check_files(files: Sequence[Path], what: str, problems: Problems) -> None:
-    """Check that all of ``files`` exist."""
-    missing = [path for path in files if not path.is_file()]
+def check_files(images: Sequence[ImageRef], what: str, problems: Problems) -> None:
+    """Check that the files of all ``images`` exist."""
+    missing = [image for image in dict.fromkeys(map(file_of, images)) if not image.is_file()]
     if missing:
         problems.error(f"{missing[0]}: the {what} is missing{_more(len(missing) - 1)}")
 

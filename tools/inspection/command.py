@@ -101,6 +101,7 @@ def _decode(
     """Every frame of ``chosen`` that cannot be read (missing files are known already), and what the
     others show."""
     from maslam.frontend.datasets import Problem, Severity
+    from maslam.frontend.datasets.stored_image import file_of
     from maslam.frontend.errors import FrontendError
 
     from .sensor_checks import check_depth, check_rows, depth_lines, row_lines
@@ -110,7 +111,7 @@ def _decode(
     problems, rows, depths = [], [], []
     task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
     for done, i in enumerate(chosen, 1):
-        files = [files[i] for files in (sequence.left, sequence.right, sequence.depth) if files]
+        files = [file_of(images[i]) for images in (sequence.left, sequence.right, sequence.depth) if images]
         if not known or all(file.is_file() for file in files):
             try:
                 frame = sequence.read(i)

@@ -18,6 +18,7 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.descriptors.inference import NetVlad
 from maslam.frontend.datasets import ImageSequence, Severity, open_dataset
 from maslam.frontend.datasets.images import IMAGE_SUFFIXES, list_images, read_colour, read_grey
+from maslam.frontend.datasets.stored_image import ImageRef, identities
 from maslam.frontend.errors import FrontendError
 
 from ..common.errors import ToolError
@@ -39,11 +40,11 @@ class DescribeSettings:
 
 @dataclass(frozen=True)
 class ImageSet:
-    """Images to be described: ``files`` N paths, ``stamps_ns`` ``(N,)`` (plain images: their number), ``read(i)`` one
+    """Images to be described: ``files`` N of them, ``stamps_ns`` ``(N,)`` (plain images: their number), ``read(i)`` one
     of them; ``identity`` says what decides their pixels beside the files."""
 
     name: str
-    files: tuple[Path, ...]
+    files: tuple[ImageRef, ...]
     stamps_ns: NDArray[np.int64]
     read: Callable[[int], NDArray[np.uint8]]
     identity: str
@@ -172,9 +173,8 @@ def _joined(parts: Sequence[_Done]) -> _Done:
 
 def _fingerprint(images: ImageSet, model: NetVlad) -> str:
     digest = hashlib.sha256(f"{model.card.model_dump_json()} {images.identity}".encode() + images.stamps_ns.tobytes())
-    for path in images.files:
-        status = path.stat() if path.exists() else None
-        digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
+    for identity in identities(images.files):
+        digest.update(identity.encode())
     return digest.hexdigest()
 
 

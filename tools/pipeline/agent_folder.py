@@ -21,6 +21,7 @@ from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
 from maslam.descriptors.base import PlaceDescriptor
 from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.datasets.base import Dataset, ImageSequence
+from maslam.frontend.datasets.stored_image import name_in
 from maslam.frontend.files.essential_graph import essential_graph
 from maslam.frontend.files.point_views import write_views
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory, write_tum
@@ -217,16 +218,11 @@ def _places(plan: SharePlan, used: list[int], model: PlaceDescriptor, root: Path
         vectors=plan.tracked.vectors[rows],
         textured=plan.tracked.textured[rows],
         images=tuple(
-            image_name(plan.sequence.left[frame], root)
+            name_in(plan.sequence.left[frame], root)
             for k in used
             for frame in plan.tracked.keyframes[k][plan.share.keyframes[k]].tolist()
         ),
     )
-
-
-def image_name(image: Path, root: Path) -> str:
-    """An image file's name as other programs are given it: from the data set's folder on."""
-    return image.relative_to(root).as_posix() if image.is_relative_to(root) else image.name
 
 
 def _during(plan: SharePlan, trajectory: Trajectory) -> Trajectory:

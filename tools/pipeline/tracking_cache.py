@@ -14,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from maslam._atomic import write_npz
+from maslam.frontend.datasets.stored_image import identities
 from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
@@ -63,9 +64,8 @@ def make_job(
     digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {provider} {code}".encode())
     digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
     models = [path for path in (vocabulary, Path(model), Path(model).with_suffix(".json")) if path and path.is_file()]
-    for path in (*sequence.left, *sequence.right, *sequence.depth, *models):
-        status = path.stat() if path.exists() else None
-        digest.update(f"{path} {status and (status.st_size, status.st_mtime_ns)}".encode())
+    for identity in identities((*sequence.left, *sequence.right, *sequence.depth, *models)):
+        digest.update(identity.encode())
     store = folder / f"{sequence.name}.npz"
     return TrackingJob(sequence, odometry, descriptor, vocabulary, store, digest.hexdigest(), provider)
 

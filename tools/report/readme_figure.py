@@ -10,8 +10,8 @@ from typing import Any
 
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import open_dataset
+from maslam.frontend.datasets.stored_image import read_colour
 
-from ..common.errors import ToolError
 from ..common.figures import colour_of, dress, saved_figure
 from .charts import draw_map, top_view
 from .run_data import RunData, read_run
@@ -34,14 +34,9 @@ def draw(run: Path, out: Path) -> None:
 
 def _image(axes: Any, data: RunData, index: int) -> None:
     """The agent's image half-way through its sequence, framed in its colour."""
-    import cv2
-
     entry = data.manifest.agents[index]
     sequences = {s.name: s for s in open_dataset(Path(data.manifest.source), RigKind.MONO).sequences}
-    path = sequences[entry.sequence].left[entry.first_frame + entry.frames // 2]
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise ToolError(f"{path}: not an image")
+    picture = read_colour(sequences[entry.sequence].left[entry.first_frame + entry.frames // 2])
     axes.imshow(picture[:, :, ::-1])
     axes.set_title(data.agents[index].name, color=colour_of(index), fontweight="bold", pad=4)
     axes.set_xticks([])
