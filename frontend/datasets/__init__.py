@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ..cameras.models import RigKind
 from ..errors import FrontendError
+from ..recording_config import RecordingConfig
 from .base import Dataset, ImageSequence, Problem, Reader, Severity
 from .images import natural_key
 from .readers import ReaderLike, choose_readers
+from .selection import select
 
 __all__ = ["Dataset", "ImageSequence", "Problem", "Reader", "Severity", "open_dataset"]
 
@@ -28,28 +31,32 @@ def open_dataset(
     strict: bool = True,
     readers: Sequence[ReaderLike] = (),
     kind: str | None = None,
+    recording: RecordingConfig | None = None,
 ) -> Dataset:
-    """Open the data set in folder ``path``: one sequence, or one for each sub-folder ``agent_<n>``, each of any kind.
+    """Open the data set in folder ``path``, or the recording that it names: one sequence, or one for each sub-folder
+    ``agent_<n>``, each of any kind, or for each robot in a recording.
 
     ``rig``: the rig to read it as, for example stereo images as mono; None takes the most that the files allow. With
     ``strict``, the first problem that would spoil a run is raised as :class:`FrontendError`; without, problems stay
     listed in each sequence. ``readers``: a user's own, tried before ours; ``kind``: the one to read with, instead of
-    the first that recognises the folder. :class:`FrontendError` too where nothing in the folder is recognised.
+    the first that recognises the folder; ``recording``: which part of it is read, by default all.
+    :class:`FrontendError` too where nothing in the folder is recognised.
     """
     path = Path(path)
-    tried = choose_readers(readers, kind)
-    if not path.is_dir():
-        raise FrontendError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
+    recording = recording or RecordingConfig()
+    tried = choose_readers(readers, kind, recording)
+    if not path.exists():
+        raise FrontendError(f"{path}: no such folder")
     if (path / _UNFINISHED).is_file():
         raise FrontendError(f"{path}: rendering was not finished; rerun the same `maslam render` to resume")
-    agents = sorted(
-        (p for p in path.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name)
-    )
+    inside = path.iterdir() if path.is_dir() else ()
+    agents = sorted((p for p in inside if p.is_dir() and _AGENT.fullmatch(p.name)), key=lambda p: natural_key(p.name))
+    openers: Mapping[str, Callable[[], ImageSequence]]
     if agents:
-        dataset = _open_agents(path, agents, rig, strict, tried)
+        openers = {folder.name: partial(_open_agent, folder, rig, tried) for folder in agents}
     else:
-        reader = _reader(path, tried)
-        dataset = Dataset(reader.kind, path, [reader.open(path, rig)])
+        openers = _reader(path, tried).openers(path, rig)
+    dataset = _opened(path, openers, strict, recording, bool(agents) or len(openers) > 1)
     for sequence in dataset.sequences if strict else []:
         for problem in sequence.problems:
             if problem.severity is Severity.ERROR:
@@ -59,27 +66,46 @@ def open_dataset(
     return dataset
 
 
-def _open_agents(
-    path: Path, folders: list[Path], rig: RigKind | None, strict: bool, readers: Sequence[Reader]
+def _opened(
+    path: Path,
+    openers: Mapping[str, Callable[[], ImageSequence]],
+    strict: bool,
+    recording: RecordingConfig,
+    agents: bool,
 ) -> Dataset:
-    """All agents that can be opened; an error where none can, and with ``strict`` for the first that cannot."""
+    """All sequences that can be opened; an error where none can, and with ``strict`` for the first that cannot."""
     sequences, problems = [], []
-    for folder in folders:
+    for number, (name, opener) in enumerate(openers.items(), 1):
         try:
-            sequences.append(replace(_reader(folder, readers).open(folder, rig), name=folder.name))
+            sequence = select(opener(), recording)
+            sequences.append(replace(sequence, name=name) if agents else sequence)
         except FrontendError as error:
-            if strict or (folder is folders[-1] and not sequences):
+            if strict or (number == len(openers) and not sequences):
                 raise
             problems.append(Problem(Severity.ERROR, str(error)))
     kinds = ", ".join(sorted({sequence.kind for sequence in sequences}))
-    return Dataset(f"agents ({kinds})", path, sequences, tuple(problems))
+    return Dataset(f"agents ({kinds})" if agents else kinds, path, sequences, tuple(problems))
 
 
-def _reader(folder: Path, readers: Sequence[Reader]) -> Reader:
+def _open_agent(folder: Path, rig: RigKind | None, readers: Sequence[Reader]) -> ImageSequence:
+    openers = _reader(folder, readers).openers(folder, rig)
+    if len(openers) > 1:
+        raise FrontendError(f"{folder}: {len(openers)} sequences ({', '.join(openers)}), one is expected for an agent")
+    return next(iter(openers.values()))()
+
+
+def _reader(path: Path, readers: Sequence[Reader]) -> Reader:
+    if path.is_file():
+        suffix = path.suffix.lower()
+        for reader in readers:
+            if suffix in reader.suffixes:
+                return reader
+        known = sorted(suffix for reader in readers for suffix in reader.suffixes)
+        raise FrontendError(f"{path}: neither a folder nor a recording of a known kind ({', '.join(known)})")
     for reader in readers:
-        if reader.recognises(folder):
+        if reader.recognises(path):
             return reader
-    raise FrontendError(f"{folder}: {_why_unknown(folder, readers)}")
+    raise FrontendError(f"{path}: {_why_unknown(path, readers)}")
 
 
 def _why_unknown(folder: Path, readers: Sequence[Reader]) -> str:

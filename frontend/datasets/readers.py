@@ -6,22 +6,26 @@ from collections.abc import Callable, Iterable
 
 from maslam.extensions import ExtensionGroup, check_name, installed, load_extension, made, name_of
 
+from ..recording_config import RecordingConfig
 from .base import Reader
 from .euroc import EurocReader
 from .folder import FolderReader
 from .kitti import KittiReader
+from .recordings.films import FilmReader
 from .seven_scenes import SevenScenesReader
 from .tum import TumReader
 
 ReaderLike = Reader | type[Reader] | Callable[[], Reader]
 """A reader, or what makes one."""
-OURS: tuple[Reader, ...] = (KittiReader(), EurocReader(), TumReader(), SevenScenesReader())
+OURS: tuple[Reader, ...] = (KittiReader(), EurocReader(), TumReader(), SevenScenesReader(), FilmReader())
 """Tried in this order."""
 ANY_IMAGES = FolderReader()
 """Takes any folder of images, so it comes last."""
 
 
-def choose_readers(given: Iterable[ReaderLike], kind: str | None) -> tuple[Reader, ...]:
+def choose_readers(
+    given: Iterable[ReaderLike], kind: str | None, recording: RecordingConfig | None = None
+) -> tuple[Reader, ...]:
     """The readers to try: ``given``, ours, those of entry points (by name), the one for any folder of images; with
     ``kind`` only the one of that name."""
     own = [_made(name_of(one), one) for one in given]

@@ -9,8 +9,9 @@ from maslam.frontend import datasets
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import Dataset
 from maslam.frontend.datasets.readers import ReaderLike
+from maslam.frontend.recording_config import RecordingConfig
 
-from .common import PathLike, rig_kind
+from .common import PathLike, Settings, changed, nested, rig_kind
 
 
 def open_dataset(
@@ -20,21 +21,24 @@ def open_dataset(
     dataset: str | None = None,
     readers: Sequence[ReaderLike] = (),
     strict: bool = True,
+    settings: Settings | None = None,
 ) -> Dataset:
-    """Open a folder of images: KITTI odometry, EuRoC, TUM RGB-D, 7-Scenes, any folder of images with a camera file, or
-    a folder of several agents ``agent_00``, ``agent_01``, …
+    """Open a folder of images: KITTI odometry, EuRoC, TUM RGB-D, 7-Scenes, any folder of images with a camera file, a
+    film, a bag of ROS 1 or ROS 2, or a folder of several agents ``agent_00``, ``agent_01``, …
 
     Nothing is decoded yet: ``for frame in dataset.sequences[0].frames()`` decodes and rectifies.
 
     Args:
-        path: the folder.
+        path: the folder, or the recording.
         rig: ``"mono"``, ``"stereo"`` or ``"rgbd"``: use only this much of the sensors; None takes all there is.
         dataset: the kind to read it as, ours or an entry point of ``maslam.datasets``; None takes the first that
             recognises it.
         readers: readers of your own (:class:`maslam.Reader`), tried before all others.
         strict: raise the first problem that would spoil a run; otherwise problems are listed in each sequence.
+        settings: what of a recording is read, ``{"start_s": 30, "stride": 2}``.
 
     Raises:
         MaslamError: no such folder, nothing that is known in it, or (``strict``) data that cannot be used.
     """
-    return datasets.open_dataset(Path(path), rig_kind(rig), strict, readers, dataset)
+    recording = changed(RecordingConfig(), nested(settings))
+    return datasets.open_dataset(Path(path), rig_kind(rig), strict, readers, dataset, recording)

@@ -10,6 +10,7 @@ from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
+from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas import simulation
 from maslam.mas.config import MasConfig
 from maslam.mas.kernels import agent_kernels
@@ -24,7 +25,7 @@ from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
-from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, SECTION, PreprocessSettings
+from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, RECORDING, SECTION, SECTIONS, PreprocessSettings
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
 from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
@@ -53,7 +54,7 @@ def preprocess(
     What is made of a sequence is kept in the folder and used again while images, settings and code are the same.
 
     Args:
-        source: a folder of images, as :func:`maslam.open_dataset` reads it.
+        source: a folder of images or a recording, as :func:`maslam.open_dataset` reads it.
         out: folder for the agent sequences.
         agents: cut one sequence into blocks for so many agents; None makes one agent of each sequence.
         overlap: key-frames that a block takes from its neighbours (the thesis: 3). Both agents then have these images,
@@ -64,7 +65,8 @@ def preprocess(
             ``maslam.descriptors``, or your own (:class:`maslam.Descriptor`).
         provider: where onnxruntime runs it.
         vocabulary: file of ORB words; None takes the one shipped.
-        settings: of the odometry, ``{"odometry.features.tracks": 500}``.
+        settings: of the odometry, ``{"odometry.features.tracks": 500}``, and of what is read,
+            ``{"recording.stride": 2}``.
         workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.
         progress: called with title, steps done and all steps, now and then.
 
@@ -144,21 +146,21 @@ def slam(
     ``out/report/index.html``. The same files as of the command ``maslam slam``.
 
     Args:
-        source: a folder of images, as :func:`maslam.open_dataset` reads it.
+        source: a folder of images or a recording, as :func:`maslam.open_dataset` reads it.
         out: folder for the results; ``out/sequences`` holds the agent sequences.
         agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers: as in
             :func:`maslam.preprocess`.
         preset, seed, policy, transport: as in :func:`maslam.run`.
         settings: of the agents, ``{"places.threshold": 0.8}``, and of the odometry,
-            ``{"odometry.features.tracks": 500}``.
+            ``{"odometry.features.tracks": 500}``; of what is read, ``{"recording.stride": 2}``.
         progress: called with title, steps done and all steps, now and then.
 
     Raises:
         MaslamError: as of :func:`maslam.preprocess` and :func:`maslam.run`.
     """
     content = nested(settings)
-    config = _config(preset, seed, {k: v for k, v in content.items() if k != SECTION}, policy, transport)
-    own = {SECTION: content[SECTION]} if SECTION in content else {}
+    config = _config(preset, seed, {k: v for k, v in content.items() if k not in SECTIONS}, policy, transport)
+    own = {key: content[key] for key in SECTIONS if key in content}
     told = _preprocess_settings(own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers)
     shown = CallbackProgress(progress)
     chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
@@ -177,14 +179,17 @@ def _preprocess_settings(
     vocabulary: PathLike | None,
     workers: int,
 ) -> PreprocessSettings:
-    strange = sorted(set(content) - {SECTION})
+    strange = sorted(set(content) - set(SECTIONS))
     if strange:
-        raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows '{SECTION}.…'")
+        raise ToolError(
+            f"settings: unknown setting '{strange[0]}'; preprocessing knows '{SECTION}.…' and '{RECORDING}.…'"
+        )
     check_least("overlap", overlap, 0)
     check_least("workers", workers, 1)
     kind = rig_kind(rig)
     return PreprocessSettings(
         odometry=changed(OdometryConfig(), content.get(SECTION, {})),
+        recording=changed(RecordingConfig(), content.get(RECORDING, {})),
         agents=agents,
         overlap=overlap,
         rig=None if kind is None else kind.value,

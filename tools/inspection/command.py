@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..common.options import add_model_options, build
 from .record import record
 from .report import InspectReport, SequenceReport
 
 if TYPE_CHECKING:
     from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import Progress
 
+RECORDING = "recording"
 _SAMPLES = 8  # frames decoded of each sequence when not all are
 
 
@@ -26,15 +29,16 @@ def inspect_dataset(
     rig: RigKind | None = None,
     progress: Progress | None = None,
     png: Path | None = None,
+    recording: RecordingConfig | None = None,
 ) -> InspectReport:
     """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
 
-    ``png``: where a picture of each sequence's middle frame goes. Raises ``FrontendError`` where there is no sequence
-    to speak of.
+    ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read. Raises
+    ``FrontendError`` where there is no sequence to speak of.
     """
     from maslam.frontend.datasets import open_dataset
 
-    dataset = open_dataset(path, rig, strict=False)
+    dataset = open_dataset(path, rig, strict=False, recording=recording)
     reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
     if png is not None:
         _write_picture(dataset.sequences, png)
@@ -83,6 +87,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         depth=sensors.depth,
         missing=sequence.missing,
         understood=sequence.understood,
+        origin=sequence.origin,
     )
 
 
@@ -130,7 +135,11 @@ def _decode(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("source", metavar="SRC", type=Path, help="a data set, or a folder of agent_00, agent_01, ...")
+    from maslam.frontend.recording_config import RecordingConfig
+
+    parser.add_argument(
+        "source", metavar="SRC", type=Path, help="a data set, a film or bag, or a folder of agent_00, agent_01, ..."
+    )
     parser.add_argument(
         "--rig", choices=("mono", "stereo", "rgbd"), help="read it as this (default: the most that the files allow)"
     )
@@ -142,17 +151,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    add_model_options(parser, RecordingConfig(), RECORDING)
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Print the report; 1 where an error would spoil a run."""
     from maslam.frontend.cameras.models import RigKind
+    from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import progress_on
 
     rig = RigKind(arguments.rig) if arguments.rig else None
+    recording = build(RecordingConfig(), arguments, prefix=RECORDING)
     with progress_on(quiet=not arguments.all) as progress:
-        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png)
+        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png, recording)
     print(json.dumps(record(report), indent=2) if arguments.json else "\n".join(report.lines()))
     if arguments.png is not None and not arguments.json:
         print(f"picture: {arguments.png}")

@@ -31,6 +31,7 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
     return {
         "name": one.name,
         "kind": one.kind,
+        "origin": one.origin,
         "frames": one.frames,
         "missing": [asdict(missing) for missing in one.missing],
         "rate_hz": one.rate_hz,

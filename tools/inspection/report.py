@@ -20,7 +20,8 @@ _LABEL = {"camera": "calibration", "left": "left camera", "right": "right camera
 class SequenceReport:
     """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
     frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``: images that
-    the names' numbers lack; ``understood``: each camera as its calibration file describes it."""
+    the names' numbers lack; ``understood``: each camera as its calibration file describes it; ``origin``: what of a
+    recording is read."""
 
     name: str
     kind: str
@@ -39,6 +40,7 @@ class SequenceReport:
     depth: str = ""
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
+    origin: str = ""
 
     def lines(self) -> list[str]:
         """The report of this sequence, a line each."""
@@ -50,6 +52,7 @@ class SequenceReport:
             truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path"
         first = [
             f"{self.name} ({self.kind})",
+            *([f"  read from     {self.origin}"] if self.origin else []),
             f"  frames        {self.frames}, {self.rate_hz:.2f} a second, {self.duration_s:.2f} s "
             f"from {self.start_s:.3f} s",
             f"  rig           {self.rig.kind}{baseline}; scale {'metric' if self.rig.metric else 'arbitrary'}",

@@ -29,12 +29,16 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import Dataset
     from maslam.frontend.datasets.readers import ReaderLike
+    from maslam.frontend.recording_config import RecordingConfig
     from maslam.mas.sequence import LeftOutEntry, Manifest, SplitEntry
 
     from .tracking_cache import TrackingJob
 
 FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
 SECTION = "odometry"
+RECORDING = "recording"
+SECTIONS = (SECTION, RECORDING)
+"""Of a settings file, that are read here."""
 DEFAULT_OVERLAP = 0  # key-frames: agents see no image of another's; the predecessor's split of KITTI takes 3
 
 
@@ -42,7 +46,8 @@ DEFAULT_OVERLAP = 0  # key-frames: agents see no image of another's; the predece
 class PreprocessSettings:
     """Settings of ``maslam preprocess``. ``agents`` None: one agent per sequence; ``overlap`` key-frames of a split
     sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: folder of
-    the front end's results, by default OUT/frontend."""
+    the front end's results, by default OUT/frontend; ``recording``: what of the
+    source is read, by default all."""
 
     odometry: OdometryConfig
     agents: int | None = None
@@ -55,12 +60,16 @@ class PreprocessSettings:
     vocabulary: Path | None = None
     workers: int = 0
     store: Path | None = None
+    recording: RecordingConfig | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SRC OUT`` and everything that can be set."""
     parser.add_argument(
-        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` shows what is read"
+        "source",
+        metavar="SRC",
+        type=Path,
+        help="images, film or bag; `maslam inspect SRC` shows what is read",
     )
     parser.add_argument(
         "out",
@@ -96,7 +105,8 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dataset",
         metavar="KIND",
-        help="read SRC as this kind: kitti, euroc, tum, 7scenes, images, or an entry point of maslam.datasets "
+        help="read SRC as this kind: kitti, euroc, tum, 7scenes, film, bag, images, or one of the entry points of "
+        "maslam.datasets "
         "(default: the first that recognises it)",
     )
     parser.add_argument(
@@ -120,13 +130,16 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         help="processes (default: one per core, at most one per sequence)",
     )
     from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.recording_config import RecordingConfig
 
+    add_model_options(parser, RecordingConfig(), RECORDING)
     add_model_options(parser, OdometryConfig(), SECTION)
 
 
 def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> PreprocessSettings:
     """The settings of one command line and the ``content`` of its ``--config`` file."""
     from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.recording_config import RecordingConfig
 
     if arguments.overlap < 0:
         raise UsageError(f"--overlap {arguments.overlap}: a number of key-frames is meant")
@@ -141,6 +154,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         provider=arguments.provider,
         vocabulary=arguments.vocabulary,
         workers=arguments.workers,
+        recording=build(RecordingConfig(), arguments, content.get(RECORDING), arguments.config, RECORDING),
     )
 
 
@@ -158,7 +172,7 @@ def _check_names(arguments: argparse.Namespace) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    settings = settings_from(arguments, read_settings(arguments.config, [SECTION]))
+    settings = settings_from(arguments, read_settings(arguments.config, SECTIONS))
     with progress_on(quiet=arguments.quiet) as progress:
         manifest = preprocess(arguments.source, arguments.out, settings, progress)
     print(manifest.model_dump_json(indent=2) if arguments.json else summary_line(manifest, arguments.out))
@@ -186,7 +200,8 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     _check_free(out)
     model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
     rig = RigKind(settings.rig) if settings.rig else None
-    dataset = open_dataset(source, rig, strict=False, readers=settings.readers, kind=settings.dataset)
+    readers, kind = settings.readers, settings.dataset
+    dataset = open_dataset(source, rig, strict=False, readers=readers, kind=kind, recording=settings.recording)
     if settings.agents is not None and len(dataset.sequences) > 1:
         count = len(dataset.sequences)
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
@@ -281,6 +296,7 @@ def _as_set(settings: PreprocessSettings) -> dict[str, Any]:
     """For the manifest."""
     return {
         SECTION: settings.odometry.model_dump(mode="json"),
+        RECORDING: settings.recording.model_dump(mode="json") if settings.recording else {},
         "rig": settings.rig,
         "dataset": settings.dataset,
         "model": _named(settings.model),

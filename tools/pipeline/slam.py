@@ -11,6 +11,7 @@ from ..common.options import read_settings
 from ..common.progress import Progress, counter, progress_on
 from .preprocess import (
     SECTION,
+    SECTIONS,
     PreprocessSettings,
     add_preprocess_arguments,
     preprocess,
@@ -30,7 +31,10 @@ SEQUENCES = "sequences"  # in OUT: what preprocessing made
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SRC OUT`` and the options of ``preprocess`` and ``run``."""
     parser.add_argument(
-        "source", metavar="SRC", type=Path, help="folder of images; `maslam inspect SRC` shows what is read"
+        "source",
+        metavar="SRC",
+        type=Path,
+        help="images, film or bag; `maslam inspect SRC` shows what is read",
     )
     parser.add_argument(
         "out",
@@ -40,7 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "agent sequences",
     )
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"YAML with settings of `run`, and `{SECTION}: {{...}}`"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"YAML with settings of `run`, `{SECTION}: {{...}}`",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
@@ -54,9 +61,9 @@ def main(arguments: argparse.Namespace) -> None:
 
     from ..report.summary_table import json_of, table_of
 
-    content = read_settings(arguments.config, (SECTION, *MasConfig.model_fields))
+    content = read_settings(arguments.config, (*SECTIONS, *MasConfig.model_fields))
     settings = settings_from(arguments, content)
-    config = config_from(arguments, {key: value for key, value in content.items() if key != SECTION})
+    config = config_from(arguments, {key: value for key, value in content.items() if key not in SECTIONS})
     with progress_on(quiet=arguments.quiet) as progress:
         page = slam(arguments.source, arguments.out, settings, config, progress)
     print(json_of(arguments.out) if arguments.json else f"{table_of(arguments.out)}\n\nreport: {page}")

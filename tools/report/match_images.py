@@ -13,6 +13,7 @@ import numpy as np
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import open_dataset
 from maslam.frontend.errors import FrontendError
+from maslam.frontend.recording_config import RecordingConfig
 
 from .run_data import RunData
 
@@ -39,7 +40,8 @@ def sample_images(run: RunData) -> tuple[list[MatchImages], str]:
     if not rows:
         return [], "No match was accepted, so there are no images to show."
     try:
-        dataset = open_dataset(Path(run.manifest.source), RigKind.MONO, strict=False)
+        recording = RecordingConfig(**run.manifest.settings.get("recording", {}))
+        dataset = open_dataset(Path(run.manifest.source), RigKind.MONO, strict=False, recording=recording)
         sequences = {sequence.name: sequence for sequence in dataset.sequences}
         return [_images(run, row, sequences) for row in rows], ""
     except (FrontendError, KeyError) as error:

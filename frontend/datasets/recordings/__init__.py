@@ -1,0 +1,1 @@
+"""Recordings read without unpacking: films, and bags of ROS 1 and ROS 2."""
