@@ -11,6 +11,7 @@ from ..cameras.calibration_files.registry import CalibrationFormat, format_of
 from ..errors import FrontendError
 
 _SUFFIXES = (".yaml", ".yml", ".xml", ".json")
+_NOT_CAMERAS = ("metadata.yaml",)  # of a ROS 2 bag
 _OFTEN_OTHERS = (".json", ".xml")  # passed over where they hold no camera
 _USUAL = ("camera", "calibration", "camera_info", "camchain", "calib")
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("camera0", "camera1"))
@@ -51,6 +52,7 @@ def _only_one(folder: Path, without_camera: list[Path]) -> Path | None:
 def _candidates(folder: Path) -> list[Path]:
     """Files that may hold a camera, by their names; where there is one for each image, only those named as usual."""
     files = [p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".")]
+    files = [path for path in files if path.name not in _NOT_CAMERAS]
     kept = []
     for suffix in _SUFFIXES:
         of_one = [path for path in files if path.suffix.lower() == suffix]

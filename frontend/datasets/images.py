@@ -74,19 +74,23 @@ def first_size(paths: Sequence[Path]) -> tuple[int, int]:
 
 
 def _decode(path: Path, flags: int) -> NDArray[np.generic]:
-    data = read_bytes(path)
+    return decode(read_bytes(path), path, flags)
+
+
+def decode(data: bytes, name: object, flags: int) -> NDArray[np.generic]:
+    """Pixels of an image file's bytes, by OpenCV's ``flags``; ``name`` in messages. Errors as :func:`read_grey`'s."""
     if not data:
-        raise FrontendError(f"{path}: the file is empty")
+        raise FrontendError(f"{name}: the file is empty")
     complete = _is_complete(data)
     if not complete:
-        raise FrontendError(f"{path}: the image is cut off after {len(data)} bytes")
+        raise FrontendError(f"{name}: the image is cut off after {len(data)} bytes")
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as error:
-        raise FrontendError(f"{path}: cannot be decoded: {error.err}") from error
+        raise FrontendError(f"{name}: cannot be decoded: {error.err}") from error
     if image is None or not image.size:
         raise FrontendError(
-            f"{path}: not an image that can be decoded (damaged, or of another format than its name says)"
+            f"{name}: not an image that can be decoded (damaged, or of another format than its name says)"
         )
     return image
 

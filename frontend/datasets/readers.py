@@ -11,13 +11,14 @@ from .base import Reader
 from .euroc import EurocReader
 from .folder import FolderReader
 from .kitti import KittiReader
+from .recordings.bags import BagReader
 from .recordings.films import FilmReader
 from .seven_scenes import SevenScenesReader
 from .tum import TumReader
 
 ReaderLike = Reader | type[Reader] | Callable[[], Reader]
 """A reader, or what makes one."""
-OURS: tuple[Reader, ...] = (KittiReader(), EurocReader(), TumReader(), SevenScenesReader(), FilmReader())
+OURS: tuple[Reader, ...] = (KittiReader(), EurocReader(), TumReader(), SevenScenesReader(), BagReader(), FilmReader())
 """Tried in this order."""
 ANY_IMAGES = FolderReader()
 """Takes any folder of images, so it comes last."""
@@ -29,9 +30,10 @@ def choose_readers(
     """The readers to try: ``given``, ours, those of entry points (by name), the one for any folder of images; with
     ``kind`` only the one of that name."""
     own = [_made(name_of(one), one) for one in given]
+    ours = [BagReader(recording) if isinstance(reader, BagReader) else reader for reader in OURS]
     if kind is None:
-        return (*own, *OURS, *(_installed(name) for name in installed(ExtensionGroup.DATASETS)), ANY_IMAGES)
-    for reader in (*own, *OURS, ANY_IMAGES):
+        return (*own, *ours, *(_installed(name) for name in installed(ExtensionGroup.DATASETS)), ANY_IMAGES)
+    for reader in (*own, *ours, ANY_IMAGES):
         if reader.kind == kind:
             return (reader,)
     check_kind(kind)

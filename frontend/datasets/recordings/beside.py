@@ -14,11 +14,13 @@ _TRUTH_SUFFIX = ".tum"
 _TRUTHS = ("groundtruth.txt", "groundtruth.tum")
 
 
-def camera_beside(folder: Path, name: str) -> tuple[RawRig, Path] | None:
-    """The camera of the recording or robot ``name`` in ``folder``: ``<name>.yaml``, else the folder's camera file;
-    None where there is none."""
+def camera_beside(folder: Path, name: str, others: bool = True) -> tuple[RawRig, Path] | None:
+    """The camera of the recording or robot ``name`` in ``folder``: ``<name>.yaml``, else, with ``others``, the folder's
+    camera file; None where there is none."""
     own = _first(folder, [name + suffix for suffix in _CAMERA_SUFFIXES])
-    return find_camera_file(folder) if own is None else (read_calibration(own), own)
+    if own is not None:
+        return read_calibration(own), own
+    return find_camera_file(folder) if others else None
 
 
 def truth_beside(folder: Path, name: str, alone: bool) -> Trajectory | None:
