@@ -56,6 +56,9 @@ def retime_film(path: Path, durations: Sequence[int]) -> None:
         box = data.index(name) - 4
         struct.pack_into(">I", new, box, struct.unpack_from(">I", data, box)[0] + grown)
     assert data.index(b"moov") > data.index(b"mdat")  # so that frames stay where they are
+    edits = new.find(b"edts")  # which end where the film ended before
+    if edits >= 0:
+        new[edits : edits + 4] = b"free"
     path.write_bytes(bytes(new))
 
 

@@ -68,7 +68,7 @@ def index_film(path: Path) -> FilmIndex:
         raise FrontendError(f"{path}: its {len(stored)} frames have no times; write it anew as mp4 or mkv")
     begins = np.flatnonzero(np.isin(ascending, stored[np.array(keys, dtype=bool)]))
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
-    turn = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+    turn = round(_open(path).get(cv2.CAP_PROP_ORIENTATION_META)) % 360  # known to decoders only
     promised = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     index = FilmIndex(
         ascending,
