@@ -75,7 +75,9 @@ class Channel:
 def header(store: Any, stamp_ns: int, frame: str = "camera") -> Any:
     time = store.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     kind = store.types["std_msgs/msg/Header"]
-    return kind(seq=0, stamp=time, frame_id=frame) if "seq" in kind.__annotations__ else kind(stamp=time, frame_id=frame)
+    return (
+        kind(seq=0, stamp=time, frame_id=frame) if "seq" in kind.__annotations__ else kind(stamp=time, frame_id=frame)
+    )
 
 
 def image_message(store: Any, stamp_ns: int, pixels: NDArray[Any], encoding: str) -> Any:

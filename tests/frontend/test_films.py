@@ -35,8 +35,10 @@ def scene(count: int = COUNT, width: int = WIDTH, height: int = HEIGHT) -> NDArr
     """Smooth images that differ from each other, ``(count, height, width)``."""
     rng = np.random.default_rng(3)
     noise = rng.uniform(0, 255, (count, height // 8, width // 8)).astype(np.float32)
-    return np.stack([cv2.resize(n, (width, height), interpolation=cv2.INTER_CUBIC) for n in noise]).clip(0, 255).astype(
-        np.uint8
+    return (
+        np.stack([cv2.resize(n, (width, height), interpolation=cv2.INTER_CUBIC) for n in noise])
+        .clip(0, 255)
+        .astype(np.uint8)
     )
 
 
