@@ -242,4 +242,6 @@ def _described(topics: RobotTopics, right: bool, depth: bool) -> str:
     parts = [f"{what}{t.name} ({t.type.rpartition('/')[2]}, {t.count})" for what, t in shown if t is not None]
     camera = [f"camera: {topics.infos[0].name}"] if topics.infos[0] is not None else []
     truth = [f"truth: {topics.truth.name}"] if topics.truth is not None else []
-    return "; ".join([*parts, *camera, *truth])
+    others = [f"{topic.name} ({topic.type.rpartition('/')[2]}, {topic.count})" for topic in topics.unread]
+    unread = [f"not read: {', '.join(others)}"] if others else []
+    return "; ".join([*parts, *camera, *truth, *unread])

@@ -21,7 +21,7 @@ _OPTION = "--recording.image-topic"
 @dataclass(frozen=True)
 class RobotTopics:
     """What is read of one robot. ``right``, ``depth``, ``infos`` (camera_info of left, right, depth), ``truth``: None
-    where there is none. ``warnings``: what was found and is not used."""
+    where there is none. ``warnings``: what was found and is not used; ``unread``: its other images."""
 
     left: Topic
     right: Topic | None = None
@@ -30,6 +30,7 @@ class RobotTopics:
     truth: Topic | None = None
     rectified: bool = False
     warnings: tuple[str, ...] = field(default=())
+    unread: tuple[Topic, ...] = ()
 
     @property
     def all(self) -> tuple[Topic, ...]:
@@ -142,6 +143,7 @@ def _completed(
         truth,
         left.is_rectified,
         tuple(warnings),
+        tuple(topic for name, topic in images.items() if name not in (left, right, depth)),
     )
 
 
