@@ -45,7 +45,7 @@ def test_wrong_bytes_are_an_error_or_nothing(tmp_path: Path, name: str) -> None:
     """Whatever stands in the file: no other exception than ours."""
     path = write(tmp_path / name, pair_of())
     file, rng = file_of(path), np.random.default_rng(5)
-    data, refused = file.read_bytes(), 0
+    data, said = file.read_bytes(), []
     for k in range(TRIES):
         broken = bytearray(data)
         ends = 4000 if k % 2 else len(data)  # half of them where the index is
@@ -55,9 +55,8 @@ def test_wrong_bytes_are_an_error_or_nothing(tmp_path: Path, name: str) -> None:
         try:
             read_all(path)
         except FrontendError as error:
-            refused += 1
-            assert "\n" not in str(error)
-    assert refused > 0
+            said.append(str(error))
+    assert said and all("\n" not in line for line in said)
 
 
 def test_a_bag_that_was_not_closed_is_named_with_its_cure(tmp_path: Path) -> None:
@@ -121,5 +120,5 @@ class TestMetadata:
 
     def test_what_is_no_yaml_is_named(self, metadata: Path) -> None:
         metadata.write_text("a: [")
-        with pytest.raises(FrontendError, match="metadata.yaml: not YAML"):
+        with pytest.raises(FrontendError, match=r"metadata.yaml: not YAML"):
             open_dataset(metadata.parent)
