@@ -101,7 +101,7 @@ def _reader(path: Path, readers: Sequence[Reader]) -> Reader:
             if suffix in reader.suffixes:
                 return reader
         known = sorted(suffix for reader in readers for suffix in reader.suffixes)
-        raise FrontendError(f"{path}: neither a folder nor a recording of a known kind ({', '.join(known)})")
+        raise FrontendError(f"{path}: not a folder, and no recording of a known kind ({', '.join(known)})")
     for reader in readers:
         if reader.recognises(path):
             return reader

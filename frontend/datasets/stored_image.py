@@ -31,6 +31,11 @@ class StoredImage(ABC):
         """Name of the image in outputs, from the recording's folder on, with ``/`` as separator; the same at each
         reading."""
 
+    @property
+    def stem(self) -> str:
+        """The last part of :attr:`name`, as of a file's name without its suffix."""
+        return self.name.rpartition("/")[2]
+
     @abstractmethod
     def read_grey(self) -> NDArray[np.uint8]:
         """``(H, W)`` uint8 grey. :class:`FrontendError` where it is missing or damaged."""

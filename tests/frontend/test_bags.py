@@ -161,6 +161,19 @@ class TestRobots:
             write_ros1(tmp_path / f"{robot}.bag", pair_of())
         assert [s.name for s in open_dataset(tmp_path).sequences] == ["alice", "bob"]
 
+    def test_parts_of_one_recording_are_named(self, tmp_path: Path) -> None:
+        for part in (0, 1):
+            later = [stamp + part * COUNT * 50_000_000 for stamp in STAMPS]
+            write_ros1(
+                tmp_path / f"run_{part}.bag", [raw("/image_raw", SCENE.images, "mono8", later), info("/camera_info")]
+            )
+        first, second = open_dataset(tmp_path).sequences
+        assert not first.problems and "run_1.bag: begins where the bag before it ends" in messages(second)
+
+    def test_topics_that_are_not_read_are_listed(self, tmp_path: Path) -> None:
+        debug = raw("/car/debug/image", SCENE.images, "mono8")
+        assert "not read: /car/debug/image (Image, 6)" in only(tmp_path / "run.bag", [*pair_of("/car"), debug]).origin
+
     def test_the_error_lists_topics_with_types_and_counts(self, tmp_path: Path) -> None:
         channels = [raw(f"/{side}/image_raw", SCENE.images, "mono8") for side in ("front", "rear")]
         with pytest.raises(FrontendError, match=r"/front/image_raw \(Image, 6\), /rear/image_raw \(Image, 6\)"):

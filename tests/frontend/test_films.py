@@ -286,5 +286,5 @@ class TestDamage:
     @pytest.mark.parametrize("name", ["a.heic", "notes.txt", "a.bag.active"])
     def test_a_file_of_an_unknown_kind_names_those_that_are_known(self, tmp_path: Path, name: str) -> None:
         (tmp_path / name).write_bytes(b"something")
-        with pytest.raises(FrontendError, match=r"neither a folder nor a recording of a known kind \(.*\.mp4"):
+        with pytest.raises(FrontendError, match=r"not a folder, and no recording of a known kind \(.*\.mp4"):
             open_dataset(tmp_path / name)

@@ -380,7 +380,7 @@ def square_or_fail(number: int, advance: Any) -> int:
 @pytest.mark.parametrize(
     ("text", "code", "said"),
     [
-        ("relpose: {min_inliers: 3}", 2, ":1: unknown setting 'relpose'; there are odometry"),
+        ("relpose: {min_inliers: 3}", 2, ":1: unknown setting 'relpose'; there are odometry, recording"),
         (
             "odometry: {features: {track: 3}}",
             2,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ...cameras.calibration import RawRig
 from ...cameras.models import RigKind
 from ...errors import FrontendError
+from ...files.timestamps import NS_PER_S
 from ...files.trajectory import Trajectory
 from ...recording_config import RecordingConfig
 from ..assemble import FoundSequence, assemble, available_rigs
@@ -30,6 +32,11 @@ _FEW_IMAGES = 3  # beside a bag, fewer are no sequence
 _HALF = 0.5  # of the interval between images: what is nearer in time is of the same moment
 _APART = 0.1  # of the interval: a pair that is farther apart is no pair for a camera that moves
 _MILLIMETRE = 0.001
+_PART_GAP_NS = 2 * NS_PER_S
+_PART = (
+    "{}: begins where the bag before it ends: parts of one recording are read as a robot each; join them first "
+    "(`rosbags-convert --src A --src B --dst C`)"
+)
 _BITS = (8, 10, 12, 14, 16)
 
 
@@ -55,14 +62,19 @@ class BagReader(Reader):
         """See :meth:`Reader.openers`."""
         found: dict[str, Callable[[], ImageSequence]] = {}
         paths = bags_in(path)
+        before: tuple[Bag, dict[str, RobotTopics]] | None = None
         for one in paths:
             bag = Bag(one)
             robots = find_robots(one, bag.topics(), self.config)
             bag.index([topic for robot in robots.values() for topic in robot.all])
+            goes_on = before is not None and _goes_on(*before, bag, robots)
+            before = bag, robots
             stem = one.resolve().name if one.is_dir() else one.stem
             for robot, topics in robots.items():
                 name = robot if robot and len(paths) == 1 else "_".join(filter(None, (stem, robot)))
-                found[name] = partial(_open_robot, bag, topics, name, rig, len(robots) == len(paths) == 1)
+                said = (*topics.warnings, _PART.format(one)) if goes_on else topics.warnings
+                alone = len(robots) == len(paths) == 1
+                found[name] = partial(_open_robot, bag, replace(topics, warnings=said), name, rig, alone)
         return found
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
@@ -71,6 +83,17 @@ class BagReader(Reader):
         if len(openers) != 1:
             raise FrontendError(f"{folder}: {len(openers)} sequences ({', '.join(openers)}), one is expected here")
         return next(iter(openers.values()))()
+
+
+def _goes_on(first: Bag, topics: dict[str, RobotTopics], second: Bag, others: dict[str, RobotTopics]) -> bool:
+    """Whether the second bag begins where the first one ends: parts of one recording (`rosbag record --split`)."""
+    if [robot.left.name for robot in topics.values()] != [robot.left.name for robot in others.values()]:
+        return False
+    gaps = [
+        int(second.messages(b.left).stamps_ns[0] - first.messages(a.left).stamps_ns[-1])
+        for a, b in zip(topics.values(), others.values(), strict=True)
+    ]
+    return all(0 < gap < _PART_GAP_NS for gap in gaps)
 
 
 def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, alone: bool) -> ImageSequence:

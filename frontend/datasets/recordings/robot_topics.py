@@ -55,6 +55,9 @@ def find_robots(path: Path, topics: Sequence[Topic], config: RecordingConfig) ->
         head = "" if config.image_topic is None else _head(left, config.image_topic)
         if config.image_topic is not None:
             names = [name for name in images if name.topic.startswith(f"{head}/")]
+        names += [
+            name for name in images if name.is_derived and name not in names and (not robot or robot in name.parts)
+        ]
         found[robot] = _completed(path, topics, {name: images[name] for name in names}, left, right, config, head)
     return found
 
