@@ -32,6 +32,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "slam": (".pipeline.slam", "preprocess, run, evaluate and report in one"),
     "eval": (".report.summary_table", "error, exploration and bytes of a run, against ground truth where there is any"),
     "report": (".report.command", "one self-contained HTML page of a run; optionally a recording for rerun"),
+    "export": (
+        ".interchange.export",
+        "a run for other programs: COLMAP, hloc, nerfstudio, gsplat, evo, Foxglove, tables",
+    ),
     "sweep": (".sweep.command", "sequences x agents x presets x seeds, to tables and figures"),
     "pgo": (".pgo.command", "pose-graph optimisation of g2o files, central or distributed"),
     "bench": (".bench.command", "accuracy, time and memory of the odometry; time of the place search"),

@@ -44,7 +44,7 @@ def _log_agent(rr: Any, recording: Any, data: RunData, index: int) -> None:
     if agent.truth is not None:
         truth = rr.LineStrips3D([agent.truth.centres], colors=[(170, 180, 190)])
         recording.log(f"world/truth/{agent.name}", truth, static=True)
-    points = _own_points(data.folder / agent.name / "map.ply", index)
+    points = own_points(data.folder / agent.name / "map.ply", index)
     placed = data.T_world_agent[index] @ points
     recording.log(f"world/{agent.name}/map", rr.Points3D(placed, colors=[colour], radii=0.03), static=True)
     recording.log(f"world/{agent.name}/path", rr.LineStrips3D([positions], colors=[colour]), static=True)
@@ -54,7 +54,7 @@ def _log_agent(rr: Any, recording: Any, data: RunData, index: int) -> None:
         recording.log(f"world/{agent.name}/camera", here)
 
 
-def _own_points(path: Path, owner: int) -> NDArray[np.float64]:
+def own_points(path: Path, owner: int) -> NDArray[np.float64]:
     """The points ``(n, 3)`` of the agent's own map, out of all that it holds; none where it has no map."""
     if not path.is_file():
         return np.zeros((0, 3))

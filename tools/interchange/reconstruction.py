@@ -1,0 +1,84 @@
+"""One folder that COLMAP, hloc, nerfstudio and gsplat take as it is: undistorted images and the map that they show.
+
+images/agent_00/…        the user's images, undistorted
+sparse/0/…               COLMAP's cameras, images and points
+points.ply               the points, in the model's coordinates
+transforms.json          nerfstudio's cameras; sparse_pc.ply: the points in its axes
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Array, se3_inverse
+from maslam.mas.sequence import CameraEntry
+
+from ..common.progress import Progress
+from .colmap_tables import ModelParts, write_model
+from .nerfstudio import write_transforms
+from .point_cloud import write_points
+from .source_images import AgentImages
+from .team_model import TeamModel
+
+IMAGES, SPARSE, POINTS = "images", Path("sparse", "0"), "points.ply"
+
+
+def write_reconstruction(
+    folder: Path,
+    model: TeamModel,
+    cameras: Mapping[int, CameraEntry],
+    images: Mapping[int, AgentImages],
+    tell: Progress,
+) -> list[str]:
+    """Write all of it into ``folder``; returns the images' names, in the model's order."""
+    rows = np.zeros(len(model.agents), dtype=np.int64)
+    for agent in np.unique(model.agents).tolist():
+        mine = model.agents == agent
+        rows[mine] = images[agent].rows(model.stamps_ns[mine])
+    names = [images[a].name(row) for a, row in zip(model.agents.tolist(), rows.tolist(), strict=True)]
+    colours = _write_images(folder / IMAGES, model, names, rows, images, tell)
+    used = sorted(np.unique(model.agents).tolist())
+    parts = ModelParts(
+        cameras=[cameras[a] for a in used],
+        names=names,
+        cameras_of=np.searchsorted(used, model.agents),
+        T_C_W=se3_inverse(model.poses),
+        image=model.image,
+        uv=model.uv,
+        point=model.point,
+        points=model.points,
+        colours=colours,
+        errors=model.errors,
+    )
+    write_model(folder / SPARSE, parts)
+    write_points(folder / POINTS, model.points, colours)
+    write_transforms(folder, parts, IMAGES)
+    return names
+
+
+def _write_images(
+    folder: Path,
+    model: TeamModel,
+    names: list[str],
+    rows: NDArray[np.int64],
+    images: Mapping[int, AgentImages],
+    tell: Progress,
+) -> NDArray[np.uint8]:
+    """Write the images; returns the colour ``(P, 3)`` uint8 RGB of each point, the mean of its views'."""
+    task = tell.start("images", len(names))
+    bounds = np.searchsorted(model.image, np.arange(len(names) + 1))
+    sums: Array = np.zeros((len(model.points), 3))
+    for i, name in enumerate(names):
+        data, bgr = images[int(model.agents[i])].encoded(int(rows[i]))
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+        seen = slice(bounds[i], bounds[i + 1])
+        x, y = (np.clip(np.rint(model.uv[seen, k]).astype(np.int64), 0, bgr.shape[1 - k] - 1) for k in (0, 1))
+        np.add.at(sums, model.point[seen], bgr[y, x, ::-1].astype(np.float64))
+        tell.advance(task, i + 1)
+    views = np.bincount(model.point, minlength=len(model.points))
+    return np.rint(sums / np.maximum(views, 1)[:, None]).astype(np.uint8)

@@ -1,0 +1,129 @@
+"""The images that a run was made from, found again and written undistorted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.datasets import ImageSequence, open_dataset
+from maslam.frontend.errors import FrontendError
+from maslam.mas.sequence import STAMP_TOLERANCE_NS, AgentEntry, Manifest
+
+from ..common.errors import ToolError
+
+if TYPE_CHECKING:
+    from maslam.frontend.datasets.readers import ReaderLike
+
+_JPEG_QUALITY = 95
+_COPIED = {"PNG": {".png"}, "JPEG": {".jpg", ".jpeg"}}  # what every program of ours reads under these names
+_CAMERA_PX = 1e-3  # how far the camera may differ from that of the run
+_ORIENTATION = 274  # EXIF
+
+
+@dataclass(frozen=True)
+class AgentImages:
+    """The source's images of one agent, and what they are called in the export."""
+
+    entry: AgentEntry
+    sequence: ImageSequence
+    root: Path
+
+    def rows(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Frames ``(n,)`` of these times; ``ToolError`` where the source has none."""
+        stamps = self.sequence.stamps_ns
+        at = np.clip(np.searchsorted(stamps, stamps_ns), 1, max(len(stamps) - 1, 1))
+        at = np.minimum(at, len(stamps) - 1)
+        before = np.maximum(at - 1, 0)
+        at = np.where(np.abs(stamps[before] - stamps_ns) < np.abs(stamps[at] - stamps_ns), before, at)
+        for off in np.flatnonzero(np.abs(stamps[at] - stamps_ns) > STAMP_TOLERANCE_NS)[:1]:
+            raise ToolError(
+                f"{self.root}: no image of {self.entry.name} at {stamps_ns[off] / 1e9:.6f} s: "
+                "not the images that the run was made from"
+            )
+        return at.astype(np.int64)
+
+    def name(self, row: int) -> str:
+        """``agent_00/image_0/000000.png``: the agent, then the user's name from the agent's folder on. What is no PNG
+        or JPEG gets ``.png`` behind its name."""
+        path = self.sequence.left[row]
+        inside = path.relative_to(self.root) if path.is_relative_to(self.root) else Path(path.name)
+        parts = list(PurePosixPath(inside.as_posix()).parts)
+        if len(parts) > 1 and parts[0] == self.entry.sequence:
+            parts = parts[1:]
+        name = "/".join([self.entry.name, *parts])
+        return name if Path(name).suffix.lower() in {s for of in _COPIED.values() for s in of} else f"{name}.png"
+
+    def encoded(self, row: int) -> tuple[bytes, NDArray[np.uint8]]:
+        """Frame ``row``, undistorted: a file of the kind that its :meth:`name` ends with, and the image ``(H, W, 3)``
+        BGR. A file that every program reads as it is, is taken byte by byte; others are encoded anew."""
+        image = self.sequence.read_colour(row)
+        source = self.sequence.left[row]
+        if self.sequence.rectifier is None and _is_plain(source):
+            return source.read_bytes(), image
+        suffix = Path(self.name(row)).suffix.lower()
+        flags = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix in _COPIED["JPEG"] else []
+        done, data = cv2.imencode(suffix, image, flags)
+        if not done:
+            raise ToolError(f"{source}: the image cannot be encoded as {suffix}")
+        return data.tobytes(), image
+
+
+def find_images(
+    manifest: Manifest, moved: Path | None, readers: Sequence[ReaderLike], members: Sequence[int]
+) -> dict[int, AgentImages]:
+    """The images of each of the agents ``members``.
+
+    ``moved``: where the source's folder is now, None where it was. ``ToolError`` where they are not there, or are taken
+    with another camera than the run was made with.
+    """
+    root = Path(manifest.source) if moved is None else moved
+    cure = "name their folder with --images DIR" if moved is None else "--images names another folder"
+    settings = manifest.settings
+    rig = RigKind(settings["rig"]) if settings.get("rig") else None
+    try:
+        dataset = open_dataset(root, rig, strict=False, readers=readers, kind=settings.get("dataset"))
+    except FrontendError as error:
+        raise ToolError(f"{error}: the images of this run cannot be read from there; {cure}") from error
+    sequences = {sequence.name: sequence for sequence in dataset.sequences}
+    if len(sequences) == 1 and len({entry.sequence for entry in manifest.agents}) == 1:
+        sequences = {manifest.agents[0].sequence: dataset.sequences[0]}  # the folder was renamed
+    found = {}
+    for a in members:
+        entry = manifest.agents[a]
+        if entry.sequence not in sequences:
+            raise ToolError(f"{root}: holds no images of {entry.name} ({entry.sequence}); {cure}")
+        _check_camera(entry, sequences[entry.sequence], root)
+        found[a] = AgentImages(entry, sequences[entry.sequence], dataset.root)
+    return found
+
+
+def _check_camera(entry: AgentEntry, sequence: ImageSequence, root: Path) -> None:
+    known, now = entry.camera, sequence.rig.camera
+    same = (known.width, known.height) == (now.width, now.height)
+    numbers = np.array([[known.fx, known.fy, known.cx, known.cy], [now.fx, now.fy, now.cx, now.cy]])
+    if not same or np.abs(numbers[0] - numbers[1]).max() > _CAMERA_PX:
+        raise ToolError(
+            f"{root}: the camera of {entry.sequence} is {now.width}x{now.height} with fx {now.fx:.3f}, but the run was "
+            f"made with {known.width}x{known.height} and fx {known.fx:.3f}: other images, or another calibration"
+        )
+
+
+def _is_plain(path: Path) -> bool:
+    """Whether every program reads the file alike: an 8-bit PNG or JPEG of that name, not to be turned."""
+    from PIL import Image, UnidentifiedImageError
+
+    if not path.is_file():
+        return False
+    try:
+        with Image.open(path) as image:
+            named = path.suffix.lower() in _COPIED.get(image.format or "", set())
+            return named and image.mode in {"L", "RGB"} and image.getexif().get(_ORIENTATION, 1) == 1
+    except (UnidentifiedImageError, OSError):
+        return False
