@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .api.datasets import open_dataset
     from .api.evaluation import evaluate
     from .api.graphs import optimise, optimise_distributed, read_g2o, write_g2o
+    from .api.interchange import export
     from .api.odometry import Odometry
     from .api.pipeline import preprocess, run, slam
     from .api.results import AgentResult, MatchResult, Run, Sequences
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from .mas.protocol.messages import Bid
     from .mas.state.agent_state import AgentState
     from .mas.transport.transport import Transport
+    from .tools.interchange.export_request import Exported
 
     __version__: str
 
@@ -62,6 +64,7 @@ __all__ = [
     "Dataset",
     "Descriptor",
     "Edge",
+    "Exported",
     "Frame",
     "FrameResult",
     "GroupResult",
@@ -92,6 +95,7 @@ __all__ = [
     "Transport",
     "__version__",
     "evaluate",
+    "export",
     "open_dataset",
     "optimise",
     "optimise_distributed",
@@ -108,6 +112,7 @@ _PLACES = {
     "api.datasets": ("open_dataset",),
     "api.evaluation": ("evaluate",),
     "api.graphs": ("optimise", "optimise_distributed", "read_g2o", "write_g2o"),
+    "api.interchange": ("export",),
     "api.odometry": ("Odometry",),
     "api.pipeline": ("preprocess", "run", "slam"),
     "api.results": ("AgentResult", "MatchResult", "Run", "Sequences"),
@@ -134,6 +139,7 @@ _PLACES = {
     "mas.protocol.messages": ("Bid",),
     "mas.state.agent_state": ("AgentState",),
     "mas.transport.transport": ("Transport",),
+    "tools.interchange.export_request": ("Exported",),
 }
 _PLACE_OF = {name.partition("=")[0]: (place, name.partition("=")[2]) for place, ns in _PLACES.items() for name in ns}
 

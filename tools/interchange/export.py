@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import get_args
 
 from ..common.errors import UsageError
 from ..common.progress import progress_on
-from .export_request import FRAMES, GROUPS, PROGRAMS, RECONSTRUCTIONS, ExportRequest
+from .export_request import RECONSTRUCTIONS, ExportRequest, Frames, Groups, Program
 
 _FORMS = """\
 programs
@@ -25,17 +26,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _FORMS
     parser.add_argument("run", metavar="RUN", type=Path, help="folder that `maslam run` or `maslam slam` made")
     parser.add_argument("out", metavar="OUT", type=Path, help="new folder for the export")
-    parser.add_argument("--for", dest="program", choices=PROGRAMS, required=True, help="see below")
+    parser.add_argument("--for", dest="program", choices=get_args(Program), required=True, help="see below")
     parser.add_argument("--agent", type=int, metavar="N", help="export this agent alone (default: the whole team)")
     parser.add_argument(
         "--frames",
-        choices=FRAMES,
+        choices=get_args(Frames),
         default="keyframes",
         help="images of key-frames, or of all frames that have a place (default: %(default)s)",
     )
     parser.add_argument(
         "--groups",
-        choices=GROUPS,
+        choices=get_args(Groups),
         default="largest",
         help="of agents that no match joins: the largest group, or all, a folder each (default: %(default)s)",
     )

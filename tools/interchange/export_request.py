@@ -11,10 +11,9 @@ if TYPE_CHECKING:
     from maslam.frontend.datasets.readers import ReaderLike
 
 Program = Literal["colmap", "hloc", "nerfstudio", "gsplat", "evo", "mcap", "tf", "csv"]
+Frames = Literal["keyframes", "all"]
+Groups = Literal["largest", "all"]
 RECONSTRUCTIONS: tuple[Program, ...] = ("colmap", "hloc", "nerfstudio", "gsplat")
-PROGRAMS: tuple[Program, ...] = (*RECONSTRUCTIONS, "evo", "mcap", "tf", "csv")
-FRAMES = ("keyframes", "all")
-GROUPS = ("largest", "all")
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,8 @@ class ExportRequest:
 
     program: Program
     agent: int | None = None
-    frames: Literal["keyframes", "all"] = "keyframes"
-    groups: Literal["largest", "all"] = "largest"
+    frames: Frames = "keyframes"
+    groups: Groups = "largest"
     images: Path | None = None
     with_images: bool = False
     overwrite: bool = False

@@ -8,6 +8,7 @@ transforms.json          nerfstudio's cameras; sparse_pc.ply: the points in its 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def write_reconstruction(
     for agent in np.unique(model.agents).tolist():
         mine = model.agents == agent
         rows[mine] = images[agent].rows(model.stamps_ns[mine])
-    names = [images[a].name(row) for a, row in zip(model.agents.tolist(), rows.tolist(), strict=True)]
+    names = _names(model, rows, images)
     colours = _write_images(folder / IMAGES, model, names, rows, images, tell)
     used = sorted(np.unique(model.agents).tolist())
     parts = ModelParts(
@@ -58,6 +59,18 @@ def write_reconstruction(
     write_points(folder / POINTS, model.points, colours)
     write_transforms(folder, parts, IMAGES)
     return names
+
+
+def _names(model: TeamModel, rows: NDArray[np.int64], images: Mapping[int, AgentImages]) -> list[str]:
+    """A name an image; files of one name from several folders, which the source's folder does not hold, get the
+    frame's number in front."""
+    frames = list(zip(model.agents.tolist(), rows.tolist(), strict=True))
+    names = [images[a].name(row) for a, row in frames]
+    often = {name for name, count in Counter(names).items() if count > 1}
+    return [
+        f"{images[a].entry.name}/{row:06d}_{Path(name).name}" if name in often else name
+        for name, (a, row) in zip(names, frames, strict=True)
+    ]
 
 
 def _write_images(

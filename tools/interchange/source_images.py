@@ -98,7 +98,8 @@ def find_images(
     for a in members:
         entry = manifest.agents[a]
         if entry.sequence not in sequences:
-            raise ToolError(f"{root}: holds no images of {entry.name} ({entry.sequence}); {cure}")
+            why = "".join(f": {problem.message}" for problem in dataset.problems if entry.sequence in problem.message)
+            raise ToolError(f"{root}: holds no images of {entry.name} that can be read{why}; {cure}")
         _check_camera(entry, sequences[entry.sequence], root)
         found[a] = AgentImages(entry, sequences[entry.sequence], dataset.root)
     return found

@@ -86,7 +86,7 @@ class TeamModel:
 
 
 @dataclass(frozen=True, eq=False)
-class _Views:
+class _OwnViews:
     """All views of the agents' own key-frames; ``label`` ``(n,)``: the point, -1 without one; ``points``: its place by
     label."""
 
@@ -115,7 +115,7 @@ def team_model(run: RunData, members: Sequence[int]) -> TeamModel:
     )
     usable = (views.label >= 0) & np.isfinite(rectified).all(axis=1)
     once = _once(views.image[usable], views.label[usable])
-    views = _Views(views.image[usable][once], rectified[usable][once], views.label[usable][once], views.points)
+    views = _OwnViews(views.image[usable][once], rectified[usable][once], views.label[usable][once], views.points)
     views, errors = _fitted(views, agents, se3_inverse(all_poses), intrinsics)
     near = errors <= _VIEW_PX
     model = TeamModel(
@@ -160,7 +160,7 @@ def _rows(model: ModelTables, images: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.flatnonzero(np.isin(model.image, images))
 
 
-def _joined(tables: dict[int, ModelTables], own: dict[int, NDArray[np.intp]]) -> _Views:
+def _joined(tables: dict[int, ModelTables], own: dict[int, NDArray[np.intp]]) -> _OwnViews:
     """Views of all agents' own images, in stored pixels; points that any agent's model has as one get one label."""
     first_point = dict(zip(tables, np.cumsum([0, *(len(t.points) for t in tables.values())]).tolist(), strict=False))
     names = {(a, tables[a].names[row]): k for k, (a, row) in enumerate((a, r) for a in tables for r in own[a].tolist())}
@@ -184,7 +184,7 @@ def _joined(tables: dict[int, ModelTables], own: dict[int, NDArray[np.intp]]) ->
     key, node = np.concatenate([np.zeros((0, 3), dtype=np.int64), *keys]), np.concatenate([np.zeros(0, int), *nodes])
     points = np.concatenate([np.zeros((0, 3)), *(t.points for t in tables.values())])
     label, merged = _labels(key, node, points)
-    return _Views(np.concatenate(images), np.concatenate(uv), label[:count], merged)
+    return _OwnViews(np.concatenate(images), np.concatenate(uv), label[:count], merged)
 
 
 def _labels(key: NDArray[np.int64], node: NDArray[np.int64], points: Array) -> tuple[NDArray[np.int64], Array]:
@@ -212,7 +212,7 @@ def _once(image: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[np.intp
     return np.sort(first)
 
 
-def _fitted(views: _Views, agents: NDArray[np.int64], T_C_F: Array, intrinsics: Array) -> tuple[_Views, Array]:
+def _fitted(views: _OwnViews, agents: NDArray[np.int64], T_C_F: Array, intrinsics: Array) -> tuple[_OwnViews, Array]:
     """Points where their views see them, and each view's error. A point of several agents whose views do not agree
     becomes one point an agent: their poses differ there by more than a map can be sharp."""
     points, errors = _refitted(views, T_C_F, intrinsics)
@@ -231,7 +231,7 @@ def _fitted(views: _Views, agents: NDArray[np.int64], T_C_F: Array, intrinsics: 
     return replace(split, points=points), errors
 
 
-def _refitted(views: _Views, T_C_F: Array, intrinsics: Array) -> tuple[Array, Array]:
+def _refitted(views: _OwnViews, T_C_F: Array, intrinsics: Array) -> tuple[Array, Array]:
     order = np.argsort(views.label, kind="stable")
     start = np.searchsorted(views.label[order], np.arange(len(views.points) + 1))
     points = refit_points(views.points, start, views.image[order], views.uv[order], T_C_F, intrinsics)
