@@ -51,13 +51,13 @@ class AgentImages:
 
     def name(self, row: int) -> str:
         """``agent_00/image_0/000000.png``: the agent, then the user's name from the agent's folder on. What is no PNG
-        or JPEG gets ``.png`` behind its name."""
+        or JPEG gets ``.png`` behind its name; a space, which ends a name in lists of pairs, becomes ``_``."""
         path = self.sequence.left[row]
         inside = path.relative_to(self.root) if path.is_relative_to(self.root) else Path(path.name)
         parts = list(PurePosixPath(inside.as_posix()).parts)
         if len(parts) > 1 and parts[0] == self.entry.sequence:
             parts = parts[1:]
-        name = "/".join([self.entry.name, *parts])
+        name = "_".join("/".join([self.entry.name, *parts]).split())
         return name if Path(name).suffix.lower() in {s for of in _COPIED.values() for s in of} else f"{name}.png"
 
     def encoded(self, row: int) -> tuple[bytes, NDArray[np.uint8]]:
@@ -117,7 +117,8 @@ def _check_camera(entry: AgentEntry, sequence: ImageSequence, root: Path) -> Non
 
 
 def _is_plain(path: Path) -> bool:
-    """Whether every program reads the file alike: an 8-bit PNG or JPEG of that name, not to be turned."""
+    """Whether every program reads the file alike: an 8-bit colour PNG or JPEG of that name, not to be turned. Some take
+    the columns of a grey image for its channels."""
     from PIL import Image, UnidentifiedImageError
 
     if not path.is_file():
@@ -125,6 +126,6 @@ def _is_plain(path: Path) -> bool:
     try:
         with Image.open(path) as image:
             named = path.suffix.lower() in _COPIED.get(image.format or "", set())
-            return named and image.mode in {"L", "RGB"} and image.getexif().get(_ORIENTATION, 1) == 1
+            return named and image.mode == "RGB" and image.getexif().get(_ORIENTATION, 1) == 1
     except (UnidentifiedImageError, OSError):
         return False

@@ -22,7 +22,7 @@ from .team_model import TeamModel, team_model
 from .units import METRES, agent_records, unit_of
 
 _NEXT = {
-    "colmap": "colmap gui --import_path {out}/sparse/0 --image_path {out}/images --database_path new.db",
+    "colmap": "colmap model_analyzer --path {out}/sparse/0",
     "hloc": "hloc.triangulation.main(sfm, '{out}/sparse/0', '{out}/images', pairs, features, matches)",
     "nerfstudio": "ns-train splatfacto --data {out}",
     "gsplat": "python simple_trainer.py default --data_dir {out} --data_factor 1",

@@ -27,7 +27,7 @@ from ..report.run_data import RunData
 from .colmap_tables import ModelTables, read_model
 from .rectified_pixels import rectified_pixels
 
-_KEYS_A_PIXEL = 256.0  # the same view in two models: written from the same numbers
+_KEYS_A_PIXEL, _MARGIN_PX, _KEY_BITS = 32, 4096, 20  # the same view in two models: written from the same numbers
 _JOINED_PX = 2.0  # a point that two agents share is one where all its views agree within this
 _VIEW_PX = 4.0  # farther off, a view is not one of its point: COLMAP's own limit
 
@@ -173,18 +173,24 @@ def _joined(tables: dict[int, ModelTables], own: dict[int, NDArray[np.intp]]) ->
                 [names.get((int(c) - 1, n), -1) if int(c) - 1 in wanted else -1
                  for c, n in zip(one.cameras, one.names, strict=True)], dtype=np.int64,
             )  # fmt: skip
-            rows = np.flatnonzero(number[one.image] >= 0) if len(number) else np.zeros(0, dtype=np.intp)
+            rows = np.flatnonzero((number[one.image] >= 0) & (mine | (one.point >= 0)))
             image, seen = number[one.image[rows]], one.point[rows]
-            keys.append(np.column_stack([image, np.rint(one.uv[rows] * _KEYS_A_PIXEL).astype(np.int64)]))
+            keys.append(_keys(image, one.uv[rows]))
             nodes.append(np.where(seen >= 0, seen + first_point[holder], -1))
             if mine:
                 images.append(image)
                 uv.append(one.uv[rows])
     count = sum(len(i) for i in images)
-    key, node = np.concatenate([np.zeros((0, 3), dtype=np.int64), *keys]), np.concatenate([np.zeros(0, int), *nodes])
+    key, node = np.concatenate([np.zeros(0, int), *keys]), np.concatenate([np.zeros(0, int), *nodes])
     points = np.concatenate([np.zeros((0, 3)), *(t.points for t in tables.values())])
     label, merged = _labels(key, node, points)
     return _OwnViews(np.concatenate(images), np.concatenate(uv), label[:count], merged)
+
+
+def _keys(image: NDArray[np.int64], uv: Array) -> NDArray[np.int64]:
+    """One number ``(n,)`` for each view, the same in every model that has it."""
+    place = np.rint((uv + _MARGIN_PX) * _KEYS_A_PIXEL).astype(np.int64).clip(0, 2**_KEY_BITS - 1)
+    return (((image << _KEY_BITS) | place[:, 0]) << _KEY_BITS) | place[:, 1]
 
 
 def _labels(key: NDArray[np.int64], node: NDArray[np.int64], points: Array) -> tuple[NDArray[np.int64], Array]:
@@ -192,15 +198,15 @@ def _labels(key: NDArray[np.int64], node: NDArray[np.int64], points: Array) -> t
     several models are one; and the mean place of each label."""
     if not len(node):
         return node, points
-    _, view = np.unique(key, axis=0, return_inverse=True)
+    _, view = np.unique(key, return_inverse=True)
     views, rows = int(view.max()) + 1, np.flatnonzero(node >= 0)
-    ends = np.ones(len(rows)), (view.ravel()[rows], views + node[rows])
+    ends = np.ones(len(rows)), (view[rows], views + node[rows])
     size = views + len(points)
     _, component = connected_components(coo_array(ends, shape=(size, size)), directed=False)
     used, of_point = np.unique(component[views:], return_inverse=True)
     count = np.bincount(of_point, minlength=len(used))
     merged = np.column_stack([np.bincount(of_point, points[:, k], minlength=len(used)) for k in range(3)])
-    of_view = component[view.ravel()]
+    of_view = component[view]
     at = np.minimum(np.searchsorted(used, of_view), max(len(used) - 1, 0))
     known = used[at] == of_view if len(used) else np.zeros(len(of_view), dtype=bool)
     return np.where(known, at, -1), merged / np.maximum(count, 1)[:, None]
