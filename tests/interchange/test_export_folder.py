@@ -100,6 +100,7 @@ def test_images_of_another_camera_or_another_time_are_refused(
         (("--for", "colmap", "--agent", "7"), 2, "--agent 7: "),
         (("--for", "evo", "--frames", "all"), 2, "--frames is for colmap, hloc, nerfstudio, gsplat"),
         (("--for", "evo", "--with-images"), 2, "--with-images is for --for mcap"),
+        (("--for", "mcap", "--images", "there"), 2, "--images is for colmap, hloc, nerfstudio, gsplat, and mcap"),
         (("--for", "colmop"), 2, "colmap"),
     ],
 )

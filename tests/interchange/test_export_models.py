@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -60,6 +61,13 @@ def test_pycolmap_reads_the_team_and_its_points_lie_where_they_are_seen(
     for image in model.images.values():
         camera = model.cameras[image.camera_id]
         assert cv2.imread(str(out / "images" / image.name)).shape[:2] == (camera.height, camera.width)
+    with open(out / "images.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == sorted(names)
+    for agent in (0, 1):
+        stamps = [int(row["stamp_ns"]) for row in rows if row["agent"] == str(agent)]
+        assert stamps == read_tum(run / f"agent_{agent:02d}" / "trajectory_keyframes.tum").stamps_ns.tolist()
+    assert all(Path(row["source"]).name == Path(row["name"]).name for row in rows)
     owners = {i: image.name.split("/")[0] for i, image in model.images.items()}
     shared = [p for p in model.points3D.values() if len({owners[v.image_id] for v in p.track.elements}) == 2]
     assert len(shared) > 20, "both agents see some points"

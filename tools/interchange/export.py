@@ -7,9 +7,8 @@ import json
 from pathlib import Path
 from typing import get_args
 
-from ..common.errors import UsageError
 from ..common.progress import progress_on
-from .export_request import RECONSTRUCTIONS, ExportRequest, Frames, Groups, Program
+from .export_request import ExportRequest, Frames, Groups, Program
 
 _FORMS = """\
 programs
@@ -53,14 +52,6 @@ def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from .export_folder import export_run
 
-    if arguments.with_images and arguments.program != "mcap":
-        raise UsageError(f"--with-images is for --for mcap; --for {arguments.program} decides by itself")
-    if arguments.program not in RECONSTRUCTIONS:
-        for name, used in (("frames", arguments.frames != "keyframes"), ("groups", arguments.groups != "largest")):
-            if used:
-                raise UsageError(
-                    f"--{name} is for {', '.join(RECONSTRUCTIONS)}; --for {arguments.program} has no use for it"
-                )
     request = ExportRequest(
         program=arguments.program,
         agent=arguments.agent,

@@ -40,6 +40,7 @@ def export_run(run: Path, out: Path, request: ExportRequest, progress: Progress)
     ``ToolError`` where ``run`` is no finished run, its images are not found, or ``out`` holds files; an earlier export
     is replaced where the request says so.
     """
+    _check_request(request)
     data = read_run(run)
     _check_out(out, run, Path(data.manifest.source), request)
     members = _members(data, request.agent)
@@ -55,6 +56,20 @@ def export_run(run: Path, out: Path, request: ExportRequest, progress: Progress)
         }
         (part / RECORD).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     return Exported(out, tuple(line.replace("{out}", str(out)) for line in lines), record)
+
+
+def _check_request(request: ExportRequest) -> None:
+    """Refuse what the program has no use for, so that nobody waits for it."""
+    program, several = request.program, ", ".join(RECONSTRUCTIONS)
+    if request.with_images and program != "mcap":
+        raise UsageError(f"--with-images is for --for mcap; --for {program} decides by itself")
+    if program in RECONSTRUCTIONS:
+        return
+    for name, used in (("frames", request.frames != "keyframes"), ("groups", request.groups != "largest")):
+        if used:
+            raise UsageError(f"--{name} is for {several}; --for {program} has no use for it")
+    if request.images is not None and not request.with_images:
+        raise UsageError(f"--images is for {several}, and mcap --with-images; --for {program} reads no images")
 
 
 def _members(data: RunData, agent: int | None) -> list[int]:

@@ -1,6 +1,7 @@
 """One folder that COLMAP, hloc, nerfstudio and gsplat take as it is: undistorted images and the map that they show.
 
 images/agent_00/…        the user's images, undistorted
+images.csv               of each its agent, time stamp and source
 sparse/0/…               COLMAP's cameras, images and points
 points.ply               the points, in the model's coordinates
 transforms.json          nerfstudio's cameras; sparse_pc.ply: the points in its axes
@@ -8,6 +9,7 @@ transforms.json          nerfstudio's cameras; sparse_pc.ply: the points in its 
 
 from __future__ import annotations
 
+import csv
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,7 +27,7 @@ from .point_cloud import write_points
 from .source_images import AgentImages
 from .team_model import TeamModel
 
-IMAGES, SPARSE, POINTS = "images", Path("sparse", "0"), "points.ply"
+IMAGES, SPARSE, POINTS, LIST = "images", Path("sparse", "0"), "points.ply", "images.csv"
 
 
 def write_reconstruction(
@@ -58,6 +60,11 @@ def write_reconstruction(
     write_model(folder / SPARSE, parts)
     write_points(folder / POINTS, model.points, colours)
     write_transforms(folder, parts, IMAGES)
+    sources = [str(images[a].sequence.left[row]) for a, row in zip(model.agents.tolist(), rows.tolist(), strict=True)]
+    with open(folder / LIST, "w", newline="", encoding="utf-8", errors="surrogateescape") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["name", "agent", "stamp_ns", "source"])
+        table.writerows(zip(names, model.agents.tolist(), model.stamps_ns.tolist(), sources, strict=True))
     return names
 
 
