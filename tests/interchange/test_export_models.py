@@ -111,7 +111,7 @@ def test_features_of_the_exported_images_are_triangulated_with_the_exported_pose
 
 
 def test_images_are_undistorted_to_the_camera_of_the_model(
-    two_cameras: Path, bent_images: Path, town_stereo: Path, tmp_path: Path
+    two_cameras: Path, bent_images: Path, town_stereo: Path, R_rectified_left: NDArray[np.float64], tmp_path: Path
 ) -> None:
     """Each shows what the world's own camera saw there before the lens bent it; the others are the user's files."""
     model = read(export(two_cameras, tmp_path / "out"))
@@ -123,16 +123,31 @@ def test_images_are_undistorted_to_the_camera_of_the_model(
             assert path.read_bytes() == bent_images.joinpath(agent, *inside).read_bytes()
             continue
         fx, fy, cx, cy = model.cameras[image.camera_id].params
-        v, u = np.mgrid[0:180, 0:320].astype(np.float32)
-        at_u = ((u + 0.5 - cx) / fx * FOCAL_PX + 159.5).astype(np.float32)
-        at_v = ((v + 0.5 - cy) / fy * FOCAL_PX + 89.5).astype(np.float32)
+        v, u = np.mgrid[0:180, 0:320].astype(np.float64)
+        rays = np.stack([(u + 0.5 - cx) / fx, (v + 0.5 - cy) / fy, np.ones_like(u)], axis=-1) @ R_rectified_left
+        at = (rays[..., :2] / rays[..., 2:] * FOCAL_PX + [159.5, 89.5]).astype(np.float32)
         rendered = cv2.imread(str(town_stereo.joinpath(agent, *inside)))
-        expected = cv2.remap(rendered, at_u, at_v, cv2.INTER_LINEAR)
+        expected = cv2.remap(rendered, at, None, cv2.INTER_LINEAR)
         exported, bent = cv2.imread(str(path)), cv2.imread(str(bent_images.joinpath(agent, *inside)))
         off = [np.abs(one.astype(float) - expected).mean() for one in (exported, bent)]
         assert off[0] < 6.0 and off[0] < 0.5 * off[1]
         compared += 1
     assert compared > 3
+
+
+def test_cameras_look_where_the_worlds_cameras_looked(
+    two_cameras: Path, bent_images: Path, R_rectified_left: NDArray[np.float64], tmp_path: Path
+) -> None:
+    """Between the agents, too: the images of the second are turned by their rectification."""
+    model = read(export(two_cameras, tmp_path / "out"))
+    off = []
+    for image in model.images.values():
+        agent, _, name = image.name.split("/")
+        row = np.loadtxt(bent_images / agent / "poses.txt")[int(Path(name).stem)]
+        R_W_C = row.reshape(3, 4)[:, :3] @ (np.eye(3) if agent == "agent_00" else R_rectified_left.T)
+        off.append(R_W_C @ image.cam_from_world().rotation.matrix())  # the same for all: from the map to the world
+    apart = [np.degrees(np.linalg.norm(cv2.Rodrigues(off[0].T @ one)[0])) for one in off]
+    assert max(apart) < 0.5
 
 
 def test_points_have_the_colours_of_their_images(finished: Path, tmp_path: Path) -> None:
