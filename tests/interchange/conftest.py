@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import maslam
 
 BENT_FOCAL_PX, BENT_LENS = 230.0, (-0.25, 0.06, 0.001, -0.0005)
-BENT_TURN, BASELINE_M = (0.01, -0.04, 0.02), 0.54  # of the right camera in the left one: rotation vector, radians
+BENT_TURN, BASELINE_M = (0.05, -0.04, 0.02), 0.54  # of the right camera in the left one: rotation vector, radians
 SIZE = (320, 180)
 
 
