@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import ImageSequence, open_dataset
+from maslam.frontend.datasets.stored_image import name_in
 from maslam.frontend.errors import FrontendError
+from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas.sequence import STAMP_TOLERANCE_NS, AgentEntry, Manifest
 
 from ..common.errors import ToolError
@@ -52,9 +54,7 @@ class AgentImages:
     def name(self, row: int) -> str:
         """``agent_00/image_0/000000.png``: the agent, then the user's name from the agent's folder on. What is no PNG
         or JPEG gets ``.png`` behind its name; a space, which ends a name in lists of pairs, becomes ``_``."""
-        path = self.sequence.left[row]
-        inside = path.relative_to(self.root) if path.is_relative_to(self.root) else Path(path.name)
-        parts = list(PurePosixPath(inside.as_posix()).parts)
+        parts = list(PurePosixPath(name_in(self.sequence.left[row], self.root)).parts)
         if len(parts) > 1 and parts[0] == self.entry.sequence:
             parts = parts[1:]
         name = "_".join("/".join([self.entry.name, *parts]).split())
@@ -65,7 +65,7 @@ class AgentImages:
         BGR. A file that every program reads as it is, is taken byte by byte; others are encoded anew."""
         image = self.sequence.read_colour(row)
         source = self.sequence.left[row]
-        if self.sequence.rectifier is None and _is_plain(source):
+        if self.sequence.rectifier is None and isinstance(source, Path) and _is_plain(source):
             return source.read_bytes(), image
         suffix = Path(self.name(row)).suffix.lower()
         flags = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix in _COPIED["JPEG"] else []
@@ -87,8 +87,9 @@ def find_images(
     cure = "name their folder with --images DIR" if moved is None else "--images names another folder"
     settings = manifest.settings
     rig = RigKind(settings["rig"]) if settings.get("rig") else None
+    part = RecordingConfig(**settings.get("recording", {}))
     try:
-        dataset = open_dataset(root, rig, strict=False, readers=readers, kind=settings.get("dataset"))
+        dataset = open_dataset(root, rig, strict=False, readers=readers, kind=settings.get("dataset"), recording=part)
     except FrontendError as error:
         raise ToolError(f"{error}: the images of this run cannot be read from there; {cure}") from error
     sequences = {sequence.name: sequence for sequence in dataset.sequences}
