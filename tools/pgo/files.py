@@ -59,6 +59,7 @@ def _without_number(path: Path) -> str:
 def write(out: Path, graph: PoseGraph, report: PgoReport, units: Mapping[NodeId, float]) -> None:
     """One file, or a folder with one file per robot, the report, and the ``units`` of poses where they were found."""
     from maslam.backend.pose_graph.g2o import write_g2o
+    from maslam.backend.pose_graph.node import robot_name
 
     alone = len(graph.robots) == 1
     if out.suffix == ".g2o":
@@ -66,12 +67,12 @@ def write(out: Path, graph: PoseGraph, report: PgoReport, units: Mapping[NodeId,
         parts = {out: graph}
     else:
         out.mkdir(parents=True, exist_ok=True)
-        parts = {out / f"{r}.g2o": graph if alone else graph.of_robot(r) for r in graph.robots}
+        parts = {out / f"{robot_name(r)}.g2o": graph if alone else graph.of_robot(r) for r in graph.robots}
     for path, part in parts.items():
-        write_g2o(path, part, plain_ids=alone)
+        write_g2o(path, part, plain_ids=alone and not graph.symbols)
     if out.suffix != ".g2o":
         if units:
-            rows = "".join(f"{n.robot},{n.index},{unit:.12g}\n" for n, unit in sorted(units.items()))
+            rows = "".join(f"{robot_name(n.robot)},{n.index},{unit:.12g}\n" for n, unit in sorted(units.items()))
             write_atomically(out / UNITS, "robot,index,unit\n" + rows)
         else:
             (out / UNITS).unlink(missing_ok=True)
