@@ -176,7 +176,9 @@ def test_a_damaged_cache_is_compiled_again(package: Path) -> None:
     assert called(package) == (1250.0, False)
 
 
-def test_a_full_disk_costs_the_cache_not_the_run(package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_full_disk_costs_the_cache_not_the_run(
+    package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     code = CALL.replace(
         "with watch",
         "from numba.core.caching import IndexDataCacheFile as F\n"

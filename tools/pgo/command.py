@@ -7,7 +7,7 @@ import json
 import math
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,7 +93,7 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.backend.pose_graph.g2o import read_g2o
 
     from ..common.figures import check_picture
-    from .files import check_free, expand, write
+    from .files import check_free, expand, names_of, write
     from .methods import check, default_method
 
     if arguments.method is None:
@@ -115,6 +115,7 @@ def main(arguments: argparse.Namespace) -> None:
     if arguments.agents is not None:
         graph = graph.partitioned(arguments.agents)
     solved, report, units = optimise_graph(graph, arguments, notes)
+    report = replace(report, files=names_of(inputs))
     write(arguments.out, solved, report, units)
     if arguments.plot is not None:
         plot(graph, arguments)
@@ -210,8 +211,6 @@ def _nothing_to_do(found: Solution) -> bool:
 
 def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:
     """Cost against bytes for all methods, without robust selection."""
-    from dataclasses import replace
-
     from maslam.backend.central.optimise import optimise
     from maslam.backend.config import CentralConfig
 

@@ -17,7 +17,7 @@ class PgoReport:
     ``rejected``: each edge that robust selection turned down, and why. ``warnings``: irregularities of the graph.
     ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
     of them in the common one, which the graph is written in; None where there are none. ``refused``: why robots kept
-    their poses as they were, None where all took the result.
+    their poses as they were, None where all took the result. ``files``: those that were read.
     """
 
     method: str
@@ -45,6 +45,7 @@ class PgoReport:
     monocular: list[int] = field(default_factory=list)
     units: dict[str, float] | None = None
     refused: str | None = None
+    files: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
         """For people."""
