@@ -10,6 +10,8 @@ from pydantic_core import PydanticCustomError
 _SMALLEST, _LARGEST = 1e-6, 1e9
 """As shares of a default. A setting has limits of its own where they are narrower."""
 _LEAST, _BOUNDLESS = 1e-9, 1e15
+_FINE = ("_threshold", "tolerance")
+"""Ends of names of numbers at which an iteration ends: as small as wanted."""
 """For numbers whose default is zero or nothing."""
 
 
@@ -30,7 +32,7 @@ class Settings(BaseModel):
         if "seed" in info.field_name:
             return value
         least = min(usual, 1.0) * _SMALLEST if usual > 0 else _LEAST
-        if 0 < abs(value) < least:
+        if 0 < abs(value) < least and not info.field_name.endswith(_FINE):
             raise PydanticCustomError("too_small", f"0 or at least {least:g} is meant; {default} is usual")
         most = max(usual, 1.0) * _LARGEST if usual > 0 else _BOUNDLESS
         if abs(value) > most:

@@ -10,6 +10,7 @@ import pytest
 from maslam._bounded import Unreadable, load_json, load_yaml, open_npz, read_text
 from maslam.descriptors.container import PlaceVectors
 from maslam.descriptors.errors import DescriptorError
+from maslam.frontend.cameras.calibration_files import load_fields
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
 from maslam.mas.errors import MasError
@@ -75,7 +76,7 @@ def test_other_letters_are_named_by_line(tmp_path, capsys):
     with pytest.raises(Unreadable, match="nested too deep"):
         load_json("[" * 200_000)
     (tmp_path / "manifest.json").write_bytes(b'{"version": "\xff"}')
-    with pytest.raises(MasError, match="manifest.json: line 1: not UTF-8"):
+    with pytest.raises(MasError, match=r"manifest.json: line 1: not UTF-8"):
         read_manifest(tmp_path)
     (tmp_path / "summary.json").write_text("[" * 200_000)
     assert cli.main(["eval", str(tmp_path)]) == 1
@@ -94,11 +95,11 @@ def test_archives_of_arrays(tmp_path, kind):
         data = path.read_bytes()
         changed = {"cut": data[:-200], "bytes": data[:300] + bytes(500) + data[800:], "no zip": b"PK", "empty": b""}
         path.write_bytes(changed[kind])
-    with pytest.raises(Unreadable, match="claims|damaged"), open_npz(path) as stored:
+    with pytest.raises(Unreadable, match=r"claims|damaged"), open_npz(path) as stored:
         _ = {name: stored[name] for name in stored.files}
-    with pytest.raises(DescriptorError, match="netvlad.npz: "):
+    with pytest.raises(DescriptorError, match=r"netvlad.npz: "):
         PlaceVectors.load(path)
-    with pytest.raises(FrontendError, match="netvlad.npz: "):
+    with pytest.raises(FrontendError, match=r"netvlad.npz: "):
         Vocabulary.load(path)
 
 
@@ -108,3 +109,13 @@ def test_sound_arrays_are_read(tmp_path):
     with open_npz(path) as stored:
         assert stored["a"].shape == (4 << 20,) and stored["b"].tolist() == [0, 1, 2, 3, 4]
     assert json.loads("1") == load_json("1")
+
+
+def test_a_camera_file_without_end(tmp_path, capsys):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "camera.yaml").write_text(LAUGHS)
+    with pytest.raises(FrontendError, match=r"camera\.yaml: .*references"):
+        load_fields(tmp_path / "camera.yaml")
+    (tmp_path / "camera.yaml").write_text("[" * 50_000)
+    with pytest.raises(FrontendError, match=r"camera\.yaml: .*nested"):
+        load_fields(tmp_path / "camera.yaml")

@@ -26,7 +26,7 @@ def read_apart(module: str, path: Path, dim: int | None) -> Iterator[Path]:
     ``path``, where it ends with :data:`REFUSED`. :class:`DescriptorError` for that, and where it is ended otherwise."""
     with tempfile.TemporaryDirectory(prefix="maslam-") as folder:
         out = Path(folder) / "weights.npz"
-        words = [sys.executable, "-m", module, str(path), str(dim or 0), str(out)]
+        words = [sys.executable, "-m", module, str(path), "all" if dim is None else str(dim), str(out)]
         paths = os.pathsep.join([entry for entry in sys.path if entry])
         done = subprocess.run(words, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, check=False)
         said = done.stderr.decode("utf-8", "replace").strip()

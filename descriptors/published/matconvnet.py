@@ -288,7 +288,7 @@ def main(path: str, dim: str, out: str) -> int:
     """The process that :func:`read_matconvnet` starts."""
     limit_memory()
     try:
-        save_weights(Path(out), parse_matconvnet(Path(path), int(dim) or None))
+        save_weights(Path(out), parse_matconvnet(Path(path), None if dim == "all" else int(dim)))
     except (DescriptorError, MemoryError) as error:
         sys.stderr.write(f"{error}\n" if isinstance(error, DescriptorError) else f"{path}: claims too much memory\n")
         return REFUSED
