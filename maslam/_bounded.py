@@ -46,7 +46,7 @@ def check_yaml(text: str) -> None:
     anchored: list[bool] = []
     try:
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            line = event.start_mark.line + 1
+            line = event.start_mark.line + 1 if event.start_mark is not None else 0
             if isinstance(event, yaml.CollectionStartEvent):
                 depth += 1
                 anchored.append(event.anchor is not None)

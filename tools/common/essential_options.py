@@ -22,7 +22,6 @@ ESSENTIAL: dict[str, tuple[str, ...]] = {
         "--odometry.features.tracks",
         "--odometry.keyframes.min-flow",
         "--places.threshold",
-        "--merge.enabled",
     ),
     "preprocess": (
         "--agents",
@@ -61,7 +60,6 @@ ESSENTIAL: dict[str, tuple[str, ...]] = {
         "--relpose.min-inliers",
         "--optimisation.period-keyframes",
         "--merge.enabled",
-        "--merge.max-points",
         "--faults.loss",
     ),
     "render": (

@@ -134,7 +134,7 @@ class WorkerProcess(SpawnProcess):
 class WorkerContext(SpawnContext):
     """How processes are started: anew, with nothing of this one in them."""
 
-    Process = WorkerProcess  # type: ignore[assignment]
+    Process = WorkerProcess
 
 
 def _context() -> SpawnContext:
