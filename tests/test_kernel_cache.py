@@ -186,3 +186,10 @@ def test_a_full_disk_costs_the_cache_not_the_run(
     )
     monkeypatch.setitem(globals(), "CALL", code)
     assert called(package) == (1250.0, True)
+
+
+def test_doctor_names_the_folder_and_the_cure() -> None:
+    from maslam.tools.inspection.doctor import kernel_cache_check
+
+    check = kernel_cache_check()
+    assert "NUMBA_CACHE_DIR" in check.detail and not check.needed
