@@ -21,7 +21,6 @@ from maslam.frontend.datasets.images import IMAGE_SUFFIXES, list_images, read_co
 from maslam.frontend.datasets.stored_image import ImageRef, identities
 from maslam.frontend.errors import FrontendError
 
-from ..common.digests import state_of
 from ..common.errors import ToolError
 from ..common.progress import Progress
 
