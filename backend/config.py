@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from maslam._settings import Settings
 
 
-class RelPoseConfig(BaseModel):
+class RelPoseConfig(Settings):
     """Geometric verification of a place match (thesis section 3.5). Bits are of 256; shorter descriptors scale them."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     solver: Literal["points", "pnp"] = Field(
         default="points",
@@ -94,10 +94,8 @@ class RelPoseConfig(BaseModel):
     )
 
 
-class SolverConfig(BaseModel):
+class SolverConfig(Settings):
     """Pose-graph optimisation, central and distributed (thesis section 3.6)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "elected"] = Field(
         default="sor",
@@ -192,10 +190,8 @@ class SolverConfig(BaseModel):
         return cls(method="sor", relaxation=1.3, rotation_sweeps=2, pose_threshold=0.044, change="rms")
 
 
-class CentralConfig(BaseModel):
+class CentralConfig(Settings):
     """Central optimisation by Levenberg-Marquardt: the reference for the distributed solvers, and for single graphs."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     cost: Literal["F", "U", "E"] = Field(
         default="F", description="cost convention: SE-Sync, unit weights, or geodesic (gtsam)"
@@ -211,10 +207,8 @@ class CentralConfig(BaseModel):
     )
 
 
-class RobustConfig(BaseModel):
+class RobustConfig(Settings):
     """Selection of loops and separators: pairwise consistency (PCM) and graduated non-convexity (GNC)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     confidence: float = Field(
         default=0.999,
@@ -232,10 +226,8 @@ class RobustConfig(BaseModel):
     newton_steps: int = Field(default=10, ge=1, description="steps of the optimiser in each GNC step, at most")
 
 
-class SimilarityConfig(BaseModel):
+class SimilarityConfig(Settings):
     """Central optimisation in which every node has a scale: monocular tracks, whose unit of length drifts."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     drift_sigma: float = Field(default=0.01, gt=0, description="1 sigma of the log scale's drift over an odometry edge")
     match_sigma: float = Field(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maslam._atomic import write_npz
+from maslam._bounded import open_npz
 
 from .clusters import k_means
 from .errors import DescriptorError
@@ -83,7 +84,7 @@ class Codebooks:
     def load(cls, path: Path) -> Codebooks:
         """Read and check :meth:`save`'s file."""
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open_npz(path) as file:
                 fields = {key: file[key] for key in file.files}
             version = int(fields["version"])
             if version != _VERSION:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from maslam._settings import Settings
 
 
-class NetVladConfig(BaseModel):
+class NetVladConfig(Settings):
     """The shape of the network."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     channels: tuple[int, ...] = Field((32, 64, 96, 128, 128), description="of the 3x3 convolutions")
     strides: tuple[int, ...] = Field((2, 2, 2, 1, 1), description="of the 3x3 convolutions")
@@ -24,10 +24,8 @@ class NetVladConfig(BaseModel):
     dim: int = Field(256, gt=0, description="dimensions of the place vector")
 
 
-class ProjectionConfig(BaseModel):
+class ProjectionConfig(Settings):
     """Fit of the projection, made when the rest is trained."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     axes: int = Field(1024, gt=0, description="principal axes that are mixed down, where the views give as many")
     power: float = Field(0.5, ge=0, le=0.5, description="of an axis' variance that it is divided by")
@@ -37,10 +35,8 @@ class ProjectionConfig(BaseModel):
     scale: float = Field(20.0, gt=0, description="inverse temperature")
 
 
-class TrainingConfig(BaseModel):
+class TrainingConfig(Settings):
     """Settings of a training run. The same configuration, images, seed and thread count give the same weights."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     network: NetVladConfig = NetVladConfig()
     steps: int = Field(

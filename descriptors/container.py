@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam._atomic import write_npz
+from maslam._bounded import open_npz
 
 from .errors import DescriptorError
 
@@ -74,7 +75,7 @@ class PlaceVectors:
     def load(cls, path: Path) -> PlaceVectors:
         """Read and check :meth:`save`'s file."""
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open_npz(path) as file:
                 fields = {key: file[key] for key in file.files}
         except FileNotFoundError as error:
             raise DescriptorError(f"{path}: not found") from error

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from maslam._settings import Settings
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class FeatureConfig(_Frozen):
+class FeatureConfig(Settings):
     """Key-points: corners spread over a grid on each level of a scale pyramid."""
 
     tracks: int = Field(default=400, ge=50, description="points followed from frame to frame, at most")
@@ -30,7 +28,7 @@ class FeatureConfig(_Frozen):
     )
 
 
-class FlowConfig(_Frozen):
+class FlowConfig(Settings):
     """Search for known points: patch alignment where the pose predicts them, pyramidal Lucas-Kanade elsewhere."""
 
     min_correlation: float = Field(
@@ -55,7 +53,7 @@ class FlowConfig(_Frozen):
     )
 
 
-class StereoConfig(_Frozen):
+class StereoConfig(Settings):
     """Disparity or depth at key-points."""
 
     max_disparity_px: float = Field(
@@ -112,7 +110,7 @@ class StereoConfig(_Frozen):
     max_depth_m: float = Field(default=8.0, gt=0.0, description="RGB-D: largest depth that is used, metres")
 
 
-class PoseConfig(_Frozen):
+class PoseConfig(Settings):
     """Pose of a frame from map points."""
 
     pixel_sigma_px: float = Field(
@@ -135,7 +133,7 @@ class PoseConfig(_Frozen):
     )
 
 
-class KeyframeConfig(_Frozen):
+class KeyframeConfig(Settings):
     """Conditions for a frame to become a key-frame, and for a key-frame to stay."""
 
     policy: Literal["motion", "thesis"] = Field(
@@ -182,7 +180,7 @@ class KeyframeConfig(_Frozen):
     )
 
 
-class MappingConfig(_Frozen):
+class MappingConfig(Settings):
     """Window bundle adjustment and maintenance of the map."""
 
     window: int = Field(default=12, ge=3, description="key-frames in the window of the bundle adjustment")
@@ -230,7 +228,7 @@ class MappingConfig(_Frozen):
     )
 
 
-class MonoConfig(_Frozen):
+class MonoConfig(Settings):
     """Two-view initialisation (thesis section 2.1.3)."""
 
     min_matches: int = Field(
@@ -265,7 +263,7 @@ class MonoConfig(_Frozen):
     )
 
 
-class LostConfig(_Frozen):
+class LostConfig(Settings):
     """Relocalisation after tracking has failed."""
 
     relocalise_frames: int = Field(
@@ -285,7 +283,7 @@ class LostConfig(_Frozen):
     )
 
 
-class OdometryConfig(_Frozen):
+class OdometryConfig(Settings):
     """Settings of :class:`maslam.frontend.odometry.Odometry`."""
 
     features: FeatureConfig = FeatureConfig()

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from maslam._settings import Settings
 from maslam._suggestions import UNKNOWN_NAME, hint
 from maslam.backend.config import RelPoseConfig, SolverConfig
 from maslam.descriptors.codes import CODES, is_code
@@ -15,11 +16,7 @@ AUTO_CODE = "auto"
 """The shortest place code that serves: product code where the model has codebooks, else int8."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class PlacesConfig(_Section):
+class PlacesConfig(Settings):
     """Place recognition between agents and own loop closures (thesis section 3.5)."""
 
     threshold: float | None = Field(
@@ -108,7 +105,7 @@ class PlacesConfig(_Section):
         raise PydanticCustomError(UNKNOWN_NAME, "there is no place code '{name}', only {known}{hint}", known)
 
 
-class ConsistencyConfig(_Section):
+class ConsistencyConfig(Settings):
     """Which verified matches are used: those that agree with each other about how two tracks stand to each other."""
 
     rule: Literal["together", "earlier"] = Field(
@@ -145,7 +142,7 @@ class ConsistencyConfig(_Section):
     scale_per_depth: float = Field(default=0.01, ge=0, description="plus this for each median depth of path between")
 
 
-class OptimisationConfig(_Section):
+class OptimisationConfig(Settings):
     """Times of optimisations, and weights of odometry in the graph (thesis section 3.6)."""
 
     period_keyframes: int = Field(
@@ -172,7 +169,7 @@ class OptimisationConfig(_Section):
     solver: SolverConfig = SolverConfig(start="warm")
 
 
-class MergeConfig(_Section):
+class MergeConfig(Settings):
     """Map merging, Algorithm 1 (thesis section 3.7)."""
 
     enabled: bool = Field(default=True, description="agents buy each other's maps")
@@ -226,7 +223,7 @@ class MergeConfig(_Section):
     )
 
 
-class LinkConfig(_Section):
+class LinkConfig(Settings):
     """Retransmission of messages that get lost. Where none are, none of it happens."""
 
     repeat_s: float = Field(
@@ -241,7 +238,7 @@ class LinkConfig(_Section):
     retries: int = Field(default=2, ge=0, description="how often work that was not delivered is called for again")
 
 
-class ReputationConfig(_Section):
+class ReputationConfig(Settings):
     """Which agents are trusted (:mod:`maslam.mas.contracts.reputation`)."""
 
     reliability: float = Field(
@@ -259,7 +256,7 @@ class ReputationConfig(_Section):
     probe_s: float = Field(default=10.0, gt=0, description="an agent that is not called is probed after this, seconds")
 
 
-class FaultsConfig(_Section):
+class FaultsConfig(Settings):
     """Faults made on purpose, from the seed: the system is meant to live with them."""
 
     loss: float = Field(default=0.0, ge=0, lt=1, description="share of messages that never arrive")
@@ -279,7 +276,7 @@ class FaultsConfig(_Section):
         return self != FaultsConfig()
 
 
-class MasConfig(_Section):
+class MasConfig(Settings):
     """Everything that can be set; the resolved values stand in RUN/config.yaml."""
 
     preset: str = Field(

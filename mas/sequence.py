@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from maslam._atomic import write_atomically
+from maslam._bounded import Unreadable, read_text
 from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
 from maslam.frontend.files.point_views import PointViews, read_views
 from maslam.frontend.files.trajectory import Trajectory, read_tum, stamp_ns_from_s
@@ -255,7 +256,9 @@ def read_manifest(folder: Path) -> Manifest:
     if not path.is_file():
         raise MasError(f"{folder}: no {MANIFEST}: not a folder of agent sequences, or its preprocessing did not finish")
     try:
-        return Manifest.model_validate_json(path.read_text(encoding="utf-8"))
+        return Manifest.model_validate_json(read_text(path))
+    except Unreadable as error:
+        raise MasError(f"{path}: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -32,8 +32,9 @@ def replacing(path: Path) -> Iterator[Path]:
         yield part
         _move(part, path)
     except OSError as error:
-        if error.filename is None or Path(os.fsdecode(error.filename)) == part:  # a full disk gives no name at all
-            error.filename, error.filename2 = str(path), None
+        place = _place_of(error, part, path)
+        if place is not None:
+            error.filename, error.filename2 = place, None
         raise
     finally:
         _remove(part)
@@ -63,6 +64,15 @@ def write_npz(path: Path, arrays: Mapping[str, ArrayLike], compressed: bool = Fa
     save: Callable[..., None] = np.savez_compressed if compressed else np.savez
     with replacing(path) as part, part.open("wb") as file:
         save(file, **plain)
+
+
+def _place_of(error: OSError, part: Path, path: Path) -> str | None:
+    """What the user knows of the file that ``error`` is about; None where it names that itself. A full disk gives no
+    name at all."""
+    if error.filename is None or not isinstance(error.filename, str | bytes):
+        return str(path)
+    named = Path(os.fsdecode(error.filename))
+    return str(path / named.relative_to(part)) if named.is_relative_to(part) else None
 
 
 def _move(part: Path, path: Path) -> None:

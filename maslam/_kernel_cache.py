@@ -3,20 +3,28 @@
 numba's own cache looks at the file of the kernel alone. A kernel that calls another from a second file kept the old
 code of that one (its result was wrong by millimetres), and an index written just before a process was ended pointed to
 older code. Here the name of a cached file carries a hash of everything that is compiled into it.
+
+Where neither the installation nor the user's cache can be written, kernels are kept in a folder of the user's own under
+the system's temporary one; where that cannot be had either, they are compiled in each process.
 """
 
 from __future__ import annotations
 
 import hashlib
 import inspect
+import os
+import stat
+import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba import config
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
 
 
@@ -35,11 +43,75 @@ class KernelCache(FunctionCache):
         self._own = f"{name}-{stamp}.{python}"
         self._cache_file = IndexDataCacheFile(self._cache_path, self._own, stamp)
 
-    def save_overload(self, signature: Any, data: Any) -> None:
-        super().save_overload(signature, data)
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """None where it is not there, or cannot be read: then it is compiled."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # noqa: BLE001 - whatever a damaged file of pickled code leads to
+            with suppress(OSError):
+                self._cache_file.flush()  # its index, which would be read again before it is written
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """A full disk ends no run: what is not kept is compiled again."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _say_once(f"{self._cache_path}: compiled kernels cannot be kept: {error.strerror}; {CURE}")
+            return
         for file in Path(self._cache_path).glob(self._of_any_source):
             if not file.name.startswith(self._own):
                 file.unlink(missing_ok=True)
+
+
+CURE = "NUMBA_CACHE_DIR names a folder for them"
+_notes: list[str] = []
+
+
+def take_notes() -> list[str]:
+    """What is to be said of the cache, once: it is not where it should be."""
+    said = [note for note in _notes if note]
+    _notes[:] = [""] * len(_notes)
+    return said
+
+
+def _say_once(note: str) -> None:
+    if not _notes:
+        _notes.append(note)
+
+
+def cache_of(function: FunctionType) -> KernelCache | NullCache:
+    """The cache of one kernel, wherever one can be had."""
+    try:
+        return KernelCache(function)
+    except RuntimeError:  # numba's: no locator available
+        pass
+    folder = temporary_folder()
+    if folder is not None:
+        config.CACHE_DIR = str(folder)
+        try:
+            cache = KernelCache(function)
+        except RuntimeError:
+            pass
+        else:
+            why = "neither the installation nor the home folder can be written"
+            _say_once(f"{why}: compiled kernels are kept in {folder}; {CURE}")
+            return cache
+    _say_once(f"no folder can be written: kernels are compiled anew in each process; {CURE}")
+    return NullCache()
+
+
+def temporary_folder() -> Path | None:
+    """A folder that nobody else can write, under the system's temporary one: what is cached is executed."""
+    user = os.getuid() if hasattr(os, "getuid") else "me"
+    try:
+        folder = Path(tempfile.gettempdir()) / f"maslam-kernels-{user}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+    except OSError:
+        return None
+    mine = not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
+    return folder if stat.S_ISDIR(status.st_mode) and mine else None
 
 
 def source_stamp(function: FunctionType) -> str:

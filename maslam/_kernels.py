@@ -11,12 +11,13 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import parent_process
 from typing import Any, TypeVar, overload
 
 from numba import config, njit
 from numba.core import event
 
-from ._kernel_cache import KernelCache
+from ._kernel_cache import cache_of, take_notes
 
 log = logging.getLogger(__name__)
 TypedKernel = tuple[Any, tuple[Any, ...]]
@@ -40,7 +41,7 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
         return lambda decorated: kernel(decorated, **options)
     compiled = njit(nogil=True, no_cfunc_wrapper=True, **options)(function)
     if not config.DISABLE_JIT:
-        compiled._cache = KernelCache(function)
+        compiled._cache = cache_of(function)
     return compiled
 
 
@@ -94,6 +95,9 @@ def make_ready(kernels: Sequence[TypedKernel], count: Callable[[int, int], None]
     if config.DISABLE_JIT:
         return
     done = 0
+    if parent_process() is None:  # workers would say it again
+        for note in take_notes():
+            log.warning("%s", note)
     with watch_compiling(lambda: count(done, len(kernels))) as compilations, _no_garbage_collection():
         for done, (kernel, types) in enumerate(kernels):  # noqa: B007 - told by the watch
             kernel.compile(types)

@@ -120,3 +120,76 @@ def test_a_global_whose_changes_cannot_be_told_is_refused(package: Path) -> None
     with pytest.raises(subprocess.CalledProcessError) as caught:
         called(package)
     assert "inner: FACTOR is a dict" in caught.value.stderr
+
+
+ANYWHERE = """
+from package.outer import outer
+from maslam._kernels import make_ready
+import logging
+from numba import float64
+logging.basicConfig(format="%(message)s")
+make_ready([(outer, (float64,))])
+print(outer(1.0), outer.stats.cache_path)
+"""
+
+
+def nowhere(package: Path, tmp_path: Path, temporary: str) -> subprocess.CompletedProcess[str]:
+    """A process whose installation and home folder cannot be written, also not by root."""
+    (package / "__pycache__").write_text("in the way")
+    variables = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    paths = os.pathsep.join([str(package.parent), str(Path(__file__).resolve().parents[1])])
+    variables |= {"PYTHONPATH": paths, "HOME": "/proc/none", "TMPDIR": temporary, "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run([sys.executable, "-c", ANYWHERE], env=variables, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_without_a_home_kernels_are_kept_in_a_temporary_folder_of_ones_own_and_that_is_said(
+    package: Path, tmp_path: Path
+) -> None:
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    done = nowhere(package, tmp_path, str(temporary))
+    (folder,) = temporary.glob("maslam-kernels-*")
+    assert done.stdout.startswith(f"1250.0 {folder}") and list(folder.rglob("*.nbc"))
+    (line,) = done.stderr.splitlines()
+    assert str(folder) in line and "NUMBA_CACHE_DIR" in line
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners of folders")
+def test_a_folder_that_others_can_write_is_not_trusted(package: Path, tmp_path: Path) -> None:
+    temporary = tmp_path / "tmp"
+    (temporary / f"maslam-kernels-{os.getuid()}").mkdir(parents=True)
+    (temporary / f"maslam-kernels-{os.getuid()}").chmod(0o777)
+    done = nowhere(package, tmp_path, str(temporary))
+    assert done.stdout == "1250.0 None\n"
+    assert done.stderr.splitlines() == [
+        "no folder can be written: kernels are compiled anew in each process; NUMBA_CACHE_DIR names a folder for them"
+    ]
+
+
+def test_a_damaged_cache_is_compiled_again(package: Path) -> None:
+    assert called(package) == (1250.0, True)
+    for file in (package / "__pycache__").glob("outer*.nb?"):
+        file.write_bytes(file.read_bytes()[:40])
+    assert called(package) == (1250.0, True)
+    assert called(package) == (1250.0, False)
+
+
+def test_a_full_disk_costs_the_cache_not_the_run(
+    package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    code = CALL.replace(
+        "with watch",
+        "from numba.core.caching import IndexDataCacheFile as F\n"
+        "def full(*_): raise OSError(28, 'No space left on device')\nF._save_data = full\nwith watch",
+    )
+    monkeypatch.setitem(globals(), "CALL", code)
+    assert called(package) == (1250.0, True)
+
+
+def test_doctor_names_the_folder_and_the_cure() -> None:
+    from maslam.tools.inspection.doctor import kernel_cache_check
+
+    check = kernel_cache_check()
+    assert "NUMBA_CACHE_DIR" in check.detail and not check.needed

@@ -19,6 +19,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from .common.errors import UnknownName, UsageError, describe
+from .common.interrupts import INTERRUPTED, TERMINATED, Interrupts, Terminated, interrupts
 from .common.logs import LEVELS, ON_CONSOLE, logs_to
 from .common.parser import CommandParser
 
@@ -43,13 +44,28 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "vocabulary": (".vocabulary", "train or show the vocabulary of ORB words"),
     "doctor": (".inspection.doctor", "versions, missing system libraries, what works on this machine"),
 }
-SUCCESS, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
+SUCCESS, FAILURE, USAGE = 0, 1, 2
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit code: 0 success, 1 a failure reported in one line, 2 a usage error, 130
-    interrupted.
+    interrupted (Ctrl-C), 143 ended from outside (SIGTERM, SIGHUP).
     """
+    with interrupts() as signals:
+        try:
+            code = _main(argv, signals)
+        except KeyboardInterrupt as error:
+            code, line = _interrupted(error, signals)
+            print(f"\nmaslam: {line}", file=sys.stderr)  # before there is a log
+        if argv is None and code in (INTERRUPTED, TERMINATED):
+            # All is closed; Python would end by the signal itself where compiled code saw it, or be interrupted again.
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+        return code
+
+
+def _main(argv: Sequence[str] | None, signals: Interrupts) -> int:
     _print_whatever_it_is()
     words = [_with_dashes(word) for word in (sys.argv[1:] if argv is None else argv)]
     chosen = next((word for word in words if not word.startswith("-")), None)
@@ -61,7 +77,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UnknownName as error:
         print(f"maslam: {error}", file=sys.stderr)
         return USAGE
-    except Exception as error:  # noqa: BLE001 - a command's module that cannot be imported is reported like any failure
+    except Exception as error:
+        if signals.seen is not None:
+            raise signals.seen from error
         return _fail(error, debug="--debug" in words)
     if arguments.command is None:
         parser.print_help()
@@ -69,14 +87,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with logs_to(getattr(arguments, "log_level", None), getattr(arguments, "log_file", None)):
             log.info("maslam %s: %s", _version(), " ".join(words))
-            code = _run(arguments)
+            code = _run(arguments, signals)
             log.info("exit code %d", code)
             return code
     except OSError as error:  # the log file
         return _fail(error, getattr(arguments, "debug", False))
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _interrupted(error: KeyboardInterrupt, signals: Interrupts) -> tuple[int, str]:
+    signals.arrived()
+    ended = isinstance(error, Terminated)
+    what = "ended from outside" if ended else "interrupted"
+    line = f"{what}; nothing half-written; finished sequences are kept; the same command goes on with the others"
+    return (TERMINATED if ended else INTERRUPTED), line
+
+
+def _say_interrupted(error: KeyboardInterrupt, signals: Interrupts) -> int:
+    code, line = _interrupted(error, signals)
+    _say(line, "\n")
+    return code
+
+
+def _run(arguments: argparse.Namespace, signals: Interrupts) -> int:
     """Call the command; every failure becomes a line and an exit code."""
     from .common.parallel import one_blas_thread  # what follows loads libraries; --help does not
 
@@ -87,16 +119,14 @@ def _run(arguments: argparse.Namespace) -> int:
         usage = "" if isinstance(error, UnknownName) else f"usage: maslam {arguments.command} --help\n"
         _say(str(error), usage)
         return USAGE
-    except KeyboardInterrupt:
-        _say(
-            "interrupted; nothing half-written; finished sequences are kept; the same command goes on with the others",
-            "\n",
-        )
-        return INTERRUPTED
+    except KeyboardInterrupt as error:
+        return _say_interrupted(error, signals)
     except BrokenPipeError:  # the reader of our output has enough: `maslam eval RUN | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return SUCCESS
     except Exception as error:
+        if signals.seen is not None:  # a library put its own in the place of the interruption
+            return _say_interrupted(signals.seen(), signals)
         log.error("%s", describe(error), exc_info=error, extra=ON_CONSOLE)
         return _fail(error, getattr(arguments, "debug", False))
 

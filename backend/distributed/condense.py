@@ -122,7 +122,7 @@ class OwnGraph:
         for n in range(len(kept)):
             if kept[n] or (start >= 0 and len(stretch) == longest):
                 if start >= 0 and not (len(stretch) == 1 and first[start] and first[n]):
-                    out.append((start, n, stretch))
+                    out.append(self._directed(start, n, stretch))
                 kept[n] = True
                 start, stretch = n, []
             if n not in between:
@@ -130,6 +130,12 @@ class OwnGraph:
             elif start >= 0:
                 stretch = [*stretch, between[n]]
         return out
+
+    def _directed(self, start: int, end: int, stretch: list[int]) -> tuple[int, int, list[int]]:
+        """A single edge keeps its direction: its measurement stays, and F weighs a shift in its first node's frame."""
+        if len(stretch) == 1:
+            start, end = self.edges.ends[stretch[0]].tolist()
+        return start, end, stretch
 
     def _merged(self, start: int, stretch: list[int]) -> tuple[Array, tuple[float, float, float, float]]:
         """Measurement, log scale and weights of edges in a row from node ``start``: variances add up, and each turn's

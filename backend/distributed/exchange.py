@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ..components import parts
 from ..config import SolverConfig
 from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
@@ -34,6 +35,19 @@ class GroupTraffic:
     payload_bytes: int
     wire_bytes: int
     trace: tuple[tuple[int, float], ...] = ()
+
+    def then(self, other: GroupTraffic) -> GroupTraffic:
+        """This and another group's, which knows nothing of this one: their costs add up."""
+        before = self.trace[-1][1] if self.trace else 0.0
+        open_ = other.trace[0][1] if other.trace else 0.0
+        trace = [(sent, cost + open_) for sent, cost in self.trace]
+        trace += [(self.payload_bytes + sent, before + cost) for sent, cost in other.trace]
+        return GroupTraffic(
+            self.messages + other.messages,
+            self.payload_bytes + other.payload_bytes,
+            self.wire_bytes + other.wire_bytes,
+            tuple(trace),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +147,30 @@ def solve_group(group: Mapping[int, Share], config: SolverConfig) -> tuple[dict[
 def optimise_distributed(
     graph: PoseGraph, config: SolverConfig, arbitrary_scale: frozenset[int] = frozenset()
 ) -> GroupResult:
-    """Cut ``graph`` into its robots' shares and solve it by messages alone. ``arbitrary_scale``: robots whose unit of
-    length is their own."""
-    outcomes, traffic = solve_group(shares(graph, arbitrary_scale), config)
+    """Cut ``graph`` into its robots' shares and solve it by messages alone; robots that no edge joins are groups of
+    their own, each in the frame of its own anchor. ``arbitrary_scale``: robots whose unit of length is their own."""
+    outcomes: dict[int, SolverOutcome] = {}
+    traffic = GroupTraffic(0, 0, 0)
+    for group in joined_robots(graph):
+        inside = replace(
+            graph,
+            poses={n: T for n, T in graph.poses.items() if n.robot in group},
+            edges=tuple(e for e in graph.edges if e.i.robot in group),
+            priors=tuple(p for p in graph.priors if p.node.robot in group),
+        )
+        found, more = solve_group(shares(inside, arbitrary_scale & group), config)
+        outcomes |= found
+        traffic = traffic.then(more)
     units = {node: unit for outcome in outcomes.values() for node, unit in outcome.units.items()}
     poses = {node: T for outcome in outcomes.values() for node, T in outcome.poses.items()}
     return GroupResult(graph.in_one_unit(poses, units), outcomes, traffic, units)
+
+
+def joined_robots(graph: PoseGraph) -> list[frozenset[int]]:
+    """The groups of robots that edges join, by their lowest robot."""
+    robots = graph.robots
+    row = {robot: k for k, robot in enumerate(robots)}
+    between = [(row[e.i.robot], row[e.j.robot]) for e in graph.edges if e.is_separator]
+    label = parts(np.array(between, dtype=np.intp).reshape(-1, 2), len(robots))
+    groups = [frozenset(r for r, k in zip(robots, label, strict=True) if k == one) for one in np.unique(label)]
+    return sorted(groups, key=min)

@@ -6,62 +6,47 @@ plain ids each file is a robot. Planar graphs are held in 3-D, ``dimension`` 2.
 
 from __future__ import annotations
 
+import logging
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from maslam._atomic import replacing
 
 from ..errors import BackendError
-from ..geometry import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, se3, so3_exp, so3_log
+from ..geometry import Array, quat_wxyz_from_rotation, so3_log
 from .g2o_ids import Ids, symbol
+from .g2o_lines import PLANAR, G2oLine, Remarks, measurement_of, pose_of, read_lines
+from .g2o_sets import SharedEdges, without_the_whole
 from .graph import Edge, EdgeKind, NodeId, PoseGraph, Prior, spread_poses
 
-_IGNORED = ("#", "FIX", "PARAMS_")
 _UNKNOWN_SCALE = 100.0
 """Standard deviation of a log scale that nobody measured."""
-_NO_OFFSET = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-_UPPER = np.triu_indices(6)
-# Rows of a planar measurement (x, y, angle) in the tangent of SE(3), translation first.
-_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-# Numbers after the name; the second is that of ids among them.
-_FIELDS = {
-    "VERTEX_SE3:QUAT": (8, 1),
-    "EDGE_SE3:QUAT": (30, 2),
-    "EDGE_SE3_PRIOR": (30, 1),
-    "VERTEX_SE2": (4, 1),
-    "EDGE_SE2": (11, 2),
-    "EDGE_PRIOR_SE2": (10, 1),
-}
+log = logging.getLogger(__name__)
 
 
-class _Line(NamedTuple):
-    """A line that makes sense by itself: ids as written, and the other numbers."""
-
-    file: int
-    where: str
-    tag: str
-    ids: tuple[int, ...]
-    values: Array
-
-
-def read_g2o(paths: Path | Sequence[Path], skipped: list[str] | None = None) -> PoseGraph:
+def read_g2o(
+    paths: Path | Sequence[Path], skipped: list[str] | None = None, notes: list[str] | None = None
+) -> PoseGraph:
     """One graph from one file, or from a set with one file per robot.
 
     Lines are rigid: where nodes have units of length of their own, loops and edges between robots say nothing of them.
-    Edges between robots that stand in both robots' files count once; what stands twice in one file counts twice. Nodes
-    without a VERTEX line get their pose from the edges, odometry first. A line that makes no sense raises
-    :class:`BackendError` with its number; where ``skipped`` is given, it is left out and the message is appended there.
+    Edges that stand in two files of a set count once, also inverted or in other digits; what stands twice in one file
+    counts twice. Nodes without a VERTEX line get their pose from the edges, odometry first. Landmarks are left out. A
+    line that makes no sense raises :class:`BackendError` with its number; where ``skipped`` is given, it is left out
+    and the message is appended there. What else a user should know goes to ``notes``, without them to the log.
     """
     files = [paths] if isinstance(paths, Path) else list(paths)
     if not files:
         raise BackendError("no g2o file given")
     errors: list[BackendError] = []
-    lines = [line for k, path in enumerate(files) for line in _lines(k, path, errors)]
-    reading = _Reading(Ids([(line.file, line.tag.startswith("VERTEX"), line.ids) for line in lines]))
+    remarks = Remarks()
+    lines = [line for k, path in enumerate(files) for line in read_lines(k, path, errors, remarks)]
+    lines, found = without_the_whole(files, lines)
+    reading = _Reading(Ids([(line.file, line.is_vertex, line.ids) for line in lines]))
     for line in lines:
         try:
             reading.take(line)
@@ -71,7 +56,14 @@ def read_g2o(paths: Path | Sequence[Path], skipped: list[str] | None = None) -> 
         raise errors[0]
     if skipped is not None:
         skipped += map(str, errors)
-    return reading.graph(files[0])
+    graph = reading.graph(files[0])
+    found += remarks.lines() + reading.shared.lines() + reading.conflicts()
+    if notes is None:
+        for note in found:
+            log.warning("%s: %s", files[0] if len(files) == 1 else f"{len(files)} files", note)
+    else:
+        notes += found
+    return graph
 
 
 class _Reading:
@@ -79,42 +71,70 @@ class _Reading:
 
     def __init__(self, ids: Ids) -> None:
         self.ids = ids
-        self.poses: dict[NodeId, Array] = {}
+        self.vertices: dict[NodeId, dict[int, Array]] = {}
         self.edges: list[Edge] = []
         self.priors: list[Prior] = []
-        self.shared: dict[tuple[NodeId, NodeId, bytes], int] = {}
+        self.shared = SharedEdges()
         self.dimensions: set[int] = set()
+        self._moved: dict[NodeId, None] = {}
 
-    def take(self, line: _Line) -> None:
+    def take(self, line: G2oLine) -> None:
         nodes = [self.ids.node(line.file, i, line.where) for i in line.ids]
         dimension = 2 if line.tag.endswith("SE2") else 3
-        if line.tag.startswith("VERTEX"):
-            self.poses[nodes[0]] = _pose(line.values, line.where)
+        if line.is_vertex:
+            self._take_vertex(line, nodes[0])
         elif len(nodes) == 1:
-            T, information = _measurement(line.values, line.where)
+            T, information = measurement_of(line.values, line.where)
             self.priors.append(Prior(nodes[0], T, information))
         else:
             self._take_edge(line, *nodes)
         self.dimensions.add(dimension)
 
-    def _take_edge(self, line: _Line, i: NodeId, j: NodeId) -> None:
+    def _take_vertex(self, line: G2oLine, node: NodeId) -> None:
+        """The first of a file counts, as in g2o."""
+        pose = pose_of(line.values, line.where)
+        first = self.vertices.setdefault(node, {}).setdefault(line.file, pose)
+        if not np.allclose(first, pose, rtol=1e-4, atol=1e-4):
+            self._moved[node] = None
+
+    def _take_edge(self, line: G2oLine, i: NodeId, j: NodeId) -> None:
         if i == j:
             raise BackendError(f"{line.where}: an edge from node {i} to itself")
-        T_i_j, information = _measurement(line.values, line.where)
-        between = i.robot != j.robot
-        if between and self.shared.setdefault((i, j, line.values.tobytes()), line.file) != line.file:
-            return
-        self.edges.append(Edge(i, j, T_i_j, information, EdgeKind.SEPARATOR if between else EdgeKind.LOOP))
+        T_i_j, information = measurement_of(line.values, line.where)
+        edge = Edge(i, j, T_i_j, information, EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP)
+        if self.shared.is_new(line, edge):
+            self.edges.append(edge)
+
+    def conflicts(self) -> list[str]:
+        """A sentence where a file gives a node two poses."""
+        nodes = list(self._moved)
+        if not nodes:
+            return []
+        shown = ", ".join(map(str, nodes[:3])) + (f" and {len(nodes) - 3} more" if len(nodes) > 3 else "")
+        return [f"{len(nodes)} nodes stand twice in a file, in different places; the first counts: {shown}"]
+
+    def _poses(self) -> dict[NodeId, Array]:
+        """Of each node the pose in its robot's own file, which holds most nodes of the robot: another robot's file may
+        have it in a frame of its own."""
+        held = Counter((file, node.robot) for node, files in self.vertices.items() for file in files)
+        return {
+            node: files[min(files, key=lambda file: (-held[file, node.robot], file))]
+            for node, files in self.vertices.items()
+        }
 
     def graph(self, first: Path) -> PoseGraph:
-        if not self.poses and not self.edges:
+        if not self.vertices and not self.edges:
             raise BackendError(f"{first}: no vertex and no edge in this graph")
         if len(self.dimensions) > 1:
             raise BackendError(f"{first}: 2-D and 3-D lines in one graph")
-        lonely = sorted({p.node for p in self.priors} - set(self.poses) - {n for e in self.edges for n in (e.i, e.j)})
-        known = self.poses | {p.node: p.T_O_i for p in self.priors if p.node in lonely}
+        if self.edges and not any(e.information.any() for e in self.edges):
+            raise BackendError(f"{first}: no edge has information: every information matrix is zero")
+        poses = self._poses()
+        lonely = sorted({p.node for p in self.priors} - set(poses) - {n for e in self.edges for n in (e.i, e.j)})
+        known = poses | {p.node: p.T_O_i for p in self.priors if p.node in lonely}
         edges = [_without_scale(e) for e in _with_odometry(self.edges, known)]
-        return PoseGraph(spread_poses(known, edges), tuple(edges), self.dimensions.pop(), tuple(self.priors))
+        spread = spread_poses(known, edges)
+        return PoseGraph(spread, tuple(edges), self.dimensions.pop(), tuple(self.priors), self.ids.symbols)
 
 
 def _without_scale(e: Edge) -> Edge:
@@ -161,73 +181,12 @@ def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
             out.write(f"{tag} {_id(p.node, plain_ids)} {which}{pose} {_upper_text(p.information, flat)}\n")
 
 
-def _lines(file: int, path: Path, errors: list[BackendError]) -> list[_Line]:
-    try:
-        text = path.read_text(encoding="ascii", errors="replace")
-    except OSError as error:
-        raise BackendError(f"{path}: cannot be read: {error.strerror}") from error
-    out = []
-    for number, line in enumerate(text.splitlines(), 1):
-        tag, *fields = line.split() or ["#"]
-        where = f"{path}:{number}"
-        if tag == "PARAMS_SE3OFFSET" and [float(v) for v in fields[1:]] != _NO_OFFSET:
-            errors.append(BackendError(f"{where}: a sensor's offset from the node's frame is not supported"))
-        if tag.startswith(_IGNORED):
-            continue
-        try:
-            out.append(_parsed(file, where, tag, fields))
-        except BackendError as error:
-            errors.append(error)
-    return out
-
-
-def _parsed(file: int, where: str, tag: str, fields: list[str]) -> _Line:
-    if tag not in _FIELDS:
-        raise BackendError(f"{where}: unknown line {tag!r}; known are {', '.join(_FIELDS)}")
-    count, ids = _FIELDS[tag]
-    if len(fields) != count:
-        raise BackendError(f"{where}: {tag} has {count} fields after its name, found {len(fields)}")
-    for text in fields[:ids]:
-        if not text.isdigit():
-            raise BackendError(f"{where}: {text!r} is not a node id (a whole number from 0)")
-    # g2o's 3-D prior names the sensor's offset after the node; only the node's own frame is known here.
-    first = ids + 1 if tag == "EDGE_SE3_PRIOR" else ids
-    try:
-        values = np.array(fields[first:], dtype=np.float64)
-    except ValueError as error:
-        raise BackendError(f"{where}: not a number: {error}") from error
-    if not np.isfinite(values).all():
-        raise BackendError(f"{where}: NaN or infinity in the line")
-    return _Line(file, where, tag, tuple(int(text) for text in fields[:ids]), values)
-
-
 def _id(node: NodeId, plain: bool) -> int:
     return node.index if plain else symbol(node)
 
 
-def _pose(values: Array, where: str) -> Array:
-    """From ``x y z qx qy qz qw`` or ``x y angle``."""
-    if len(values) == 3:
-        return se3(so3_exp([0.0, 0.0, values[2]]), [values[0], values[1], 0.0])
-    norm = float(np.linalg.norm(values[3:7]))
-    if abs(norm - 1.0) > 0.05:
-        raise BackendError(f"{where}: the quaternion's length is {norm:.3f}, expected 1")
-    return se3(rotation_from_quat_wxyz(values[[6, 3, 4, 5]]), values[:3])
-
-
-def _measurement(values: Array, where: str) -> tuple[Array, Array]:
-    """A relative pose and its information, from the numbers after the ids."""
-    information = np.eye(6)
-    if len(values) == 9:
-        a, b, c, d, e, f = values[3:]
-        information[_PLANAR] = [[a, b, c], [b, d, e], [c, e, f]]
-        return _pose(values[:3], where), information
-    information[_UPPER] = values[7:]
-    return _pose(values[:7], where), np.triu(information) + np.triu(information, 1).T
-
-
 def _upper_text(information: Array, flat: bool) -> str:
-    shown = information[_PLANAR] if flat else information
+    shown = information[PLANAR] if flat else information
     return _numbers_text(shown[np.triu_indices(len(shown))].tolist())
 
 

@@ -9,23 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BackendError
 from ..geometry import Array, is_se3, se3_inverse
-
-
-class NodeId(NamedTuple):
-    """Key-frame ``index`` of ``robot``; sorts by robot, then index."""
-
-    robot: int
-    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody calls on a node
-
-    def __str__(self) -> str:
-        return f"{self.robot}:{self.index}"
+from .node import NodeId
 
 
 class EdgeKind(StrEnum):
@@ -120,13 +110,15 @@ class EdgeArrays:
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
     """Poses ``T_O_i`` ``(4, 4)`` by node, edges, and priors (which fix the frame O: without any it is free).
-    ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero).
+    ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero). ``symbols``: robots are letters of gtsam's
+    symbols in the file that this was read from, also where there is one robot only.
     """
 
     poses: Mapping[NodeId, Array]
     edges: tuple[Edge, ...]
     dimension: int = 3
     priors: tuple[Prior, ...] = ()
+    symbols: bool = False
 
     def __post_init__(self) -> None:
         for edge in self.edges:

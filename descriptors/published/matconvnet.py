@@ -9,6 +9,7 @@ filters are (height, width, in, out); centres are stored negated; a VLAD vector 
 from __future__ import annotations
 
 import struct
+import sys
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DescriptorError
+from .isolation import REFUSED, limit_memory, load_weights, read_apart, save_weights
 from .matlab_objects import WORKSPACE, MatlabObjects, as_fields
 from .vgg_weights import NAMES, POOLED, Convolution, Floats, VggWeights, rows_to_keep
 
@@ -58,8 +60,16 @@ def read_matconvnet(path: Path, dim: int | None = None) -> VggWeights:
     """The weights in ``path``, of the whitening the first ``dim`` outputs alone (None: all 4096).
 
     ``DescriptorError`` with one line for a file that is none, or holds another network, a missing layer, a wrong size
-    or a number that is not finite. Nothing in the file is executed.
+    or a number that is not finite. Nothing in the file is executed; what reads it is a process of its own, as scipy's
+    reader of such files can be brought down by a damaged one.
     """
+    _check_sizes(path)
+    with read_apart(__name__, path, dim) as out:
+        return load_weights(out)
+
+
+def parse_matconvnet(path: Path, dim: int | None = None) -> VggWeights:
+    """:func:`read_matconvnet` in this process."""
     variables = _load(path)
     try:
         return _weights(variables, dim)
@@ -272,3 +282,18 @@ def _text(value: Any) -> str:
     """A MATLAB string as scipy reads it, an array of one."""
     array = np.asarray(value)
     return str(array.ravel()[0]) if array.size == 1 and array.dtype.kind == "U" else ""
+
+
+def main(path: str, dim: str, out: str) -> int:
+    """The process that :func:`read_matconvnet` starts."""
+    limit_memory()
+    try:
+        save_weights(Path(out), parse_matconvnet(Path(path), None if dim == "all" else int(dim)))
+    except (DescriptorError, MemoryError) as error:
+        sys.stderr.write(f"{error}\n" if isinstance(error, DescriptorError) else f"{path}: claims too much memory\n")
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -12,14 +12,14 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from torch import Tensor
 
+from maslam._settings import Settings
 
-class Augmentation(BaseModel):
+
+class Augmentation(Settings):
     """Strengths of the changes; every range is symmetric about "no change" unless said otherwise."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     min_crop: float = Field(0.6, gt=0, le=1)  # smallest side of a crop as a share of the image's
     rotation_deg: float = Field(6.0, ge=0)

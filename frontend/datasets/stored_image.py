@@ -80,13 +80,14 @@ def folder_of(image: ImageRef) -> Path:
 
 
 def identities(stored: Iterable[ImageRef]) -> Iterator[str]:
-    """Of each image its name with size and time of change of its file: all of them stay while the pixels do."""
+    """Of each image its name with size, times of change and place on the disk of its file: all of them stay while the
+    pixels do. A time of last writing can be set to what it was; that of the change cannot."""
     known: dict[Path, str] = {}
     for image in stored:
         file = file_of(image)
         if file not in known:
             status = file.stat() if file.exists() else None
-            known[file] = f"{status and (status.st_size, status.st_mtime_ns)}"
+            known[file] = f"{status and (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)}"
         yield f"{image if isinstance(image, Path) else f'{file} {image.name}'} {known[file]}"
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam._atomic import write_npz
+from maslam._bounded import open_npz
 
 from ..errors import FrontendError
 
@@ -87,7 +88,7 @@ def read_views(folder: Path, number: int, keyframes: int, points: int, size_px: 
 def _stored(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
     """The two arrays of the file, unchecked."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with open_npz(path) as stored:
             return stored["observations"], stored["uv"]
     except _DAMAGE as error:
         raise FrontendError(f"{path}: damaged: run preprocess again, or delete it") from error

@@ -14,6 +14,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from maslam._atomic import write_npz
+from maslam._bounded import open_npz
 from maslam._kernels import kernel
 
 from ..errors import FrontendError
@@ -127,7 +128,7 @@ class Vocabulary:
 
 def _load_npz(path: Path) -> TreeArrays:
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with open_npz(path) as data:
             version = int(data["format"])
             if version != 1:
                 raise FrontendError(

@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -114,12 +115,14 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for file in self._files:
-            file.close()
-        if kind is not None:
+        try:
+            for file in self._files:
+                with suppress(OSError) if kind is not None else nullcontext():  # a full disk is said once
+                    file.close()
+            if kind is None:
+                self._put_in_place()
+        finally:
             shutil.rmtree(self.folder, ignore_errors=True)
-            return
-        self._put_in_place()
 
     def _put_in_place(self) -> None:
         """Replace an earlier run's files. Its summary goes first, the new one comes last: between, this is no run."""
@@ -131,7 +134,6 @@ class Recorder:
         for new in sorted(self.folder.iterdir(), key=lambda path: (path.name == SUMMARY, path.name)):
             os.replace(new, self.out / new.name)
         (self.out / _EARLIER).unlink(missing_ok=True)
-        self.folder.rmdir()
 
     # -- while it runs ------------------------------------------------------------------------------------------------
 

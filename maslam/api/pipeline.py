@@ -23,8 +23,10 @@ from maslam.mas.transport.choice import TransportLike, check_transport
 from maslam.tools.common.compiling import compile_for
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress, counter
+from maslam.tools.common.writing import writing
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
+from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
 from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, RECORDING, SECTION, SECTIONS, PreprocessSettings
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
@@ -47,6 +49,7 @@ def preprocess(
     vocabulary: PathLike | None = None,
     settings: Settings | None = None,
     workers: int = 1,
+    overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Sequences:
     """Turn images into agent sequences: odometry, map points and place vectors of each agent, in a folder.
@@ -68,6 +71,7 @@ def preprocess(
         settings: of the odometry, ``{"odometry.features.tracks": 500}``, and of what is read,
             ``{"recording.stride": 2}``.
         workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.
+        overwrite: replace what ``out`` holds of another source or with other settings, which is refused otherwise.
         progress: called with title, steps done and all steps, now and then.
 
     Raises:
@@ -75,7 +79,7 @@ def preprocess(
     """
     content = nested(settings)
     told = _preprocess_settings(
-        content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers
+        content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite
     )
     images.preprocess(Path(source), Path(out), told, CallbackProgress(progress))
     return Sequences.load(out)
@@ -91,6 +95,7 @@ def run(
     settings: Settings | None = None,
     policy: PolicyLike | str | None = None,
     transport: TransportLike | str | None = None,
+    overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Run:
     """Run the multi-agent system on agent sequences and write the RUN folder, whole or not at all.
@@ -99,13 +104,14 @@ def run(
 
     Args:
         sequences: what :func:`maslam.preprocess` gave, or its folder.
-        out: folder for the results; an earlier run in it is replaced.
+        out: folder for the results; an earlier run of the same sequences and settings in it is replaced.
         preset: ``"predecessor"``, ``"default"``, ``"optimised"``, ``"selection"``, ``"maslam"``, or all settings as one
             value: of :func:`maslam.preset`, or an earlier ``run.config``.
         seed: of every random choice; None leaves the preset's, 0.
         settings: some settings by name, ``{"places.threshold": 0.8}``; ``maslam run --help`` lists them.
         policy: your own (:class:`maslam.Policy`; each agent gets a copy), or one by name.
         transport: your own (:class:`maslam.Transport`), or one by name.
+        overwrite: replace a run in ``out`` of other sequences or with other settings, which is refused otherwise.
         progress: called with title, steps done and all steps.
 
     Raises:
@@ -114,10 +120,13 @@ def run(
     config = _config(preset, seed, nested(settings), policy, transport)
     check_out(Path(out))
     manifest, loaded = load_sequences(sequences.folder if isinstance(sequences, Sequences) else Path(sequences))
+    if not overwrite:
+        check_same_run(Path(out), config, of_manifest(manifest))
     tasks = CallbackProgress(progress)
     compile_for(agent_kernels(len(loaded)), tasks)
     told = counter(tasks, "agents")
-    simulation.run(manifest, loaded, config, Path(out), told, _object(policy), _object(transport))
+    with writing(Path(out)):
+        simulation.run(manifest, loaded, config, Path(out), told, _object(policy), _object(transport))
     return Run.load(out)
 
 
@@ -140,6 +149,7 @@ def slam(
     policy: PolicyLike | str | None = None,
     transport: TransportLike | str | None = None,
     workers: int = 1,
+    overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Run:
     """From a folder of images to one map and a report: :func:`maslam.preprocess`, :func:`maslam.run`, and the page
@@ -148,7 +158,7 @@ def slam(
     Args:
         source: a folder of images or a recording, as :func:`maslam.open_dataset` reads it.
         out: folder for the results; ``out/sequences`` holds the agent sequences.
-        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers: as in
+        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite: as in
             :func:`maslam.preprocess`.
         preset, seed, policy, transport: as in :func:`maslam.run`.
         settings: of the agents, ``{"places.threshold": 0.8}``, and of the odometry,
@@ -161,7 +171,9 @@ def slam(
     content = nested(settings)
     config = _config(preset, seed, {k: v for k, v in content.items() if k not in SECTIONS}, policy, transport)
     own = {key: content[key] for key in SECTIONS if key in content}
-    told = _preprocess_settings(own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers)
+    told = _preprocess_settings(
+        own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite
+    )
     shown = CallbackProgress(progress)
     chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
     return Run.load(out)
@@ -178,6 +190,7 @@ def _preprocess_settings(
     provider: str,
     vocabulary: PathLike | None,
     workers: int,
+    overwrite: bool,
 ) -> PreprocessSettings:
     strange = sorted(set(content) - set(SECTIONS))
     if strange:
@@ -199,6 +212,7 @@ def _preprocess_settings(
         provider=provider,
         vocabulary=None if vocabulary is None else Path(vocabulary),
         workers=workers,
+        overwrite=overwrite,
     )
 
 

@@ -17,10 +17,10 @@ from maslam.backend.distributed.compact import CompactReader, CompactWriter, fro
 from maslam.backend.distributed.condense import OwnGraph
 from maslam.backend.distributed.elected import ElectedNode
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
-from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.exchange import optimise_distributed, solve_group
 from maslam.backend.distributed.share import Share, shares
 from maslam.backend.errors import BackendError
-from maslam.backend.geometry import se3, se3_exp, se3_inverse, se3_log
+from maslam.backend.geometry import se3, se3_exp, se3_inverse, se3_log, so3_exp
 from maslam.backend.pose_graph.g2o import read_g2o
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
 
@@ -153,10 +153,35 @@ def test_what_hangs_loose_is_left_out_and_follows():
     assert cost(result.graph, "F") <= best.cost_after * 1.02 + 1e-6
     # A robot without an edge to the others keeps its poses and says so.
     apart = replace(graph, edges=tuple(e for e in graph.edges if not e.is_separator))
-    result = optimise_distributed(apart, CONFIG)
-    assert len(result.outcomes[1].unreached) == 20 and not result.outcomes[0].unreached
+    outcomes, _ = solve_group(shares(apart), CONFIG)
+    assert len(outcomes[1].unreached) == 20 and not outcomes[0].unreached
     for k in range(20):
-        np.testing.assert_array_equal(result.graph.poses[NodeId(1, k)], graph.poses[NodeId(1, k)])
+        np.testing.assert_array_equal(outcomes[1].poses[NodeId(1, k)], graph.poses[NodeId(1, k)])
+
+
+def test_edges_written_backwards_are_other_measurements_and_reach_their_optimum():
+    graph, _ = loops(np.random.default_rng(4), robots=3, length=12, separators=3, sigma_t=0.05, sigma_deg=1.0)
+    turned = tuple(Edge(e.j, e.i, se3_inverse(e.T_i_j), e.information, e.kind) for e in graph.edges)
+    backwards = replace(graph, edges=turned)
+    best = optimise(backwards, CentralConfig()).cost_after
+    assert abs(best - optimise(graph, CentralConfig()).cost_after) > 0.01 * best  # F weighs a shift in i's frame
+    exact = CONFIG.model_copy(update={"elected_longest": 1})
+    for one, lowest in ((backwards, best), (graph, optimise(graph, CentralConfig()).cost_after)):
+        assert cost(optimise_distributed(one, exact).graph, "F") == pytest.approx(lowest, rel=1e-3)
+
+
+def test_one_edge_backwards_between_two_ends_of_edges_to_others():
+    step, across = se3(so3_exp([0, 0, 0.2]), [1.0, 0.3, 0.1]), se3(so3_exp([0, 0.3, 0]), [0.0, 4.0, 0.0])
+    truth = {NodeId(r, k): np.linalg.matrix_power(step, k) for r in range(2) for k in range(3)}
+    truth |= {n: across @ T for n, T in truth.items() if n.robot}
+    edges = [(NodeId(r, k), NodeId(r, k + 1)) for r in range(2) for k in range(2)]
+    edges[0] = edges[0][::-1]
+    edges += [(NodeId(0, 0), NodeId(1, 0)), (NodeId(0, 1), NodeId(1, 2))]
+    measured = tuple(Edge(i, j, se3_inverse(truth[i]) @ truth[j]) for i, j in edges)
+    rng = np.random.default_rng(0)
+    shaken = {n: T @ se3_exp(0.1 * rng.normal(size=6)) for n, T in truth.items()}
+    result = optimise_distributed(PoseGraph(shaken, measured), CONFIG)
+    assert all(o.accepted for o in result.outcomes.values()) and cost(result.graph, "F") < 1e-4
 
 
 @settings(max_examples=10, deadline=None)

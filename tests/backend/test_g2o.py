@@ -95,6 +95,13 @@ def test_poses_may_be_missing(tmp_path):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
+        ("VERTEX_SE3:QUAT 3 1_0.5 0 0 0 0 0 1", "not a number: '1_0.5'"),
+        ("VERTEX_SE3:QUAT 3 1,5 0 0 0 0 0 1", "not a number: '1,5'.*decimal comma"),
+        ("VERTEX_SE3:QUAT 3 1e200 0 0 0 0 0 1", "1e.200 in a pose is beyond"),
+        (STEP.replace(UNIT, UNIT.replace("1 0 0 0 0 0 1", "1 0 0 0 0 0 1e99")), "1e.99 in an information matrix"),
+        ("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 x", "not a number: 'x'"),
+        ("PARAMS_SE3OFFSET 0 0 0", "has 8 fields after its name, found 3"),
+        ("VERTEX_SE3:QUAT ٣ 0 0 0 0 0 0 1", "not a node id"),
         ("0410268 0.7588833", "unknown line '0410268'"),
         ("VERTEX_SE3:QUAT 3 0 0 0 0 0 1", "8 fields.*found 7"),
         ("VERTEX_SE3:QUAT 3 0 0 x 0 0 0 1", "not a number"),
@@ -107,7 +114,7 @@ def test_poses_may_be_missing(tmp_path):
 )
 def test_a_broken_line_is_named_or_skipped(tmp_path, line, words):
     path = tmp_path / "broken.g2o"
-    path.write_text(f"{STEP}\n{line}\n")
+    path.write_text(f"{STEP}\n{line}\n", encoding="utf-8")
     with pytest.raises(BackendError, match=rf"broken.g2o:2: .*{words}"):
         read_g2o(path)
     skipped = []

@@ -20,6 +20,11 @@ from maslam.backend.geometry import se3_exp, se3_inverse
 from maslam.backend.pose_graph.graph import EdgeKind, NodeId, PoseGraph
 
 
+def in_two_groups(graph):
+    """Four robots' graph without the edges between 0, 1 and 2, 3."""
+    return replace(graph, edges=tuple(e for e in graph.edges if (e.i.robot < 2) == (e.j.robot < 2)))
+
+
 class SolverContract:
     """Subclasses name a configuration, and how near it comes to the truth of exact measurements (metres)."""
 
@@ -98,18 +103,30 @@ class SolverContract:
 
     def test_what_no_edge_reaches_stays_and_is_named(self):
         graph, _ = loops(np.random.default_rng(9), robots=4, length=10)
-        kept = tuple(e for e in graph.edges if not (e.is_separator and {2, 3} & {e.i.robot, e.j.robot}))
-        pair = tuple(e for e in graph.edges if {e.i.robot, e.j.robot} == {2, 3})
-        apart = replace(graph, edges=kept + pair)
-        result = self.solve(apart)
-        assert result.outcomes[0].accepted and not result.outcomes[1].unreached
+        apart = in_two_groups(graph)
+        outcomes, _ = solve_group(shares(apart), self.config)  # robots that believe to be one group
+        solved = apart.with_poses({n: T for o in outcomes.values() for n, T in o.poses.items()})
+        assert outcomes[0].accepted and not outcomes[1].unreached
         for robot in (2, 3):
-            assert result.outcomes[robot].unreached == tuple(n for n in graph.nodes if n.robot == robot)
-            for node in result.outcomes[robot].unreached:
-                assert np.array_equal(result.graph.poses[node], graph.poses[node])
-        assert result.outcomes[0].cost_after == pytest.approx(self.group_cost(result.graph), rel=1e-6)
+            assert outcomes[robot].unreached == tuple(n for n in graph.nodes if n.robot == robot)
+            for node in outcomes[robot].unreached:
+                assert np.array_equal(solved.poses[node], graph.poses[node])
+        assert outcomes[0].cost_after == pytest.approx(self.group_cost(solved), rel=1e-6)
         empty = PoseGraph({NodeId(0, 0): np.eye(4), NodeId(1, 0): np.eye(4)}, ())
-        assert self.solve(empty).outcomes[1].unreached == (NodeId(1, 0),)
+        assert solve_group(shares(empty), self.config)[0][1].unreached == (NodeId(1, 0),)
+
+    def test_robots_that_no_edge_joins_solve_their_own_group(self):
+        graph, _ = loops(np.random.default_rng(9), robots=4, length=10)
+        apart = in_two_groups(graph)
+        together = self.solve(apart)
+        for robots in ((0, 1), (2, 3)):
+            of_them = {n: T for n, T in apart.poses.items() if n.robot in robots}
+            alone = self.solve(replace(apart, poses=of_them, edges=tuple(e for e in apart.edges if e.i in of_them)))
+            for n in of_them:
+                assert np.array_equal(together.graph.poses[n], alone.graph.poses[n])
+            for robot in robots:
+                assert together.outcomes[robot].accepted and not together.outcomes[robot].unreached
+                assert together.outcomes[robot].cost_after < together.outcomes[robot].cost_before
 
     def test_a_robot_in_pieces_is_reached_through_others(self):
         graph, _ = loops(np.random.default_rng(13), robots=3, length=24, sigma_t=0.0, sigma_deg=0.0)

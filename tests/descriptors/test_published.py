@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from maslam.descriptors.card import read_card
 from maslam.descriptors.errors import DescriptorError
 from maslam.descriptors.inference import NetVlad
-from maslam.descriptors.published.matconvnet import read_matconvnet
+from maslam.descriptors.published.matconvnet import parse_matconvnet
 from maslam.descriptors.published.matlab_objects import WORKSPACE, MatlabObjects
 from maslam.descriptors.published.onnx_export import export_vgg
 from maslam.tools.cli import main
@@ -77,13 +77,13 @@ def test_files_of_older_versions_and_without_whitening_are_read(tmp_path: Path) 
     assert export_weights(source, tmp_path / "old.onnx") == 0
     assert_equal_to_numpy(tmp_path / "old.onnx", MEAN, np.ones(3), False, 0)
     with pytest.raises(DescriptorError, match="--dim 5: the file has no whitening"):
-        read_matconvnet(source, 5)
+        parse_matconvnet(source, 5)
 
 
 def test_the_first_numbers_are_the_whole_vectors_first_scaled(tmp_path: Path) -> None:
     source = published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK))
     for dim in (DIM, 7):
-        export_vgg(read_matconvnet(source, dim), tmp_path / f"{dim}.onnx")
+        export_vgg(parse_matconvnet(source, dim), tmp_path / f"{dim}.onnx")
     images = colour_images(2, 48, 80)
     cut = run(tmp_path / f"{DIM}.onnx", images)[:, :7]
     expected = cut / np.linalg.norm(cut, axis=1, keepdims=True)
@@ -146,7 +146,7 @@ def test_torch_module_evaluates_trains_and_is_exported(tmp_path: Path) -> None:
     from maslam.descriptors.published.vgg16 import Vgg16NetVlad
 
     source = published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK, 2))
-    network = Vgg16NetVlad(read_matconvnet(source))
+    network = Vgg16NetVlad(parse_matconvnet(source))
     images = colour_images(2, 37, 53)
     expected = [published.describe(NETWORK, image, MEAN, np.ones(3), True, None) for image in images]
     np.testing.assert_allclose(network(torch.tensor(images)).detach().numpy(), expected, atol=1e-4)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from maslam.descriptors.errors import DescriptorError
-from maslam.descriptors.published.matconvnet import read_matconvnet
+from maslam.descriptors.published.matconvnet import parse_matconvnet, read_matconvnet
 from maslam.descriptors.published.onnx_export import export_vgg
 from maslam.tools.cli import main
 from tests.descriptors import published
@@ -63,7 +63,7 @@ def test_what_is_wrong_with_a_matconvnet_file_is_said(tmp_path: Path, change: An
     change(net)
     source = published.save_matconvnet(tmp_path / "bad.mat", net)
     with pytest.raises(DescriptorError, match=rf"bad\.mat: .*{said}"):
-        read_matconvnet(source)
+        parse_matconvnet(source)
 
 
 def test_damaged_and_foreign_files_are_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -112,7 +112,32 @@ def test_damaged_and_foreign_files_are_refused_in_one_line(tmp_path: Path, capsy
 
 
 def test_weights_too_many_for_one_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    weights = read_matconvnet(published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK)))
+    weights = parse_matconvnet(published.save_matconvnet(tmp_path / "net.mat", published.matconvnet_net(NETWORK)))
     monkeypatch.setattr("maslam.descriptors.published.onnx_export.MAX_BYTES", 1000)
     with pytest.raises(DescriptorError, match="do not fit into one ONNX file; keep fewer with --dim"):
         export_vgg(weights, tmp_path / "net.onnx")
+
+
+def test_the_reader_is_a_process_of_its_own_which_a_damaged_file_may_end(tmp_path: Path) -> None:
+    good = published.save_matconvnet(tmp_path / "good.mat", published.matconvnet_net(NETWORK))
+    apart, here = read_matconvnet(good, 5), parse_matconvnet(good, 5)
+    for name in ("mean", "deviation", "assign", "assign_bias", "centres", "whitening", "whitening_bias"):
+        np.testing.assert_array_equal(getattr(apart, name), getattr(here, name))
+    for one, other in zip(apart.convolutions, here.convolutions, strict=True):
+        np.testing.assert_array_equal(one.weight, other.weight)
+        np.testing.assert_array_equal(one.bias, other.bias)
+    assert apart.softening == here.softening
+    bad = tmp_path / "bad.mat"
+    bad.write_bytes(good.read_bytes()[:-1000])
+    with pytest.raises(DescriptorError, match=r"bad\.mat: damaged or cut short"):
+        read_matconvnet(bad)
+
+
+def test_a_reader_that_crashes_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from maslam.descriptors.published.isolation import read_apart
+
+    (tmp_path / "crashing_reader.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    ended = r"x\.mat: damaged: its reader was ended by it \(SIGSEGV\)"
+    with pytest.raises(DescriptorError, match=ended), read_apart("crashing_reader", tmp_path / "x.mat", None):
+        pass

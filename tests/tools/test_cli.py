@@ -86,7 +86,7 @@ def test_a_size_that_cannot_be_is_said_of_the_option(tmp_path: Path, capsys: pyt
 def test_help_says_what_becomes_of_an_earlier_result(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([command, "--help"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "a new folder, or an earlier" in said and "whose files are replaced" in said
+    assert "a new folder, or an earlier" in said and "of the same" in said and "--overwrite" in said
 
 
 def test_one_agent_is_no_plural() -> None:

@@ -17,16 +17,18 @@ from typing import Any
 
 import pytest
 
+from maslam.descriptors.published.isolation import limit_memory
 from maslam.tools import cli
 from maslam.tools.common import memory, parallel
 from maslam.tools.common.digests import digest_of
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import Silent
+from maslam.tools.common.writing import writing
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("frontend", "descriptors", "backend", "mas", "tools")
 POSIX_ONLY = {"crypt", "fcntl", "grp", "posix", "pty", "pwd", "resource", "spwd", "syslog", "termios", "tty"}
-GUARDED = {("memory.py", "resource")}
+GUARDED = {("memory.py", "resource"), ("isolation.py", "resource"), ("writing.py", "fcntl")}
 POSIX_CALLS = {
     "os.fork",
     "os.forkpty",
@@ -262,3 +264,14 @@ def test_paths_in_fingerprints_do_not_depend_on_the_separator(tmp_path: Path) ->
     (tmp_path / "agent_00").mkdir()
     (tmp_path / "agent_00" / "a.txt").write_text("1")
     assert digest_of([tmp_path / "agent_00" / "a.txt"], tmp_path) == hashlib.sha256(b"agent_00/a.txt\x001").hexdigest()
+
+
+def test_folders_are_written_to_where_they_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with writing(tmp_path / "out"), writing(tmp_path / "out"):
+        (tmp_path / "out" / "file").touch()
+
+
+def test_a_reader_without_a_limit_of_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "resource", None)
+    limit_memory()

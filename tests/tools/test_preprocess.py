@@ -189,11 +189,12 @@ def test_results_are_taken_up_again_and_made_anew_when_something_changed(tmp_pat
     source, out = write_agent(tmp_path / "drive"), tmp_path / "seqs"
     assert preprocess(source, out) == 0
     before = {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
-    assert preprocess(source, out, "--agents", 3) == 0
+    assert preprocess(source, out, "--agents", 3) == 1, "not without being asked"
+    assert preprocess(source, out, "--agents", 3, "--overwrite") == 0
     assert len(calls) == FRAMES, "another split needs no new tracking"
-    assert preprocess(source, out) == 0
+    assert preprocess(source, out, "--overwrite") == 0
     assert {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()} == before
-    assert preprocess(source, out, "--odometry.mapping.window", 11) == 0
+    assert preprocess(source, out, "--odometry.mapping.window", 11, "--overwrite") == 0
     assert len(calls) == 2 * FRAMES, "other settings do"
     cv2.imwrite(str(source / "image_0" / "000003.png"), np.full((24, 32), 200, dtype=np.uint8))
     assert preprocess(source, out, "--odometry.mapping.window", 11) == 0

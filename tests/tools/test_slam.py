@@ -159,7 +159,7 @@ def test_slam_again_replaces_the_run_and_keeps_the_sequences(run: Path, house: P
     out = tmp_path / "out"
     shutil.copytree(run, out)
     before = (out / "sequences" / "frontend" / "agent_00.npz").stat().st_mtime_ns
-    assert cli.main(["slam", str(house), str(out), "--quiet", "--merge.enabled", "false"]) == 0
+    assert cli.main(["slam", str(house), str(out), "--quiet", "--overwrite", "--merge.enabled", "false"]) == 0
     assert (out / "sequences" / "frontend" / "agent_00.npz").stat().st_mtime_ns == before
     assert json.loads((out / "summary.json").read_text())["traffic"]["mapmerge"]["messages"] == 0
 

@@ -1,5 +1,7 @@
 """When a kept tracking result counts as made from the same thing."""
 
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,3 +25,22 @@ def test_whatever_changes_the_frames_changes_the_fingerprint(indoor_rgbd: Path, 
         fingerprint(min_track_keyframes=3),
     }
     assert len(others) == 4 and same not in others
+
+
+def test_an_image_that_changes_under_the_same_size_and_time_is_another(indoor_rgbd: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(indoor_rgbd, copy)
+    sequence = open_dataset(copy).sequences[0]
+
+    def fingerprint() -> str:
+        return make_job(sequence, OdometryConfig(), "default", None, tmp_path).fingerprint
+
+    same, image = fingerprint(), sequence.left[1]
+    assert same == fingerprint()
+    before, content = image.stat(), bytearray(image.read_bytes())
+    content[-30] ^= 1
+    image.write_bytes(content)
+    os.utime(image, ns=(before.st_atime_ns, before.st_mtime_ns))
+    after = image.stat()
+    assert (after.st_size, after.st_mtime_ns) == (before.st_size, before.st_mtime_ns)
+    assert fingerprint() != same

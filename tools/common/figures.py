@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -72,6 +73,7 @@ def check_picture(path: Path | None) -> None:
 @contextmanager
 def house_figure(inches: tuple[float, float]) -> Iterator[Any]:
     """A matplotlib figure (width, height) to draw in; drawn and saved inside the block, since the style ends there."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps what it knows of fonts matters to nobody
     import matplotlib
     from matplotlib.figure import Figure
 

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from maslam._bounded import Unreadable, load_yaml, read_text
 from maslam._suggestions import UNKNOWN_NAME, did_you_mean, hint
 
 from .earlier_settings import modernised
@@ -117,12 +118,10 @@ def read_settings(path: Path | None, sections: Iterable[str] = ()) -> dict[str, 
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file of settings; anything but a mapping is an error."""
-    import yaml
-
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ToolError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+        content = load_yaml(read_text(path))
+    except Unreadable as error:
+        raise ToolError(f"{path}: {error}") from error
     if content is None:
         return {}
     if not isinstance(content, dict):
@@ -238,9 +237,10 @@ def _value(text: str, annotation: Any) -> object:
             named = {str(value): value for value in typing.get_args(kind)}
             return named.get(text, text)  # a choice may be a number
     if any((typing.get_origin(kind) or kind) in (tuple, list, dict, set, frozenset) for kind in kinds):
-        import yaml
-
-        return yaml.safe_load(text if text[:1] in "[{" else f"[{text}]")
+        try:
+            return load_yaml(text if text[:1] in "[{" else f"[{text}]")
+        except Unreadable:
+            return text  # which is none of what is meant, and is refused with the option's name
     return text
 
 

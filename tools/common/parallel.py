@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,11 +13,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from multiprocessing.context import SpawnContext
+from multiprocessing.context import SpawnContext, SpawnProcess
 from queue import Empty
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from .errors import ToolError
+from .interrupts import end_with_parent, held_back, let_through
 from .logs import Relay, collected_logs, working_on
 from .progress import Progress
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 POLL_S = 0.2
+_LAST_BREATH_S = 3.0
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _MOST_WORKERS_ON_WINDOWS = 61  # what one call can wait for there
 _WORKER_ENDED = (
@@ -122,13 +123,27 @@ def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int
                 yield future.result()
 
 
+class WorkerProcess(SpawnProcess):
+    """A process that is started without the terminal's Ctrl-C, at which it would tell where it was."""
+
+    def start(self) -> None:
+        with held_back():
+            super().start()
+
+
+class WorkerContext(SpawnContext):
+    """How processes are started: anew, with nothing of this one in them."""
+
+    Process = WorkerProcess
+
+
 def _context() -> SpawnContext:
     """How processes are started. A worker that imports its parent's script, which starts workers again, ends here: its
     parent says what is wrong.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         sys.exit(1)
-    return multiprocessing.get_context("spawn")
+    return WorkerContext()
 
 
 @contextmanager
@@ -143,8 +158,11 @@ def _pool(
             yield pool
         except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
+            children = multiprocessing.active_children()
+            for child in children:
                 child.terminate()
+            for child in children:  # they may hold files half-written, which the caller removes
+                child.join(_LAST_BREATH_S)
             if isinstance(error, BrokenProcessPool):
                 raise ToolError(_WORKER_ENDED) from error
             raise
@@ -183,9 +201,8 @@ def _kept(job: Any) -> None:
 
 
 def _settle_in(relay: Relay, prepare: Callable[[], None]) -> None:
-    signal.signal(
-        signal.SIGINT, signal.SIG_DFL
-    )  # an interrupted worker ends without a traceback; its parent says what happened
+    end_with_parent()
+    let_through()
     relay.attach()
     prepare()
     import cv2

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from maslam._bounded import Unreadable, read_text
+
 
 def place_of(path: Path, keys: Sequence[str]) -> str:
     """``"file:line"`` of the key that the nested ``keys`` lead to; ``"file"`` where there is none."""
@@ -16,8 +18,8 @@ def _line_of(path: Path, keys: Sequence[str]) -> int | None:
     import yaml
 
     try:
-        node: yaml.Node | None = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-    except (OSError, yaml.YAMLError):
+        node: yaml.Node | None = yaml.compose(read_text(path), Loader=yaml.SafeLoader)
+    except (OSError, yaml.YAMLError, Unreadable, RecursionError):
         return None
     line = None
     for key in keys:

@@ -77,7 +77,20 @@ def system_checks() -> list[Check]:
     return [
         Check("system", name == "Linux", f"{name or 'unknown'}: {tested}", needed=False),
         Check("memory figures", measured, "`maslam bench` measures memory", needed=False),
+        kernel_cache_check(),
     ]
+
+
+def kernel_cache_check() -> Check:
+    """Where compiled kernels are kept."""
+    from maslam._kernel_cache import CURE, take_notes
+    from maslam.backend.relpose.kernels import VERIFICATION_KERNELS
+
+    first, _ = VERIFICATION_KERNELS[0]
+    where = first.stats.cache_path
+    if notes := take_notes():
+        return Check("kernel cache", False, "; ".join(notes), needed=False)
+    return Check("kernel cache", where is not None, f"{where} ({CURE})", needed=False)
 
 
 def library_checks() -> list[Check]:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from maslam._settings import Settings
 from maslam.descriptors.card import ModelCard, file_sha256, write_card
 
 from ..common.errors import ToolError
@@ -37,10 +38,8 @@ if TYPE_CHECKING:
 KINDS = ("indoor", "town")
 
 
-class MaterialConfig(BaseModel):
+class MaterialConfig(Settings):
     """Material of a training run."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     towns: int = Field(4, ge=0, description="rendered towns to train on")
     indoors: int = Field(4, ge=0, description="rendered indoor floors to train on")

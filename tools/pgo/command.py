@@ -7,7 +7,7 @@ import json
 import math
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ from ..common.parser import at_least_one
 from .report import PgoReport
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from maslam.backend.pose_graph.graph import NodeId, PoseGraph
 
@@ -93,7 +93,7 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.backend.pose_graph.g2o import read_g2o
 
     from ..common.figures import check_picture
-    from .files import check_free, expand, write
+    from .files import check_free, expand, names_of, write
     from .methods import check, default_method
 
     if arguments.method is None:
@@ -108,12 +108,14 @@ def main(arguments: argparse.Namespace) -> None:
     check_picture(arguments.plot)
     check_free(arguments.out, inputs, arguments.overwrite)
     skipped: list[str] | None = [] if arguments.skip_broken_lines else None
-    graph = read_g2o(inputs, skipped)
+    notes: list[str] = []
+    graph = read_g2o(inputs, skipped, notes)
     for line in skipped or []:
         print(f"maslam: skipped: {line}", file=sys.stderr)
     if arguments.agents is not None:
         graph = graph.partitioned(arguments.agents)
-    solved, report, units = optimise_graph(graph, arguments)
+    solved, report, units = optimise_graph(graph, arguments, notes)
+    report = replace(report, files=names_of(inputs))
     write(arguments.out, solved, report, units)
     if arguments.plot is not None:
         plot(graph, arguments)
@@ -137,24 +139,27 @@ def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
 
 def _monocular(graph: PoseGraph, robots: str | None) -> frozenset[int]:
     """The robots that ``--monocular`` names."""
+    from maslam.backend.pose_graph.node import robot_name
+
     from .methods import own_units
 
     if robots is None:
         return frozenset()
     if robots == "all":
         return frozenset(graph.robots)
+    named = {robot_name(robot): robot for robot in graph.robots}
     try:
-        return own_units(graph, [int(number) for number in robots.split(",")])
+        return own_units(graph, [named[name] if name in named else int(name) for name in robots.split(",")])
     except ValueError:
         given = robots or "''"
         raise UsageError(f"--monocular {given}: all, or numbers of robots, like 0,2") from None
 
 
 def optimise_graph(
-    graph: PoseGraph, arguments: argparse.Namespace
+    graph: PoseGraph, arguments: argparse.Namespace, notes: Sequence[str] = ()
 ) -> tuple[PoseGraph, PgoReport, Mapping[NodeId, float]]:
     """Run the method that ``arguments`` name; returns the graph with its own information, in one unit of length, the
-    report, and the poses' units where they were found."""
+    report, and the poses' units where they were found. ``notes`` of the reading go into the report."""
     from maslam.backend.central.graph_report import report as look_at
 
     from .methods import solve
@@ -189,7 +194,8 @@ def optimise_graph(
         rejected_edges=len(found.rejected),
         unreached_poses=found.unreached_poses,
         rejected=found.rejected,
-        warnings=look_at(graph).lines(),
+        warnings=[*notes, *look_at(graph).lines()],
+        refused=None if certified or _nothing_to_do(found) else found.refused,
         monocular=sorted(request.monocular),
         units={"smallest": min(sizes), "largest": max(sizes)} if sizes else None,
     )
@@ -198,10 +204,13 @@ def optimise_graph(
     return solved, report, found.units
 
 
+def _nothing_to_do(found: Solution) -> bool:
+    """Whether the graph fitted its edges before, up to rounding: a result that is no better is no failure."""
+    return found.cost_before is not None and found.cost_before < 1e-12
+
+
 def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:
     """Cost against bytes for all methods, without robust selection."""
-    from dataclasses import replace
-
     from maslam.backend.central.optimise import optimise
     from maslam.backend.config import CentralConfig
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from maslam._atomic import write_atomically
 
 from ..common.errors import ToolError, UsageError
+from ..common.writing import writing
 from .report import PgoReport
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 SUMMARY = "summary.json"
 UNITS = "units.csv"
+_OURS = re.compile(r"(\d+|[a-zA-Z]{2})\.g2o")
 
 
 def expand(paths: Sequence[Path]) -> list[Path]:
@@ -48,8 +50,27 @@ def check_free(out: Path, inputs: Sequence[Path], overwrite: bool) -> None:
     like_inputs = {(path.parent.resolve(), _without_number(path) if single else "") for path in inputs}
     if there and ((out.parent if single else out).resolve(), _without_number(out) if single else "") in like_inputs:
         raise UsageError(f"{out}: is among the graphs that are read; the last path is OUT, and must be another")
-    if there and not overwrite and (single or not (out / SUMMARY).exists()):
-        raise UsageError(f"{out}: is there already; name another OUT, or replace it with --overwrite")
+    if there and not overwrite:
+        earlier = None if single else _sources(out)
+        if earlier is None:
+            raise UsageError(f"{out}: is there already; name another OUT, or replace it with --overwrite")
+        if earlier and earlier != names_of(inputs):
+            raise UsageError(f"{out}: holds a result of {earlier[0]}; name another OUT, or replace it with --overwrite")
+
+
+def names_of(inputs: Sequence[Path]) -> list[str]:
+    """The files that are read, as the report names them."""
+    return [str(path.resolve()) for path in inputs]
+
+
+def _sources(out: Path) -> list[str] | None:
+    """The files that an earlier result in ``out`` was made of, none where it does not say; None where there is no
+    report."""
+    try:
+        summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        return [str(name) for name in summary.get("files", [])]
+    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
+        return None
 
 
 def _without_number(path: Path) -> str:
@@ -63,16 +84,28 @@ def write(out: Path, graph: PoseGraph, report: PgoReport, units: Mapping[NodeId,
     alone = len(graph.robots) == 1
     if out.suffix == ".g2o":
         out.parent.mkdir(parents=True, exist_ok=True)
-        parts = {out: graph}
-    else:
-        out.mkdir(parents=True, exist_ok=True)
-        parts = {out / f"{r}.g2o": graph if alone else graph.of_robot(r) for r in graph.robots}
+        write_g2o(out, graph, plain_ids=alone and not graph.symbols)
+        return
+    with writing(out):
+        _write_folder(out, graph, report, units)
+
+
+def _write_folder(out: Path, graph: PoseGraph, report: PgoReport, units: Mapping[NodeId, float]) -> None:
+    """The summary is written last; files of robots that an earlier result had and this one lacks are removed."""
+    from maslam.backend.pose_graph.g2o import write_g2o
+    from maslam.backend.pose_graph.node import robot_name
+
+    alone = len(graph.robots) == 1
+    parts = {out / f"{robot_name(r)}.g2o": graph if alone else graph.of_robot(r) for r in graph.robots}
+    if (out / SUMMARY).exists():
+        for path in out.glob("*.g2o"):
+            if path not in parts and _OURS.fullmatch(path.name):
+                path.unlink()
     for path, part in parts.items():
-        write_g2o(path, part, plain_ids=alone)
-    if out.suffix != ".g2o":
-        if units:
-            rows = "".join(f"{n.robot},{n.index},{unit:.12g}\n" for n, unit in sorted(units.items()))
-            write_atomically(out / UNITS, "robot,index,unit\n" + rows)
-        else:
-            (out / UNITS).unlink(missing_ok=True)
-        write_atomically(out / SUMMARY, json.dumps(asdict(report), indent=2) + "\n")
+        write_g2o(path, part, plain_ids=alone and not graph.symbols)
+    if units:
+        rows = "".join(f"{robot_name(n.robot)},{n.index},{unit:.12g}\n" for n, unit in sorted(units.items()))
+        write_atomically(out / UNITS, "robot,index,unit\n" + rows)
+    else:
+        (out / UNITS).unlink(missing_ok=True)
+    write_atomically(out / SUMMARY, json.dumps(asdict(report), indent=2) + "\n")

@@ -14,8 +14,10 @@ from maslam.backend.central.similarity_edges import edges_of
 from maslam.backend.components import parts
 from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
+from maslam.backend.pose_graph.node import robot_name, symbol_name
 from maslam.backend.robust.noise import Noise
 from maslam.backend.robust.pcm import consistent_edges
 from maslam.backend.robust.select import optimise_robustly
@@ -63,6 +65,8 @@ class Solution:
     messages: int = 0
     unreached_poses: int = 0
     units: Mapping[NodeId, float] = field(default_factory=dict)
+    refused: str | None = None
+    cost_before: float | None = None
 
 
 def default_method(monocular: bool) -> str:
@@ -112,7 +116,7 @@ def _central(graph: PoseGraph, request: Request) -> Solution:
     config = request.central
     if request.robust in SELECTIONS:
         found = optimise_robustly(graph, request.robust, config, request.selection)  # type: ignore[arg-type]
-        rejected = [_record(e.i, e.j, e.residual, e.reason) for e in found.rejected]
+        rejected = [_record(graph, e.i, e.j, e.residual, e.reason) for e in found.rejected]
         return Solution(found.graph.poses, found.weights, rejected, config.cost, found.iterations)
     result = optimise(graph, config)
     return Solution(result.graph.poses, np.ones(len(graph.edges)), [], config.cost, result.iterations)
@@ -158,7 +162,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
     if "pcm" in request.robust:
         weights = consistent.accepted.astype(np.float64)
         rejected = [
-            _record(e.i, e.j, None, f"agrees with {consistent.agreeing[k]} of {consistent.tested[k]} others")
+            _record(graph, e.i, e.j, None, f"agrees with {consistent.agreeing[k]} of {consistent.tested[k]} others")
             for k, e in enumerate(graph.edges)
             if not consistent.accepted[k]
         ]
@@ -170,23 +174,39 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         if verdict is not None and verdict.rejected:
             weights[k] = 0.0
             sigmas = f"residual {verdict.residual:.1f} standard deviations"
-            rejected.append(_record(verdict.i, verdict.j, verdict.residual, sigmas))
-    outcome, traffic = result.outcomes[min(result.outcomes)], result.traffic
+            rejected.append(_record(graph, verdict.i, verdict.j, verdict.residual, sigmas))
+    outcomes, traffic = list(result.outcomes.values()), result.traffic
     return Solution(
         poses=result.graph.poses,
         weights=weights,
         rejected=rejected,
         minimised="U" if request.unit else "F",
-        iterations=outcome.rotation_sweeps + outcome.pose_sweeps,
-        rotation_sweeps=outcome.rotation_sweeps,
-        pose_sweeps=outcome.pose_sweeps,
+        iterations=max(o.rotation_sweeps + o.pose_sweeps for o in outcomes),
+        rotation_sweeps=max(o.rotation_sweeps for o in outcomes),
+        pose_sweeps=max(o.pose_sweeps for o in outcomes),
         payload_bytes=traffic.payload_bytes,
         wire_bytes=traffic.wire_bytes,
         messages=traffic.messages,
-        unreached_poses=sum(len(o.unreached) for o in result.outcomes.values()),
+        unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
+        refused=_refused(result.outcomes),
+        cost_before=max(o.cost_before for o in outcomes),
     )
 
 
-def _record(i: NodeId, j: NodeId, residual: float | None, reason: str) -> dict[str, object]:
-    return {"i": str(i), "j": str(j), "residual": residual, "reason": reason}
+def _refused(outcomes: Mapping[int, SolverOutcome]) -> str | None:
+    """Which robots kept their poses, and why; None where none did."""
+    whose: dict[str, list[str]] = {}
+    for robot, outcome in outcomes.items():
+        if not outcome.accepted:
+            whose.setdefault(outcome.reason, []).append(robot_name(robot))
+    if len(whose) == 1 and sum(map(len, whose.values())) == len(outcomes):
+        return next(iter(whose))
+    parts = (f"robot{'s'[len(robots) == 1 :]} {', '.join(robots)}: {why}" for why, robots in whose.items())
+    return "; ".join(parts) or None
+
+
+def _record(graph: PoseGraph, i: NodeId, j: NodeId, residual: float | None, reason: str) -> dict[str, object]:
+    """Nodes of one robot's symbols (x0, x1, …) are named by them."""
+    name = symbol_name if graph.symbols and len(graph.robots) == 1 else str
+    return {"i": name(i), "j": name(j), "residual": residual, "reason": reason}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from maslam.backend.pose_graph.node import robot_name
+
 
 @dataclass(frozen=True)
 class PgoReport:
@@ -14,7 +16,8 @@ class PgoReport:
     ``pose_sweeps`` are None for methods without sweeps; ``iterations`` is their sum, or the solver's own.
     ``rejected``: each edge that robust selection turned down, and why. ``warnings``: irregularities of the graph.
     ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
-    of them in the common one, which the graph is written in; None where there are none.
+    of them in the common one, which the graph is written in; None where there are none. ``refused``: why robots kept
+    their poses as they were, None where all took the result. ``files``: those that were read.
     """
 
     method: str
@@ -41,6 +44,8 @@ class PgoReport:
     warnings: list[str] = field(default_factory=list)
     monocular: list[int] = field(default_factory=list)
     units: dict[str, float] | None = None
+    refused: str | None = None
+    files: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
         """For people."""
@@ -50,6 +55,8 @@ class PgoReport:
         for name in self.cost:
             mark = "  (minimised)" if name == self.minimised else ""
             out.append(f"  {name}  {self.initial_cost[name]:.6g} -> {self.cost[name]:.9g}{mark}")
+        if self.refused is not None:
+            out.append(f"  result refused, poses as they were: {self.refused}")
         out += self._proof() + self._effort()
         out += self._units()
         if self.robust != "none" and self.robust not in ("huber", "cauchy"):
@@ -62,7 +69,7 @@ class PgoReport:
         """That units were estimated: the graph is in one unit, and no longer in those of the input."""
         if self.units is None:
             return []
-        whose = f"robot{'s'[len(self.monocular) == 1 :]} {', '.join(map(str, self.monocular))}"
+        whose = f"robot{'s'[len(self.monocular) == 1 :]} {', '.join(map(robot_name, self.monocular))}"
         metric = self.robots > len(self.monocular)
         common = "that of the other robots" if metric else "that of the first pose"
         sizes = f"{self.units['smallest']:.4g} to {self.units['largest']:.4g}"

@@ -8,20 +8,25 @@ complete.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from maslam._atomic import write_atomically
 from maslam.extensions import name_of
 
 from ..common.errors import ToolError, UsageError, describe
-from ..common.folders import check_apart, making
+from ..common.folders import check_apart
 from ..common.names import check_name
 from ..common.options import add_model_options, build, read_settings
 from ..common.parser import at_least_one
 from ..common.progress import Progress, progress_on
 from ..common.text_table import counted
+from ..common.writing import writing
+from .earlier_result import BEGUN, check_same_sequences
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
@@ -46,8 +51,8 @@ DEFAULT_OVERLAP = 0  # key-frames: agents see no image of another's; the predece
 class PreprocessSettings:
     """Settings of ``maslam preprocess``. ``agents`` None: one agent per sequence; ``overlap`` key-frames of a split
     sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: folder of
-    the front end's results, by default OUT/frontend; ``recording``: what of the
-    source is read, by default all."""
+    the front end's results, by default OUT/frontend; ``recording``: what of the source is read, by default all;
+    ``overwrite``: replace a result of another source or of other settings."""
 
     odometry: OdometryConfig
     agents: int | None = None
@@ -61,6 +66,7 @@ class PreprocessSettings:
     workers: int = 0
     store: Path | None = None
     recording: RecordingConfig | None = None
+    overwrite: bool = False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "out",
         metavar="OUT",
         type=Path,
-        help="for the agent sequences: a new folder, or an earlier result, whose files are replaced",
+        help="for the agent sequences: a new folder, or an earlier result of the same source and settings, which is "
+        "gone on with or made anew",
     )
     add_preprocess_arguments(parser)
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
@@ -129,11 +136,19 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes (default: one per core, at most one per sequence)",
     )
+    add_overwrite(parser)
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     add_model_options(parser, RecordingConfig(), RECORDING)
     add_model_options(parser, OdometryConfig(), SECTION)
+
+
+def add_overwrite(parser: argparse.ArgumentParser) -> None:
+    """``--overwrite``."""
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace what OUT holds of another source or with other settings"
+    )
 
 
 def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> PreprocessSettings:
@@ -155,6 +170,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         vocabulary=arguments.vocabulary,
         workers=arguments.workers,
         recording=build(RecordingConfig(), arguments, content.get(RECORDING), arguments.config, RECORDING),
+        overwrite=arguments.overwrite,
     )
 
 
@@ -207,8 +223,36 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
     if settings.agents is not None and dataset.sequences:
         check_shares(len(dataset.sequences[0]), settings.agents)
-    with making(out):
+    made_of = _made_of(dataset, settings)
+    if not settings.overwrite:
+        check_same_sequences(out, made_of)
+    with writing(out), _begun(out, made_of):
         return _made(dataset, out, settings, model, progress)
+
+
+def _made_of(dataset: Dataset, settings: PreprocessSettings) -> dict[str, Any]:
+    """Source and settings, as the manifest has them."""
+    split = _split(settings)
+    return {
+        "source": str(dataset.root.resolve()),
+        "split": None if split is None else split.model_dump(mode="json"),
+        "settings": _as_set(settings),
+    }
+
+
+@contextmanager
+def _begun(out: Path, made_of: dict[str, Any]) -> Iterator[None]:
+    """Until the block ends without an exception, a file in ``out`` says what is being made there."""
+    mark = out / BEGUN
+    write_atomically(mark, json.dumps(made_of, indent=2) + "\n")
+    try:
+        yield
+    except BaseException:
+        store = out / FRONTEND
+        if {path.name for path in out.iterdir()} <= {BEGUN, FRONTEND} and not (store.is_dir() and any(store.iterdir())):
+            mark.unlink(missing_ok=True)  # nothing came of it
+        raise
+    mark.unlink(missing_ok=True)
 
 
 def _made(
@@ -255,7 +299,8 @@ def _check_free(out: Path) -> None:
     """Refuse a folder with somebody else's files in it."""
     from maslam.mas.sequence import MANIFEST
 
-    if out.is_dir() and any(out.iterdir()) and not (out / FRONTEND).is_dir() and not (out / MANIFEST).is_file():
+    ours = (out / FRONTEND).is_dir() or (out / MANIFEST).is_file() or (out / BEGUN).is_file()
+    if out.is_dir() and any(out.iterdir()) and not ours:
         raise ToolError(f"{out}: not empty, and no folder of agent sequences")
 
 

@@ -28,13 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "out",
         metavar="OUT",
         type=Path,
-        help="for the results: a new folder, or an earlier run, whose files are replaced",
+        help="for the results: a new folder, or an earlier run of the same sequences and settings, which is replaced",
     )
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="YAML with settings; a run's config.yaml repeats it"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace a run in OUT of other sequences or with other settings"
+    )
     add_run_arguments(parser)
 
 
@@ -78,12 +81,16 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.mas.simulation import run
 
     from ..common.compiling import compile_for
+    from ..common.writing import writing
     from ..report.summary_table import json_of, table_of
+    from .earlier_result import check_same_run, of_manifest
 
     config = config_from(arguments, read_settings(arguments.config))
     check_out(arguments.out)
     manifest, sequences = load_sequences(arguments.sequences)
-    with progress_on(quiet=arguments.quiet) as progress:
+    if not arguments.overwrite:
+        check_same_run(arguments.out, config, of_manifest(manifest))
+    with progress_on(quiet=arguments.quiet) as progress, writing(arguments.out):
         compile_for(agent_kernels(len(sequences)), progress)
         run(manifest, sequences, config, arguments.out, counter(progress, "agents"))
     print(json_of(arguments.out) if arguments.json else table_of(arguments.out))

@@ -40,8 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "out",
         metavar="OUT",
         type=Path,
-        help=f"for the results: a new folder, or an earlier run, whose files are replaced; OUT/{SEQUENCES} holds the "
-        "agent sequences",
+        help="for the results: a new folder, or an earlier run of the same source and settings, which is gone on with "
+        f"or made anew; OUT/{SEQUENCES} holds the agent sequences",
     )
     parser.add_argument(
         "--config",
@@ -88,12 +88,19 @@ def slam(
     from maslam.mas.simulation import run
 
     from ..common.compiling import compile_for
+    from ..common.writing import writing
     from ..report.command import write_report
+    from .earlier_result import check_same_run, of_manifest
 
     check_apart(source, out)
     check_out(out)
-    manifest = preprocess(source, out / SEQUENCES, settings, progress)
-    progress.say(summary_line(manifest, out / SEQUENCES))
-    compile_for(agent_kernels(len(manifest.agents)), progress)
-    run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"), policy, transport)
-    return write_report(out)
+    if not settings.overwrite:
+        check_same_run(out, config)
+    with writing(out):
+        manifest = preprocess(source, out / SEQUENCES, settings, progress)
+        if not settings.overwrite:
+            check_same_run(out, config, of_manifest(manifest))
+        progress.say(summary_line(manifest, out / SEQUENCES))
+        compile_for(agent_kernels(len(manifest.agents)), progress)
+        run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"), policy, transport)
+        return write_report(out)

@@ -57,7 +57,7 @@ def make_job(
 ) -> TrackingJob:
     """The job of a sequence, its result to be kept in ``folder``; ``provider``: what runs the descriptor.
 
-    The fingerprint covers the images (names, sizes, times of change), the calibration, the settings, the models and the
+    The fingerprint covers the images (see ``identities``), the calibration, the settings, the models and the
     code.
     """
     code, model = code_digest(*CODE_PARTS), _identity(descriptor)

@@ -8,6 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from maslam._bounded import Unreadable, read_text
+
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
 from .coverage_table import HEAD, coverage_rows, in_one_frame, lost_lines, percent_text
@@ -64,9 +66,11 @@ def read_timing(run: Path) -> dict[str, Any]:
 def _object(path: Path) -> dict[str, Any]:
     """One JSON object."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
     except json.JSONDecodeError as error:
         raise ToolError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
+    except (Unreadable, RecursionError) as error:
+        raise ToolError(f"{path}: {error}") from error
     if not isinstance(content, dict):
         raise ToolError(f"{path}: expected one object")
     return content

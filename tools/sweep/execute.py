@@ -89,7 +89,7 @@ def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
         split = None if cell.sequence == TOWN else cell.agents
         store = workshop.out / FRONTEND / images.name
         settings = PreprocessSettings(
-            OdometryConfig(), agents=split, overlap=plan.overlap, workers=workshop.workers, store=store
+            OdometryConfig(), agents=split, overlap=plan.overlap, workers=workshop.workers, store=store, overwrite=True
         )
         preprocess(images, workshop.sequences(cell), settings, progress)
 

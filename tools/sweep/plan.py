@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from maslam._settings import Settings
 from maslam._suggestions import UNKNOWN_NAME, did_you_mean
 from maslam.mas.policies.presets import PRESETS
 
@@ -20,10 +21,8 @@ TOWN = "town"
 """The name of the sequence in which all agents drive through one rendered town from starting points of their own."""
 
 
-class SweepPlan(BaseModel):
+class SweepPlan(Settings):
     """``sequences``: names of KITTI pose files, or ``town``. ``settings``: of every run, over the preset's own."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     sequences: tuple[str, ...] = Field(("00",), description="KITTI sequences by number, or town")
     agents: tuple[int, ...] = Field((4,), description="agents that a sequence is cut into; a town has so many")

@@ -6,20 +6,19 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from maslam._settings import Settings
 from maslam.frontend.cameras.models import PinholeCamera, RigKind
 
 from .rendering.sensor import SensorConfig
 
 
-class RenderConfig(BaseModel):
+class RenderConfig(Settings):
     """Settings of a rendering. The same configuration gives the same bytes.
 
     Defaults are named (``default=``): type checkers without pydantic's plug-in see them only so.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     world: Literal["town", "indoor"] = Field(default="town", description="streets of a town, or an office floor")
     seed: int = Field(default=0, ge=0, description="seed of the world, the paths, the lights and the noise")

@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam._atomic import write_atomically
+from maslam._bounded import Unreadable, load_json, read_text
 from maslam._kernels import make_ready
 from maslam.frontend.cameras.models import PinholeCamera, RigKind
 from maslam.frontend.files.trajectory import write_kitti_poses
 
+from ..common.digests import digest_of
 from ..common.parallel import core_count, each_finished
+from ..common.writing import writing
 from .config import RenderConfig
 from .errors import RenderError
 from .rendering.kernels import RENDERING_KERNELS
@@ -50,12 +53,27 @@ def render_dataset(
     settings = {"version": VERSION, **config.model_dump(mode="json")}
     if config.poses_file is not None:
         settings["poses_file"] = config.poses_file.name
+        if config.poses_file.is_file():  # the path itself: another one may have the same name
+            settings["poses_sha256"] = digest_of([config.poses_file], config.poses_file.parent)
     if _finished(out, settings):
         log.info("%s: rendered already with these settings", out)
         return
     load_open3d()
-    _mark_begun(out, settings)
-    scenario = plan_scenario(config)
+    scenario = plan_scenario(config)  # a path that cannot be driven leaves nothing behind
+    with writing(out):
+        _mark_begun(out, settings)
+        _write_all(scenario, config, out, settings, progress, workers, compiling)
+
+
+def _write_all(
+    scenario: Scenario,
+    config: RenderConfig,
+    out: Path,
+    settings: dict[str, object],
+    progress: RenderProgress | None,
+    workers: int | None,
+    compiling: RenderProgress,
+) -> None:
     camera = config.camera()
     for k, plan in enumerate(scenario.agents):
         _write_agent(out / f"agent_{k:02d}", plan, config, camera)
@@ -90,14 +108,16 @@ def _finished(out: Path, settings: dict[str, object]) -> bool:
     """Whether ``out`` is complete; ``RenderError`` where it holds anything but this rendering, or a part of it."""
     done, begun = out / "world.json", out / "unfinished.json"
     if done.exists():
-        found = json.loads(done.read_text(encoding="utf-8"))
+        found = _read_settings(done)
         found.pop("lights", None)
+        if "poses_sha256" not in found:  # of an earlier version
+            settings = {name: value for name, value in settings.items() if name != "poses_sha256"}
         if found != settings:
             changed = sorted(k for k in {*found, *settings} if found.get(k) != settings.get(k))
             raise RenderError(f"{out}: holds other settings ({', '.join(changed)}); delete it or choose another folder")
         return True
     if begun.exists():
-        if json.loads(begun.read_text(encoding="utf-8")) != settings:
+        if _read_settings(begun) != settings:
             raise RenderError(
                 f"{out}: holds an unfinished rendering with other settings; choose another folder or delete it"
             )
@@ -105,6 +125,15 @@ def _finished(out: Path, settings: dict[str, object]) -> bool:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RenderError(f"{out}: exists and is not a rendering; choose an empty or new folder")
     return False
+
+
+def _read_settings(path: Path) -> dict[str, object]:
+    """None of any rendering's where the file is damaged."""
+    try:
+        found = load_json(read_text(path))
+    except Unreadable:
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _mark_begun(out: Path, settings: dict[str, object]) -> None:

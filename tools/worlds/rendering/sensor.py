@@ -7,18 +7,17 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from maslam._kernels import kernel
+from maslam._settings import Settings
 
 DEPTH_UNIT_M = 0.001
 """Metres a unit of a 16-bit depth map."""
 
 
-class SensorConfig(BaseModel):
+class SensorConfig(Settings):
     """A camera's imperfections; all zero gives the ideal picture."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     full_well: float = Field(
         12000.0, gt=0, description="electrons at full brightness: sets the photon noise; larger is cleaner"

@@ -28,6 +28,8 @@ from .streets import (
 from .terrain import FLAT, Terrain, add_ground, terrain_along
 
 MARGIN_M = 45.0
+_SHORTEST = 28
+"""Of a street, metres: houses and markings need some."""
 MOST_GROUND_TEXELS = 48e6
 """Of the ground's picture: bounds the memory of a large world, 4 bytes each."""
 
@@ -54,6 +56,10 @@ def build_along(seed: int, poses: NDArray[np.float64], facade_count: int = 32, g
     path = resample(poses[:, :3, 3][:, [0, 2]], 1.0)
     if len(path) < 4:
         path = poses[0, :3, 3][[0, 2]] + np.arange(-4.0, 24.0)[:, None] * poses[0, :3, 2][[0, 2]]
+    elif len(path) < _SHORTEST:  # a street goes on where the camera stops
+        ahead = path[-1] - path[-3]
+        onward = np.arange(1.0, _SHORTEST - len(path) + 1.0)[:, None] * ahead / np.linalg.norm(ahead)
+        path = np.concatenate([path, path[-1] + onward])
     path = smoothed(path, 2.0)
     terrain = terrain_along(poses[:, :3, 3], MARGIN_M + 4)
     plan = ground_plan((path,), MARGIN_M)
