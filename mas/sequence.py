@@ -120,11 +120,15 @@ class AgentEntry(_Entry):
     lost: tuple[LostEntry, ...] = ()
     doubtful: tuple[LostEntry, ...] = Field(default=(), description="intervals with poses that are not to be relied on")
     missing: tuple[MissingEntry, ...] = Field(default=(), description="images that the source's numbering lacks")
+    scale: Literal["metric", "arbitrary"] | None = Field(
+        default=None, description="unit of poses that another system gave; null: by the camera"
+    )
 
     @property
     def metric(self) -> bool:
-        """Whether its lengths are metres; with one camera each of its tracks has a unit of its own, which drifts."""
-        return self.camera.kind != "mono"
+        """Whether its lengths are metres; with one camera each of its tracks has a unit of its own, which drifts, but
+        where another system's poses say otherwise."""
+        return self.camera.kind != "mono" if self.scale is None else self.scale == "metric"
 
 
 class DescriptorEntry(_Entry):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .api.datasets import open_dataset
     from .api.evaluation import evaluate
     from .api.graphs import optimise, optimise_distributed, read_g2o, write_g2o
+    from .api.interchange import import_sequence
     from .api.odometry import Odometry
     from .api.pipeline import preprocess, run, slam
     from .api.results import AgentResult, MatchResult, Run, Sequences
@@ -92,6 +93,7 @@ __all__ = [
     "Transport",
     "__version__",
     "evaluate",
+    "import_sequence",
     "open_dataset",
     "optimise",
     "optimise_distributed",
@@ -107,6 +109,7 @@ __all__ = [
 _PLACES = {
     "api.datasets": ("open_dataset",),
     "api.evaluation": ("evaluate",),
+    "api.interchange": ("import_sequence",),
     "api.graphs": ("optimise", "optimise_distributed", "read_g2o", "write_g2o"),
     "api.odometry": ("Odometry",),
     "api.pipeline": ("preprocess", "run", "slam"),

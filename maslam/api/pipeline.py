@@ -17,13 +17,13 @@ from maslam.mas.output.run_folder import check_out
 from maslam.mas.policies.foreign import PolicyLike
 from maslam.mas.policies.presets import check_policy
 from maslam.mas.policies.presets import preset as preset_named
-from maslam.mas.sequence import load_sequences
 from maslam.mas.transport.choice import TransportLike, check_transport
 from maslam.tools.common.compiling import compile_for
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
+from maslam.tools.pipeline.predecessor import sequences_for
 from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, SECTION, PreprocessSettings
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
@@ -111,8 +111,9 @@ def run(
     """
     config = _config(preset, seed, nested(settings), policy, transport)
     check_out(Path(out))
-    manifest, loaded = load_sequences(sequences.folder if isinstance(sequences, Sequences) else Path(sequences))
     tasks = CallbackProgress(progress)
+    folder = sequences.folder if isinstance(sequences, Sequences) else Path(sequences)
+    manifest, loaded = sequences_for(folder, Path(out), tasks)
     compile_for(agent_kernels(len(loaded)), tasks)
     told = counter(tasks, "agents")
     simulation.run(manifest, loaded, config, Path(out), told, _object(policy), _object(transport))

@@ -34,6 +34,17 @@ ESSENTIAL: dict[str, tuple[str, ...]] = {
         "--model",
         *_ODOMETRY,
     ),
+    "import": (
+        "--T-body-camera",
+        "--scale",
+        "--times",
+        "--clock-offset",
+        "--add",
+        "--agents",
+        "--rig",
+        "--quiet",
+        "--json",
+    ),
     "run": (
         "--preset",
         "--seed",
