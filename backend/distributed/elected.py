@@ -22,7 +22,7 @@ from . import contribution as parcel
 from .condense import Condensed, Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
-from .gathered import Gathered, cost_between, solve
+from .gathered import Gathered, cost_between, cost_of_priors, solve
 from .share import Share, SolverOutcome, anchor_of
 from .solution import decode_solution, encode_solution
 
@@ -218,10 +218,13 @@ class ElectedNode:
         start = Known()
         for c in given:
             start = start.also(c.start)
+        free_unit = set(self._members()) <= self.share.arbitrary_scale
+        priors = self._gathered.priors
         outside, doubt = cost_between(self._gathered.between, start)
-        before = sum(c.cost for c in given) + outside
+        before = sum(c.cost for c in given) + outside + cost_of_priors(priors, start, free_unit)
         outside, more_doubt = cost_between(self._gathered.between, start.also(self._known))
         after = sum(self._costs[r] for r in self._members()) + outside
+        after += cost_of_priors(priors, start.also(self._known), free_unit)
         accepted = after + doubt + more_doubt <= before
         body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF))
         out = self._say(self._to(self._others(), Kind.DECISION, body))

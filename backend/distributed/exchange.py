@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from ..central.origin import OriginPriors, origin_of
 from ..config import SolverConfig
 from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
@@ -138,4 +139,25 @@ def optimise_distributed(
     outcomes, traffic = solve_group(shares(graph, arbitrary_scale), config)
     units = {node: unit for outcome in outcomes.values() for node, unit in outcome.units.items()}
     poses = {node: T for outcome in outcomes.values() for node, T in outcome.poses.items()}
-    return GroupResult(graph.in_one_unit(poses, units), outcomes, traffic, units)
+    solved = graph.in_one_unit(poses, units)
+    if graph.priors and all(outcome.accepted for outcome in outcomes.values()):
+        unreached = {n for outcome in outcomes.values() for n in outcome.unreached}
+        solved = in_frame_of_priors(solved, units, unreached, set(graph.robots) <= arbitrary_scale)
+    return GroupResult(solved, outcomes, traffic, units)
+
+
+def in_frame_of_priors(
+    graph: PoseGraph, units: Mapping[NodeId, float], unreached: Set[NodeId], free_unit: bool
+) -> PoseGraph:
+    """The graph moved to where its priors fit best: robots keep the frame of their anchor, a reader of the whole graph
+    wants that of the priors. ``unreached`` poses stay."""
+    nodes = [n for n in graph.nodes if n not in unreached]
+    priors = [p for p in graph.priors if p.node not in unreached]
+    if not priors:
+        return graph
+    poses = np.array([graph.poses[n] for n in nodes])
+    log_units = np.log([units.get(n, 1.0) for n in nodes])
+    row = {n: k for k, n in enumerate(nodes)}
+    origin, _ = origin_of(OriginPriors.of(priors, graph.dimension), row, poses, log_units, free_unit)
+    moved = origin.inverse().transform_poses(poses)
+    return graph.with_poses(dict(zip(nodes, moved, strict=True)))
