@@ -22,6 +22,7 @@ from ..cameras.description import UnderstoodCamera
 from ..cameras.models import Rig, RigKind
 from ..cameras.rectification import Rectifier
 from ..errors import FrontendError
+from ..files.positions import PositionFixes
 from ..files.trajectory import Trajectory
 from ..frames import Frame, PutOff
 from ..stopwatch import Stopwatch, TimedStage
@@ -76,6 +77,7 @@ class ImageSequence:
     images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left
     camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
     ``understood``: each camera as its calibration file describes it.
+    ``positions``: of an antenna, measured from outside (GPS).
     """
 
     kind: str
@@ -95,6 +97,7 @@ class ImageSequence:
     problems: tuple[Problem, ...] = ()
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
+    positions: PositionFixes | None = None
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):

@@ -23,6 +23,7 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.datasets.base import Dataset, ImageSequence
 from maslam.frontend.files.essential_graph import essential_graph
 from maslam.frontend.files.point_views import write_views
+from maslam.frontend.files.positions import POSITIONS, write_positions
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory, write_tum
 from maslam.frontend.files.vo_files import VoTrack, write_track
 from maslam.mas.sequence import (
@@ -137,6 +138,9 @@ def _write_agent(
         )
         write_tum(folder / TRAJECTORY, trajectory)
         places.save(folder / PLACES)
+        if plan.sequence.positions is not None:
+            first, last = plan.sequence.stamps_ns[[plan.share.first, plan.share.last]].tolist()
+            write_positions(folder / POSITIONS, plan.sequence.positions.between(first, last, plan.start_ns))
         if plan.sequence.groundtruth is not None:
             write_tum(folder / GROUNDTRUTH, _during(plan, plan.sequence.groundtruth))
     return AgentEntry(
