@@ -168,6 +168,8 @@ class Agent:
         state = self.state
         if not (self.context.closing or len(state.group) == 1) or self.optimisation.attempts.hopeless:
             return False
+        if self.context.closing and not state.lengths_settled:
+            return True
         return any(k.fixes for k in state.keyframes[self.pending.optimised_at :]) and uses_positions(state)
 
     def _pursue(self) -> Effects:

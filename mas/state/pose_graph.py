@@ -25,6 +25,8 @@ _UNKNOWN_SCALE = 100.0
 _FEW_FIXES, _LEAST_FIXES = 12, 3
 # 1 sigma of the log of odometry's length factor; independent pairs of positions a quarter of a track apart.
 _LENGTH_PRIOR, _QUARTERS = 0.02, 3
+# Largest log of a length factor learned from others; a change that is worth another optimisation; and how many are.
+_MOST_LENGTH, _SETTLED_LENGTH, _LENGTH_CHANGES = 0.06, 0.001, 30
 
 
 class UnknownPart(MasError):
@@ -138,7 +140,8 @@ def _within_fixes(state: AgentState, edges: list[Edge], track: int) -> list[Edge
     too long or too short by one share, which errors that differ from step to step do not explain."""
     fixes = [(i, fix) for i in state.members(track) for fix in state.keyframes[i].fixes]
     if not edges or len(fixes) < _FEW_FIXES or not position_priors(state, track) or not state.profile.metric:
-        return edges
+        factor = state.lengths.get(track, 1.0)
+        return [replace(e, T_i_j=stretched(e.T_i_j, factor)) for e in edges] if factor != 1.0 else edges
     T = np.array([state.keyframes[i].T_T_C for i, _ in fixes])
     points = np.einsum("nij,nj->ni", T[:, :3, :3], np.array([fix.lever for _, fix in fixes])) + T[:, :3, 3]
     factor, doubt = _length_factor(points, np.array([f.enu for _, f in fixes]), np.array([f.sigma for _, f in fixes]))
@@ -154,11 +157,32 @@ def _within_fixes(state: AgentState, edges: list[Edge], track: int) -> list[Edge
     return out
 
 
+def _learn_length(state: AgentState, track: int) -> None:
+    """Where an optimisation with others' positions leaves a track longer or shorter than odometry had it, the next one
+    believes it so. Each takes a share of the way, as all members' odometries pull at each other."""
+    members = list(state.members(track))
+    apart = max(len(members) // 4, 1)
+    if len(members) < 4 * _FEW_FIXES or any(state.keyframes[i].fixes for i in members):
+        return
+    raw = np.array([state.keyframes[i].T_T_C[:3, 3] for i in members])
+    now = np.array([state.poses[i][:3, 3] for i in members])
+    own = np.linalg.norm(raw[apart:] - raw[:-apart], axis=1)
+    found = np.linalg.norm(now[apart:] - now[:-apart], axis=1)
+    far = (own > 0.1 * own.max(initial=0.0)) & (found > 0)
+    if not far.any():
+        return
+    log_length = float(np.clip(np.median(np.log(found[far] / own[far])), -_MOST_LENGTH, _MOST_LENGTH))
+    changed = abs(log_length - np.log(state.lengths.get(track, 1.0))) > _SETTLED_LENGTH
+    state.lengths[track] = float(np.exp(log_length))
+    state.length_changes += int(changed)
+    state.lengths_settled = state.lengths_settled and (not changed or state.length_changes > _LENGTH_CHANGES)
+
+
 def _length_factor(points: Array, enu: Array, sigma: Array) -> tuple[float, float]:
     """What odometry's lengths are to be multiplied by, and the standard deviation of its logarithm.
 
-    From displacements between pairs a quarter of the track apart, their median, so that single positions that are off do
-    not matter; odometry itself is expected to be right within a few percent.
+    From displacements between pairs a quarter of the track apart, their median, so that single positions that are off
+    do not matter; odometry itself is expected to be right within a few percent.
     """
     apart = max(len(points) // 4, 1)
     own = np.linalg.norm(points[apart:] - points[:-apart], axis=1)
@@ -187,6 +211,7 @@ def adopt(
     """Take the optimised poses and units over; key-frames that came later are carried along rigidly with the last
     optimised one, in its unit."""
     before = {i: state.pose(i) for i in range(len(state.keyframes))}
+    state.lengths_settled = True
     for track in task.tracks:
         piece = state.piece(track)
         state.pieces[state.pieces.index(piece)] = Piece(track, piece.first, task.frame, task.metric)
@@ -199,6 +224,8 @@ def adopt(
                 step = state.odometry_step(state.keyframes[index])
                 state.units[index] = state.units[index - 1]
                 state.poses[index] = state.poses[index - 1] @ stretched(step, state.units[index])
+        if outcome.positions and outcome.accepted and state.profile.metric:
+            _learn_length(state, track)
     state.version += 1
     return Adoption(before, frozenset(task.matches), elsewhere)
 

@@ -14,6 +14,7 @@ from maslam.frontend.config import OdometryConfig
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress
 from maslam.tools.interchange.given import ImportSettings, import_given
+from maslam.tools.pipeline.positions import PositionSettings
 from maslam.tools.pipeline.predecessor import import_folder
 from maslam.tools.pipeline.preprocess import SECTION
 
@@ -32,6 +33,10 @@ def import_sequence(
     times: PathLike | None = None,
     clock_offset_s: float = 0.0,
     topic: str | None = None,
+    gps: PathLike | None = None,
+    gps_offset_s: float = 0.0,
+    gps_sigma_m: float = 2.0,
+    gps_antenna_m: tuple[float, float, float] | None = None,
     add: bool = False,
     agents: int | None = None,
     overlap: int = 0,
@@ -55,6 +60,8 @@ def import_sequence(
         times: a file with a time for each pose, where ``poses`` has none.
         clock_offset_s: seconds to add to the trajectory's times to get the images'.
         topic: of the poses in a bag.
+        gps, gps_offset_s, gps_sigma_m, gps_antenna_m: a file of positions (or a folder with one for each agent), what
+            to add to its times, its noise where the file has none, and the antenna's place in the camera's frame.
         add: keep the agents that ``out`` holds.
         agents, overlap, rig, dataset, descriptor, provider, vocabulary, settings, progress: as in
             :func:`maslam.preprocess`.
@@ -90,6 +97,7 @@ def import_sequence(
         provider=provider,
         vocabulary=None if vocabulary is None else Path(vocabulary),
         add=add,
+        positions=PositionSettings(None if gps is None else Path(gps), gps_offset_s, gps_sigma_m, gps_antenna_m),
     )
     import_given(Path(poses), Path(images), Path(out), told, shown)
     return Sequences.load(out)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from factory import DIM, MODEL, SHA256, World, _track, manifest_of
 
-from maslam.backend.geometry import product, se3, se3_inverse, so3_exp, transform_points
+from maslam.backend.geometry import se3, se3_inverse, so3_exp, transform_points
 from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.files.positions import PositionFixes
 from maslam.frontend.files.trajectory import Trajectory
-from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import run
-from maslam.mas.state.keyframe import keyframes_of
 
 STEP_M, COUNT, SIGMA_M, ANTENNA = 5.0, 400, 2.0, np.array([0.5, -1.5, -0.4])
 T_ENU_W = se3(so3_exp([0.0, 0.0, 2.2]) @ so3_exp([1.5707963, 0.0, 0.0]), [1000.0, 200.0, 40.0])
@@ -116,7 +112,7 @@ def test_one_agent_alone_loses_its_drift(tmp_path: Path) -> None:
 
 
 def test_an_agent_without_positions_gains_by_its_matches(tmp_path: Path) -> None:
-    team = [sequence(0, 0.02, True, 1), sequence(1, -0.02, False, 2)]
+    team = [sequence(0, 0.02, True, 1), sequence(1, 0.015, False, 2)]
     before = [from_start_m(one.tracks[0].poses) for one in team]
     summary = played(team, tmp_path / "run")
     assert summary.matches.accepted > 10

@@ -16,6 +16,7 @@ from maslam.frontend.files.timestamps import seconds_text
 from maslam.frontend.files.trajectory import read_kitti_poses, read_tum
 from maslam.frontend.files.vo_files import read_tracks
 from maslam.mas.sequence import load_sequences
+from maslam.mas.state.keyframe import keyframes_of
 from maslam.tools import cli
 from maslam.tools.common.errors import ToolError
 from maslam.tools.interchange.placed_images import PlacingRules, place_images
@@ -363,3 +364,34 @@ def test_bags_are_read_where_their_reader_is_installed(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.trajectory.poses, poses, atol=1e-9)
     with pytest.raises(ToolError, match=r"topics with poses: /odom; --topic"):
         read_bag_poses(tmp_path / "bag", "/other")
+
+
+def test_positions_go_with_the_sequences_they_belong_to(
+    town_stereo: Path, trajectories: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of one agent, in metres on another clock; they lie where the antenna was, in a frame of their own."""
+    T_E_W = se3(so3_exp([0.0, 0.0, 0.7]) @ so3_exp([np.pi / 2, 0.0, 0.0]), [300.0, 20.0, 5.0])
+    antenna = np.array([[0.2, -0.5, 0.1]])
+    times = np.loadtxt(town_stereo / "agent_00" / "times.txt")
+    true = truth_of(town_stereo / "agent_00")
+    (tmp_path / "gps").mkdir()
+    file = tmp_path / "gps" / "agent_00.csv"
+    rows = [(t - 3.0, *transform_points(T_E_W @ T, antenna)[0]) for t, T in zip(times, true, strict=True)]
+    file.write_text("time,east,north,up\n" + "".join(",".join(map(repr, map(float, row))) + "\n" for row in rows))
+    words = ["--gps", str(tmp_path / "gps"), "--gps-antenna", "0.2,-0.5,0.1", "--gps-sigma", "0.1"]
+    made = [str(trajectories), str(town_stereo), str(tmp_path / "seqs")]
+    imported([*made, *words, "--gps-offset", "3"])
+    _, sequences = load_sequences(tmp_path / "seqs")
+    assert sequences[1].positions is None
+    positions = sequences[0].positions
+    assert positions is not None and len(positions) == len(times)
+    keyframes = keyframes_of(sequences[0])
+    fixes = [(k, fix) for k in keyframes for fix in k.fixes]
+    assert len(fixes) >= len(times) - 5
+    # Seen from its key-frame, a fix lies where the antenna was: one rigid transform lays all on the positions.
+    seen = np.array([transform_points(k.T_T_C, fix.lever[None])[0] for k, fix in fixes])
+    wanted = transform_points(T_E_W @ true[0], seen)
+    np.testing.assert_allclose(wanted, np.array([fix.enu for _, fix in fixes]), atol=1e-4)
+    capsys.readouterr()
+    assert cli.main(["import", *made[:2], str(tmp_path / "other"), *words, "--gps-offset", "1000"]) == 1
+    assert "--gps-offset" in capsys.readouterr().err

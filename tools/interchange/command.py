@@ -10,6 +10,7 @@ from ..common.errors import UsageError
 from ..common.options import add_model_options, build, read_settings
 from ..common.parser import at_least_one
 from ..common.progress import progress_on
+from ..pipeline.positions import add_position_options, positions_from
 
 if TYPE_CHECKING:
     from .given import ImportSettings
@@ -89,6 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print what was made, OUT/manifest.json, as one object")
+    add_position_options(parser)
     add_model_options(parser, OdometryConfig(), SECTION)
 
 
@@ -139,6 +141,7 @@ def settings_from(arguments: argparse.Namespace) -> ImportSettings:
         provider=arguments.provider,
         vocabulary=arguments.vocabulary,
         add=arguments.add,
+        positions=positions_from(arguments),
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from ..common.errors import ToolError, UsageError
 from ..common.folders import check_apart, making
 from ..common.progress import Progress
+from ..pipeline.positions import NO_POSITIONS, PositionSettings, with_positions
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
@@ -55,6 +56,7 @@ class ImportSettings:
     provider: str = "CPU"
     vocabulary: Path | None = None
     add: bool = False
+    positions: PositionSettings = NO_POSITIONS
 
     def rules(self) -> PlacingRules:
         """How poses are given to images; :class:`UsageError` for times that make no sense."""
@@ -91,8 +93,12 @@ def import_given(poses: Path, images: Path, out: Path, settings: ImportSettings,
     if settings.agents is not None and len(dataset.sequences) > 1:
         raise UsageError(f"--agents splits one sequence, but {images} holds {len(dataset.sequences)}; leave it out")
     files = trajectory_files(poses, [sequence.name for sequence in dataset.sequences])
+    before = earlier.settings.get("gps", {}).get("origin") if earlier else None
+    dataset, positions, lines = with_positions(dataset, settings.positions, settings.scale == "metric", before)
+    for line in lines:
+        progress.say(line)
     with making(out):
-        return _made(dataset, files, out, settings, rules, model, earlier, progress)
+        return _made(dataset, files, out, settings, rules, model, earlier, progress, positions)
 
 
 def _made(
@@ -104,6 +110,7 @@ def _made(
     model: PlaceDescriptor,
     earlier: Manifest | None,
     progress: Progress,
+    positions: dict[str, Any],
 ) -> Manifest:
     from maslam.frontend.datasets.base import Severity
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
@@ -139,6 +146,7 @@ def _made(
     before: Sequence[AgentEntry] = earlier.agents if earlier else ()
     plans = plan_agents(tracked, split, len(before))
     noted = {_IMPORTS: [*_imports(earlier), _as_set(files, dataset.root, settings)], "problems": problems}
+    noted |= {"gps": positions} if positions else {}
     left = (*(earlier.left_out if earlier else ()), *left_out)
     manifest = write_sequences(out, dataset, plans, model, split, noted, left, settings.scale, before)
     return manifest

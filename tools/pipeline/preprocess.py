@@ -22,6 +22,7 @@ from ..common.options import add_model_options, build, read_settings
 from ..common.parser import at_least_one
 from ..common.progress import Progress, progress_on
 from ..common.text_table import counted
+from .positions import NO_POSITIONS, PositionSettings, add_position_options, positions_from, with_positions
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
@@ -55,6 +56,7 @@ class PreprocessSettings:
     vocabulary: Path | None = None
     workers: int = 0
     store: Path | None = None
+    positions: PositionSettings = NO_POSITIONS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,6 +123,7 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     )
     from maslam.frontend.config import OdometryConfig
 
+    add_position_options(parser)
     add_model_options(parser, OdometryConfig(), SECTION)
 
 
@@ -141,6 +144,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         provider=arguments.provider,
         vocabulary=arguments.vocabulary,
         workers=arguments.workers,
+        positions=positions_from(arguments),
     )
 
 
@@ -192,12 +196,20 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
     if settings.agents is not None and dataset.sequences:
         check_shares(len(dataset.sequences[0]), settings.agents)
+    dataset, positions, lines = with_positions(dataset, settings.positions, None)
+    for line in lines:
+        progress.say(line)
     with making(out):
-        return _made(dataset, out, settings, model, progress)
+        return _made(dataset, out, settings, model, progress, positions)
 
 
 def _made(
-    dataset: Dataset, out: Path, settings: PreprocessSettings, model: PlaceDescriptor, progress: Progress
+    dataset: Dataset,
+    out: Path,
+    settings: PreprocessSettings,
+    model: PlaceDescriptor,
+    progress: Progress,
+    positions: dict[str, Any],
 ) -> Manifest:
     """Track the sequences of ``dataset`` that can be used, and write them as agents."""
     from maslam.frontend.kernels import odometry_kernels
@@ -232,7 +244,7 @@ def _made(
         raise ToolError(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame; ask for fewer")
     for problem in problems:
         progress.say(f"warning: {problem}")
-    noted = {**_as_set(settings), "problems": problems}
+    noted = {**_as_set(settings), "problems": problems, **({"gps": positions} if positions else {})}
     return write_sequences(out, dataset, plans, model, split, noted, tuple(left_out))
 
 
