@@ -90,7 +90,7 @@ class WithOrigin:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _PriorsProblem:
     """``rows`` ``(m,)`` of the priors' nodes; ``anchored``: the node that stays; ``free_unit``: whether the origin's
     unit of length is a variable, as all others' are their own."""
 
@@ -152,7 +152,7 @@ def with_origin(
     if int(label[anchored]) not in usable:
         return None
     used = np.isin(label[rows], sorted(usable))
-    whole = _Problem(edges, priors.only(used), rows[used], fixed, bool(not fixed[anchored] and not fixed.any()))
+    whole = _PriorsProblem(edges, priors.only(used), rows[used], fixed, bool(not fixed[anchored] and not fixed.any()))
     poses, log_units = poses.copy(), log_units.copy()
     origin = _aligned(_part(whole, label, int(label[anchored])), poses, log_units)
     for k in sorted(usable - {int(label[anchored])}):
@@ -171,7 +171,7 @@ def origin_of(
     rows = np.array([row[n] for n in priors.nodes], dtype=np.intp)
     empty = np.zeros(0)
     none = SimilarityEdges(np.zeros((0, 2), np.intp), np.zeros((0, 4, 4)), empty, empty, empty, empty)
-    problem = _Problem(none, priors, rows, np.full(len(poses), not free_unit), free_unit)
+    problem = _PriorsProblem(none, priors, rows, np.full(len(poses), not free_unit), free_unit)
     origin = _aligned(problem, poses, log_units)
     held, n = list(range(len(poses))), len(poses)
     best, cost = origin, problem.cost(poses, log_units, origin)
@@ -193,12 +193,12 @@ def _places(priors: OriginPriors, mine: NDArray[np.bool_]) -> bool:
     return bool(turning.any() or mine.sum() >= _ENOUGH)
 
 
-def _part(problem: _Problem, label: NDArray[np.intp], k: int) -> _Problem:
+def _part(problem: _PriorsProblem, label: NDArray[np.intp], k: int) -> _PriorsProblem:
     mine = label[problem.rows] == k
     return replace(problem, priors=problem.priors.only(mine), rows=problem.rows[mine])
 
 
-def _aligned(problem: _Problem, poses: Array, log_units: Array) -> Sim3:
+def _aligned(problem: _PriorsProblem, poses: Array, log_units: Array) -> Sim3:
     """The origin's place by what one prior alone says, or by all positions together without those that are off."""
     p, points = problem.priors, problem.points(poses, log_units)
     wanted = p.measured[:, :3, 3]
@@ -221,7 +221,7 @@ def _aligned(problem: _Problem, poses: Array, log_units: Array) -> Sim3:
 
 
 def _descended(
-    problem: _Problem,
+    problem: _PriorsProblem,
     poses: Array,
     log_units: Array,
     origin: Sim3,

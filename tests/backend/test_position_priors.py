@@ -36,14 +36,22 @@ def path(seed: int) -> np.ndarray:
 
 
 def odometry(robot: int, truth: np.ndarray, drift: float = 0.02) -> tuple[dict[NodeId, np.ndarray], list[Edge]]:
-    """Poses and edges by an odometry that is ``drift`` too long and turns slowly away."""
+    """Poses and edges by an odometry that is ``drift`` too long and turns slowly away.
+
+    Its edges state noise wide enough for an error that all steps have in common: a graph knows no other kind. Agents
+    find the length itself (tests/mas/test_positions.py).
+    """
     rng = np.random.default_rng(100 + robot)
-    sigma = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
+    sigma = np.array([0.4, 0.4, 0.4, 0.002, 0.002, 0.002])
     edges, poses = [], {NodeId(robot, 0): np.eye(4)}
     for k in range(len(truth) - 1):
         step = se3_inverse(truth[k]) @ truth[k + 1]
         step[:3, 3] *= 1.0 + drift
-        step = step @ se3_exp(0.4 * sigma * rng.standard_normal(6)) @ se3(so3_exp([0.0, 6e-5, 0.0]), np.zeros(3))
+        step = (
+            step
+            @ se3_exp(np.array([0.05] * 3 + [0.001] * 3) * rng.standard_normal(6))
+            @ se3(so3_exp([0.0, 6e-5, 0.0]), np.zeros(3))
+        )
         i, j = NodeId(robot, k), NodeId(robot, k + 1)
         edges.append(Edge(i, j, step, np.diag(1.0 / sigma**2)))
         poses[j] = poses[i] @ step
@@ -100,7 +108,7 @@ def test_one_robots_drift_is_gone(method: str) -> None:
 def test_a_robot_without_gps_is_bent_by_its_matches_with_one_that_has_it(method: str) -> None:
     truth = path(1)
     first, edges = odometry(0, truth)
-    second, more = odometry(1, truth, drift=-0.02)
+    second, more = odometry(1, truth, drift=0.015)
     drift = drifted_m(second, 1, truth)
     matches = [
         Edge(NodeId(0, k), NodeId(1, k), np.eye(4), np.diag([1 / 0.1**2] * 3 + [1 / 0.005**2] * 3), EdgeKind.SEPARATOR)
