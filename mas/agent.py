@@ -46,6 +46,7 @@ from .protocol.solver_messages import SolverBody
 from .protocol.tasks import Outcome
 from .state.agent_state import AgentState, Profile
 from .state.keyframe import KeyFrame
+from .state.pose_graph import uses_positions
 
 
 class Agent:
@@ -127,7 +128,8 @@ class Agent:
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
         busy = self.optimisation.busy or bool(self.context.ledger.running()) or bool(self._new)
-        if not self.context.closing or busy or self._pending() or not self.final_round.over:
+        pending = self._pending() or self._new_positions()
+        if not self.context.closing or busy or pending or not self.final_round.over:
             return False
         return not self._behind() and not self.places.widening
 
@@ -140,7 +142,7 @@ class Agent:
         """Facts for the policy beside the state."""
         count = len(self.state.keyframes)
         return Outlook(
-            pending_matches=len(self._pending()),
+            pending_matches=len(self._pending()) + self._new_positions(),
             since_optimised=count - self.pending.optimised_at,
             since_bought={a: count - at for a, at in sorted(self.maps.last_bought.items())},
             since_matched={a: count - 1 - at for a, at in sorted(self.candidates.last_matched.items())},
@@ -160,6 +162,15 @@ class Agent:
         if self.context.closing and self.optimisation.attempts.hopeless:
             return set()
         return self.pending.matches
+
+    def _new_positions(self) -> bool:
+        """Whether no optimisation has used its latest positions, and it is time: alone, or at the end."""
+        state = self.state
+        if not (self.context.closing or len(state.group) == 1) or self.optimisation.attempts.hopeless:
+            return False
+        if self.context.closing and not state.lengths_settled:
+            return True
+        return any(k.fixes for k in state.keyframes[self.pending.optimised_at :]) and uses_positions(state)
 
     def _pursue(self) -> Effects:
         """First optimise what was learned, then buy maps: thesis section 3.8.2's order of operations."""

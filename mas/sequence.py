@@ -14,6 +14,7 @@ from maslam._atomic import write_atomically
 from maslam._bounded import Unreadable, read_text
 from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
 from maslam.frontend.files.point_views import PointViews, read_views
+from maslam.frontend.files.positions import POSITIONS, PositionFixes, read_positions
 from maslam.frontend.files.trajectory import Trajectory, read_tum, stamp_ns_from_s
 from maslam.frontend.files.vo_files import VoTrack, read_tracks, track_numbers
 
@@ -121,11 +122,15 @@ class AgentEntry(_Entry):
     lost: tuple[LostEntry, ...] = ()
     doubtful: tuple[LostEntry, ...] = Field(default=(), description="intervals with poses that are not to be relied on")
     missing: tuple[MissingEntry, ...] = Field(default=(), description="images that the source's numbering lacks")
+    scale: Literal["metric", "arbitrary"] | None = Field(
+        default=None, description="unit of poses that another system gave; null: by the camera"
+    )
 
     @property
     def metric(self) -> bool:
-        """Whether its lengths are metres; with one camera each of its tracks has a unit of its own, which drifts."""
-        return self.camera.kind != "mono"
+        """Whether its lengths are metres; with one camera each of its tracks has a unit of its own, which drifts, but
+        where another system's poses say otherwise."""
+        return self.camera.kind != "mono" if self.scale is None else self.scale == "metric"
 
 
 class DescriptorEntry(_Entry):
@@ -185,7 +190,7 @@ class AgentSequence:
     sequence. ``groundtruth`` is for :mod:`maslam.mas.evaluation` alone, as are ``first_frame``, ``frames``, ``lost``,
     ``doubtful`` and ``missing``, which are those of :class:`AgentEntry` (``frames`` None: as many as were tracked); no
     agent ever sees them. Nor ``views``, which are for :mod:`maslam.mas.output`: one a track, None where the front end
-    wrote none.
+    wrote none. ``positions``: of its antenna, in one frame for all agents, whose place is found.
     """
 
     name: str
@@ -202,6 +207,7 @@ class AgentSequence:
     doubtful: tuple[LostEntry, ...] = ()
     missing: tuple[MissingEntry, ...] = ()
     views: tuple[PointViews | None, ...] = ()
+    positions: PositionFixes | None = None
 
     def __post_init__(self) -> None:
         stamps = self.keyframe_stamps_ns
@@ -303,6 +309,7 @@ def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSeq
         doubtful=entry.doubtful,
         missing=entry.missing,
         views=views,
+        positions=read_positions(folder / POSITIONS) if (folder / POSITIONS).is_file() else None,
     )
     count = len(sequence.keyframe_stamps_ns)
     if count != entry.keyframes:

@@ -207,6 +207,11 @@ def make_agents(
     policies = [policy_of(config, me, policy) for me in range(len(sequences))]
     ownership = policies[0].ownership
     clustered = ownership is Ownership.CLUSTERS
+    method = config.optimisation.solver.method
+    if any(sequence.positions is not None for sequence in sequences) and method != "elected":
+        log.warning(
+            "positions (GPS) are not used: method %s knows none; optimisation.solver.method elected does", method
+        )
     centres = centres_before(manifest, sequences, config, coder) if clustered else None
     agents = []
     for me, sequence in enumerate(sequences):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .api.datasets import open_dataset
     from .api.evaluation import evaluate
     from .api.graphs import optimise, optimise_distributed, read_g2o, write_g2o
-    from .api.interchange import export
+    from .api.interchange import export, import_sequence
     from .api.odometry import Odometry
     from .api.pipeline import preprocess, run, slam
     from .api.results import AgentResult, MatchResult, Run, Sequences
@@ -96,6 +96,7 @@ __all__ = [
     "__version__",
     "evaluate",
     "export",
+    "import_sequence",
     "open_dataset",
     "optimise",
     "optimise_distributed",
@@ -112,7 +113,7 @@ _PLACES = {
     "api.datasets": ("open_dataset",),
     "api.evaluation": ("evaluate",),
     "api.graphs": ("optimise", "optimise_distributed", "read_g2o", "write_g2o"),
-    "api.interchange": ("export",),
+    "api.interchange": ("export", "import_sequence"),
     "api.odometry": ("Odometry",),
     "api.pipeline": ("preprocess", "run", "slam"),
     "api.results": ("AgentResult", "MatchResult", "Run", "Sequences"),

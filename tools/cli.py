@@ -29,6 +29,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "render": (".worlds.command", "synthetic images, depth and ground truth of several agents"),
     "inspect": (".inspection.command", "what would be read from a folder of images, and what is wrong with it"),
     "preprocess": (".pipeline.preprocess", "images to agent sequences: odometry, map points, place vectors"),
+    "import": (
+        ".interchange.command",
+        "another system's trajectory and its images to agent sequences",
+    ),
     "run": (".pipeline.run", "the multi-agent system on agent sequences"),
     "slam": (".pipeline.slam", "preprocess, run, evaluate and report in one"),
     "eval": (".report.summary_table", "error, exploration and bytes of a run, against ground truth where there is any"),

@@ -7,12 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..components import parts
 from ..config import CentralConfig
+from ..errors import BackendError
 from ..geometry import Array, se3_inverse, umeyama
 from ..pose_graph.graph import EdgeArrays, PoseGraph, Prior
 from .chordal import two_stage_poses
 from .costs import cost, frobenius_weights
 from .gtsam_adapter import levenberg_marquardt
+from .origin import OriginPriors, origin_of, with_origin
+from .similarity_edges import edges_of
 from .trust_region import anchors, named_parts, newton
 
 log = logging.getLogger(__name__)
@@ -37,6 +41,8 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
 
     In each connected part the first node keeps its pose, unless priors determine the part's place.
     """
+    if any(p.bound is not None or p.lever.any() for p in graph.priors):
+        return _with_positions(graph, config)
     before = cost(graph, config.cost)
     if not graph.edges and not graph.priors:
         return OptimisationResult(graph, before, before, 0, False)
@@ -49,6 +55,34 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
     if after > before:
         return OptimisationResult(graph, before, before, iterations, False)
     return OptimisationResult(solved, before, after, iterations, True)
+
+
+def _with_positions(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
+    """F with priors on points beside their nodes, or with a kernel: solved without them, then laid on them and bent.
+    ``BackendError`` for the other costs, which know neither."""
+    if config.cost != "F" or config.loss != "none":
+        raise BackendError("priors with a lever or a bound (GPS) are used with cost F without a loss only")
+    free = two_stage(replace(graph, priors=()))
+    free, _, _ = polished(free, steps=config.iterations)
+    a = replace(graph, priors=()).arrays()
+    row = {n: k for k, n in enumerate(a.nodes)}
+    priors = OriginPriors.of(graph.priors, graph.dimension)
+    edges, units = edges_of(graph.edges, a.ends, graph.dimension), np.zeros(len(a.nodes))
+    fixed = np.ones(len(a.nodes), dtype=bool)
+    start = np.array([graph.poses[n] for n in a.nodes])
+    before = float(edges.costs(start, units).sum()) + origin_of(priors, row, start, units, False)[1]
+    poses = np.array([free.poses[n] for n in a.nodes])
+    label = parts(edges.ends, len(poses))
+    counts = np.bincount(label[[row[n] for n in priors.nodes]], minlength=int(label.max()) + 1)
+    held = int(counts.argmax())
+    found = with_origin(edges, poses, units, int(np.flatnonzero(label == held)[0]), fixed, priors, row)
+    if found is None:
+        raise BackendError(f"{len(priors)} positions: three at least place a graph in their frame")
+    after = float(edges.costs(found.poses, units).sum()) + origin_of(priors, row, found.poses, units, False)[1]
+    moved = np.where(found.joined[:, None, None], found.origin.inverse().transform_poses(found.poses), found.poses)
+    if after > before:
+        return OptimisationResult(graph, before, before, found.steps, False)
+    return OptimisationResult(graph.with_poses(a.named(moved)), before, after, found.steps, True)
 
 
 def _descend(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGraph, int]:

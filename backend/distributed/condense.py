@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..central.minimum import minimum, near_minimum
+from ..central.origin import OriginPriors
 from ..central.similarity_edges import SimilarityEdges, edges_of
 from ..components import first_of_parts, parts
 from ..geometry import Array, se3_inverse
@@ -56,6 +57,7 @@ class OwnGraph:
         self._separators = {n for e in share.edges if e.is_separator for n in (e.i, e.j) if n in self.row}
         ends = np.array([(self.row[e.i], self.row[e.j]) for e in own], dtype=np.intp).reshape(-1, 2)
         self.edges = edges_of(own, ends, share.dimension)
+        self.priors = OriginPriors.of(share.priors, share.dimension)
 
     def cost(self, poses: Array, log_units: Array) -> float:
         """F over the own edges, of poses ``(n, 4, 4)`` and log units ``(n,)`` of all own nodes."""
@@ -91,7 +93,7 @@ class OwnGraph:
         following = np.abs(ends[:, 0] - ends[:, 1]) == 1
         kept = degree != 2
         kept[0] = True
-        kept[[self.row[n] for n in self._separators]] = True
+        kept[[self.row[n] for n in (*self._separators, *self.priors.nodes)]] = True
         # Loops' ends stay; so what goes has the node before and the node after as its only neighbours.
         kept[ends[used & ~following].ravel()] = True
         rows: list[tuple[int, int, list[int]]] = [

@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..central.origin import NO_PRIORS, OriginPriors
 from ..central.similarity_edges import SimilarityEdges, edges_of
 from ..geometry import Array
 from ..pose_graph.graph import NodeId
 from .compact import CompactReader, CompactWriter, numbers_of, poses_of
 from .condense import Condensed, Known, OwnGraph
 from .place_steps import place_from_steps, place_to_steps, sizes_of
+from .prior_bytes import read_priors, write_priors
 from .share import Share
 
 
@@ -40,7 +42,8 @@ class Between:
 class Contribution:
     """A member's condensed graph, the edges to others that it answers for, and where things are now.
 
-    ``first``: its first node: the anchor's stays; ``start``: its separators; ``cost``: F over its own edges now.
+    ``first``: its first node: the anchor's stays; ``start``: its separators, and the nodes of its ``priors``; ``cost``:
+    F over its own edges now.
     ``fineness``: steps that a standard deviation has when this is sent; ``scaled``: units are variables.
     """
 
@@ -52,6 +55,7 @@ class Contribution:
     cost: float
     fineness: float
     scaled: bool = False
+    priors: OriginPriors = NO_PRIORS
 
     @property
     def width(self) -> int:
@@ -79,11 +83,12 @@ def contribution(share: Share, own: OwnGraph, leader: int | None, longest: int, 
         robot=share.robot,
         graph=own.condensed(longest),
         between=between,
-        start=own.known(separators),
+        start=own.known(sorted({*separators, *own.priors.nodes})),
         first=own.known(own.nodes[:1]),
         cost=own.cost(own.poses, own.log_units),
         fineness=float(np.float32(fineness)),
         scaled=share.scaled,
+        priors=own.priors,
     )
 
 
@@ -126,6 +131,7 @@ def encode(c: Contribution) -> bytes:
             out.count(n.index)
         out.count(known[weights])
         out.steps(moved)
+    write_priors(out, c.priors)
     starts = sorted(c.start.poses)
     for n, numbers in zip(starts, numbers_of(_stacked([c.start.poses[n] for n in starts])).tolist(), strict=True):
         out.count(n.index)
@@ -173,6 +179,7 @@ def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
     # Each of six or seven numbers is off by half a step at most.
     off = np.full(len(others), 0.5 * float(width) ** 0.5 / fineness)
     between = Between(tuple(others), both.only(~own), off)
+    priors = read_priors(source, robot)
     start, rough = Known(), []
     while not source.empty:
         n = NodeId(robot, source.count())
@@ -180,7 +187,7 @@ def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
         start.poses[n] = np.eye(4)
         start.log_units[n] = source.rough() if scaled else 0.0
     start.poses.update(zip(start.poses, poses_of(np.array(rough).reshape(-1, 6)), strict=True))
-    return Contribution(robot, Condensed(nodes, both.only(own)), between, start, first, cost, fineness, scaled)
+    return Contribution(robot, Condensed(nodes, both.only(own)), between, start, first, cost, fineness, scaled, priors)
 
 
 def _in_pairs(count: int) -> NDArray[np.intp]:

@@ -22,13 +22,13 @@ from . import contribution as parcel
 from .condense import Condensed, Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
-from .gathered import Gathered, cost_between, solve
+from .gathered import Gathered, cost_between, cost_of_priors, solve
 from .share import Share, SolverOutcome, anchor_of
 from .solution import decode_solution, encode_solution
 
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
-_DECISION = struct.Struct("<?ddH")
+_DECISION = struct.Struct("<?ddH?")
 
 
 class ElectedNode:
@@ -218,14 +218,18 @@ class ElectedNode:
         start = Known()
         for c in given:
             start = start.also(c.start)
+        free_unit = set(self._members()) <= self.share.arbitrary_scale
+        priors = self._gathered.priors
         outside, doubt = cost_between(self._gathered.between, start)
-        before = sum(c.cost for c in given) + outside
+        before = sum(c.cost for c in given) + outside + cost_of_priors(priors, start, free_unit)
         outside, more_doubt = cost_between(self._gathered.between, start.also(self._known))
         after = sum(self._costs[r] for r in self._members()) + outside
+        after += cost_of_priors(priors, start.also(self._known), free_unit)
         accepted = after + doubt + more_doubt <= before
-        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF))
+        positions = bool(len(priors))
+        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF), positions)
         out = self._say(self._to(self._others(), Kind.DECISION, body))
-        self._end(accepted, before, after, self._gathered.iterations)
+        self._end(accepted, before, after, self._gathered.iterations, positions)
         return out
 
     def _go_on_without(self) -> list[ElectedMessage]:
@@ -238,11 +242,11 @@ class ElectedNode:
         if self._gathered is None or self.outcome is not None:
             return []
         before = sum(self._contributions[r].cost for r in self._members())
-        out = self._say(self._to(self._others(), Kind.DECISION, _DECISION.pack(False, before, float("nan"), 0)))
-        self._end(False, before, float("nan"), 0)
+        out = self._say(self._to(self._others(), Kind.DECISION, _DECISION.pack(False, before, float("nan"), 0, False)))
+        self._end(False, before, float("nan"), 0, False)
         return out
 
-    def _end(self, accepted: bool, before: float, after: float, iterations: int) -> None:
+    def _end(self, accepted: bool, before: float, after: float, iterations: int, positions: bool) -> None:
         own = self._own
         mine = accepted and self._completed is not None
         reason = "accepted"
@@ -264,6 +268,7 @@ class ElectedNode:
             rotation_sweeps=0,
             pose_sweeps=iterations,
             unreached=tuple(n for k, n in enumerate(own.nodes) if not self._reached[k]),
+            positions=positions,
         )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ..central.origin import OriginPriors, origin_of
 from ..components import parts
 from ..config import SolverConfig
 from ..errors import BackendError
@@ -163,7 +164,11 @@ def optimise_distributed(
         traffic = traffic.then(more)
     units = {node: unit for outcome in outcomes.values() for node, unit in outcome.units.items()}
     poses = {node: T for outcome in outcomes.values() for node, T in outcome.poses.items()}
-    return GroupResult(graph.in_one_unit(poses, units), outcomes, traffic, units)
+    solved = graph.in_one_unit(poses, units)
+    if graph.priors and all(outcome.accepted for outcome in outcomes.values()):
+        unreached = {n for outcome in outcomes.values() for n in outcome.unreached}
+        solved = in_frame_of_priors(solved, units, unreached, set(graph.robots) <= arbitrary_scale)
+    return GroupResult(solved, outcomes, traffic, units)
 
 
 def joined_robots(graph: PoseGraph) -> list[frozenset[int]]:
@@ -174,3 +179,20 @@ def joined_robots(graph: PoseGraph) -> list[frozenset[int]]:
     label = parts(np.array(between, dtype=np.intp).reshape(-1, 2), len(robots))
     groups = [frozenset(r for r, k in zip(robots, label, strict=True) if k == one) for one in np.unique(label)]
     return sorted(groups, key=min)
+
+
+def in_frame_of_priors(
+    graph: PoseGraph, units: Mapping[NodeId, float], unreached: Set[NodeId], free_unit: bool
+) -> PoseGraph:
+    """The graph moved to where its priors fit best: robots keep the frame of their anchor, a reader of the whole graph
+    wants that of the priors. ``unreached`` poses stay."""
+    nodes = [n for n in graph.nodes if n not in unreached]
+    priors = [p for p in graph.priors if p.node not in unreached]
+    if not priors:
+        return graph
+    poses = np.array([graph.poses[n] for n in nodes])
+    log_units = np.log([units.get(n, 1.0) for n in nodes])
+    row = {n: k for k, n in enumerate(nodes)}
+    origin, _ = origin_of(OriginPriors.of(priors, graph.dimension), row, poses, log_units, free_unit)
+    moved = origin.inverse().transform_poses(poses)
+    return graph.with_poses(dict(zip(nodes, moved, strict=True)))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..central.minimum import minimum
+from ..central.origin import NO_PRIORS, OriginPriors, origin_of, with_origin
 from ..components import parts
 from ..pose_graph.graph import NodeId
 from .condense import Known, freedom_of, noise_of
@@ -19,13 +20,14 @@ from .share import anchor_of
 class Gathered:
     """The group's solution: ``places`` of the nodes that are joined to the anchor; ``iterations`` of the solver;
     ``between``: edges between members, as each sent them; ``noise``: the residuals' standard deviation over the stated
-    one.
+    one; ``priors``: those that were used.
     """
 
     places: Known
     iterations: int
     between: tuple[Between, ...]
     noise: float
+    priors: OriginPriors = NO_PRIORS
 
     def of(self, nodes: Sequence[NodeId]) -> Known:
         """Those of a member's nodes that have a place."""
@@ -62,10 +64,34 @@ def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[
     kept = fixed.copy()
     kept[held] = True
     found = minimum(edges, poses, log_units, sorted(held.tolist()), kept)
-    cost = float(edges.costs(found.poses, found.log_units).sum())
-    reached = [(n, k) for n, k in row.items() if label[k] == label[anchored]]
-    places = Known({n: found.poses[k] for n, k in reached}, {n: float(found.log_units[k]) for n, k in reached})
-    return Gathered(places, found.steps, between, noise_of(cost, freedom))
+    noise = noise_of(float(edges.costs(found.poses, found.log_units).sum()), freedom)
+    solved, log_units, steps, joined = found.poses, found.log_units, found.steps, label == label[anchored]
+    priors = priors_of(contributions, row)
+    better = with_origin(edges, solved, log_units, anchored, fixed, priors, row) if len(priors) else None
+    if better is not None:
+        solved, log_units, steps, joined = better.poses, better.log_units, steps + better.steps, better.joined
+    reached = [(n, k) for n, k in row.items() if joined[k]]
+    places = Known({n: solved[k] for n, k in reached}, {n: float(log_units[k]) for n, k in reached})
+    return Gathered(places, steps, between, noise, priors if better is not None else NO_PRIORS)
+
+
+def priors_of(contributions: Mapping[int, Contribution], row: Mapping[NodeId, int]) -> OriginPriors:
+    """All that were contributed, by robot."""
+    priors = NO_PRIORS
+    for robot in sorted(contributions):
+        mine = contributions[robot].priors
+        priors = priors.and_also(mine.only(np.array([n in row for n in mine.nodes], dtype=bool)))
+    return priors
+
+
+def cost_of_priors(priors: OriginPriors, places: Known, free_unit: bool) -> float:
+    """Their share of F where all their nodes have ``places``, with their frame where it suits them best."""
+    if not len(priors) or any(n not in places.poses for n in priors.nodes):
+        return 0.0
+    nodes = sorted(set(priors.nodes))
+    poses = np.array([places.poses[n] for n in nodes])
+    log_units = np.array([places.log_units.get(n, 0.0) for n in nodes])
+    return origin_of(priors, {n: k for k, n in enumerate(nodes)}, poses, log_units, free_unit)[1]
 
 
 def _inside(between: Between, row: Mapping[NodeId, int]) -> Between:

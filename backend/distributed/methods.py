@@ -35,6 +35,8 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
     """One robot's part in the method that ``config`` names: start, handle, tick, outcome."""
     if config.robust != "none" and config.method != "rbcd":
         raise BackendError(f"robust selection ({config.robust}) works with method rbcd, not {config.method}")
+    if share.priors and config.method != "elected":
+        raise BackendError(f"priors (GPS) are used by the methods central and elected, not by {config.method}")
     match config.method:
         case "rbcd":
             return DescentNode(share, config)

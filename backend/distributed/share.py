@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import BackendError
 from ..geometry import Array
-from ..pose_graph.graph import Edge, NodeId, PoseGraph
+from ..pose_graph.graph import Edge, NodeId, PoseGraph, Prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,8 @@ class Share:
     frame; ``units``: the size of each node's own unit of length there (1 where not named). ``edges``: those between its
     own nodes, and every edge it shares with another member, exactly as that member holds it. ``arbitrary_scale``: the
     members whose units are their own (monocular), one for each node, as they drift; the others' are 1 and stay.
-    ``members`` and ``arbitrary_scale`` are the same for everyone.
+    ``members`` and ``arbitrary_scale`` are the same for everyone. ``priors``: of its own nodes, in one frame for all
+    members, whose place is found.
 
     The first node of the :attr:`anchor` keeps its pose and unit: the result is in the frame of its poses.
     """
@@ -32,8 +33,12 @@ class Share:
     arbitrary_scale: frozenset[int] = frozenset()
     dimension: int = 3
     units: Mapping[NodeId, float] = field(default_factory=dict)
+    priors: tuple[Prior, ...] = ()
 
     def __post_init__(self) -> None:
+        for prior in self.priors:
+            if prior.node not in self.poses:
+                raise BackendError(f"robot {self.robot}: a prior on {prior.node}, which is no node of its own")
         if self.robot not in self.members or tuple(sorted(set(self.members))) != self.members:
             raise BackendError(f"robot {self.robot}: members must be sorted and contain it, got {self.members}")
         if not self.poses:
@@ -108,6 +113,7 @@ class SolverOutcome:
     with robust selection each judged edge counts up to its bound only.
     ``unreached``: own nodes that no chain of edges joins to the anchor. ``judged``: every edge of its share that robust
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
+    ``positions``: whether priors of members had a say.
     """
 
     robot: int
@@ -121,6 +127,7 @@ class SolverOutcome:
     pose_sweeps: int
     unreached: tuple[NodeId, ...]
     judged: tuple[JudgedEdge, ...] = field(default=(), repr=False)
+    positions: bool = False
 
 
 def anchor_of(members: Iterable[int], arbitrary_scale: frozenset[int]) -> int:
@@ -140,6 +147,7 @@ def shares(graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset()) -> d
             edges=tuple(e for e in graph.edges if robot in (e.i.robot, e.j.robot)),
             arbitrary_scale=arbitrary_scale,
             dimension=graph.dimension,
+            priors=tuple(p for p in graph.priors if p.node.robot == robot),
         )
         for robot in members
     }

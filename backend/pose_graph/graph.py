@@ -73,16 +73,25 @@ class Edge:
 class Prior:
     """A pose measured against the origin frame itself: an anchor, or GPS (whose information on rotation is 0).
 
-    ``T_O_i`` ``(4, 4)`` rigid; ``information`` ``(6, 6)`` as an edge's; ``weight`` in [0, 1] multiplies it.
+    ``T_O_i`` ``(4, 4)`` rigid; ``information`` ``(6, 6)`` as an edge's; ``weight`` in [0, 1] multiplies it. ``lever``
+    ``(3,)``: the point of the node's frame whose position was measured (an antenna), in the node's unit; ``bound``:
+    standard deviations beyond which a residual counts less and less, None: never. The elected solver alone knows
+    ``lever`` and ``bound``.
     """
 
     node: NodeId
     T_O_i: Array
     information: Array = field(default_factory=lambda: np.eye(6))
     weight: float = 1.0
+    lever: Array = field(default_factory=lambda: np.zeros(3))
+    bound: float | None = None
 
     def __post_init__(self) -> None:
         _check(f"prior on {self.node}", self.T_O_i, self.information, self.weight)
+        if self.lever.shape != (3,) or not np.isfinite(self.lever).all():
+            raise BackendError(f"prior on {self.node}: the lever must be 3 finite numbers")
+        if self.bound is not None and not (self.bound > 0 and np.isfinite(self.bound)):
+            raise BackendError(f"prior on {self.node}: a bound of {self.bound} standard deviations is not positive")
 
 
 @dataclass(frozen=True, eq=False)

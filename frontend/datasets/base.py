@@ -22,6 +22,7 @@ from ..cameras.description import UnderstoodCamera
 from ..cameras.models import Rig, RigKind
 from ..cameras.rectification import Rectifier
 from ..errors import FrontendError
+from ..files.positions import PositionFixes
 from ..files.trajectory import Trajectory
 from ..frames import Frame, PutOff
 from ..stopwatch import Stopwatch, TimedStage
@@ -78,6 +79,7 @@ class ImageSequence:
     camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
     ``understood``: each camera as its calibration file describes it.
     ``origin``: what of a recording is read, in a line for people; empty for image files.
+    ``positions``: of an antenna, measured from outside (GPS).
     """
 
     kind: str
@@ -98,6 +100,7 @@ class ImageSequence:
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
     origin: str = ""
+    positions: PositionFixes | None = None
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):

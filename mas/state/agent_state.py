@@ -105,6 +105,10 @@ class AgentState:
     contradicted: frozenset[MatchId] = frozenset()
     # By its second key-frame: an odometry edge stays what it was made.
     odometry: dict[int, Edge] = field(default_factory=dict)
+    # What others' positions have shown odometry's lengths to be, by track, and how often that has changed.
+    lengths: dict[int, float] = field(default_factory=dict)
+    length_changes: int = 0
+    lengths_settled: bool = True
     _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
     _mine: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 

@@ -1,19 +1,29 @@
-"""Results for other programs."""
+"""Other programs' results in, and results for other programs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maslam.descriptors.choice import DescriptorLike
+from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress
 from maslam.tools.interchange.export_folder import export_run
 from maslam.tools.interchange.export_request import Exported, ExportRequest, Frames, Groups, Program
+from maslam.tools.interchange.given import ImportSettings, import_given
+from maslam.tools.pipeline.positions import PositionSettings
+from maslam.tools.pipeline.predecessor import import_folder
+from maslam.tools.pipeline.preprocess import SECTION
 
-from .common import PathLike, ProgressCallback, on_one_thread
-from .results import Run
+from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
+from .results import Run, Sequences
 
 
 @on_one_thread
@@ -69,3 +79,89 @@ def export(
     )
     folder = run.folder if isinstance(run, Run) else Path(run)
     return export_run(folder, Path(out), request, CallbackProgress(progress))
+
+
+@on_one_thread
+def import_sequence(
+    poses: PathLike,
+    images: PathLike | None,
+    out: PathLike,
+    *,
+    scale: Literal["metric", "arbitrary"] = "metric",
+    T_body_camera: ArrayLike | PathLike | None = None,
+    times: PathLike | None = None,
+    clock_offset_s: float = 0.0,
+    topic: str | None = None,
+    gps: PathLike | None = None,
+    gps_offset_s: float = 0.0,
+    gps_sigma_m: float = 2.0,
+    gps_antenna_m: tuple[float, float, float] | None = None,
+    add: bool = False,
+    agents: int | None = None,
+    overlap: int = 0,
+    rig: RigKind | str | None = None,
+    dataset: str | None = None,
+    descriptor: DescriptorLike | str | Path = "default",
+    provider: str = "CPU",
+    vocabulary: PathLike | None = None,
+    settings: Settings | None = None,
+    progress: ProgressCallback | None = None,
+) -> Sequences:
+    """Turn another system's trajectory and its images into agent sequences; the poses stay as they are.
+
+    Args:
+        poses: TUM, KITTI, EuRoC csv, matrices, a bag; for several agents a folder with one named after each. With
+            ``images`` None: a folder of the predecessor's five files with ``netvlad_feats.bin``.
+        images: a folder of images, as :func:`maslam.open_dataset` reads it.
+        out: folder for the agent sequences.
+        scale: ``"arbitrary"`` where the poses have a unit of their own (one camera).
+        T_body_camera: ``(4, 4)`` or a file: the camera's pose on the body whose poses are given.
+        times: a file with a time for each pose, where ``poses`` has none.
+        clock_offset_s: seconds to add to the trajectory's times to get the images'.
+        topic: of the poses in a bag.
+        gps, gps_offset_s, gps_sigma_m, gps_antenna_m: a file of positions (or a folder with one for each agent), what
+            to add to its times, its noise where the file has none, and the antenna's place in the camera's frame.
+        add: keep the agents that ``out`` holds.
+        agents, overlap, rig, dataset, descriptor, provider, vocabulary, settings, progress: as in
+            :func:`maslam.preprocess`.
+
+    Raises:
+        MaslamError: nothing that can be used, images that contradict the poses, a folder with other files in it.
+    """
+    content = nested(settings)
+    strange = sorted(set(content) - {SECTION})
+    if strange:
+        raise ToolError(f"settings: unknown setting '{strange[0]}'; an import knows '{SECTION}.…'")
+    check_least("overlap", overlap, 0)
+    if scale not in ("metric", "arbitrary"):
+        raise ToolError(f"scale: {scale!r}: metric or arbitrary is meant")
+    shown = CallbackProgress(progress)
+    if images is None:
+        import_folder(Path(poses), Path(out), shown, scale, agents, overlap)
+        return Sequences.load(out)
+    kind = rig_kind(rig)
+    on_body = T_body_camera
+    told = ImportSettings(
+        odometry=changed(OdometryConfig(), content.get(SECTION, {})),
+        scale=scale,
+        T_body_camera=str(on_body) if isinstance(on_body, str | Path) else _numbers(on_body),
+        times=None if times is None else Path(times),
+        clock_offset_s=clock_offset_s,
+        topic=topic,
+        agents=agents,
+        overlap=overlap,
+        rig=None if kind is None else kind.value,
+        dataset=dataset,
+        model=descriptor,
+        provider=provider,
+        vocabulary=None if vocabulary is None else Path(vocabulary),
+        add=add,
+        positions=PositionSettings(None if gps is None else Path(gps), gps_offset_s, gps_sigma_m, gps_antenna_m),
+    )
+    import_given(Path(poses), Path(images), Path(out), told, shown)
+    return Sequences.load(out)
+
+
+def _numbers(matrix: ArrayLike | None) -> str | None:
+    """As on the command line, where they are checked."""
+    return None if matrix is None else ",".join(map(repr, np.asarray(matrix, dtype=np.float64).ravel().tolist()))

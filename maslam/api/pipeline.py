@@ -18,7 +18,6 @@ from maslam.mas.output.run_folder import check_out
 from maslam.mas.policies.foreign import PolicyLike
 from maslam.mas.policies.presets import check_policy
 from maslam.mas.policies.presets import preset as preset_named
-from maslam.mas.sequence import load_sequences
 from maslam.mas.transport.choice import TransportLike, check_transport
 from maslam.tools.common.compiling import compile_for
 from maslam.tools.common.errors import ToolError
@@ -27,6 +26,7 @@ from maslam.tools.common.writing import writing
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
+from maslam.tools.pipeline.predecessor import sequences_for
 from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, RECORDING, SECTION, SECTIONS, PreprocessSettings
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
@@ -119,10 +119,11 @@ def run(
     """
     config = _config(preset, seed, nested(settings), policy, transport)
     check_out(Path(out))
-    manifest, loaded = load_sequences(sequences.folder if isinstance(sequences, Sequences) else Path(sequences))
+    tasks = CallbackProgress(progress)
+    folder = sequences.folder if isinstance(sequences, Sequences) else Path(sequences)
+    manifest, loaded = sequences_for(folder, Path(out), tasks)
     if not overwrite:
         check_same_run(Path(out), config, of_manifest(manifest))
-    tasks = CallbackProgress(progress)
     compile_for(agent_kernels(len(loaded)), tasks)
     told = counter(tasks, "agents")
     with writing(Path(out)):

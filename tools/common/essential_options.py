@@ -48,6 +48,17 @@ ESSENTIAL: dict[str, tuple[str, ...]] = {
         "--recording.right-topic",
         "--recording.depth-topic",
     ),
+    "import": (
+        "--T-body-camera",
+        "--scale",
+        "--times",
+        "--clock-offset",
+        "--add",
+        "--agents",
+        "--rig",
+        "--quiet",
+        "--json",
+    ),
     "run": (
         "--preset",
         "--seed",

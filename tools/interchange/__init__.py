@@ -1,1 +1,1 @@
-"""Results for other programs."""
+"""Other programs' results in (``maslam import``), results for other programs out (``maslam export``)."""

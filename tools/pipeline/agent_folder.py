@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from maslam.frontend.datasets.base import Dataset, ImageSequence
 from maslam.frontend.datasets.stored_image import name_in
 from maslam.frontend.files.essential_graph import essential_graph
 from maslam.frontend.files.point_views import write_views
+from maslam.frontend.files.positions import POSITIONS, write_positions
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory, write_tum
 from maslam.frontend.files.vo_files import VoTrack, write_track
 from maslam.mas.sequence import (
@@ -73,10 +74,15 @@ def write_sequences(
     split: SplitEntry | None,
     settings: dict[str, Any],
     left_out: tuple[LeftOutEntry, ...] = (),
+    scale: Literal["metric", "arbitrary"] | None = None,
+    before: Sequence[AgentEntry] = (),
 ) -> Manifest:
-    """Write the SEQS folder ``out``; ``settings`` and the sequences ``left_out`` are noted in its manifest."""
+    """Write the SEQS folder ``out``; ``settings`` and the sequences ``left_out`` are noted in its manifest.
+
+    ``scale``: the unit of poses that another system gave; ``before``: agents that the folder holds and keeps.
+    """
     (out / MANIFEST).unlink(missing_ok=True)
-    entries = [_write_agent(out, plan, model, dataset.root) for plan in plans]
+    entries = [*before, *(_write_agent(out, plan, model, dataset.root, scale) for plan in plans)]
     left = {*out.glob("agent_[0-9]*"), *out.glob(".agent_[0-9]*.part")}  # of another split, of a run that was killed
     for stale in sorted(left - {out / entry.name for entry in entries}):
         shutil.rmtree(stale)
@@ -101,19 +107,27 @@ def write_sequences(
     return manifest
 
 
-def plan_agents(tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry | None) -> list[SharePlan]:
-    """Share the tracked sequences out to agents; who would get no key-frame is left out."""
+def plan_agents(
+    tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry | None, first: int = 0
+) -> list[SharePlan]:
+    """Share the tracked sequences out to agents numbered from ``first``; who would get no key-frame is left out."""
     split = split or SplitEntry(agents=1, overlap=0)
     shares = [
         (sequence, one, share)
         for sequence, one in tracked
         for share in share_out(len(sequence), list(one.keyframes), split.agents, split.overlap)
     ]
-    plans = [SharePlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares)]
+    plans = [SharePlan(f"agent_{agent:02d}", *parts) for agent, parts in enumerate(shares, first)]
     return [plan for plan in plans if any(k.stop > k.start for k in plan.share.keyframes)]
 
 
-def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path) -> AgentEntry:
+def _write_agent(
+    out: Path,
+    plan: SharePlan,
+    model: PlaceDescriptor,
+    root: Path,
+    scale: Literal["metric", "arbitrary"] | None,
+) -> AgentEntry:
     """The agent's folder, put in place whole; times become relative to its first frame."""
     used = [k for k, keyframes in enumerate(plan.share.keyframes) if keyframes.stop > keyframes.start]
     places = _places(plan, used, model, root)
@@ -125,6 +139,9 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
         )
         write_tum(folder / TRAJECTORY, trajectory)
         places.save(folder / PLACES)
+        if plan.sequence.positions is not None:
+            first, last = plan.sequence.stamps_ns[[plan.share.first, plan.share.last]].tolist()
+            write_positions(folder / POSITIONS, plan.sequence.positions.between(first, last, plan.start_ns))
         if plan.sequence.groundtruth is not None:
             write_tum(folder / GROUNDTRUTH, _during(plan, plan.sequence.groundtruth))
     return AgentEntry(
@@ -143,6 +160,7 @@ def _write_agent(out: Path, plan: SharePlan, model: PlaceDescriptor, root: Path)
             for one in plan.sequence.missing
             if plan.share.first <= one.after <= plan.share.last
         ),
+        scale=scale,
     )
 
 
@@ -186,7 +204,8 @@ def _write_track(folder: Path, number: int, plan: SharePlan, k: int) -> Trajecto
     track = plan.tracked.tracks[k]
     cut = cut_track(track, kept, _keyframe_stamps_ns(plan, k) / NS_PER_S)
     write_track(folder, number, cut)
-    write_views(folder, number, cut_views(plan.tracked.views[k], track, kept))
+    if len(plan.tracked.views[k]):  # other front ends' files do not say where points are seen
+        write_views(folder, number, cut_views(plan.tracked.views[k], track, kept))
     write_g2o(folder / f"essential_{number}.g2o", _essential(cut), plain_ids=True)
     frames = _during(plan, plan.tracked.trajectories[k])
     return Trajectory(frames.stamps_ns, product(se3_inverse(track.poses[kept.start]), frames.poses))

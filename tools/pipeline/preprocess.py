@@ -27,6 +27,7 @@ from ..common.progress import Progress, progress_on
 from ..common.text_table import counted
 from ..common.writing import writing
 from .earlier_result import BEGUN, check_same_sequences
+from .positions import NO_POSITIONS, PositionSettings, add_position_options, positions_from, with_positions
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
@@ -67,6 +68,7 @@ class PreprocessSettings:
     store: Path | None = None
     recording: RecordingConfig | None = None
     overwrite: bool = False
+    positions: PositionSettings = NO_POSITIONS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -140,6 +142,7 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.recording_config import RecordingConfig
 
+    add_position_options(parser)
     add_model_options(parser, RecordingConfig(), RECORDING)
     add_model_options(parser, OdometryConfig(), SECTION)
 
@@ -171,6 +174,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         workers=arguments.workers,
         recording=build(RecordingConfig(), arguments, content.get(RECORDING), arguments.config, RECORDING),
         overwrite=arguments.overwrite,
+        positions=positions_from(arguments),
     )
 
 
@@ -223,11 +227,14 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
     if settings.agents is not None and dataset.sequences:
         check_shares(len(dataset.sequences[0]), settings.agents)
+    dataset, positions, lines = with_positions(dataset, settings.positions, None)
+    for line in lines:
+        progress.say(line)
     made_of = _made_of(dataset, settings)
     if not settings.overwrite:
         check_same_sequences(out, made_of)
     with writing(out), _begun(out, made_of):
-        return _made(dataset, out, settings, model, progress)
+        return _made(dataset, out, settings, model, progress, positions)
 
 
 def _made_of(dataset: Dataset, settings: PreprocessSettings) -> dict[str, Any]:
@@ -256,7 +263,12 @@ def _begun(out: Path, made_of: dict[str, Any]) -> Iterator[None]:
 
 
 def _made(
-    dataset: Dataset, out: Path, settings: PreprocessSettings, model: PlaceDescriptor, progress: Progress
+    dataset: Dataset,
+    out: Path,
+    settings: PreprocessSettings,
+    model: PlaceDescriptor,
+    progress: Progress,
+    positions: dict[str, Any],
 ) -> Manifest:
     """Track the sequences of ``dataset`` that can be used, and write them as agents."""
     from maslam.frontend.kernels import odometry_kernels
@@ -291,7 +303,7 @@ def _made(
         raise ToolError(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame; ask for fewer")
     for problem in problems:
         progress.say(f"warning: {problem}")
-    noted = {**_as_set(settings), "problems": problems}
+    noted = {**_as_set(settings), "problems": problems, **({"gps": positions} if positions else {})}
     return write_sequences(out, dataset, plans, model, split, noted, tuple(left_out))
 
 

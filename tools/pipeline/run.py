@@ -23,7 +23,7 @@ DEFAULT_PRESET = "maslam"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SEQS OUT`` and everything that can be set."""
-    parser.add_argument("sequences", metavar="SEQS", type=Path, help="folder that `maslam preprocess` made")
+    parser.add_argument("sequences", metavar="SEQS", type=Path, help="folder that `maslam preprocess` or `import` made")
     parser.add_argument(
         "out",
         metavar="OUT",
@@ -77,20 +77,20 @@ def main(arguments: argparse.Namespace) -> None:
     """The command."""
     from maslam.mas.kernels import agent_kernels
     from maslam.mas.output.run_folder import check_out
-    from maslam.mas.sequence import load_sequences
     from maslam.mas.simulation import run
 
     from ..common.compiling import compile_for
     from ..common.writing import writing
     from ..report.summary_table import json_of, table_of
     from .earlier_result import check_same_run, of_manifest
+    from .predecessor import sequences_for
 
     config = config_from(arguments, read_settings(arguments.config))
     check_out(arguments.out)
-    manifest, sequences = load_sequences(arguments.sequences)
-    if not arguments.overwrite:
-        check_same_run(arguments.out, config, of_manifest(manifest))
     with progress_on(quiet=arguments.quiet) as progress, writing(arguments.out):
+        manifest, sequences = sequences_for(arguments.sequences, arguments.out, progress)
+        if not arguments.overwrite:
+            check_same_run(arguments.out, config, of_manifest(manifest))
         compile_for(agent_kernels(len(sequences)), progress)
         run(manifest, sequences, config, arguments.out, counter(progress, "agents"))
     print(json_of(arguments.out) if arguments.json else table_of(arguments.out))

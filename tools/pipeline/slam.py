@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ..common.folders import check_apart
 from ..common.options import read_settings
 from ..common.progress import Progress, counter, progress_on
+from .predecessor import SEQUENCES
 from .preprocess import (
     SECTION,
     SECTIONS,
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from maslam.mas.config import MasConfig
     from maslam.mas.policies.foreign import PolicyLike
     from maslam.mas.transport.choice import TransportLike
-
-SEQUENCES = "sequences"  # in OUT: what preprocessing made
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,0 +1,204 @@
+"""Trajectories as other programs write them, in whatever form: TUM, KITTI with or without times, EuRoC, 4x4 matrices.
+
+What a file holds is found from its columns, the unit of its times from their size; both are said in ``form``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import rotation_from_quat_wxyz, se3
+
+from ..errors import FrontendError
+from .text_tables import read_bytes
+from .timestamps import NS_PER_S, decimal_ns, seconds_text
+from .trajectory import Trajectory, rigid_rotations
+
+_QUATERNION_TOLERANCE = 0.05
+_UNITS = ((1e17, "nanoseconds", 9), (1e14, "microseconds", 6), (1e11, "milliseconds", 3), (0.0, "seconds", 0))
+"""From this size on, a time of today's clock is in that unit, which has so many digits less than a second."""
+_COLUMNS = "8 (TUM: time x y z qx qy qz qw; EuRoC), 12 or 13 (KITTI, with a time), 16 or 17 (4x4 matrix, with a time)"
+
+
+@dataclass(frozen=True)
+class OtherTrajectory:
+    """``trajectory``: poses as given, of whatever frame; where the file has no times its stamps are 0, 1, 2 … and
+    ``timed`` is False. ``form``: what was read, for people; ``repeated``: rows of a time given before, left out."""
+
+    trajectory: Trajectory
+    form: str
+    timed: bool
+    repeated: int = 0
+
+
+def read_other_trajectory(path: Path, times: Path | None = None) -> OtherTrajectory:
+    """Read ``path``; ``times``: a file with one time a row, for poses without their own.
+
+    :class:`FrontendError` with file and line for a row that is no pose, times that go back, and a file without poses.
+    """
+    if path.suffix == ".npy":
+        values, lines, header = _read_npy(path), [0], ""
+        stamps_text: list[str] = []
+    else:
+        stamps_text, values, lines, header = _read_rows(path)
+    width = values.shape[1]
+    if width in (12, 16):
+        timed = times is not None
+        form = "KITTI" if width == 12 else "4x4 matrices"
+        form += " without times" if times is None else f", times of {times.name}"
+        stamps = np.arange(len(values)) if times is None else _times_of(times, len(values))
+    else:
+        unit, stamps = _stamps(path, stamps_text, lines)
+        form, timed = f"{_name_of(width, header, values)}, times in {unit}", True
+        if times is not None:
+            raise FrontendError(f"{path}: has times of its own; leave out {times}")
+    poses = _poses(path, values, lines, _scalar_first(width, header))
+    return _in_order(path, stamps.astype(np.int64), poses, lines, form, timed)
+
+
+def _in_order(
+    path: Path, stamps: NDArray[np.int64], poses: NDArray[np.float64], lines: list[int], form: str, timed: bool
+) -> OtherTrajectory:
+    steps = np.diff(stamps)
+    for row in np.flatnonzero(steps < 0)[:1] + 1:
+        times = f"from {seconds_text(stamps[row - 1])} s to {seconds_text(stamps[row])} s"
+        raise FrontendError(f"{path}:{lines[row]}: time goes back {times}")
+    first = np.concatenate([[True], steps > 0])
+    return OtherTrajectory(Trajectory(stamps[first], poses[first]), form, timed, int((~first).sum()))
+
+
+def _read_rows(path: Path) -> tuple[list[str], NDArray[np.float64], list[int], str]:
+    """First fields as written, all numbers ``(N, columns)``, line numbers, and the header (lower case, without ``#``).
+
+    Commas, semicolons and blanks separate; lines that start with ``#`` and the words of a first line are a header.
+    """
+    text = read_bytes(path).removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    header = ""
+    first: list[str] = []
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    commas = False
+    for number, line in enumerate(text.splitlines(), 1):
+        fields = line.replace(",", " ").replace(";", " ").split()
+        if not fields or fields[0].startswith("#"):
+            header = header or line.strip("# ").lower()
+            continue
+        if not rows and not _number(fields[0]):
+            header = line.lower()
+            continue
+        commas |= "," in line
+        try:
+            values = [float(field) for field in fields]
+        except ValueError:
+            raise FrontendError(f"{path}:{number}: not a pose: {line.strip()[:60]!r}") from None
+        if rows and len(values) != len(rows[0]):
+            raise FrontendError(f"{path}:{number}: {len(values)} numbers, but {len(rows[0])} in line {lines[0]}")
+        if not all(np.isfinite(values)):
+            raise FrontendError(f"{path}:{number}: NaN or infinity in the line")
+        rows.append(values)
+        first.append(fields[0])
+        lines.append(number)
+    if not rows:
+        raise FrontendError(f"{path}: no poses in this file")
+    euroc = "q_rs" in header or (commas and len(rows[0]) == 17)
+    if len(rows[0]) not in (8, 12, 13, 16, 17) and not euroc:
+        raise FrontendError(f"{path}:{lines[0]}: {len(rows[0])} numbers a row are no pose; known are {_COLUMNS}")
+    values_of = np.array(rows, dtype=np.float64)
+    if euroc:  # time, position, quaternion, then velocity and biases
+        values_of = values_of[:, :8]
+    return first, values_of, lines, f"{'csv ' if commas else ''}{header}"
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_npy(path: Path) -> NDArray[np.float64]:
+    """``(N, 4, 4)`` or ``(N, 3, 4)`` without pickle, as rows."""
+    try:
+        poses = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise FrontendError(f"{path}: not an array of poses: {' '.join(str(error).split())}") from error
+    if poses.ndim != 3 or poses.shape[1:] not in ((4, 4), (3, 4)) or not np.isfinite(poses).all() or not len(poses):
+        raise FrontendError(f"{path}: shape {poses.shape}; N finite matrices, (N, 4, 4), are meant")
+    return np.asarray(poses, dtype=np.float64).reshape(len(poses), -1)
+
+
+def _scalar_first(width: int, header: str) -> bool:
+    """Whether the quaternion's real part comes first: in EuRoC's csv, and where the header says so."""
+    if width != 8:
+        return False
+    names = header.replace("csv ", "").replace(",", " ").split()
+    found = [k for k, name in enumerate(names) if "q" in name and ("w" in name.rpartition("q")[2])]
+    if found and len(names) >= 8:
+        others = [
+            k for k, name in enumerate(names) if "q" in name and name.rpartition("q")[2].strip("_rs[]")[:1] in "xyz"
+        ]
+        return bool(others) and found[0] < min(others)
+    return header.startswith("csv ")
+
+
+def _name_of(width: int, header: str, values: NDArray[np.float64]) -> str:
+    if width == 8:
+        return "EuRoC (qw first)" if _scalar_first(width, header) else "TUM"
+    return "KITTI with times" if width == 13 else "4x4 matrices with times"
+
+
+def _stamps(path: Path, texts: list[str], lines: list[int]) -> tuple[str, NDArray[np.int64]]:
+    """The unit that the first time is in, and all in nanoseconds."""
+    size = abs(float(texts[0]))
+    _, unit, digits = next(entry for entry in _UNITS if size >= entry[0])
+    stamps = []
+    for number, text in zip(lines, texts, strict=True):
+        try:
+            stamps.append(_shifted_ns(text, digits))
+        except ValueError as error:
+            raise FrontendError(f"{path}:{number}: not a time in {unit}: {text[:40]!r} ({error})") from None
+    return unit, np.array(stamps, dtype=np.int64)
+
+
+def _shifted_ns(text: str, digits: int) -> int:
+    """Nanoseconds of a number in 10^-digits seconds, exactly where it is written without an exponent."""
+    whole, point, fraction = text.partition(".")
+    if digits and whole.lstrip("+-").isdigit() and (not point or fraction.isdigit() or not fraction):
+        sign, magnitude = ("-" if whole.startswith("-") else ""), whole.lstrip("+-").rjust(digits + 1, "0")
+        return decimal_ns(f"{sign}{magnitude[:-digits]}.{magnitude[-digits:]}{fraction}")
+    return decimal_ns(text) if not digits else decimal_ns(repr(float(text) / 10.0**digits))
+
+
+def _times_of(path: Path, count: int) -> NDArray[np.int64]:
+    texts, lines = [], []
+    for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").lstrip("\ufeff").splitlines(), 1):
+        fields = line.replace(",", " ").split()
+        if fields and not fields[0].startswith("#"):
+            texts.append(fields[0])
+            lines.append(number)
+            if not _number(fields[0]):
+                raise FrontendError(f"{path}:{number}: not a time: {line.strip()[:60]!r}")
+    if len(texts) != count:
+        raise FrontendError(f"{path}: {len(texts)} times for {count} poses")
+    return _stamps(path, texts, lines)[1]
+
+
+def _poses(path: Path, values: NDArray[np.float64], lines: list[int], scalar_first: bool) -> NDArray[np.float64]:
+    if values.shape[1] == 8:
+        q = values[:, [4, 5, 6, 7]] if scalar_first else values[:, [7, 4, 5, 6]]
+        lengths = np.linalg.norm(q, axis=1)
+        for row in np.flatnonzero(np.abs(lengths - 1.0) > _QUATERNION_TOLERANCE)[:1]:
+            raise FrontendError(f"{path}:{lines[row]}: the quaternion's length is {lengths[row]:.3f}, expected 1")
+        return se3(rotation_from_quat_wxyz(q / lengths[:, None]), values[:, 1:4])
+    matrices = values[:, values.shape[1] % 4 == 1 :].reshape(len(values), -1, 4)
+    return se3(rigid_rotations(matrices[:, :3, :3], path), matrices[:, :3, 3])
+
+
+def spacing_ns(stamps_ns: NDArray[np.int64]) -> int:
+    """Median time between two poses; a second where there is one only."""
+    return int(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else NS_PER_S

@@ -1,0 +1,119 @@
+"""GPS in a team: 2 km of odometry that is 2 % too long, positions once a second with 2 m of noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from factory import DIM, MODEL, SHA256, World, _track, manifest_of
+
+from maslam.backend.geometry import se3, se3_inverse, so3_exp, transform_points
+from maslam.descriptors.container import PlaceVectors
+from maslam.frontend.files.positions import PositionFixes
+from maslam.frontend.files.trajectory import Trajectory
+from maslam.mas.evaluation.summary import Summary
+from maslam.mas.policies.presets import preset
+from maslam.mas.sequence import AgentSequence
+from maslam.mas.simulation import run
+
+STEP_M, COUNT, SIGMA_M, ANTENNA = 5.0, 400, 2.0, np.array([0.5, -1.5, -0.4])
+T_ENU_W = se3(so3_exp([0.0, 0.0, 2.2]) @ so3_exp([1.5707963, 0.0, 0.0]), [1000.0, 200.0, 40.0])
+
+
+def path() -> np.ndarray:
+    T, turn, rng = [np.eye(4)], 0.0, np.random.default_rng(1)
+    for _ in range(COUNT - 1):
+        turn = 0.9 * turn + 0.02 * rng.standard_normal()
+        T.append(T[-1] @ se3(so3_exp([0.0, turn, 0.0]), [0.0, 0.0, STEP_M]))
+    return np.array(T)
+
+
+TRUTH = path()
+
+
+def drifted(truth: np.ndarray, longer: float, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = [np.eye(4)]
+    for k in range(len(truth) - 1):
+        step = se3_inverse(truth[k]) @ truth[k + 1]
+        step[:3, 3] *= 1.0 + longer
+        turn = so3_exp([0.0, 3e-5, 0.0]) @ so3_exp(2e-4 * rng.standard_normal(3))
+        out.append(out[-1] @ step @ se3(turn, 0.01 * rng.standard_normal(3)))
+    return np.array(out)
+
+
+def fixes(truth: np.ndarray, stamps_ns: np.ndarray, seed: int) -> PositionFixes:
+    """At 10 m/s a fix every second key-frame, between two of them."""
+    rng = np.random.default_rng(seed)
+    rows = np.arange(0, len(truth) - 1, 2)
+    antenna = np.array([transform_points(T_ENU_W @ T, ANTENNA[None])[0] for T in truth])
+    middle = 0.5 * (antenna[rows] + antenna[rows + 1]) + SIGMA_M * rng.standard_normal((len(rows), 3))
+    wrong = rng.random(len(rows)) < 0.05
+    middle[wrong] += rng.choice([-1, 1], (int(wrong.sum()), 3)) * 80.0
+    stamps = (stamps_ns[rows] + stamps_ns[rows + 1]) // 2
+    return PositionFixes(stamps, middle, np.full((len(rows), 3), SIGMA_M), ANTENNA)
+
+
+def sequence(number: int, longer: float, gps: bool, seed: int) -> AgentSequence:
+    """An agent on the common path whose odometry is longer by a share; its key-frames show a common world."""
+    rng = np.random.default_rng(seed)
+    world = WORLD
+    odometry, stamps = drifted(TRUTH, longer, seed), 500_000_000 * np.arange(COUNT)
+    track = _track(world, TRUTH, odometry, stamps / 1e9, rng, np.ones(COUNT), 60, 0.02)
+    vectors = PLACES + 0.02 * rng.standard_normal(PLACES.shape)
+    unit = (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+    return AgentSequence(
+        name=f"agent_{number:02d}",
+        tracks=(track,),
+        places=PlaceVectors(MODEL, SHA256, DIM, stamps, unit, np.ones(COUNT, dtype=bool)),
+        trajectory=Trajectory(stamps, odometry),
+        metric=True,
+        start_ns=0,
+        source=f"agent_{number:02d}",
+        groundtruth=Trajectory(stamps, TRUTH),
+        positions=fixes(TRUTH, stamps, 50 + seed) if gps else None,
+    )
+
+
+def _world() -> World:
+    rng = np.random.default_rng(3)
+    local = rng.uniform([-9, -4, 3], [9, 1.5, 22], (COUNT, 40, 3))
+    points = np.concatenate([transform_points(T, p) for T, p in zip(TRUTH, local, strict=True)])
+    count = len(points)
+    descriptors = rng.integers(0, 256, (count, 32), dtype=np.uint8)
+    return World(points, descriptors, rng.integers(0, 10_000, count).astype(np.int32), rng.normal(size=(DIM, 4)), None)
+
+
+WORLD = _world()
+PLACES = np.random.default_rng(4).standard_normal((COUNT, DIM))
+PLACES /= np.linalg.norm(PLACES, axis=1, keepdims=True)
+
+
+def from_start_m(track: np.ndarray) -> float:
+    """Root mean square error of positions that begin where the truth begins."""
+    return float(np.sqrt(((track[:, :3, 3] - TRUTH[:, :3, 3]) ** 2).sum(axis=1).mean()))
+
+
+def played(sequences: list[AgentSequence], folder: Path, **changes: object) -> Summary:
+    config = preset("maslam")
+    config = config.model_copy(update={"optimisation": config.optimisation.model_copy(update=changes)})
+    return run(manifest_of(sequences), sequences, config, folder)
+
+
+def test_one_agent_alone_loses_its_drift(tmp_path: Path) -> None:
+    alone = sequence(0, 0.02, True, 1)
+    before = from_start_m(alone.tracks[0].poses)
+    assert before > 10.0
+    summary = played([alone], tmp_path / "run")
+    assert summary.ate_rmse_m.agents[0] < 0.1 * before
+    # Without them it stays as it was.
+    ignored = played([alone], tmp_path / "without", positions=False)
+    assert ignored.ate_rmse_m.agents[0] > 4.0 * summary.ate_rmse_m.agents[0]
+
+
+def test_an_agent_without_positions_gains_by_its_matches(tmp_path: Path) -> None:
+    team = [sequence(0, 0.02, True, 1), sequence(1, 0.015, False, 2)]
+    before = [from_start_m(one.tracks[0].poses) for one in team]
+    summary = played(team, tmp_path / "run")
+    assert summary.matches.accepted > 10
+    assert max(a / b for a, b in zip(summary.ate_rmse_m.agents, before, strict=True)) < 0.1
