@@ -126,7 +126,11 @@ class Agent:
     @property
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
-        busy = self.optimisation.busy or bool(self.context.ledger.running()) or bool(self._new)
+        # Who has bid owes nothing: whether there will be an award is known to the manager, who may have said it in vain.
+        unsettled = [
+            c for c in self.context.ledger.running() if c.manager == self.state.me or c.state is not ContractState.BID
+        ]
+        busy = self.optimisation.busy or bool(unsettled) or bool(self._new)
         if not self.context.closing or busy or self._pending() or not self.final_round.over:
             return False
         return not self._behind() and not self.places.widening

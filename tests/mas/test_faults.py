@@ -17,6 +17,7 @@ from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
 from maslam.backend.distributed.messages import Decision, SolverStage
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
+from maslam.mas.contracts.contract import ContractState
 from maslam.mas.contracts.effects import NOTHING, Effects
 from maslam.mas.errors import MasError
 from maslam.mas.evaluation.ground_truth import groups_of
@@ -112,6 +113,10 @@ def test_same_seed_same_bytes_under_faults(tmp_path: Path) -> None:
         assert a != c, "another seed, other losses"
 
 
+_BID = ContractState.BID
+"""Of a bid that nobody took up the contractor hears nothing where that message is lost: it has nothing left to do."""
+
+
 @given(
     st.integers(0, 1000),
     st.floats(0.0, 0.4),
@@ -130,7 +135,8 @@ def test_agents_end_in_peace_whatever_the_air_is_like(
     assert not environment.transport.refused
     assert not happened(environment, "refused"), "a message out of place"
     for agent in environment.agents:
-        assert not agent.context.ledger.running(), "a contract without end"
+        unsettled = [c for c in agent.context.ledger.running() if c.manager == agent.state.me or c.state is not _BID]
+        assert not unsettled, "a contract without end"
 
 
 class Deaf(Agent):
