@@ -126,7 +126,7 @@ class Agent:
     @property
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
-        # Who has bid owes nothing: whether there will be an award is known to the manager, who may have said it in vain.
+        # Who has bid owes nothing: the manager knows whether there will be an award, and may have said it in vain.
         unsettled = [
             c for c in self.context.ledger.running() if c.manager == self.state.me or c.state is not ContractState.BID
         ]

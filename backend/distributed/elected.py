@@ -128,8 +128,8 @@ class ElectedNode:
         return [(Kind.COST, [r for r in members if r not in self._costs])]
 
     def _answer(self, message: ElectedMessage) -> list[ElectedMessage]:
-        """To a member that waits for something of this robot's: that, or the decision, or what this robot lacks before
-        it can give it."""
+        """To a member that waits for something of this robot's: that, or the decision. Where this robot cannot give it
+        yet, it asks for what it lacks in its own time."""
         asker, wanted = message.sender, _unpack(_WAIT, message.body)[0]
         said = [m for m in self._said if m.receiver == asker]
         decision = [m for m in said if m.kind is Kind.DECISION]
@@ -137,12 +137,7 @@ class ElectedNode:
             return decision
         if wanted == Kind.SIZE or message.term < self._term:
             return self._to([asker], Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
-        if self.outcome is not None:
-            return []
-        found = [m for m in said if m.kind == wanted]
-        if found:
-            return found
-        return [m for kind, members in self._awaited() if asker in members for m in self._wait([asker], kind)]
+        return [m for m in said if m.kind == wanted]
 
     def _wait(self, members: list[int], kind: Kind) -> list[ElectedMessage]:
         return self._to(members, Kind.WAIT, _WAIT.pack(kind))

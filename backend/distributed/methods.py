@@ -28,7 +28,7 @@ class SolverNode(Protocol):
         which a message of another method does not."""
 
     def tick(self) -> Sequence[Any]:
-        """It has waited long enough: what to send to go on. Counts silence where the method leaves silent members out."""
+        """It has waited long enough: what to send to go on. Counts silence where that leaves members out."""
 
     def again(self, message: Any) -> Sequence[Any]:
         """Return what the sender of ``message``, which came before, may have missed; changes nothing."""

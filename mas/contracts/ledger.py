@@ -37,8 +37,8 @@ def at_once(operation: OperationKind) -> int:
 
 
 class Ledger:
-    """At most one contract of a kind runs with each other agent and direction, but for questions about places: a few. No
-    I/O, no clock."""
+    """At most one contract of a kind runs with each other agent and direction; of questions about places a few. No I/O,
+    no clock."""
 
     def __init__(self, me: int) -> None:
         self.me = me
@@ -62,7 +62,7 @@ class Ledger:
         return identity, free
 
     def called(self, sender: int, identity: ContractId, call: Call) -> CallTaken:
-        """Open the contractor's side; it ends the earliest of the kind where more run than may, whose end at the manager
+        """Open the contractor's side; where more of the kind run than may, the earliest ends: its end at the manager
         was missed. A call that was received before is :class:`Repeated`; one withdrawn before it came, or older than
         the newest of its kind where one runs at a time, is a :class:`LateMessage`."""
         if identity.manager != sender or sender == self.me:

@@ -25,7 +25,6 @@ from .contradictions import hold_against
 from .planning import Plan, plan
 from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
 
-
 # Waits in vain after which a member asks its manager whether the optimisation still goes on.
 _DOUBTS = 3
 

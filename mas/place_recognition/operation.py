@@ -241,7 +241,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         """Call those who are free: one call for all who are asked about the same key-frame. Another before the answer
         is in only where that takes time."""
         running = Counter(c.contractor for c in self.context.ledger.running(self.kind) if c.manager == self.state.me)
-        free = {a for a in others if not running[a] or running[a] < at_once(self.kind) and self._answers_late(a)}
+        free = {a for a in others if not running[a] or (running[a] < at_once(self.kind) and self._answers_late(a))}
         wanted: dict[int, list[int]] = {}
         for other in others:
             if self._waiting.get(other) and other in free and self.context.may_call(other):
