@@ -127,7 +127,7 @@ class Agent:
     @property
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
-        busy = self.optimisation.busy or bool(self.context.ledger.running()) or bool(self._new)
+        busy = self.optimisation.busy or self.context.ledger.unsettled or bool(self._new)
         pending = self._pending() or self._new_positions()
         if not self.context.closing or busy or pending or not self.final_round.over:
             return False

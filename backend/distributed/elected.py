@@ -29,14 +29,16 @@ from .solution import decode_solution, encode_solution
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
 _DECISION = struct.Struct("<?ddH?")
+_WAIT = struct.Struct("<B")
 
 
 class ElectedNode:
     """Call ``start()`` once, then ``handle`` with every message addressed to it, in any order; send what they return.
 
-    ``outcome`` is None while it works. ``tick()`` gives again what others may have missed, and counts: after
-    ``elected_patience`` ticks without a word the elected robot leaves silent members out; after twice as many the
-    members turn to the next robot. Members left out keep their poses.
+    ``outcome`` is None while it works. ``tick()`` asks for what has not come, which its sender then sends again: a few
+    bytes instead of a whole graph. And it counts: after ``elected_patience`` ticks without a word the elected robot
+    leaves silent members out; after twice as many the members turn to the next robot. Members left out keep their
+    poses.
     """
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
@@ -66,7 +68,7 @@ class ElectedNode:
 
     def start(self) -> list[ElectedMessage]:
         """Return the first messages."""
-        out = self._sizes_again()
+        out = self._sizes_to_all()
         return [*out, *self._elect()] if len(self.share.members) == 1 else out
 
     def handle(self, message: ElectedMessage) -> list[ElectedMessage]:
@@ -77,6 +79,8 @@ class ElectedNode:
             raise BackendError(
                 f"robot {self.share.robot} was handed a message from {message.sender} for {message.receiver}"
             )
+        if message.kind is Kind.WAIT and (self.outcome is not None or message.term <= self._term):
+            return self._answer(message)
         if self.outcome is not None:
             return []
         if message.kind is Kind.SIZE:
@@ -92,21 +96,53 @@ class ElectedNode:
         return [*out, *self._take(message)]
 
     def tick(self) -> list[ElectedMessage]:
-        """Return the messages that others may have missed; with patience at its end, also those that leave silent
-        members out."""
+        """Ask for what has not come; with patience at its end, return the messages that leave silent members out."""
+        if self.outcome is not None:
+            return []
         self._silent += 1
-        repeated = list(self._said) if self.outcome is not None else [*self._sizes_again(), *self._said]
-        if self.outcome is not None or self._silent < self._config.elected_patience:
-            return repeated
+        waits = [wait for kind, members in self._awaited() for wait in self._wait(members, kind)]
+        if self._silent < self._config.elected_patience:
+            return waits
         if not self._order:
-            return [*repeated, *self._elect()]
+            return [*waits, *self._elect()]
         if self.leader == self.share.robot:
-            return [*repeated, *self._go_on_without()]
+            return [*waits, *self._go_on_without()]
         if self._silent < 2 * self._config.elected_patience:
-            return repeated
+            return waits
         return self._join(self._term + 1)
 
-    def _sizes_again(self) -> list[ElectedMessage]:
+    def again(self, message: ElectedMessage) -> list[ElectedMessage]:
+        """What the sender of a message that came before may have missed: it asks for that, nothing else tells."""
+        return self._answer(message) if message.kind is Kind.WAIT else []
+
+    def _awaited(self) -> list[tuple[Kind, list[int]]]:
+        """What has not come, and from whom."""
+        if not self._order:
+            return [(Kind.SIZE, [r for r in self._others() if r not in self._sizes])]
+        if self.leader != self.share.robot:
+            assert self.leader is not None
+            return [(Kind.SOLUTION if self._completed is None else Kind.DECISION, [self.leader])]
+        members = self._members()
+        if self._gathered is None:
+            return [(Kind.CONTRIBUTION, [r for r in members if r not in self._contributions])]
+        return [(Kind.COST, [r for r in members if r not in self._costs])]
+
+    def _answer(self, message: ElectedMessage) -> list[ElectedMessage]:
+        """To a member that waits for something of this robot's: that, or the decision. Where this robot cannot give it
+        yet, it asks for what it lacks in its own time."""
+        asker, wanted = message.sender, _unpack(_WAIT, message.body)[0]
+        said = [m for m in self._said if m.receiver == asker]
+        decision = [m for m in said if m.kind is Kind.DECISION]
+        if decision:
+            return decision
+        if wanted == Kind.SIZE or message.term < self._term:
+            return self._to([asker], Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
+        return [m for m in said if m.kind == wanted]
+
+    def _wait(self, members: list[int], kind: Kind) -> list[ElectedMessage]:
+        return self._to(members, Kind.WAIT, _WAIT.pack(kind))
+
+    def _sizes_to_all(self) -> list[ElectedMessage]:
         return self._to(self._others(), Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
 
     def _elect(self) -> list[ElectedMessage]:

@@ -14,13 +14,15 @@ FIRST_KIND = 0xE0
 
 
 class Kind(IntEnum):
-    """Kinds of message, in the order in which they are sent."""
+    """Kinds of message, in the order in which they are sent; ``WAIT``, sent again and again, names the kind that its
+    sender waits for."""
 
     SIZE = 0
     CONTRIBUTION = 1
     SOLUTION = 2
     COST = 3
     DECISION = 4
+    WAIT = 5
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,8 @@ class ElectedMessage:
 
     @property
     def decides(self) -> bool:
-        """Whether it ends something, so that whoever has it needs no answer."""
-        return self.kind is Kind.DECISION
+        """Whether whoever has it needs no answer."""
+        return self.kind in (Kind.SIZE, Kind.DECISION)
 
     def check(self) -> None:
         """Bodies are checked when they are read."""

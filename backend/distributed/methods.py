@@ -28,7 +28,10 @@ class SolverNode(Protocol):
         which a message of another method does not."""
 
     def tick(self) -> Sequence[Any]:
-        """Return the messages that others may have missed."""
+        """It has waited long enough: what to send to go on. Counts silence where that leaves members out."""
+
+    def again(self, message: Any) -> Sequence[Any]:
+        """Return what the sender of ``message``, which came before, may have missed; changes nothing."""
 
 
 def node_for(share: Share, config: SolverConfig) -> SolverNode:

@@ -118,6 +118,12 @@ class Rounds(ABC):
         """Return the messages of the last two rounds again."""
         return [m for r in sorted(self._recent) for m in self._recent[r]]
 
+    def again(self, message: NodeMessage) -> list[NodeMessage]:
+        """What the sender of a message that came before may have missed: the messages to it of its round and later, as
+        it has all before."""
+        kept = [m for r in sorted(self._recent) for m in self._recent[r] if m.receiver == message.sender]
+        return [m for m in kept if message.since is None or m.round >= message.since]
+
     def _width(self) -> int:
         """Numbers of a separator in this round."""
         return width_of(self._round.stage, self.share.scaled)

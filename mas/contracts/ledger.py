@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,9 @@ from .contract import Contract, ContractState, LateMessage, Repeated, advance, e
 
 # Ended contracts an agent remembers, to tell a late message from a wrong one.
 _REMEMBERED = 10_000
+# Contracts of a kind that run at once with each other agent and direction. Questions about places do not depend on each
+# other's answers, and where answers take long more key-frames come than could be asked about one after the other.
+_AT_ONCE = {OperationKind.DVPR: 8}
 
 
 class OwnMistake(RuntimeError):
@@ -27,8 +31,14 @@ class CallTaken:
     superseded: tuple[Contract, ...] = ()
 
 
+def at_once(operation: OperationKind) -> int:
+    """How many contracts of a kind may run at once with each other agent and direction."""
+    return _AT_ONCE.get(operation, 1)
+
+
 class Ledger:
-    """At most one contract of a kind runs with each other agent and direction. No I/O, no clock."""
+    """At most one contract of a kind runs with each other agent and direction; of questions about places a few. No I/O,
+    no clock."""
 
     def __init__(self, me: int) -> None:
         self.me = me
@@ -40,10 +50,10 @@ class Ledger:
     def call(
         self, operation: OperationKind, contractors: Iterable[int], deadline_ns: int
     ) -> tuple[ContractId, list[int]]:
-        """Open one contract as manager with each contractor; those that still have one of the kind are left out.
-        Returns the id and who is to be called."""
-        busy = {c.contractor for c in self._running.values() if c.manager == self.me and c.operation is operation}
-        free = sorted(set(contractors) - busy - {self.me})
+        """Open one contract as manager with each contractor; those that have as many of the kind as may run are left
+        out. Returns the id and who is to be called."""
+        running = Counter(c.contractor for c in self.running(operation) if c.manager == self.me)
+        free = sorted(c for c in set(contractors) - {self.me} if running[c] < at_once(operation))
         identity = ContractId(self.me, self._number)
         if free:
             self._number += 1
@@ -52,22 +62,25 @@ class Ledger:
         return identity, free
 
     def called(self, sender: int, identity: ContractId, call: Call) -> CallTaken:
-        """Open the contractor's side; it ends an earlier one of the kind, whose end at the manager was missed. A call
-        that was received before is :class:`Repeated`; one older than the newest of its kind, or withdrawn before it
-        came, is a :class:`LateMessage`."""
+        """Open the contractor's side; where more of the kind run than may, the earliest ends: its end at the manager
+        was missed. A call that was received before is :class:`Repeated`; one withdrawn before it came, or older than
+        the newest of its kind where one runs at a time, is a :class:`LateMessage`."""
         if identity.manager != sender or sender == self.me:
             raise ProtocolError(f"agent {sender} calls in the name of agent {identity.manager}")
         key = (identity, self.me)
         known = self._running.get(key) or self._ended.get(key)
         if known is not None:
             raise Repeated(known, f"call {sender}:{identity.number} came twice")
-        if key in self._ended or identity.number <= self._newest_call.get((sender, call.operation), -1):
+        several = at_once(call.operation)
+        newest = self._newest_call.get((sender, call.operation), -1)
+        if key in self._ended or (identity.number <= newest and several == 1):
             raise LateMessage(f"call {sender}:{identity.number} came too late")
-        self._newest_call[sender, call.operation] = identity.number
+        self._newest_call[sender, call.operation] = max(identity.number, newest)
+        running = [c for c in self.running(call.operation) if c.manager == sender and c.contractor == self.me]
+        running.sort(key=lambda c: c.id, reverse=True)
         superseded = tuple(
             replace(old, state=ContractState.CANCELLED, reason="its manager calls anew")
-            for old in self.running(call.operation)
-            if old.manager == sender and old.contractor == self.me
+            for old in running[several - 1 :]
         )
         for old in superseded:
             self._keep(old)
@@ -135,6 +148,12 @@ class Ledger:
         """The running contracts of one of my calls, by contractor."""
         mine = [c for (i, _), c in self._running.items() if i == identity and c.manager == self.me]
         return sorted(mine, key=lambda c: c.contractor)
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether a contract runs in which I manage or owe something. Who has bid owes nothing: the manager knows
+        whether there will be an award, and may have said in vain that there will not."""
+        return any(c.manager == self.me or c.state is not ContractState.BID for c in self._running.values())
 
     def running(self, operation: OperationKind | None = None) -> list[Contract]:
         """All running contracts, of one operation or of all, in the order in which they were opened."""

@@ -77,8 +77,10 @@ class Retransmitter:
                 and before in (ContractState.CALLED, ContractState.AWARDED)
                 and contract.state is not before
             ):
-                self.rtt.answered(contract.contractor, now_ns - last.first_ns)
-            last.contract, last.since_ns, last.tries = contract, now_ns, 0
+                self.rtt.answered(contract.contractor, now_ns - last.first_ns, last.tries > 0)
+            # Who only repeats itself is there, and no nearer to an answer.
+            last.tries = last.tries if contract.state is before else 0
+            last.contract, last.since_ns = contract, now_ns
             self._note_owed((contract.id, contract.contractor), contract)
 
     def due(self, now_ns: int) -> list[Message]:

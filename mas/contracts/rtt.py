@@ -1,4 +1,9 @@
-"""Retransmission timeout from recent round-trip times, and no shorter than set."""
+"""Retransmission timeout from recent round-trip times, and no shorter than set.
+
+An answer to a message that was sent once tells how long answers take (Karn and Partridge, SIGCOMM 1987): their mean and
+four times their mean deviation is the timeout, as TCP's (RFC 6298). Until there is one, the quickest of the other
+answers has to do: a lost message makes an answer late, never early.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +11,34 @@ from collections import deque
 
 from ..config import LinkConfig
 
-# Answers that count, and how much longer than the quickest of them to wait.
-_ANSWERS = 8
+# Answers that count; deviations beyond their mean that an answer may take; and how much longer than the quickest answer
+# to wait where none is sure.
+_ANSWERS, _DEVIATIONS = 8, 4.0
 _PATIENCE = 1.5
 
 
 class RttEstimator:
-    """The quickest of the last answers of each other agent. A lost message makes an answer late, never early: so the
-    quickest one is the best estimate of the round-trip time."""
+    """The last answers of each other agent."""
 
     def __init__(self, config: LinkConfig) -> None:
         self.config = config
         self._took: dict[int, deque[int]] = {}
+        self._surely: dict[int, deque[int]] = {}
 
-    def answered(self, other: int, took_ns: int) -> None:
-        """An answer came ``took_ns`` after the message was sent first."""
-        self._took.setdefault(other, deque(maxlen=_ANSWERS)).append(took_ns)
+    def answered(self, other: int, took_ns: int, repeated: bool) -> None:
+        """An answer came ``took_ns`` after the message was sent first; ``repeated``: it was sent again meanwhile."""
+        kept = self._took if repeated else self._surely
+        kept.setdefault(other, deque(maxlen=_ANSWERS)).append(took_ns)
 
     def wait_ns(self, other: int, tries: int = 0) -> int:
         """Timeout, ns, of a message that was sent again ``tries`` times already: twice as long each time."""
-        first = max(self.config.repeat_s * 1e9, _PATIENCE * min(self._took.get(other, (0,))))
+        first = max(self.config.repeat_s * 1e9, self._answer_ns(other))
         return round(min(first * 2**tries, max(first, self.config.repeat_max_s * 1e9)))
+
+    def _answer_ns(self, other: int) -> float:
+        """How long an answer may take."""
+        surely = self._surely.get(other)
+        if not surely:
+            return _PATIENCE * min(self._took.get(other, (0,)))
+        mean = sum(surely) / len(surely)
+        return mean + _DEVIATIONS * sum(abs(took - mean) for took in surely) / len(surely)

@@ -1,14 +1,14 @@
-"""Retransmission among the members of an optimisation (``tick`` of the solver's nodes).
+"""Retransmission among the members of an optimisation (``tick`` and ``again`` of the solver's nodes).
 
-A node that gets no further sends its last messages again; who receives a message for the second time knows by that what
-the sender waits for, and sends its own to it again. Nothing of this happens as long as messages arrive.
+A node that gets no further for as long as answers take asks for what it lacks, or sends its last messages again; who
+receives a message for the second time knows by that what the sender waits for, and sends its own to it again. Nothing
+of this happens as long as messages arrive.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from maslam.backend.distributed.elected_messages import ElectedMessage
 from maslam.backend.distributed.methods import SolverNode
 from maslam.backend.distributed.wire import SolverMessage
 
@@ -38,21 +38,18 @@ class SolverLink:
     def due(self, node: SolverNode, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
         """The last message to each other member, once the node has waited long enough: whoever has it already answers
         with what this node may have missed, and learns by the next that it missed something itself."""
-        last = {m.receiver: m for m in node.tick()}
-        wait = max((rtt.wait_ns(member, min(self.tries, 2)) for member in last), default=0)
+        others = set(node.share.members) - {node.share.robot}
+        wait = max((rtt.wait_ns(member, min(self.tries, 2)) for member in others), default=0)
         if now_ns - self.sent_ns < wait:
             return []
         self.sent_ns, self.tries = now_ns, self.tries + 1
-        return list(last.values())
+        return list({m.receiver: m for m in node.tick()}.values())
 
     def again(self, node: SolverNode, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
-        """The last messages to a member that has sent ``message`` again: those of its round and later, for it has all
-        before. Not twice at once."""
+        """To a member that has sent ``message`` again: what it may have missed. Not twice at once."""
         member = message.sender
         answered = self._answered_ns.get(member)
         if answered is not None and now_ns - answered < rtt.wait_ns(member) // 2:
             return []
         self._answered_ns[member] = now_ns
-        since = message.since
-        last = [m for m in node.tick() if m.receiver == member]
-        return [m for m in last if since is None or isinstance(m, ElectedMessage) or m.round >= since]
+        return list(node.again(message))

@@ -115,6 +115,14 @@ class Candidates:
         self.by_id[candidate.id] = replace(candidate, check=MatchCheck(reason=reason or ""))
         return reason is None
 
+    def still_wanted(self, match: MatchId) -> bool:
+        """Whether a candidate that waited is worth its verification by now. If not, its reason says why."""
+        reason = self._why_not(match)
+        if reason is not None and reason is not SkipReason.KNOWN:
+            self.by_id[match] = replace(self.by_id[match], check=MatchCheck(reason=reason))
+            return False
+        return True
+
     def checked(self, match: MatchId, check: MatchCheck) -> None:
         """A candidate of the agent's own queries was checked; a match that others found is none, and is left out."""
         if match in self.by_id:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -14,6 +14,7 @@ from maslam.descriptors.errors import DescriptorError
 from ..contracts.context import AgentContext
 from ..contracts.contract import Contract
 from ..contracts.effects import NOTHING, Effects, total
+from ..contracts.ledger import at_once
 from ..contracts.operation import Answer, Operation, WorkError
 from ..contracts.retries import RetryBudget
 from ..policies.utility import PLACE_ANSWER_BYTES
@@ -52,6 +53,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         self.own_loops = OwnLoops(context, candidates, verification)
         self._waiting: dict[int, deque[int]] = {}
         self._asked: dict[ContractId, int] = {}
+        self._asked_ns: dict[int, int] = {}
         self._cluster = ClusterIndex()
         self._latest = RecentQueries(candidates, context.state.config.places.latest_frames)
         self.sent_queries = SentQueries()
@@ -236,18 +238,25 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         return self._next([a for a in sorted(self._waiting) if self._waiting[a]])
 
     def _next(self, others: Iterable[int]) -> Effects:
-        """Call those who are free: one call for all who are asked about the same key-frame."""
-        busy = {c.contractor for c in self.context.ledger.running(OperationKind.DVPR) if c.manager == self.state.me}
+        """Call those who are free: one call for all who are asked about the same key-frame. Another before the answer
+        is in only where that takes time."""
+        running = Counter(c.contractor for c in self.context.ledger.running(self.kind) if c.manager == self.state.me)
+        free = {a for a in others if not running[a] or (running[a] < at_once(self.kind) and self._answers_late(a))}
         wanted: dict[int, list[int]] = {}
         for other in others:
-            if self._waiting.get(other) and other not in busy and self.context.may_call(other):
+            if self._waiting.get(other) and other in free and self.context.may_call(other):
                 wanted.setdefault(self._waiting[other].popleft(), []).append(other)
         effects = NOTHING
         for keyframe, agents in sorted(wanted.items()):
             call = self.context.call(OperationKind.DVPR, agents)
             self._asked[call.identity] = keyframe
+            self._asked_ns.update(dict.fromkeys(call.contractors, self.context.now_ns))
             effects += call.effects
         return effects
+
+    def _answers_late(self, other: int) -> bool:
+        """Whether the last question to the other is some time ago, and not answered yet."""
+        return self._asked_ns.get(other, 0) < self.context.now_ns
 
     def close_own_loop(self, keyframe: KeyFrame) -> Effects:
         """Compare a key-frame with the agent's own much earlier ones, and verify the nearest: no message needed."""

@@ -115,6 +115,11 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         waiting = self._waiting.get(other)
         if not waiting or not self.context.may_call(other):
             return NOTHING
+        # What was learned meanwhile may have answered it.
+        while waiting and waiting[0] not in self._promising and not self.candidates.still_wanted(waiting[0]):
+            waiting.popleft()
+        if not waiting:
+            return NOTHING
         call = self.context.call(OperationKind.RELPOSE, [other])
         if call.contractors:
             match = waiting.popleft()

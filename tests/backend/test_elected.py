@@ -236,6 +236,28 @@ def test_silent_robots_are_done_without(silent):
     assert cost(found, "F") == pytest.approx(best, rel=1e-4)
 
 
+def test_who_waits_asks_and_only_what_was_lost_is_sent_again():
+    graph, _ = loops(np.random.default_rng(7), robots=4, length=20, separators=4)
+    patient = CONFIG.model_copy(update={"elected_patience": 1000})
+    nodes = {r: ElectedNode(s, patient) for r, s in shares(graph).items()}
+    queue, lost, sent = [m for n in nodes.values() for m in n.start()], set(), []
+    for _ in range(30):
+        while queue:
+            message = queue.pop(0)
+            sent.append(message)
+            # The first of each kind that a robot sends to another is lost.
+            key = (message.kind, message.sender, message.receiver)
+            if key not in lost and message.kind is not Kind.WAIT:
+                lost.add(key)
+                continue
+            queue += nodes[message.receiver].handle(message)
+        queue = [m for n in nodes.values() for m in n.tick()]
+    assert all(n.outcome is not None and n.outcome.accepted for n in nodes.values())
+    for kind in (Kind.CONTRIBUTION, Kind.SOLUTION):
+        assert sum(m.kind is kind for m in sent) == 2 * 3, "lost once, sent twice"
+    assert all(m.payload_bytes == 1 for m in sent if m.kind is Kind.WAIT)
+
+
 class Fading(ElectedNode):
     """Contributes, and then neither hears nor says anything."""
 
@@ -279,9 +301,9 @@ def test_an_elected_robot_that_comes_back_late_keeps_its_poses():
         if all(n.outcome for n in awake.values()):
             break
     assert late is not None
-    for message in queue:
-        if message.receiver == late:
-            nodes[late].handle(message)
+    for message in nodes[late].tick():
+        for answer in nodes[message.receiver].handle(message):
+            nodes[late].handle(answer)
     outcome = nodes[late].outcome
     assert outcome is not None and not outcome.accepted and outcome.reason.startswith("left out")
     assert all(np.array_equal(T, graph.poses[n]) for n, T in outcome.poses.items())

@@ -19,7 +19,7 @@ from maslam.mas.contracts.contract import (
     advance,
     expire,
 )
-from maslam.mas.contracts.ledger import Ledger
+from maslam.mas.contracts.ledger import Ledger, at_once
 from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Award, Bid, Call, Cancel, Confirmation, Failure, Refusal, Rejection, Result
 from maslam.mas.protocol.tasks import MapOrder, PlaceAnswer
@@ -101,14 +101,26 @@ def test_both_sides_keep_the_same_state() -> None:
 
 def test_at_most_one_contract_of_a_kind_a_pair() -> None:
     ledger = Ledger(MANAGER)
-    ledger.call(OperationKind.DVPR, [1, 2], 10)
-    assert ledger.call(OperationKind.DVPR, [1, 2, 4], 10)[1] == [4]
+    ledger.call(OperationKind.RELPOSE, [1, 2], 10)
+    assert ledger.call(OperationKind.RELPOSE, [1, 2, 4], 10)[1] == [4]
     assert ledger.call(OperationKind.DOPT, [1, 2], 10)[1] == [1, 2]
+
+
+def test_questions_about_places_are_a_few_at_once_in_any_order() -> None:
+    """They do not depend on each other's answers; the contractor's side is bounded whatever its manager does."""
+    manager, contractor, most = Ledger(MANAGER), Ledger(CONTRACTOR), at_once(OperationKind.DVPR)
+    calls = [manager.call(OperationKind.DVPR, [CONTRACTOR], 10) for _ in range(most + 1)]
+    assert [free for _, free in calls] == [[CONTRACTOR]] * most + [[]]
+    for identity, _ in reversed(calls[:most]):
+        assert contractor.called(MANAGER, identity, Call(OperationKind.DVPR, 10)).superseded == ()
+    taken = contractor.called(MANAGER, ContractId(MANAGER, 99), Call(OperationKind.DVPR, 10))
+    assert [c.id for c in taken.superseded] == [calls[0][0]]
+    assert len(contractor.running()) == most
 
 
 def test_a_call_that_comes_twice_is_refused() -> None:
     ledger = Ledger(CONTRACTOR)
-    call = Call(OperationKind.DVPR, 10)
+    call = Call(OperationKind.RELPOSE, 10)
     ledger.called(MANAGER, ContractId(MANAGER, 4), call)
     with pytest.raises(Repeated, match="twice"):
         ledger.called(MANAGER, ContractId(MANAGER, 4), call)
@@ -121,7 +133,7 @@ def test_a_newer_call_ends_the_contractors_copy_of_an_older_one() -> None:
     """The manager calls anew only after its own copy has ended: that end was lost on the way."""
     ledger = Ledger(CONTRACTOR)
     over = []
-    for number, operation in ((0, OperationKind.DVPR), (1, OperationKind.DOPT), (2, OperationKind.DVPR)):
+    for number, operation in ((0, OperationKind.RELPOSE), (1, OperationKind.DOPT), (2, OperationKind.RELPOSE)):
         over += ledger.called(MANAGER, ContractId(MANAGER, number), Call(operation, 10)).superseded
     assert [c.id.number for c in ledger.running()] == [1, 2]
     assert [(c.id.number, c.state) for c in over] == [(0, ContractState.CANCELLED)]

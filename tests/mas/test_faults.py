@@ -17,6 +17,7 @@ from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
 from maslam.backend.distributed.messages import Decision, SolverStage
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
+from maslam.mas.contracts.contract import ContractState
 from maslam.mas.contracts.effects import NOTHING, Effects
 from maslam.mas.errors import MasError
 from maslam.mas.evaluation.ground_truth import groups_of
@@ -130,7 +131,9 @@ def test_agents_end_in_peace_whatever_the_air_is_like(
     assert not environment.transport.refused
     assert not happened(environment, "refused"), "a message out of place"
     for agent in environment.agents:
-        assert not agent.context.ledger.running(), "a contract without end"
+        # Of a bid that nobody took up the contractor hears nothing where that message is lost: nothing is left to do.
+        bids = [c.contractor == agent.state.me and c.state is ContractState.BID for c in agent.context.ledger.running()]
+        assert all(bids), "a contract without end"
 
 
 class Deaf(Agent):

@@ -231,6 +231,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     for line in lines:
         progress.say(line)
     made_of = _made_of(dataset, settings)
+    made_of["settings"] |= {"gps": positions} if positions else {}
     if not settings.overwrite:
         check_same_sequences(out, made_of)
     with writing(out), _begun(out, made_of):

@@ -1,0 +1,67 @@
+"""What slow and lossy links cost: answers that take long, messages sent in vain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from factory import town
+
+from maslam.mas.config import FaultsConfig, LinkConfig, MasConfig
+from maslam.mas.contracts.contract import Contract, ContractState
+from maslam.mas.contracts.retransmission import Retransmitter
+from maslam.mas.contracts.rtt import RttEstimator
+from maslam.mas.evaluation.summary import Summary
+from maslam.mas.policies.presets import preset
+from maslam.mas.protocol.ids import ContractId, OperationKind
+from maslam.mas.protocol.messages import Call, Message
+from maslam.mas.simulation import run
+
+MS = 10**6
+
+
+def through(tmp_path: Path, seed: int = 0, **faults: float) -> Summary:
+    config = preset("maslam")
+    config = config.model_copy(update={"seed": seed, "faults": FaultsConfig.model_validate(faults)})
+    manifest, sequences = town(3, 40, spacing_m=6.0, drifting=0.03)
+    return run(manifest, sequences, MasConfig.model_validate(config.model_dump()), tmp_path / f"{seed}{len(faults)}")
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_late_answers_cost_time_on_the_way_and_little_else(tmp_path: Path, seed: int) -> None:
+    still, late = through(tmp_path), through(tmp_path, seed, delay_s=0.1, jitter_s=0.2)
+    assert late.groups == still.groups == [[0, 1, 2]]
+    assert late.steps <= still.steps + 20, "ten seconds for some dozen answers one after the other"
+    assert late.traffic["total"].wire_bytes <= 1.8 * still.traffic["total"].wire_bytes
+    assert late.ate_rmse_m.mean_agents == pytest.approx(still.ate_rmse_m.mean_agents, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_of_ten_messages_three_are_lost_and_not_many_more_are_sent_than_must_be(tmp_path: Path, seed: int) -> None:
+    still, lossy = through(tmp_path), through(tmp_path, seed, loss=0.3)
+    assert lossy.groups == still.groups == [[0, 1, 2]]
+    needed = still.traffic["total"].wire_bytes / 0.7
+    assert lossy.traffic["total"].wire_bytes <= 1.5 * needed, "few messages, so losses by chance count"
+    assert lossy.steps <= still.steps + 12
+
+
+def test_answers_to_what_was_sent_once_say_how_long_to_wait() -> None:
+    rtt = RttEstimator(LinkConfig())
+    assert rtt.wait_ns(1) == 10 * MS
+    rtt.answered(1, 900 * MS, repeated=True)
+    assert rtt.wait_ns(1) == 1350 * MS, "nothing better is known"
+    for took in (200, 400, 200, 400):
+        rtt.answered(1, took * MS, repeated=False)
+    assert rtt.wait_ns(1) == (300 + 4 * 100) * MS, "mean and four mean deviations"
+    assert rtt.wait_ns(2) == 10 * MS
+
+
+def test_who_only_repeats_itself_does_not_shorten_the_wait() -> None:
+    keeper = Retransmitter(0, LinkConfig())
+    contract = Contract(ContractId(0, 0), 1, OperationKind.DOPT, 10**12, ContractState.WORKING)
+    keeper.sent(contract, Message(0, 1, contract.id, Call(OperationKind.DOPT, 10**12)), 0)
+    sent = []
+    for now in range(0, 300 * MS, 10 * MS):
+        keeper.received(contract, now)
+        sent += [now // MS] * len(keeper.due(now))
+    assert sent == [10, 30, 70, 150]
