@@ -104,7 +104,7 @@ class ElectedNode:
         if self._silent < self._config.elected_patience:
             return waits
         if not self._order:
-            return [*waits, *self._elect()]
+            return [*waits, *self._elect_without()]
         if self.leader == self.share.robot:
             return [*waits, *self._go_on_without()]
         if self._silent < 2 * self._config.elected_patience:
@@ -151,6 +151,15 @@ class ElectedNode:
         out = self._join(self._term)
         early, self._early = self._early, []
         return [*out, *(reply for message in early for reply in self.handle(message))]
+
+    def _elect_without(self) -> list[ElectedMessage]:
+        """Out of patience with members from which nothing has come: an elected robot goes on without them."""
+        silent = {r for r in self._others() if r not in self._sizes}
+        out = self._elect()
+        if self.leader == self.share.robot and self._gathered is None:
+            self._left_out |= silent - set(self._contributions)
+            out += self._try_solve()
+        return out
 
     def _join(self, term: int) -> list[ElectedMessage]:
         """Begin a term: contribute to its elected robot, or begin to gather."""

@@ -137,7 +137,7 @@ def test_under_loss_the_group_is_found_all_contracts_end_and_it_costs_a_bounded_
     environment, evaluator = live(manifest, sequences, config)
     assert groups_of(environment.agents) == [[0, 1, 2]]
     for agent in environment.agents:
-        assert not agent.context.ledger.running() and not happened(environment, "refused")
+        assert not agent.context.ledger.unsettled and not happened(environment, "refused")
         assert all(r is Trust.GOOD for r in regards(environment.agents, agent.state.me)), "losses blame nobody"
     odometry = [evaluator.error_of(a.state.me, odometry_of(a)) for a in environment.agents]
     after = np.mean([e.rmse_m for e in errors(environment, evaluator)])
