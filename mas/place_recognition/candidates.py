@@ -115,9 +115,10 @@ class Candidates:
         self.by_id[candidate.id] = replace(candidate, check=MatchCheck(reason=reason or ""))
         return reason is None
 
-    def still_wanted(self, match: MatchId) -> bool:
-        """Whether a candidate that waited is worth its verification by now. If not, its reason says why."""
-        reason = self._why_not(match)
+    def still_wanted(self, match: MatchId, now_ns: int) -> bool:
+        """Whether a candidate that waited for some time is worth its verification by now. If not, its reason says
+        why."""
+        reason = self._why_not(match) if now_ns > self.by_id[match].now_ns else None
         if reason is not None and reason is not SkipReason.KNOWN:
             self.by_id[match] = replace(self.by_id[match], check=MatchCheck(reason=reason))
             return False

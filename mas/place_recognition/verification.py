@@ -116,7 +116,8 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         if not waiting or not self.context.may_call(other):
             return NOTHING
         # What was learned meanwhile may have answered it.
-        while waiting and waiting[0] not in self._promising and not self.candidates.still_wanted(waiting[0]):
+        now_ns = self.context.now_ns
+        while waiting and waiting[0] not in self._promising and not self.candidates.still_wanted(waiting[0], now_ns):
             waiting.popleft()
         if not waiting:
             return NOTHING
