@@ -79,6 +79,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         path_length_m=None if steps is None else float(steps.sum()),
         decoded=len(chosen),
         problems=(*sequence.problems, *damaged, *sensors.problems),
+        images=sensors.images,
         rows=sensors.rows,
         depth=sensors.depth,
         missing=sequence.missing,
@@ -88,8 +89,9 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
 
 @dataclass(frozen=True)
 class _Sensors:
-    """Findings of the images on their calibration: a line for stereo, a line for depth, and what is wrong."""
+    """Findings of the images: a line on what they show, a line for stereo, a line for depth, and what is wrong."""
 
+    images: str = ""
     rows: str = ""
     depth: str = ""
     problems: tuple[Problem, ...] = ()
@@ -101,13 +103,15 @@ def _decode(
     """Every frame of ``chosen`` that cannot be read (missing files are known already), and what the
     others show."""
     from maslam.frontend.datasets import Problem, Severity
+    from maslam.frontend.datasets.pair_check import fit_pair, match_pair
     from maslam.frontend.errors import FrontendError
 
-    from .sensor_checks import check_depth, check_rows, depth_lines, row_lines
+    from .image_checks import check_image, image_lines
+    from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
 
     known = any("missing" in problem.message for problem in sequence.problems)
     looked_at = set(list(chosen)[:: max(1, len(chosen) // _SAMPLES)])
-    problems, rows, depths = [], [], []
+    problems, images, rows, matches, depths = [], [], [], [], []
     task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
     for done, i in enumerate(chosen, 1):
         files = [files[i] for files in (sequence.left, sequence.right, sequence.depth) if files]
@@ -115,16 +119,21 @@ def _decode(
             try:
                 frame = sequence.read(i)
                 if i in looked_at:
+                    images.append(check_image(frame))
                     rows.append(check_rows(frame))
+                    if frame.right is not None:
+                        matches.append(match_pair(frame.image, frame.right))
                     depths.append(check_depth(frame))
             except FrontendError as error:
                 problems.append(Problem(Severity.ERROR, str(error)))
         if progress is not None:
             progress.advance(task, done)
     pairs, measured = [c for c in rows if c is not None], [c for c in depths if c is not None]
-    row_line, row_problems = row_lines(pairs) if pairs else ("", [])
+    image_line, image_problems = image_lines(images) if images else ("", [])
+    row_line, row_problems = turned_lines(pairs, fit_pair(matches, sequence.rig.camera)) if pairs else ("", [])
     depth_line, depth_problems = depth_lines(measured) if measured else ("", [])
-    return problems, _Sensors(row_line, depth_line, (*row_problems, *depth_problems))
+    said = (*image_problems, *row_problems, *depth_problems)
+    return problems, _Sensors(image_line, row_line, depth_line, said)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

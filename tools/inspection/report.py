@@ -19,8 +19,8 @@ _LABEL = {"camera": "calibration", "left": "left camera", "right": "right camera
 @dataclass(frozen=True)
 class SequenceReport:
     """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``: images that
-    the names' numbers lack; ``understood``: each camera as its calibration file describes it."""
+    frames were tried; ``images``, ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``:
+    images that the names' numbers lack; ``understood``: each camera as its calibration file describes it."""
 
     name: str
     kind: str
@@ -35,6 +35,7 @@ class SequenceReport:
     path_length_m: float | None
     decoded: int
     problems: tuple[Problem, ...]
+    images: str = ""
     rows: str = ""
     depth: str = ""
     missing: tuple[MissingImages, ...] = ()
@@ -58,6 +59,7 @@ class SequenceReport:
             *(f"  {_LABEL[one.side]:13} {one.sentence()}" for one in self.understood),
             f"  ground truth  {truth}",
             f"  decoded       {self.decoded} of {self.frames} frames",
+            *([f"  images        {self.images}"] if self.images else []),
             *([f"  rows          {self.rows}"] if self.rows else []),
             *([f"  depth         {self.depth}"] if self.depth else []),
         ]
