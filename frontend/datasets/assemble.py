@@ -42,6 +42,7 @@ class FoundSequence:
     ``stamps_ns`` (both for messages). ``truth``: ``T_W_C`` of the calibrated left camera, before rectification.
     ``depth_unit_m``: metres per step of the depth images. ``depth_sensor``: None where depth is stored registered to
     the image. ``missing``: images that the names' numbers lack.
+    ``focal_guess``: where the focal length comes from that nobody calibrated, else empty.
     """
 
     kind: str
@@ -57,6 +58,7 @@ class FoundSequence:
     depth_sensor: DepthSensor | None = None
     truth: Trajectory | None = None
     missing: tuple[MissingImages, ...] = ()
+    focal_guess: str = ""
 
 
 def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSequence:
@@ -106,6 +108,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         groundtruth=truth,
         missing=found.missing,
         understood=_understood(found, kind, None if ideal.rectifier is None else ideal.camera),
+        focal_guess=found.focal_guess,
         problems=tuple(dict.fromkeys(problems.found)),
     )
 

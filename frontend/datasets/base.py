@@ -76,6 +76,7 @@ class ImageSequence:
     images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left
     camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
     ``understood``: each camera as its calibration file describes it.
+    ``focal_guess``: where the focal length comes from that nobody calibrated, else empty.
     """
 
     kind: str
@@ -95,6 +96,7 @@ class ImageSequence:
     problems: tuple[Problem, ...] = ()
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
+    focal_guess: str = ""
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):

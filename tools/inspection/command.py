@@ -26,16 +26,17 @@ def inspect_dataset(
     rig: RigKind | None = None,
     progress: Progress | None = None,
     png: Path | None = None,
+    focal: bool = False,
 ) -> InspectReport:
     """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
 
-    ``png``: where a picture of each sequence's middle frame goes. Raises ``FrontendError`` where there is no sequence
-    to speak of.
+    ``png``: where a picture of each sequence's middle frame goes; ``focal``: estimate each focal length from the
+    images. Raises ``FrontendError`` where there is no sequence to speak of.
     """
     from maslam.frontend.datasets import open_dataset
 
     dataset = open_dataset(path, rig, strict=False)
-    reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
+    reports = tuple(_inspect_sequence(sequence, decode_all, progress, focal) for sequence in dataset.sequences)
     if png is not None:
         _write_picture(dataset.sequences, png)
     return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
@@ -52,10 +53,14 @@ def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
     write_atomically(path, encoded.tobytes())
 
 
-def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:
+def _inspect_sequence(
+    sequence: ImageSequence, decode_all: bool, progress: Progress | None, focal: bool
+) -> SequenceReport:
     import numpy as np
 
     from maslam.frontend.files.timestamps import NS_PER_S
+
+    from .focal_check import check_focal
 
     count = len(sequence)
     chosen = range(count) if decode_all else sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
@@ -63,6 +68,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
     intervals = np.diff(sequence.stamps_ns)
     median_s = float(np.median(intervals)) / NS_PER_S if len(intervals) else 0.0
     damaged, sensors = _decode(sequence, chosen, progress)
+    focal_line, focal_problems = check_focal(sequence, progress) if focal else ("", [])
     truth = sequence.groundtruth
     steps = np.linalg.norm(np.diff(truth.centres, axis=0), axis=1) if truth is not None else None
     return SequenceReport(
@@ -78,7 +84,8 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         groundtruth_poses=0 if truth is None else len(truth),
         path_length_m=None if steps is None else float(steps.sum()),
         decoded=len(chosen),
-        problems=(*sequence.problems, *damaged, *sensors.problems),
+        problems=(*sequence.problems, *damaged, *sensors.problems, *focal_problems),
+        focal=focal_line,
         images=sensors.images,
         rows=sensors.rows,
         depth=sensors.depth,
@@ -149,6 +156,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the middle frame, undistorted, with its features; a pair with common rows, or the depth beside it",
     )
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
+    parser.add_argument(
+        "--focal",
+        action="store_true",
+        help="estimate the focal length from the images (a minute), and warn where the calibration's is off by 5 %%",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
 
 
@@ -159,8 +171,8 @@ def main(arguments: argparse.Namespace) -> int:
     from ..common.progress import progress_on
 
     rig = RigKind(arguments.rig) if arguments.rig else None
-    with progress_on(quiet=not arguments.all) as progress:
-        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png)
+    with progress_on(quiet=not (arguments.all or arguments.focal)) as progress:
+        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png, arguments.focal)
     print(json.dumps(record(report), indent=2) if arguments.json else "\n".join(report.lines()))
     if arguments.png is not None and not arguments.json:
         print(f"picture: {arguments.png}")

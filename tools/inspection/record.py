@@ -56,6 +56,7 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
         "images": one.images,
         "rows": one.rows,
         "depth": one.depth,
+        "focal": one.focal,
         "problems": _problems(one.problems),
     }
 

@@ -19,8 +19,9 @@ _LABEL = {"camera": "calibration", "left": "left camera", "right": "right camera
 @dataclass(frozen=True)
 class SequenceReport:
     """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried; ``images``, ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``:
-    images that the names' numbers lack; ``understood``: each camera as its calibration file describes it."""
+    frames were tried; ``images``, ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``focal``:
+    what they say of the focal length, where that was asked for; ``missing``: images that the names' numbers lack;
+    ``understood``: each camera as its calibration file describes it."""
 
     name: str
     kind: str
@@ -38,6 +39,7 @@ class SequenceReport:
     images: str = ""
     rows: str = ""
     depth: str = ""
+    focal: str = ""
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
 
@@ -62,6 +64,7 @@ class SequenceReport:
             *([f"  images        {self.images}"] if self.images else []),
             *([f"  rows          {self.rows}"] if self.rows else []),
             *([f"  depth         {self.depth}"] if self.depth else []),
+            *([f"  focal length  {self.focal}"] if self.focal else []),
         ]
         shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
         hidden = len(self.problems) - len(shown)
