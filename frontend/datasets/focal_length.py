@@ -18,14 +18,15 @@ from .base import ImageSequence
 
 _READ, _IMAGES, _FEWEST = 1500, 40, 12
 """Frames looked at; images chosen of these; fewest that tell anything."""
-_SMALL_PX, _SIFT_PX = 320, 640
-"""Longest side of the images that motion is measured in, and of those that are reconstructed."""
+_SMALL_PX, _SIFT_PX = 320, 560
+"""Longest side of the images that motion is measured in; root of the area, pixels, of those that are reconstructed."""
 _STEP = 0.06
 """Motion between two chosen images, share of the width."""
 _STARTS = (1.0, 0.75, 0.5, 1.5)
 """First guesses, multiples of what the file or custom says."""
-_AGREE, _BETTER = 0.015, 1.3
-"""Two reconstructions agree: focal lengths by this share. One is better: its error is smaller by this factor."""
+_AGREE, _BETTER, _APART = 0.015, 1.3, 0.05
+"""Two reconstructions agree: focal lengths by this share. One is better: its error is smaller by this factor. Those
+that none is better than lie apart by more than this share: nothing is known."""
 _TURNED_DEG = 10.0
 """Optical axes that differ by less: the images look alike for every focal length, with a scene stretched along them."""
 _PLACED = 0.6
@@ -48,7 +49,7 @@ def refine(sequence: ImageSequence, advance: Callable[[int], None]) -> RefinedFo
     images = _chosen_images(sequence)
     if len(images) < _FEWEST:
         return RefinedFocal(None, 0.0, f"only {len(images)} images differ enough, {_FEWEST} are needed")
-    share = min(1.0, _SIFT_PX / max(images[0].shape))
+    share = min(1.0, _SIFT_PX / float(np.sqrt(images[0].size)))
     small = [_resized(image, share) for image in images]
     camera = sequence.rig.camera
     guess = camera.fx * share
@@ -62,13 +63,18 @@ def refine(sequence: ImageSequence, advance: Callable[[int], None]) -> RefinedFo
             if found is not None and found.images >= _PLACED * len(small):
                 runs.append(found)
             advance(k + 2)
-            if len(runs) >= 2 and _settled(runs):
+            if _settled(runs):
                 break
+        if runs and not _settled(runs):  # begun at the best of them, it must come out the same
+            again = calibrator.run(min(runs, key=lambda run: run.error_px).focal_px)
+            runs += [again] if again is not None else []
     return _judged(runs, share)
 
 
 def _settled(runs: Sequence[SelfCalibration]) -> bool:
     """Whether the two best of several reconstructions agree."""
+    if len(runs) < 2:
+        return False
     best, other = sorted(runs, key=lambda run: run.error_px)[:2]
     return abs(best.focal_px / other.focal_px - 1.0) < _AGREE
 
@@ -82,12 +88,17 @@ def _judged(runs: Sequence[SelfCalibration], share: float) -> RefinedFocal:
     if best.turned_deg < _TURNED_DEG:
         why = f"the camera turns by {best.turned_deg:.0f} degrees only, {_TURNED_DEG:.0f} are needed"
         return RefinedFocal(None, 0.0, why)
-    others = [run for run in ranked[1:] if abs(run.focal_px / best.focal_px - 1.0) >= _AGREE]
-    agreeing = len(ranked) - len(others) >= 2
-    if not agreeing and any(run.error_px < _BETTER * best.error_px for run in others):
-        focals = ", ".join(f"{run.focal_px / share:.0f} px" for run in (best, *others))
+    near = [run for run in ranked if run.error_px < _BETTER * best.error_px]
+    apart = max(abs(run.focal_px / best.focal_px - 1.0) for run in near)
+    if len(near) < 2:
+        return RefinedFocal(None, 0.0, "no two first guesses lead to the same")
+    if apart > _APART:
+        focals = ", ".join(f"{run.focal_px / share:.0f} px" for run in near)
         return RefinedFocal(None, 0.0, f"several focal lengths fit nearly alike: {focals}")
-    return RefinedFocal(best.focal_px / share, best.k1, f"{best.images} images, {best.error_px:.2f} px mean error")
+    why = (
+        f"{best.images} images, {best.error_px:.2f} px mean error, {len(near)} first guesses within {100 * apart:.1f} %"
+    )
+    return RefinedFocal(best.focal_px / share, best.k1, why)
 
 
 def _chosen_images(sequence: ImageSequence) -> list[NDArray[np.uint8]]:

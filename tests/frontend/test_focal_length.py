@@ -127,10 +127,11 @@ def run_of(focal: float, error: float, turned: float = 40.0) -> SelfCalibration:
     [
         ([], None, "could not be reconstructed"),
         ([run_of(500, 0.3, turned=4.0)], None, "turns by 4 degrees only"),
-        ([run_of(500, 0.3), run_of(501, 0.3)], 1000.0, ""),
-        ([run_of(340, 0.56), run_of(500, 0.23)], 1000.0, ""),
-        ([run_of(340, 0.25), run_of(500, 0.23)], None, "several focal lengths fit nearly alike: 1000 px, 680 px"),
-        ([run_of(340, 0.25), run_of(500, 0.23), run_of(502, 0.24)], 1000.0, ""),
+        ([run_of(500, 0.3), run_of(501, 0.3)], 1000.0, "2 first guesses within 0.2 %"),
+        ([run_of(500, 0.3), run_of(510, 0.31), run_of(490, 0.32)], 1000.0, "3 first guesses within 2.0 %"),
+        ([run_of(340, 0.56), run_of(500, 0.23)], None, "no two first guesses"),
+        ([run_of(340, 0.56), run_of(500, 0.23), run_of(502, 0.24)], 1000.0, ""),
+        ([run_of(340, 0.25), run_of(500, 0.23), run_of(502, 0.24)], None, "fit nearly alike: 1000 px, 1004 px, 680 px"),
     ],
 )
 def test_reconstructions_that_contradict_each_other_tell_nothing(
