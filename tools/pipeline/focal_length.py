@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _BENT_PX = 1.0
 """Displacement in the corners from which ``k1`` is used."""
-_CODE = ("frontend/datasets", "frontend/cameras")
+_CODE = ("frontend/datasets", "frontend/cameras", "maslam/_pycolmap.py")
 
 
 def refine_guessed(dataset: Dataset, store: Path, progress: Progress, workers: int) -> tuple[Dataset, list[str]]:
