@@ -115,6 +115,8 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
 
 def _understood(found: FoundSequence, kind: RigKind, ideal: PinholeCamera | None) -> tuple[UnderstoodCamera, ...]:
     raw, right = found.raw, found.raw.right
+    if found.focal_guess:
+        return ()
     if kind is not RigKind.STEREO or right is None:
         return (UnderstoodCamera("camera", raw.left, found.calibration, raw.form, ideal),)
     sides = (("left", raw.left), ("right", right))

@@ -29,7 +29,7 @@ def check_focal(sequence: ImageSequence, progress: Progress | None) -> tuple[str
     advance(REFINE_STEPS)
     used = sequence.rig.camera.fx
     if found.focal_px is None:
-        return f"cannot be told from the images: {found.why}", []
+        return f"is not known from the images: {found.why}", []
     off = found.focal_px / used - 1.0
     line = f"{found.focal_px:.1f} px by the images ({found.why}), {100 * off:+.1f} % of the one used"
     if abs(off) <= _OFF or sequence.focal_guess:
