@@ -42,7 +42,8 @@ class FoundSequence:
     ``stamps_ns`` (both for messages). ``truth``: ``T_W_C`` of the calibrated left camera, before rectification.
     ``depth_unit_m``: metres per step of the depth images. ``depth_sensor``: None where depth is stored registered to
     the image. ``missing``: images that the names' numbers lack. ``name``: of the sequence, by default the folder's;
-    ``origin``: what of a recording is read, for people.
+    ``origin``: what of a recording is read, for people. ``focal_guess``: where the focal length comes from that nobody
+    calibrated, else empty.
     """
 
     kind: str
@@ -60,6 +61,7 @@ class FoundSequence:
     missing: tuple[MissingImages, ...] = ()
     name: str = ""
     origin: str = ""
+    focal_guess: str = ""
 
 
 def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSequence:
@@ -110,12 +112,15 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         missing=found.missing,
         understood=_understood(found, kind, None if ideal.rectifier is None else ideal.camera),
         origin=found.origin,
+        focal_guess=found.focal_guess,
         problems=tuple(dict.fromkeys(problems.found)),
     )
 
 
 def _understood(found: FoundSequence, kind: RigKind, ideal: PinholeCamera | None) -> tuple[UnderstoodCamera, ...]:
     raw, right = found.raw, found.raw.right
+    if found.focal_guess:
+        return ()
     if kind is not RigKind.STEREO or right is None:
         return (UnderstoodCamera("camera", raw.left, found.calibration, raw.form, ideal),)
     sides = (("left", raw.left), ("right", right))

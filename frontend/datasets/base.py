@@ -78,6 +78,7 @@ class ImageSequence:
     camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
     ``understood``: each camera as its calibration file describes it.
     ``origin``: what of a recording is read, in a line for people; empty for image files.
+    ``focal_guess``: where the focal length comes from that nobody calibrated, else empty.
     """
 
     kind: str
@@ -98,6 +99,7 @@ class ImageSequence:
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
     origin: str = ""
+    focal_guess: str = ""
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):

@@ -15,6 +15,7 @@ from ..files.trajectory import Trajectory, read_kitti_poses, read_tum
 from .assemble import FoundSequence, assemble, available_rigs, frame_truth
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
+from .guessed_camera import guess_camera, guess_text
 from .images import list_images
 from .numbering import MissingImages, missing_images, numbered_steps
 
@@ -49,12 +50,13 @@ class FolderReader(Reader):
         inside = _image_folder(folder)
         images = tuple(list_images(folder / inside)) if inside else ()
         calibration = find_camera_file(folder) or (find_camera_file(folder / inside) if inside else None)
+        guess = ""
         if calibration is None:
-            raise FrontendError(
-                f"{folder}: images but no calibration file; put a camera.yaml beside them "
-                "(width, height, fx, fy, cx, cy)"
-            )
-        raw, source = calibration
+            raw, guess = guess_camera(images)
+            source = folder
+            problems.warning(guess_text(folder, raw, guess))
+        else:
+            raw, source = calibration
         right = _partners(folder, _RIGHT.get(inside or ""), images)
         depth = next((files for name in _DEPTH if (files := _partners(folder, name, images))), ())
         if right and raw.right is None:
@@ -78,6 +80,7 @@ class FolderReader(Reader):
             depth_unit_m=raw.depth_unit_m or 0.001,
             truth=_groundtruth(folder, times),
             missing=missing,
+            focal_guess=guess,
         )
         return assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, folder), problems)
 

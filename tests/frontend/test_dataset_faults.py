@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -54,8 +55,8 @@ def test_a_broken_agent_is_named(tmp_path: Path) -> None:
     lenient = open_dataset(tmp_path, strict=False)
     assert [sequence.name for sequence in lenient.sequences] == ["agent_0"]
     assert "agent_1: no images" in lenient.problems[0].message
-    (tmp_path / "agent_0/calib.txt").unlink()
-    with pytest.raises(FrontendError, match=r"no images of a known layout|no calibration file"):
+    shutil.rmtree(tmp_path / "agent_0/image_0")
+    with pytest.raises(FrontendError, match="no images"):
         open_dataset(tmp_path, strict=False)
 
 
@@ -71,7 +72,7 @@ def test_a_broken_agent_is_named(tmp_path: Path) -> None:
             ["a/calib.txt", "a/image_0/x.png", "b/calib.txt", "b/image_0/x.png"],
             "holds several sequences \\(a, b\\); name one of them",
         ),
-        (["0.png"], "no calibration file; put a camera.yaml"),
+        (["0.png"], "0.png: "),
         (["calib.txt", "image_0/readme.txt"], "no images in image_0 or image_2"),
         (["0.png", "one.yaml", "two.yaml"], "which of one.yaml, two.yaml is the camera"),
     ],

@@ -30,16 +30,17 @@ def inspect_dataset(
     progress: Progress | None = None,
     png: Path | None = None,
     recording: RecordingConfig | None = None,
+    focal: bool = False,
 ) -> InspectReport:
     """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
 
-    ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read. Raises
-    ``FrontendError`` where there is no sequence to speak of.
+    ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read; ``focal``:
+    estimate each focal length from the images. Raises ``FrontendError`` where there is no sequence to speak of.
     """
     from maslam.frontend.datasets import open_dataset
 
     dataset = open_dataset(path, rig, strict=False, recording=recording)
-    reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
+    reports = tuple(_inspect_sequence(sequence, decode_all, progress, focal) for sequence in dataset.sequences)
     if png is not None:
         _write_picture(dataset.sequences, png)
     return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
@@ -56,10 +57,14 @@ def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
     write_atomically(path, encoded.tobytes())
 
 
-def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:
+def _inspect_sequence(
+    sequence: ImageSequence, decode_all: bool, progress: Progress | None, focal: bool
+) -> SequenceReport:
     import numpy as np
 
     from maslam.frontend.files.timestamps import NS_PER_S
+
+    from .focal_check import check_focal
 
     count = len(sequence)
     chosen = range(count) if decode_all else sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
@@ -67,6 +72,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
     intervals = np.diff(sequence.stamps_ns)
     median_s = float(np.median(intervals)) / NS_PER_S if len(intervals) else 0.0
     damaged, sensors = _decode(sequence, chosen, progress)
+    focal_line, focal_problems = check_focal(sequence, progress) if focal else ("", [])
     truth = sequence.groundtruth
     steps = np.linalg.norm(np.diff(truth.centres, axis=0), axis=1) if truth is not None else None
     return SequenceReport(
@@ -82,7 +88,9 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         groundtruth_poses=0 if truth is None else len(truth),
         path_length_m=None if steps is None else float(steps.sum()),
         decoded=len(chosen),
-        problems=(*sequence.problems, *damaged, *sensors.problems),
+        problems=(*sequence.problems, *damaged, *sensors.problems, *focal_problems),
+        focal=focal_line,
+        images=sensors.images,
         rows=sensors.rows,
         depth=sensors.depth,
         missing=sequence.missing,
@@ -93,8 +101,9 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
 
 @dataclass(frozen=True)
 class _Sensors:
-    """Findings of the images on their calibration: a line for stereo, a line for depth, and what is wrong."""
+    """Findings of the images: a line on what they show, a line for stereo, a line for depth, and what is wrong."""
 
+    images: str = ""
     rows: str = ""
     depth: str = ""
     problems: tuple[Problem, ...] = ()
@@ -106,14 +115,16 @@ def _decode(
     """Every frame of ``chosen`` that cannot be read (missing files are known already), and what the
     others show."""
     from maslam.frontend.datasets import Problem, Severity
+    from maslam.frontend.datasets.pair_check import fit_pair, match_pair
     from maslam.frontend.datasets.stored_image import file_of
     from maslam.frontend.errors import FrontendError
 
-    from .sensor_checks import check_depth, check_rows, depth_lines, row_lines
+    from .image_checks import check_image, image_lines
+    from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
 
     known = any("missing" in problem.message for problem in sequence.problems)
     looked_at = set(list(chosen)[:: max(1, len(chosen) // _SAMPLES)])
-    problems, rows, depths = [], [], []
+    problems, images, rows, matches, depths = [], [], [], [], []
     task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
     for done, i in enumerate(chosen, 1):
         files = [file_of(images[i]) for images in (sequence.left, sequence.right, sequence.depth) if images]
@@ -121,16 +132,21 @@ def _decode(
             try:
                 frame = sequence.read(i)
                 if i in looked_at:
+                    images.append(check_image(frame))
                     rows.append(check_rows(frame))
+                    if frame.right is not None:
+                        matches.append(match_pair(frame.image, frame.right))
                     depths.append(check_depth(frame))
             except FrontendError as error:
                 problems.append(Problem(Severity.ERROR, str(error)))
         if progress is not None:
             progress.advance(task, done)
     pairs, measured = [c for c in rows if c is not None], [c for c in depths if c is not None]
-    row_line, row_problems = row_lines(pairs) if pairs else ("", [])
+    image_line, image_problems = image_lines(images) if images else ("", [])
+    row_line, row_problems = turned_lines(pairs, fit_pair(matches, sequence.rig.camera)) if pairs else ("", [])
     depth_line, depth_problems = depth_lines(measured) if measured else ("", [])
-    return problems, _Sensors(row_line, depth_line, (*row_problems, *depth_problems))
+    said = (*image_problems, *row_problems, *depth_problems)
+    return problems, _Sensors(image_line, row_line, depth_line, said)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -150,6 +166,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the middle frame, undistorted, with its features; a pair with common rows, or the depth beside it",
     )
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
+    parser.add_argument(
+        "--focal",
+        action="store_true",
+        help="estimate the focal length from the images (a minute), and warn where the calibration's is off by 5 %%",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     add_model_options(parser, RecordingConfig(), RECORDING)
 
@@ -163,8 +184,10 @@ def main(arguments: argparse.Namespace) -> int:
 
     rig = RigKind(arguments.rig) if arguments.rig else None
     recording = build(RecordingConfig(), arguments, prefix=RECORDING)
-    with progress_on(quiet=not arguments.all) as progress:
-        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png, recording)
+    with progress_on(quiet=not (arguments.all or arguments.focal)) as progress:
+        report = inspect_dataset(
+            arguments.source, arguments.all, rig, progress, arguments.png, recording, arguments.focal
+        )
     print(json.dumps(record(report), indent=2) if arguments.json else "\n".join(report.lines()))
     if arguments.png is not None and not arguments.json:
         print(f"picture: {arguments.png}")

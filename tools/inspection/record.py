@@ -54,8 +54,10 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
         "groundtruth_poses": one.groundtruth_poses,
         "path_length_m": one.path_length_m,
         "decoded": one.decoded,
+        "images": one.images,
         "rows": one.rows,
         "depth": one.depth,
+        "focal": one.focal,
         "problems": _problems(one.problems),
     }
 

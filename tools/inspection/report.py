@@ -19,9 +19,9 @@ _LABEL = {"camera": "calibration", "left": "left camera", "right": "right camera
 @dataclass(frozen=True)
 class SequenceReport:
     """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``: images that
-    the names' numbers lack; ``understood``: each camera as its calibration file describes it; ``origin``: what of a
-    recording is read."""
+    frames were tried; ``images``, ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``focal``:
+    what they say of the focal length, where that was asked for; ``missing``: images that the names' numbers lack;
+    ``understood``: each camera as its calibration file describes it; ``origin``: what of a recording is read."""
 
     name: str
     kind: str
@@ -36,8 +36,10 @@ class SequenceReport:
     path_length_m: float | None
     decoded: int
     problems: tuple[Problem, ...]
+    images: str = ""
     rows: str = ""
     depth: str = ""
+    focal: str = ""
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
     origin: str = ""
@@ -61,8 +63,10 @@ class SequenceReport:
             *(f"  {_LABEL[one.side]:13} {one.sentence()}" for one in self.understood),
             f"  ground truth  {truth}",
             f"  decoded       {self.decoded} of {self.frames} frames",
+            *([f"  images        {self.images}"] if self.images else []),
             *([f"  rows          {self.rows}"] if self.rows else []),
             *([f"  depth         {self.depth}"] if self.depth else []),
+            *([f"  focal length  {self.focal}"] if self.focal else []),
         ]
         shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
         hidden = len(self.problems) - len(shown)

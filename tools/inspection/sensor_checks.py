@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import Problem
+    from maslam.frontend.datasets.pair_check import PairFit
     from maslam.frontend.frames import Frame
 
 _FEATURES = 1000
@@ -22,6 +23,10 @@ _ENOUGH = 40
 _ROWS_PX, _ROWS_75_PX = 1.0, 1.5
 _WRONG_WAY = 0.25
 """Share of points that may lie right of their place in the left image: mismatches; far points do so by rounding."""
+_SAME_PX = 0.1
+"""Disparity below which nearly all points of a pair of equal images stay, also where each was compressed by itself."""
+_YAW_DEG = 0.5
+"""A turn of the right camera about y that moves all disparities, as cameras in each other's place do."""
 _DEPTH_M = (0.1, 30.0)
 _DEPTH_KNOWN = 0.05
 
@@ -132,6 +137,26 @@ def row_lines(checks: Sequence[RowCheck]) -> tuple[str, list[Problem]]:
                 f"three in four by less than {most:.2f} px: the pair is not rectified, or by another calibration",
             )
         )
+    return line, problems
+
+
+def turned_lines(checks: Sequence[RowCheck], fit: PairFit | None) -> tuple[str, list[Problem]]:
+    """As :func:`row_lines`, with two causes of what else looks like other faults: both images are the same, or the
+    right camera is turned against its calibration (``fit``), which moves rows and disparities."""
+    from maslam.frontend.datasets import Problem, Severity
+
+    line, problems = row_lines(checks)
+    disparity = np.concatenate([c.disparity_px for c in checks])
+    if len(disparity) >= _ENOUGH and float(np.quantile(np.abs(disparity), 0.95)) < _SAME_PX:
+        return line, [Problem(Severity.ERROR, "all disparities are 0: the right images are the left ones")]
+    if fit is not None and fit.off:
+        kept = [
+            problem for problem in problems if problem.severity is Severity.ERROR and abs(fit.turn_deg[1]) < _YAW_DEG
+        ]
+        return line, [
+            *kept,
+            Problem(Severity.WARNING, f"the calibration is off, or the pair is not rectified: {fit.text()}"),
+        ]
     return line, problems
 
 

@@ -221,20 +221,29 @@ def _made(
     from ..common.compiling import compile_for
     from ..common.parallel import core_count, run_jobs
     from .agent_folder import plan_agents, stand_in, write_sequences
+    from .calibration_notes import corrected, rows_apart
+    from .focal_length import refine_guessed
     from .tracking_cache import is_tracked, take_tracked, track_job
 
+    store, workers = settings.store or out / FRONTEND, settings.workers or core_count()
+    dataset, refined = refine_guessed(dataset, store, progress, workers)
     jobs, problems, left_out = _plan(dataset, out, settings)
+    problems += refined
+    off = {job.sequence.name: note for job in jobs if (note := rows_apart(job.sequence))}
+    problems += [f"{name}: {note}" for name, note in off.items()]
     refused = [problem.message for problem in dataset.problems] + [f"{e.sequence}: {e.reason}" for e in left_out]
     compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
-    outcomes = run_jobs(track_job, named, settings.workers or core_count(), progress)
+    outcomes = run_jobs(track_job, named, workers, progress)
     errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
-    untracked = [f"{name}: {describe(error)}" for name, error in errors.items()]
-    problems += untracked
+    untracked = ["; ".join(filter(None, (f"{n}: {describe(error)}", off.get(n)))) for n, error in errors.items()]
+    problems += [f"{name}: {describe(error)}" for name, error in errors.items()]
     left_out += [LeftOutEntry(sequence=n, frames=named[n][1], reason=describe(e)) for n, e in errors.items()]
     tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
     problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
     problems += [f"{sequence.name}: {line}" for sequence, _ in tracked if (line := stand_in(sequence))]
+    notes = [(sequence.name, corrected(one.stats, sequence.rig)) for sequence, one in tracked]
+    problems += [f"{name}: {note}" for name, note in notes if note]
     if not tracked:
         why, count = [*refused, *untracked], len(dataset.sequences)
         said = why[0] if len(why) == 1 else f"{dataset.root}: none of {count} sequences can be used: {why[0]}"
