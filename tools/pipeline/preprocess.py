@@ -266,13 +266,17 @@ def _plan(
     from maslam.frontend.datasets.base import Severity
     from maslam.mas.sequence import LeftOutEntry
 
+    from ..inspection.image_checks import look_at_sample
     from .tracking_cache import make_job
 
     jobs, problems = [], [problem.message for problem in dataset.problems]
     left_out = []
     for sequence in dataset.sequences:
-        problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
-        fatal = [problem.message for problem in sequence.problems if problem.severity is Severity.ERROR]
+        found = list(sequence.problems)
+        if not any(problem.severity is Severity.ERROR for problem in found):
+            found += look_at_sample(sequence).problems
+        problems += [f"{sequence.name}: {problem.message}" for problem in found]
+        fatal = [problem.message for problem in found if problem.severity is Severity.ERROR]
         if fatal:
             left_out.append(LeftOutEntry(sequence=sequence.name, frames=len(sequence), reason="; ".join(fatal)))
         else:

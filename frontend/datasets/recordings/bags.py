@@ -19,6 +19,7 @@ from ...recording_config import RecordingConfig
 from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..images import list_images
+from ..truth import as_truth
 from .bag import BAG_SUFFIXES, Bag, Messages, bags_in
 from .bag_image import BagImage, ImageTopic
 from .bag_truth import read_truth
@@ -130,7 +131,7 @@ def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, a
         right=right,
         depth=depth,
         depth_unit_m=raw.depth_unit_m or _MILLIMETRE,
-        truth=_truth(bag, topics, name, alone),
+        truth=as_truth(_truth(bag, topics, name, alone), bag.path),
         name=name,
         origin=_described(topics, bool(right), bool(depth)),
     )

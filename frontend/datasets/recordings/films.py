@@ -16,6 +16,7 @@ from ...files.timestamps import NS_PER_S
 from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..images import list_images, natural_key
+from ..truth import as_truth
 from .beside import camera_beside, truth_beside
 from .film import FILM_SUFFIXES, Film, FilmFrame, FilmIndex, index_film
 from .simultaneous import same_moment
@@ -106,7 +107,7 @@ def _open_film(path: Path, right_path: Path | None, rig: RigKind | None, alone: 
         stamps_ns=stamps[frames],
         stamps_source=path,
         right=right,
-        truth=truth_beside(path.parent, path.stem, alone),
+        truth=as_truth(truth_beside(path.parent, path.stem, alone), path),
         name=path.resolve().parent.name if right else path.stem,
         origin=_described(path, film) + (f"; right: {right_path.name}" if right and right_path else ""),
     )
