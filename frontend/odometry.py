@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,7 +234,8 @@ class Odometry:
     def _search(self, frame: Frame, segment: Segment, refusal: Reason) -> tuple[Segment, TrackedFrame]:
         """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""
         if not self._lost_frames:
-            log.warning("tracking lost at frame %d: %s", frame.index, unless_dark(refusal, frame.image).text)
+            image = f" ({PurePath(frame.name).name})" if frame.name else ""
+            log.warning("tracking lost at frame %d%s: %s", frame.index, image, unless_dark(refusal, frame.image).text)
             self._starter = make_starter(self.ranging, self.config, self.stopwatch)
             if self._finished and not segment.lasting(self.config.min_track_keyframes):
                 self._forgotten.append(segment)

@@ -66,18 +66,16 @@ class Problems:
 class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
 
-    ``kind``: the reader's; ``name``: of the folder, unique in a data set.
-    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image per frame, a file or a part of a recording;
-    ``right`` (stereo) and ``depth`` (RGB-D, 16 bit, ``depth_unit_m`` metres per step) likewise, else empty.
-    ``rectifier`` maps the images as stored to those of ``rig``; None where they are rectified already.
-    ``registration`` maps depth as stored to the camera of ``rig``; None where it is stored registered to the image
-    (and goes through the ``rectifier`` with it).
+    ``kind``: the reader's; ``name``: of the folder, unique in a data set. ``stamps_ns`` ``(N,)`` int64, ascending.
+    ``left`` names one image per frame, a file or a part of a recording; ``right`` (stereo) and ``depth`` (RGB-D)
+    likewise, else empty; ``depth_unit_m``: metres per step or number of its files. ``rectifier`` maps the images as
+    stored to those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the
+    camera of ``rig``; None where it is stored registered to the image (and goes through the ``rectifier`` with it).
     ``stored_size`` ``(width, height)`` of the image files, pixels; ``stored_camera``: the calibrated camera that took
     them, and ``R_rectified_left`` ``(3, 3)``, which turns its coordinates into the rectified one's; None where the
-    images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left
-    camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
-    ``understood``: each camera as its calibration file describes it.
-    ``origin``: what of a recording is read, in a line for people; empty for image files.
+    images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left camera, at all known moments, not
+    only those of frames. ``missing``: images that the names' numbers lack. ``understood``: each camera as its
+    calibration file describes it. ``origin``: what of a recording is read, in a line for people; empty for image files.
     ``focal_guess``: where the focal length comes from that nobody calibrated, else empty.
     """
 
@@ -123,6 +121,10 @@ class ImageSequence:
     def read_image(self, i: int) -> NDArray[np.uint8]:
         """The image of frame ``i`` alone, ``(H, W)`` uint8 grey; errors as :meth:`read`'s."""
         return self._left(i)
+
+    def read_right(self, i: int) -> NDArray[np.uint8]:
+        """The right image of frame ``i`` of a stereo sequence alone, as :meth:`read_image`."""
+        return self._right(i)
 
     def read_colour(self, i: int) -> NDArray[np.uint8]:
         """The image of frame ``i``, rectified like its grey one, ``(H, W, 3)`` BGR; of three equal channels where the

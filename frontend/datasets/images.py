@@ -27,37 +27,25 @@ def list_images(folder: Path) -> list[Path]:
     """Image files directly in ``folder``, in natural order; hidden files are not images."""
     if not folder.is_dir():
         return []
-    found = [
-        p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()
-    ]
-    return sorted(found, key=lambda p: natural_key(p.name))
+    return sorted((path for path in folder.iterdir() if is_image(path)), key=lambda p: natural_key(p.name))
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file is one by its name; hidden files are not."""
+    return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
 
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
     """``(H, W)`` uint8 grey, whatever the file holds. :class:`FrontendError` where the file is missing, cut off or
     not an image."""
-    image = _decode(path, cv2.IMREAD_GRAYSCALE)
+    image = decode_file(path, cv2.IMREAD_GRAYSCALE)
     return image.astype(np.uint8, copy=False)
 
 
 def read_colour(path: Path) -> NDArray[np.uint8]:
     """``(H, W, 3)`` uint8 BGR, whatever the file holds; errors as :func:`read_grey`'s."""
-    image = _decode(path, cv2.IMREAD_COLOR)
+    image = decode_file(path, cv2.IMREAD_COLOR)
     return image.astype(np.uint8, copy=False)
-
-
-def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
-    """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres per step; 0 and 65535 are unknown and
-    become 0. Errors as :func:`read_grey`'s, and for an image of another format."""
-    raw = _decode(path, cv2.IMREAD_UNCHANGED)
-    if raw.ndim != 2 or raw.dtype != np.uint16:
-        channels = 1 if raw.ndim == 2 else raw.shape[2]
-        raise FrontendError(
-            f"{path}: a depth image has one channel of 16 bits, found {channels} of {raw.dtype.itemsize * 8}"
-        )
-    depth = raw.astype(np.float32) * np.float32(unit_m)
-    depth[raw == np.uint16(65535)] = 0.0
-    return depth
 
 
 def first_size(paths: Sequence[Path]) -> tuple[int, int]:
@@ -73,7 +61,8 @@ def first_size(paths: Sequence[Path]) -> tuple[int, int]:
     raise errors[0]
 
 
-def _decode(path: Path, flags: int) -> NDArray[np.generic]:
+def decode_file(path: Path, flags: int) -> NDArray[np.generic]:
+    """The image in the file as OpenCV decodes it; errors as :func:`read_grey`'s."""
     return decode(read_bytes(path), path, flags)
 
 

@@ -106,7 +106,7 @@ def test_no_such_folder(tmp_path: Path) -> None:
             r"times.txt: time goes back at frame 3 \(000003.png\): 0.100000000 s, then 0.020000000 s",
         ),
         ("times.txt", "0.150000000", "0.100000000", r"times.txt: time stands still at frame 3"),
-        ("times.txt", "0.150000000", "nan", r"times.txt:4: not a time in seconds: 'nan'"),
+        ("times.txt", "0.150000000", "nan", r"times.txt:4: not a time: 'nan'"),
         ("times.txt", "0.150000000\n", "", r"times.txt: 5 times for 6 images"),
         ("calib.txt", f"P0: {FX}", "P0: nan", r"calib.txt:1: a projection matrix has 12 finite numbers"),
         ("calib.txt", f"P0: {FX} 0", "P0: 0", r"calib.txt:1: a projection matrix has 12 finite numbers, found 11"),
@@ -116,13 +116,6 @@ def test_no_such_folder(tmp_path: Path) -> None:
         ("calib.txt", "-20.0", "-20000.0", r"baseline is 250 m, outside 0.001 to 10 m: another unit"),
         ("calib.txt", "-20.0", "-0.02", r"baseline is 0.00025 m"),
         ("calib.txt", "-20.0", "0.0", r"baseline is -0.0 m"),
-        ("poses.txt", "1.500000000000e+00", "inf", r"poses.txt:2: NaN or infinity"),
-        (
-            "poses.txt",
-            "1.500000000000e+00\n",
-            "\n",
-            r"poses.txt:2: a KITTI pose \(13 with a time\) has 12 numbers, found 11",
-        ),
     ],
 )
 def test_kitti_numbers(tmp_path: Path, file: str, old: str, new: str, message: str) -> None:
@@ -134,14 +127,10 @@ def test_kitti_numbers(tmp_path: Path, file: str, old: str, new: str, message: s
         open_dataset(tmp_path)
 
 
-@pytest.mark.parametrize(("factor", "rate"), [(1e-3, "2e\\+04"), (1e3, "0.02")])
-def test_times_in_another_unit(tmp_path: Path, factor: float, rate: str) -> None:
+def test_times_that_are_no_cameras_in_any_unit(tmp_path: Path) -> None:
     write_kitti(tmp_path, make_scene())
-    if factor > 1:
-        factor *= 10
-        rate = "0.002"
-    (tmp_path / "times.txt").write_text("".join(f"{i * 0.05 * factor:.9f}\n" for i in range(COUNT)))
-    with pytest.raises(FrontendError, match=rf"times.txt: {rate} images per second .* another unit"):
+    (tmp_path / "times.txt").write_text("".join(f"{i * 0.00005:.9f}\n" for i in range(COUNT)))
+    with pytest.raises(FrontendError, match=r"times.txt: 2e\+04 images per second .* another unit"):
         open_dataset(tmp_path)
 
 

@@ -98,9 +98,9 @@ def test_the_same_image_twice_is_named(pair: Path, tmp_path: Path, capsys: pytes
     shutil.rmtree(pair / "image_1")
     shutil.copytree(pair / "image_0", pair / "image_1")
     report = inspect_dataset(pair)
-    assert report.errors == 1 and "all disparities are 0" in messages(report)[0]
+    assert report.errors == 1 and "the same pictures" in messages(report)[0]
     assert main(["preprocess", str(pair), str(tmp_path / "out"), "--quiet", "--workers", "1"]) == 1
-    assert "all disparities are 0: left and right are the same image" in capsys.readouterr().err
+    assert "left and right images are the same pictures" in capsys.readouterr().err
 
 
 def test_fog_is_named_by_its_features(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.tracking.pose_log import LostInterval
-from maslam.tools.pipeline.agent_folder import lost_frames
+from maslam.mas.sequence import LostEntry
+from maslam.tools.pipeline.agent_folder import lost_frames, with_images
 from maslam.tools.pipeline.tracking import UNREADABLE, lost_gap
 
 
@@ -33,3 +35,15 @@ def test_a_part_of_a_lost_interval_counts_its_own_frames() -> None:
         said.append(entry.reason)
     parts = ["too dark (4 frames); few points (2 frames)", f"few points (3 frames); {UNREADABLE} (1 frame)"]
     assert said == [*parts, gap.reason]
+
+
+def test_intervals_are_named_by_their_images_where_frames_have_other_numbers() -> None:
+    """An image is missing before the interval, or the block begins later; names from 0 on say nothing new."""
+    entry = LostEntry(first_frame=2, last_frame=3, reason="dark")
+    found = []
+    for first, names in ((0, range(6)), (0, (0, 2, 3, 4, 5)), (1, range(6)), (0, "abcdef")):
+        left = tuple(Path(f"{name:06d}.png" if isinstance(name, int) else f"{name}.png") for name in names)
+        plan: Any = SimpleNamespace(sequence=SimpleNamespace(left=left), share=SimpleNamespace(first=first))
+        (named,) = with_images(plan, [entry])
+        found.append((named.first_image, named.last_image))
+    assert found == [("", ""), ("000003", "000004"), ("000003", "000004"), ("c", "d")]

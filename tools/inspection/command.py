@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..checks.findings import ImageFindings, look_at, samples_of
 from ..common.options import add_model_options, build
 from .record import record
 from .report import InspectReport, SequenceReport
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ..common.progress import Progress
 
 RECORDING = "recording"
-_SAMPLES = 8  # frames decoded of each sequence when not all are
 
 
 def inspect_dataset(
@@ -62,12 +61,13 @@ def _inspect_sequence(
 ) -> SequenceReport:
     import numpy as np
 
+    from maslam.frontend.datasets.truth import frames_covered
     from maslam.frontend.files.timestamps import NS_PER_S
 
     from .focal_check import check_focal
 
     count = len(sequence)
-    chosen = range(count) if decode_all else sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
+    chosen = range(count) if decode_all else samples_of(count)
     duration_s = float(sequence.stamps_ns[-1] - sequence.stamps_ns[0]) / NS_PER_S
     intervals = np.diff(sequence.stamps_ns)
     median_s = float(np.median(intervals)) / NS_PER_S if len(intervals) else 0.0
@@ -86,6 +86,7 @@ def _inspect_sequence(
         stored_size=sequence.stored_size,
         rectified_here=sequence.rectifier is not None,
         groundtruth_poses=0 if truth is None else len(truth),
+        groundtruth_frames=0 if truth is None else frames_covered(truth, sequence.stamps_ns),
         path_length_m=None if steps is None else float(steps.sum()),
         decoded=len(chosen),
         problems=(*sequence.problems, *damaged, *sensors.problems, *focal_problems),
@@ -99,32 +100,18 @@ def _inspect_sequence(
     )
 
 
-@dataclass(frozen=True)
-class _Sensors:
-    """Findings of the images: a line on what they show, a line for stereo, a line for depth, and what is wrong."""
-
-    images: str = ""
-    rows: str = ""
-    depth: str = ""
-    problems: tuple[Problem, ...] = ()
-
-
 def _decode(
     sequence: ImageSequence, chosen: range | list[int], progress: Progress | None
-) -> tuple[list[Problem], _Sensors]:
+) -> tuple[list[Problem], ImageFindings]:
     """Every frame of ``chosen`` that cannot be read (missing files are known already), and what the
     others show."""
     from maslam.frontend.datasets import Problem, Severity
-    from maslam.frontend.datasets.pair_check import fit_pair, match_pair
     from maslam.frontend.datasets.stored_image import file_of
     from maslam.frontend.errors import FrontendError
 
-    from .image_checks import check_image, image_lines
-    from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
-
     known = any("missing" in problem.message for problem in sequence.problems)
-    looked_at = set(list(chosen)[:: max(1, len(chosen) // _SAMPLES)])
-    problems, images, rows, matches, depths = [], [], [], [], []
+    looked_at = set(samples_of(len(sequence)))
+    problems, frames = [], []
     task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
     for done, i in enumerate(chosen, 1):
         files = [file_of(images[i]) for images in (sequence.left, sequence.right, sequence.depth) if images]
@@ -132,21 +119,12 @@ def _decode(
             try:
                 frame = sequence.read(i)
                 if i in looked_at:
-                    images.append(check_image(frame))
-                    rows.append(check_rows(frame))
-                    if frame.right is not None:
-                        matches.append(match_pair(frame.image, frame.right))
-                    depths.append(check_depth(frame))
+                    frames.append(frame)
             except FrontendError as error:
                 problems.append(Problem(Severity.ERROR, str(error)))
         if progress is not None:
             progress.advance(task, done)
-    pairs, measured = [c for c in rows if c is not None], [c for c in depths if c is not None]
-    image_line, image_problems = image_lines(images) if images else ("", [])
-    row_line, row_problems = turned_lines(pairs, fit_pair(matches, sequence.rig.camera)) if pairs else ("", [])
-    depth_line, depth_problems = depth_lines(measured) if measured else ("", [])
-    said = (*image_problems, *row_problems, *depth_problems)
-    return problems, _Sensors(image_line, row_line, depth_line, said)
+    return problems, look_at(sequence, frames)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .sensor_checks import check_rows
+from ..checks.sensor_checks import check_rows
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import ImageSequence

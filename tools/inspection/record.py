@@ -52,6 +52,7 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
         "stored_size": list(one.stored_size),
         "rectified_here": one.rectified_here,
         "groundtruth_poses": one.groundtruth_poses,
+        "groundtruth_frames": one.groundtruth_frames,
         "path_length_m": one.path_length_m,
         "decoded": one.decoded,
         "images": one.images,

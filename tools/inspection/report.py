@@ -18,10 +18,11 @@ _LABEL = {"camera": "calibration", "left": "left camera", "right": "right camera
 
 @dataclass(frozen=True)
 class SequenceReport:
-    """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried; ``images``, ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``focal``:
-    what they say of the focal length, where that was asked for; ``missing``: images that the names' numbers lack;
-    ``understood``: each camera as its calibration file describes it; ``origin``: what of a recording is read."""
+    """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without, which has a
+    pose at the time of ``groundtruth_frames``; ``decoded`` frames were tried; ``images``, ``rows`` (stereo) and
+    ``depth`` (RGB-D): what the images themselves say; ``focal``: what they say of the focal length, where that was
+    asked for; ``missing``: images that the names' numbers lack; ``understood``: each camera as its calibration file
+    describes it; ``origin``: what of a recording is read."""
 
     name: str
     kind: str
@@ -33,6 +34,7 @@ class SequenceReport:
     stored_size: tuple[int, int]
     rectified_here: bool
     groundtruth_poses: int
+    groundtruth_frames: int
     path_length_m: float | None
     decoded: int
     problems: tuple[Problem, ...]
@@ -51,7 +53,8 @@ class SequenceReport:
         how = f"rectified here from {self.stored_size[0]}x{self.stored_size[1]}" if self.rectified_here else "as stored"
         truth = "none"
         if self.path_length_m is not None:
-            truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path"
+            at = f"at {self.groundtruth_frames} of {self.frames} frames"
+            truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path, {at}"
         first = [
             f"{self.name} ({self.kind})",
             *([f"  read from     {self.origin}"] if self.origin else []),

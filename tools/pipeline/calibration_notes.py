@@ -1,5 +1,4 @@
-"""What is said of a calibration that is off: before tracking by the images of a pair, afterwards by what odometry had
-to correct."""
+"""What is said of a calibration that is off after tracking, by what odometry had to correct."""
 
 from __future__ import annotations
 
@@ -10,21 +9,10 @@ import numpy as np
 
 if TYPE_CHECKING:
     from maslam.frontend.cameras.models import Rig
-    from maslam.frontend.datasets.base import ImageSequence
 
 _SAID_PX = 1.0
 """Displacement by a correction, pixels, from which it is said."""
 _LENS_PX = 2.0
-
-
-def rows_apart(sequence: ImageSequence) -> str:
-    """That the rows of a pair do not agree, by a few of its images; empty where they do, or too little is seen."""
-    from maslam.frontend.datasets.pair_check import check_pairs
-
-    fit = check_pairs(sequence)
-    if fit is None or not fit.off:
-        return ""
-    return f"the calibration is off: {fit.text()}; calibrate the pair anew"
 
 
 def corrected(stats: Mapping[str, float], rig: Rig) -> str:

@@ -221,16 +221,14 @@ def _made(
     from ..common.compiling import compile_for
     from ..common.parallel import core_count, run_jobs
     from .agent_folder import plan_agents, stand_in, write_sequences
-    from .calibration_notes import corrected, rows_apart
+    from .calibration_notes import corrected
     from .focal_length import refine_guessed
     from .tracking_cache import is_tracked, take_tracked, track_job
 
     store, workers = settings.store or out / FRONTEND, settings.workers or core_count()
     dataset, refined = refine_guessed(dataset, store, progress, workers)
-    jobs, problems, left_out = _plan(dataset, out, settings)
+    jobs, problems, left_out, off = _plan(dataset, out, settings)
     problems += refined
-    off = {job.sequence.name: note for job in jobs if (note := rows_apart(job.sequence))}
-    problems += [f"{name}: {note}" for name, note in off.items()]
     refused = [problem.message for problem in dataset.problems] + [f"{e.sequence}: {e.reason}" for e in left_out]
     compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
@@ -270,24 +268,32 @@ def _check_free(out: Path) -> None:
 
 def _plan(
     dataset: Dataset, out: Path, settings: PreprocessSettings
-) -> tuple[list[TrackingJob], list[str], list[LeftOutEntry]]:
-    """A job for each sequence that can be used; all that is wrong with the data; the sequences that cannot be used."""
+) -> tuple[list[TrackingJob], list[str], list[LeftOutEntry], dict[str, str]]:
+    """A job for each sequence that can be used; all that is wrong with the data; the sequences that cannot be used;
+    what is said of calibrations that are off, by sequence."""
     from maslam.frontend.datasets.base import Severity
     from maslam.mas.sequence import LeftOutEntry
 
+    from ..checks.findings import look_at_sample
     from .tracking_cache import make_job
 
     jobs, problems = [], [problem.message for problem in dataset.problems]
-    left_out = []
+    left_out, off = [], {}
     for sequence in dataset.sequences:
-        problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
-        fatal = [problem.message for problem in sequence.problems if problem.severity is Severity.ERROR]
+        found = list(sequence.problems)
+        if not any(problem.severity is Severity.ERROR for problem in found):
+            seen = look_at_sample(sequence)
+            found += seen.problems
+            if seen.off:
+                off[sequence.name] = seen.off
+        problems += [f"{sequence.name}: {problem.message}" for problem in found]
+        fatal = [problem.message for problem in found if problem.severity is Severity.ERROR]
         if fatal:
             left_out.append(LeftOutEntry(sequence=sequence.name, frames=len(sequence), reason="; ".join(fatal)))
         else:
             of = (sequence, settings.odometry, settings.model, settings.vocabulary, settings.store or out / FRONTEND)
             jobs.append(make_job(*of, settings.provider))
-    return jobs, problems, left_out
+    return jobs, problems, left_out, off
 
 
 def _split(settings: PreprocessSettings) -> SplitEntry | None:

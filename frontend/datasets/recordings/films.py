@@ -17,9 +17,9 @@ from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..guessed_camera import guess_text, usual_camera
 from ..images import list_images, natural_key
+from ..pairing import pair_by_time
 from .beside import camera_beside, truth_beside
 from .film import FILM_SUFFIXES, Film, FilmFrame, FilmIndex, index_film
-from .simultaneous import same_moment
 
 _PAIRS = (("left", "right"), ("cam0", "cam1"), ("image_0", "image_1"))
 _FEW_IMAGES = 3  # beside a film, fewer are a picture of it or of a calibration board, no sequence
@@ -141,7 +141,8 @@ def _paired(film: Film, other: Film, problems: Problems) -> tuple[NDArray[np.int
     """Frames of both films of one moment."""
     left, right = film.index.stamps_ns, other.index.stamps_ns
     tolerance = int(_SAME_MOMENT * np.median(np.diff(left))) if len(left) > 1 else 0
-    frames, partners = same_moment(left, right, tolerance)
+    pairs = pair_by_time(left, right, tolerance)
+    frames, partners = pairs.kept, pairs.second
     if not len(frames):
         raise FrontendError(f"{other.path}: no frame at the time of one of {film.path.name}")
     if len(frames) < len(left):
