@@ -40,7 +40,7 @@ class EurocReader(Reader):
         """See :meth:`Reader.open`."""
         problems = Problems()
         mav = _mav(folder)
-        left_stamps, left_images = _images(mav / "cam0")
+        left_stamps, left_images = camera_images(mav / "cam0")
         left, T_body_left = _sensor(mav / "cam0")
         has_right = (mav / "cam1" / "sensor.yaml").is_file()
         kind = choose_rig(available_rigs(has_right, False), rig, folder)
@@ -50,8 +50,8 @@ class EurocReader(Reader):
             right, T_body_right = _sensor(mav / "cam1")
             raw = RawRig(left, right, product(se3_inverse(T_body_left), T_body_right), rectified=False, form="EuRoC")
         if kind is RigKind.STEREO:
-            right_stamps, right_images = _images(mav / "cam1")
-            left_stamps, left_images, right_images = _pairs(
+            right_stamps, right_images = camera_images(mav / "cam1")
+            left_stamps, left_images, right_images = paired_images(
                 left_stamps, left_images, right_stamps, right_images, mav, problems
             )
         found = FoundSequence(
@@ -72,7 +72,7 @@ def _mav(folder: Path) -> Path:
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
-def _images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
+def camera_images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
     """Time stamps and files by ``data.csv``, or by the file names where there is none."""
     table = cam / "data.csv"
     if not table.is_file():
@@ -107,7 +107,7 @@ def _sensor(cam: Path) -> tuple[RawCamera, NDArray[np.float64]]:
     return raw, fields.transform("T_BS")
 
 
-def _pairs(
+def paired_images(
     left_stamps: NDArray[np.int64],
     left: tuple[Path, ...],
     right_stamps: NDArray[np.int64],

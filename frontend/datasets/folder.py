@@ -17,9 +17,10 @@ from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
 from .images import list_images
 from .numbering import MissingImages, missing_images, numbered_steps
+from .shared_camera import find_shared_camera
 
-_LEFT = ("image_0", "left", "images", "image", "rgb", "color", "cam0", ".")
-_RIGHT = {"image_0": "image_1", "left": "right", "cam0": "cam1"}
+_LEFT = ("image_0", "left", "images", "image", "rgb", "color", "cam0", "left_camera", "infra1", ".")
+_RIGHT = {"image_0": "image_1", "left": "right", "cam0": "cam1", "left_camera": "right_camera", "infra1": "infra2"}
 _DEPTH = ("depth_0", "depth")
 _TIMES = ("times.txt", "timestamps.txt")
 _UNITS_NS = {19: 1, 16: 1_000, 13: 1_000_000}  # digits of a present-day Unix time in ns, us, ms
@@ -48,7 +49,11 @@ class FolderReader(Reader):
         problems = Problems()
         inside = _image_folder(folder)
         images = tuple(list_images(folder / inside)) if inside else ()
-        calibration = find_camera_file(folder) or (find_camera_file(folder / inside) if inside else None)
+        calibration = (
+            find_camera_file(folder)
+            or (find_camera_file(folder / inside) if inside else None)
+            or find_shared_camera(folder, problems)
+        )
         if calibration is None:
             raise FrontendError(
                 f"{folder}: images but no calibration file; put a camera.yaml beside them "

@@ -19,7 +19,7 @@ from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
 
 _TOLERANCE_NS = 20_000_000  # between colour and depth: more than half a frame at 30 Hz is another frame
-_DEPTH_UNIT_M = 1.0 / 5000.0
+DEPTH_UNIT_M = 1.0 / 5000.0
 _RADTAN = Distortion.RADIAL_TANGENTIAL
 _PUBLISHED = {  # colour cameras, from the data set's page; the recordings' folder names say which
     "freiburg1": RawCamera(517.3, 516.5, 318.6, 255.3, (640, 480), _RADTAN, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
@@ -53,7 +53,7 @@ class TumReader(Reader):
         depth: tuple[Path, ...] = ()
         if kind is RigKind.RGBD:
             stamps, images, depth = _with_depth(folder, stamps, images, problems)
-        raw, source = _camera(folder, problems)
+        raw, source = camera_of_recording(folder, problems)
         truth = folder / "groundtruth.txt"
         found = FoundSequence(
             kind=self.kind,
@@ -64,7 +64,7 @@ class TumReader(Reader):
             stamps_ns=stamps,
             stamps_source=folder / "rgb.txt",
             depth=depth,
-            depth_unit_m=raw.depth_unit_m or _DEPTH_UNIT_M,
+            depth_unit_m=raw.depth_unit_m or DEPTH_UNIT_M,
             truth=read_tum(truth) if truth.is_file() else None,
         )
         return assemble(found, kind, problems)
@@ -117,7 +117,8 @@ def _nearest(stamps: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.
     return np.where(stamps - among[before] <= among[after] - stamps, before, after)
 
 
-def _camera(folder: Path, problems: Problems) -> tuple[RawRig, Path]:
+def camera_of_recording(folder: Path, problems: Problems) -> tuple[RawRig, Path]:
+    """The calibration in the folder, else the published one by the folder's name, else ROS's, which is said."""
     found = find_camera_file(folder)
     if found is not None:
         return found

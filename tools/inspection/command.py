@@ -14,7 +14,7 @@ from .report import InspectReport, SequenceReport
 
 if TYPE_CHECKING:
     from maslam.frontend.cameras.models import RigKind
-    from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.datasets import ImageSequence, Problem, ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import Progress
@@ -30,19 +30,20 @@ def inspect_dataset(
     progress: Progress | None = None,
     png: Path | None = None,
     recording: RecordingConfig | None = None,
+    reading: ReadingConfig | None = None,
 ) -> InspectReport:
     """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
 
-    ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read. Raises
-    ``FrontendError`` where there is no sequence to speak of.
+    ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read;
+    ``reading``: masks, and how images are understood. Raises ``FrontendError`` where there is no sequence to speak of.
     """
-    from maslam.frontend.datasets import open_dataset
+    from maslam.frontend.datasets import ReadingConfig, open_dataset
 
-    dataset = open_dataset(path, rig, strict=False, recording=recording)
+    dataset = open_dataset(path, rig, strict=False, recording=recording, reading=reading or ReadingConfig())
     reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
     if png is not None:
         _write_picture(dataset.sequences, png)
-    return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
+    return InspectReport(Path(path), dataset.kind, reports, dataset.problems, dataset.notes)
 
 
 def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
@@ -88,6 +89,7 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         missing=sequence.missing,
         understood=sequence.understood,
         origin=sequence.origin,
+        notes=sequence.notes,
     )
 
 
@@ -135,6 +137,7 @@ def _decode(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     parser.add_argument(
@@ -152,19 +155,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     add_model_options(parser, RecordingConfig(), RECORDING)
+    add_model_options(parser, ReadingConfig(), "images")
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Print the report; 1 where an error would spoil a run."""
     from maslam.frontend.cameras.models import RigKind
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import progress_on
 
     rig = RigKind(arguments.rig) if arguments.rig else None
     recording = build(RecordingConfig(), arguments, prefix=RECORDING)
+    reading = build(ReadingConfig(), arguments, prefix="images")
     with progress_on(quiet=not arguments.all) as progress:
-        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png, recording)
+        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png, recording, reading)
     print(json.dumps(record(report), indent=2) if arguments.json else "\n".join(report.lines()))
     if arguments.png is not None and not arguments.json:
         print(f"picture: {arguments.png}")

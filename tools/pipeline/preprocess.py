@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import Dataset
     from maslam.frontend.datasets.readers import ReaderLike
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
     from maslam.mas.sequence import LeftOutEntry, Manifest, SplitEntry
 
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
 SECTION = "odometry"
 RECORDING = "recording"
-SECTIONS = (SECTION, RECORDING)
+READING = "images"
+SECTIONS = (SECTION, RECORDING, READING)
 """Of a settings file, that are read here."""
 DEFAULT_OVERLAP = 0  # key-frames: agents see no image of another's; the predecessor's split of KITTI takes 3
 
@@ -47,7 +49,7 @@ class PreprocessSettings:
     """Settings of ``maslam preprocess``. ``agents`` None: one agent per sequence; ``overlap`` key-frames of a split
     sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: folder of
     the front end's results, by default OUT/frontend; ``recording``: what of the
-    source is read, by default all."""
+    source is read, by default all; ``reading``: masks, and how images are understood, None: as they are."""
 
     odometry: OdometryConfig
     agents: int | None = None
@@ -61,6 +63,7 @@ class PreprocessSettings:
     workers: int = 0
     store: Path | None = None
     recording: RecordingConfig | None = None
+    reading: ReadingConfig | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +81,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for the agent sequences: a new folder, or an earlier result, whose files are replaced",
     )
     add_preprocess_arguments(parser)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`, `images: {...}`"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print what was made, OUT/manifest.json, as one object")
 
@@ -105,9 +110,8 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dataset",
         metavar="KIND",
-        help="read SRC as this kind: kitti, euroc, tum, 7scenes, film, bag, images, or one of the entry points of "
-        "maslam.datasets "
-        "(default: the first that recognises it)",
+        help="read SRC as this kind: kitti, euroc, tum, 7scenes, tum-vi, kitti-raw, associations, replica, scannet, "
+        "tartanair, film, bag, images, or an entry point of maslam.datasets (default: the first that recognises it)",
     )
     parser.add_argument(
         "--model",
@@ -130,15 +134,18 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         help="processes (default: one per core, at most one per sequence)",
     )
     from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     add_model_options(parser, RecordingConfig(), RECORDING)
+    add_model_options(parser, ReadingConfig(), READING)
     add_model_options(parser, OdometryConfig(), SECTION)
 
 
 def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> PreprocessSettings:
     """The settings of one command line and the ``content`` of its ``--config`` file."""
     from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     if arguments.overlap < 0:
@@ -155,6 +162,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         vocabulary=arguments.vocabulary,
         workers=arguments.workers,
         recording=build(RecordingConfig(), arguments, content.get(RECORDING), arguments.config, RECORDING),
+        reading=build(ReadingConfig(), arguments, content.get(READING), arguments.config, READING),
     )
 
 
@@ -192,7 +200,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     """
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind
-    from maslam.frontend.datasets import open_dataset
+    from maslam.frontend.datasets import ReadingConfig, open_dataset
 
     from .split import check_shares
 
@@ -200,8 +208,8 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     _check_free(out)
     model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
     rig = RigKind(settings.rig) if settings.rig else None
-    readers, kind = settings.readers, settings.dataset
-    dataset = open_dataset(source, rig, strict=False, readers=readers, kind=kind, recording=settings.recording)
+    readers, kind, reading = settings.readers, settings.dataset, settings.reading or ReadingConfig()
+    dataset = open_dataset(source, rig, False, readers, kind, settings.recording, reading)
     if settings.agents is not None and len(dataset.sequences) > 1:
         count = len(dataset.sequences)
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
@@ -245,10 +253,16 @@ def _made(
         frames = sum(len(sequence) for sequence, _ in tracked)
         made = counted(len(plans), "agent")
         raise ToolError(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame; ask for fewer")
-    for problem in problems:
-        progress.say(f"warning: {problem}")
-    noted = {**_as_set(settings), "problems": problems}
+    notes = notes_of(dataset)
+    for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in problems)):
+        progress.say(line)
+    noted = {**_as_set(settings), "problems": problems, "notes": notes}
     return write_sequences(out, dataset, plans, model, split, noted, tuple(left_out))
+
+
+def notes_of(dataset: Dataset) -> list[str]:
+    """How the folder and its images were understood, a line each."""
+    return [*dataset.notes, *(f"{one.name}: {note}" for one in dataset.sequences for note in one.notes)]
 
 
 def _check_free(out: Path) -> None:
@@ -302,4 +316,5 @@ def _as_set(settings: PreprocessSettings) -> dict[str, Any]:
         "model": _named(settings.model),
         "provider": settings.provider,
         "vocabulary": str(settings.vocabulary) if settings.vocabulary else None,
+        READING: None if settings.reading is None else settings.reading.model_dump(mode="json"),
     }
