@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from ..errors import FrontendError
 from ..files.text_tables import read_bytes
-from .images import IMAGE_SUFFIXES, decode_file, natural_key
+from .image_headers import MAX_PIXELS
+from .images import IMAGE_SUFFIXES, natural_key, read_numbers
 
 FLOAT_SUFFIXES = frozenset({".pfm", ".exr", ".npy"})
 UNKNOWN = 65535
 """Beside 0, of 16 bits."""
 _NUMPY_START = b"\x93NUMPY"
 _EXR_START = b"\x76\x2f\x31\x01"
-_MAX_PIXELS = 2**28
+_SKY_M = 1e5
+"""Farther is the sky, as renderers write it: unknown."""
 
 
 def list_depth(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES | FLOAT_SUFFIXES) -> list[Path]:
@@ -31,7 +33,7 @@ def list_depth(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES | FLOAT_S
 
 def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
     """``(H, W)`` float32 metres, 0 unknown, from numbers of ``unit_m`` metres. Of 16 bits 0 and 65535 are unknown, of
-    floating-point numbers what is not finite or below 0.
+    floating-point numbers what is not finite, below 0 or farther than any surface.
 
     :class:`FrontendError` where the file is missing, cut off, or of another format: named with what was found.
     """
@@ -40,7 +42,7 @@ def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
     if raw.dtype == np.uint16:
         depth[raw == np.uint16(UNKNOWN)] = 0.0
     else:
-        depth[~np.isfinite(depth) | (depth < 0)] = 0.0
+        depth[~((depth > 0) & (depth < _SKY_M))] = 0.0
     return depth
 
 
@@ -54,14 +56,14 @@ def stored_depth(path: Path) -> NDArray[Any]:
     channels = 1 if raw.ndim == 2 else raw.shape[-1]
     raise FrontendError(
         f"{path}: a depth image has one channel of 16 bits, or of metres as floating-point numbers, "
-        f"found {channels} of {raw.dtype.itemsize * 8}"
+        f"found {channels} of {raw.dtype.itemsize * 8} bits ({raw.dtype})"
     )
 
 
 def _image(path: Path) -> NDArray[np.generic]:
     if path.suffix.lower() == ".exr" and read_bytes(path).startswith(_EXR_START) and not _reads_exr(path):
         raise FrontendError(f"{path}: this OpenCV reads no OpenEXR; save the depth as 16-bit PNG, TIFF, PFM or NPY")
-    return decode_file(path, cv2.IMREAD_UNCHANGED)
+    return read_numbers(path)
 
 
 def _reads_exr(path: Path) -> bool:
@@ -77,9 +79,9 @@ def _numbers(path: Path) -> NDArray[np.generic]:
         raise FrontendError(f"{path}: not a NumPy file")
     try:
         array = np.load(path, allow_pickle=False, mmap_mode="r")
-        if array.size > _MAX_PIXELS:
+        if array.size > MAX_PIXELS:
             raise FrontendError(f"{path}: {array.size} numbers are no depth image")
         return np.array(array)
-    except (ValueError, OSError, EOFError, SyntaxError) as error:
-        why = str(error).partition("\n")[0][:80] or "cut off"
-        raise FrontendError(f"{path}: damaged: {why}") from None
+    except (ValueError, OSError, EOFError, SyntaxError, OverflowError, MemoryError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "not a whole array of NumPy"
+        raise FrontendError(f"{path}: cannot be read: {why}") from None

@@ -41,7 +41,7 @@ class EurocReader(Reader):
         """See :meth:`Reader.open`."""
         problems = Problems()
         mav = _mav(folder)
-        images = _images(mav / "cam0", problems)
+        images = camera_images(mav / "cam0", problems)
         left, T_body_left = _sensor(mav / "cam0")
         has_right = (mav / "cam1" / "sensor.yaml").is_file()
         kind = choose_rig(available_rigs(has_right, False), rig, folder)
@@ -53,7 +53,7 @@ class EurocReader(Reader):
         elif list_images(mav / "cam1" / "data") and rig is None:
             problems.warning(f"{mav / 'cam1'}: right images, but no sensor.yaml: not used, read as one camera")
         if kind is RigKind.STEREO:
-            seconds = _images(mav / "cam1", problems)
+            seconds = camera_images(mav / "cam1", problems)
             images, right_images = paired_in_time(images, seconds, "right image", problems)
         found = FoundSequence(
             kind=self.kind,
@@ -73,7 +73,7 @@ def _mav(folder: Path) -> Path:
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
-def _images(cam: Path, problems: Problems) -> TimedImages:
+def camera_images(cam: Path, problems: Problems) -> TimedImages:
     """Times and files by ``data.csv``, or by the file names where there is none."""
     table = cam / "data.csv"
     if table.is_file():

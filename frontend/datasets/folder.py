@@ -15,6 +15,7 @@ from .guessed_camera import guess_camera, guess_text
 from .image_times import timed_images
 from .pairing import with_partners
 from .second_images import SortedImages, has_images, sort_images
+from .shared_camera import find_shared_camera
 from .truth import find_truth
 
 
@@ -38,7 +39,9 @@ class FolderReader(Reader):
         found = sort_images(folder)
         if found is None:
             raise FrontendError(f"{folder}: no images of a camera")
-        calibration = find_camera_file(folder) or find_camera_file(folder / found.inside)
+        calibration = (
+            find_camera_file(folder) or find_camera_file(folder / found.inside) or find_shared_camera(folder, problems)
+        )
         guess = ""
         if calibration is None:
             raw, guess = guess_camera(found.files)

@@ -11,11 +11,12 @@ from .depth_files import FLOAT_SUFFIXES, list_depth
 from .images import is_image, list_images
 
 LEFT_FOLDERS = (
-    "image_0", "left", "images", "image", "rgb", "color", "colour", "cam0", "image_left", "left_images", "infra1", ".",
+    "image_0", "left", "images", "image", "rgb", "color", "colour", "cam0", "image_left", "left_images",
+    "left_camera", "infra1", ".",
 )  # fmt: skip
 _RIGHT_OF = {
     "image_0": "image_1", "left": "right", "cam0": "cam1", "image_left": "image_right", "left_images": "right_images",
-    "infra1": "infra2",
+    "left_camera": "right_camera", "infra1": "infra2",
 }  # fmt: skip
 _DEPTH_FOLDERS = ("depth_0", "depth", "depth_images", "depths")
 _DEPTH = re.compile(r"(?:^|[^a-z])(?:depth|depthmap)(?![a-z])")

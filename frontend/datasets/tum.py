@@ -18,7 +18,7 @@ from .pairing import paired_in_time
 from .truth import find_truth
 
 _TOLERANCE_NS = 20_000_000  # between colour and depth: more than half a frame at 30 Hz is another frame
-_DEPTH_UNIT_M = 1.0 / 5000.0
+DEPTH_UNIT_M = 1.0 / 5000.0
 _RADTAN = Distortion.RADIAL_TANGENTIAL
 _PUBLISHED = {  # colour cameras, from the data set's page; the recordings' folder names say which
     "freiburg1": RawCamera(517.3, 516.5, 318.6, 255.3, (640, 480), _RADTAN, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
@@ -52,7 +52,7 @@ class TumReader(Reader):
         depth: tuple[Path, ...] = ()
         if kind is RigKind.RGBD:
             images, depth = _with_depth(folder, images, problems)
-        raw, source = _camera(folder, problems)
+        raw, source = camera_of_recording(folder, problems)
         found = FoundSequence(
             kind=self.kind,
             folder=folder,
@@ -62,7 +62,7 @@ class TumReader(Reader):
             stamps_ns=images.stamps_ns,
             stamps_source=images.source,
             depth=depth,
-            depth_unit_m=unit_of_depth(depth, raw.depth_unit_m, _DEPTH_UNIT_M, source, problems),
+            depth_unit_m=unit_of_depth(depth, raw.depth_unit_m, DEPTH_UNIT_M, source, problems),
             truth=find_truth(folder, images, problems),
         )
         return assemble(found, kind, problems)
@@ -85,7 +85,8 @@ def _with_depth(folder: Path, images: TimedImages, problems: Problems) -> tuple[
     return paired_in_time(images, depth, "depth image", problems, _TOLERANCE_NS)
 
 
-def _camera(folder: Path, problems: Problems) -> tuple[RawRig, Path]:
+def camera_of_recording(folder: Path, problems: Problems) -> tuple[RawRig, Path]:
+    """The calibration in the folder, else the published one by the folder's name, else ROS's, which is said."""
     found = find_camera_file(folder)
     if found is not None:
         return found

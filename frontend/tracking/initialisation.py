@@ -13,6 +13,7 @@ from ..estimation.several_views import SeveralViews
 from ..frames import Frame
 from ..image.optical_flow import follow_both_ways
 from ..image.orb_features import Detector, Pyramid, spread_cells
+from ..image.used_pixels import are_used
 from ..mapping.map import FrameObservations, MapKeyFrame
 from ..mapping.range_sensor import Ranging
 from ..reason import NO_REASON, Reason
@@ -126,6 +127,7 @@ class MonoStarter:
         if self._last is not None and self._views:
             before = np.concatenate([view.uv for view in self._views])
             uv, ok = follow_both_ways(self._last.image, frame.image, before, before, self.config.flow)
+            ok &= are_used(frame.used, uv)
             ends = np.cumsum([len(view) for view in self._views])[:-1]
             for view, at, found in zip(self._views, np.split(uv, ends), np.split(ok, ends), strict=True):
                 view.follow(at, found)
@@ -143,7 +145,7 @@ class MonoStarter:
         if self._views and self._views[-1].left >= _RENEW:
             return refusal or NO_REASON
         features, least = self.config.features, least_matches(self.config.mono)
-        pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
+        pyramid = Pyramid(frame.image, features.levels, features.scale_factor, frame.used)
         uv, _, _ = Detector(features).detect(pyramid, 2 * features.tracks, np.zeros((0, 2)))
         chosen = spread_cells(uv, np.zeros((0, 2)), frame.image.shape[1], frame.image.shape[0], 2 * features.tracks)
         if len(chosen) >= least:
@@ -171,4 +173,4 @@ class MonoStarter:
         need = min(self.config.mono.min_points, len(motion.points) * 3 // 4)
         if known < need:
             return Start(None, Reason.few("too few points left", known, need, "points left after bundle adjustment"))
-        return Start(segment, first=view.frame)
+        return Start(segment, first=view.frame.original or view.frame)

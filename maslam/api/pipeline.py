@@ -10,6 +10,7 @@ from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
+from maslam.frontend.datasets.reading_config import ReadingConfig
 from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas import simulation
 from maslam.mas.config import MasConfig
@@ -25,7 +26,14 @@ from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
-from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, RECORDING, SECTION, SECTIONS, PreprocessSettings
+from maslam.tools.pipeline.preprocess import (
+    DEFAULT_OVERLAP,
+    READING,
+    RECORDING,
+    SECTION,
+    SECTIONS,
+    PreprocessSettings,
+)
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
 from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
@@ -65,8 +73,8 @@ def preprocess(
             ``maslam.descriptors``, or your own (:class:`maslam.Descriptor`).
         provider: where onnxruntime runs it.
         vocabulary: file of ORB words; None takes the one shipped.
-        settings: of the odometry, ``{"odometry.features.tracks": 500}``, and of what is read,
-            ``{"recording.stride": 2}``.
+        settings: of the odometry, ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``,
+            and how, ``{"images.masks": "masks"}``.
         workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.
         progress: called with title, steps done and all steps, now and then.
 
@@ -151,8 +159,9 @@ def slam(
         agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers: as in
             :func:`maslam.preprocess`.
         preset, seed, policy, transport: as in :func:`maslam.run`.
-        settings: of the agents, ``{"places.threshold": 0.8}``, and of the odometry,
-            ``{"odometry.features.tracks": 500}``; of what is read, ``{"recording.stride": 2}``.
+        settings: of the agents, ``{"places.threshold": 0.8}``, of the odometry,
+            ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``, and how,
+            ``{"images.masks": "masks"}``.
         progress: called with title, steps done and all steps, now and then.
 
     Raises:
@@ -160,7 +169,7 @@ def slam(
     """
     content = nested(settings)
     config = _config(preset, seed, {k: v for k, v in content.items() if k not in SECTIONS}, policy, transport)
-    own = {key: content[key] for key in SECTIONS if key in content}
+    own = {name: content[name] for name in SECTIONS if name in content}
     told = _preprocess_settings(own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers)
     shown = CallbackProgress(progress)
     chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
@@ -181,9 +190,8 @@ def _preprocess_settings(
 ) -> PreprocessSettings:
     strange = sorted(set(content) - set(SECTIONS))
     if strange:
-        raise ToolError(
-            f"settings: unknown setting '{strange[0]}'; preprocessing knows '{SECTION}.…' and '{RECORDING}.…'"
-        )
+        known = " and ".join(f"'{name}.…'" for name in SECTIONS)
+        raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows {known}")
     check_least("overlap", overlap, 0)
     check_least("workers", workers, 1)
     kind = rig_kind(rig)
@@ -199,6 +207,7 @@ def _preprocess_settings(
         provider=provider,
         vocabulary=None if vocabulary is None else Path(vocabulary),
         workers=workers,
+        reading=changed(ReadingConfig(), content.get(READING, {})),
     )
 
 

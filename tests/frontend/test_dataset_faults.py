@@ -69,8 +69,8 @@ def test_a_broken_agent_is_named(tmp_path: Path) -> None:
         ([], "no images of a known layout here"),
         (["readme.txt"], "no images of a known layout here"),
         (
-            ["a/calib.txt", "a/image_0/x.png", "b/calib.txt", "b/image_0/x.png"],
-            "holds several sequences \\(a, b\\); name one of them",
+            ["00/calib.txt", "00/image_0/x.png", "01/calib.txt", "01/image_0/x.png"],
+            "holds several sequences \\(00, 01\\); name one of them",
         ),
         (["0.png"], "0.png: "),
         (["calib.txt", "image_0/readme.txt"], "no images in image_0 or image_2"),

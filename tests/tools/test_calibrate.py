@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from maslam.frontend.cameras.calibration import Distortion
 from maslam.frontend.cameras.calibration_files import read_calibration
+from maslam.tools.calibration.film import frames_of
 from maslam.tools.cli import main
 
 SIZE = (320, 240)
@@ -218,3 +219,12 @@ def test_other_boards_are_found_where_they_are(kind: str) -> None:
     points, uv = found
     expected = cv2.perspectiveTransform((points[:, None, :2] * step + origin), H)[:, 0]
     assert len(uv) >= 12 and np.abs(uv - expected).max() < 1.0
+
+
+def test_images_of_12_bits_in_16_are_seen_in_their_own_range(tmp_path: Path) -> None:
+    [image] = images(count=1)
+    assert cv2.imwrite(str(tmp_path / "deep.png"), (image.astype(np.uint16) << 4) + 7)
+    count, frames = frames_of(tmp_path, 1)
+    [(name, grey)] = frames
+    assert (count, name, grey.dtype) == (1, "deep.png", np.uint8)
+    assert np.corrcoef(grey.ravel(), image.ravel())[0, 1] > 0.999 and np.ptp(grey) > 0.7 * np.ptp(image)

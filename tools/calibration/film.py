@@ -26,12 +26,22 @@ def frames_of(source: Path, stride: int) -> tuple[int, Iterator[tuple[str, Grey]
 
 
 def _images(source: Path, stride: int) -> tuple[int, Iterator[tuple[str, Grey]]]:
-    from maslam.frontend.datasets.images import list_images, read_grey
+    from maslam.frontend.datasets.images import list_images
 
     paths = list_images(source)[::stride]
     if not paths:
         raise ToolError(f"{source}: no images in this folder")
-    return len(paths), ((path.name, read_grey(path)) for path in paths)
+    return len(paths), ((path.name, _levels(path)) for path in paths)
+
+
+def _levels(path: Path) -> Grey:
+    """8 bits of an image; of one of 16 bits in its own range: a board is found by its contrast."""
+    from maslam.frontend.datasets.images import read_grey
+    from maslam.frontend.datasets.pixel_values import PixelValues, choose_range
+
+    stored = read_grey(path)
+    dark, bright, _ = choose_range([stored]) if stored.dtype == np.uint16 else (0.0, 255.0, "")
+    return PixelValues(dark, bright).levels(stored)
 
 
 def _film(source: Path, stride: int) -> tuple[int, Iterator[tuple[str, Grey]]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.datasets.pixel_values import PixelValues
 
 _LOOKED_AT = 60
 """Neighbours of one size that are compared, of each camera."""
@@ -29,7 +30,7 @@ def repeat_problems(sequence: ImageSequence) -> list[Problem]:
         files = [image for image in images if isinstance(image, Path)]  # those of a recording have no bytes to compare
         pairs, candidates = _alike_in_size(files)
         repeated = [i for i in pairs if _same_bytes(files[i], files[i + 1])]
-        if repeated and not (what != "depth image" and _is_empty(files[repeated[0]])):
+        if repeated and not (what != "depth image" and _is_empty(sequence.values, files[repeated[0]])):
             of = f"of {len(files)}" if len(pairs) == candidates else f"of {len(pairs)} looked at"
             problems.append(
                 Problem(
@@ -69,13 +70,13 @@ def _same_bytes(one: Path, two: Path) -> bool:
         return False
 
 
-def _is_empty(path: Path) -> bool:
+def _is_empty(values: PixelValues, path: Path) -> bool:
     """Whether the image shows nothing, as in the dark: such images are alike without a fault of time."""
     from maslam.frontend.datasets.images import read_grey
     from maslam.frontend.errors import FrontendError
 
     try:
-        return float(read_grey(path).std()) < _EMPTY
+        return float(values.levels(read_grey(path)).std()) < _EMPTY
     except FrontendError:
         return True
 

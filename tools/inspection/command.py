@@ -14,7 +14,7 @@ from .report import InspectReport, SequenceReport
 
 if TYPE_CHECKING:
     from maslam.frontend.cameras.models import RigKind
-    from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.datasets import ImageSequence, Problem, ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import Progress
@@ -30,19 +30,21 @@ def inspect_dataset(
     png: Path | None = None,
     recording: RecordingConfig | None = None,
     focal: bool = False,
+    reading: ReadingConfig | None = None,
 ) -> InspectReport:
     """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
 
     ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read; ``focal``:
-    estimate each focal length from the images. Raises ``FrontendError`` where there is no sequence to speak of.
+    estimate each focal length from the images; ``reading``: masks, and how images are understood. Raises
+    ``FrontendError`` where there is no sequence to speak of.
     """
-    from maslam.frontend.datasets import open_dataset
+    from maslam.frontend.datasets import ReadingConfig, open_dataset
 
-    dataset = open_dataset(path, rig, strict=False, recording=recording)
+    dataset = open_dataset(path, rig, strict=False, recording=recording, reading=reading or ReadingConfig())
     reports = tuple(_inspect_sequence(sequence, decode_all, progress, focal) for sequence in dataset.sequences)
     if png is not None:
         _write_picture(dataset.sequences, png)
-    return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
+    return InspectReport(Path(path), dataset.kind, reports, dataset.problems, dataset.notes)
 
 
 def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
@@ -97,6 +99,7 @@ def _inspect_sequence(
         missing=sequence.missing,
         understood=sequence.understood,
         origin=sequence.origin,
+        notes=sequence.notes,
     )
 
 
@@ -129,6 +132,7 @@ def _decode(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     parser.add_argument(
@@ -151,20 +155,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     add_model_options(parser, RecordingConfig(), RECORDING)
+    add_model_options(parser, ReadingConfig(), "images")
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Print the report; 1 where an error would spoil a run."""
     from maslam.frontend.cameras.models import RigKind
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import progress_on
 
     rig = RigKind(arguments.rig) if arguments.rig else None
     recording = build(RecordingConfig(), arguments, prefix=RECORDING)
+    reading = build(ReadingConfig(), arguments, prefix="images")
     with progress_on(quiet=not (arguments.all or arguments.focal)) as progress:
         report = inspect_dataset(
-            arguments.source, arguments.all, rig, progress, arguments.png, recording, arguments.focal
+            arguments.source, arguments.all, rig, progress, arguments.png, recording, arguments.focal, reading
         )
     print(json.dumps(record(report), indent=2) if arguments.json else "\n".join(report.lines()))
     if arguments.png is not None and not arguments.json:

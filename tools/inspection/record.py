@@ -22,6 +22,7 @@ def record(report: InspectReport) -> dict[str, Any]:
         "errors": report.errors,
         "warnings": report.warnings,
         "problems": _problems(report.problems),
+        "notes": list(report.notes),
         "sequences": [_sequence(sequence) for sequence in report.sequences],
     }
 
@@ -60,6 +61,7 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
         "depth": one.depth,
         "focal": one.focal,
         "problems": _problems(one.problems),
+        "notes": list(one.notes),
     }
 
 

@@ -22,7 +22,7 @@ class SequenceReport:
     pose at the time of ``groundtruth_frames``; ``decoded`` frames were tried; ``images``, ``rows`` (stereo) and
     ``depth`` (RGB-D): what the images themselves say; ``focal``: what they say of the focal length, where that was
     asked for; ``missing``: images that the names' numbers lack; ``understood``: each camera as its calibration file
-    describes it; ``origin``: what of a recording is read."""
+    describes it; ``origin``: what of a recording is read; ``notes``: how its files were understood."""
 
     name: str
     kind: str
@@ -45,6 +45,7 @@ class SequenceReport:
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
     origin: str = ""
+    notes: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The report of this sequence, a line each."""
@@ -70,6 +71,7 @@ class SequenceReport:
             *([f"  rows          {self.rows}"] if self.rows else []),
             *([f"  depth         {self.depth}"] if self.depth else []),
             *([f"  focal length  {self.focal}"] if self.focal else []),
+            *(f"  note          {note}" for note in self.notes),
         ]
         shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
         hidden = len(self.problems) - len(shown)
@@ -78,12 +80,14 @@ class SequenceReport:
 
 @dataclass(frozen=True)
 class InspectReport:
-    """Properties of a data set, sequence by sequence; ``problems``: agents that could not be opened."""
+    """Properties of a data set, sequence by sequence; ``problems``: agents that could not be opened; ``notes``: how the
+    folder was understood."""
 
     path: Path
     kind: str
     sequences: tuple[SequenceReport, ...]
     problems: tuple[Problem, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def errors(self) -> int:
@@ -102,7 +106,13 @@ class InspectReport:
         head = f"{self.path}: {self.kind}, {_count(len(self.sequences), 'sequence')}, {_count(frames, 'frame')}"
         verdict = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
         unopened = [f"{problem.severity.upper():8} {problem.message}" for problem in self.problems]
-        return [head, *(line for sequence in self.sequences for line in sequence.lines()), *unopened, verdict]
+        return [
+            head,
+            *self.notes,
+            *(line for sequence in self.sequences for line in sequence.lines()),
+            *unopened,
+            verdict,
+        ]
 
 
 def _count(number: int, noun: str) -> str:

@@ -46,7 +46,7 @@ from maslam.mas.sequence import (
 
 from ..common.text_table import kinds_text
 from .split import SequenceShare, cut_track, cut_views, share_out
-from .tracking import UNREADABLE, Gap, Tracked
+from .tracking import Gap, Tracked, unread_kinds
 
 _COMMON = 8  # coefficients of a lens that other programs have a model for
 
@@ -238,7 +238,7 @@ def lost_frames(plan: SharePlan, placed_ns: NDArray[np.int64]) -> tuple[LostEntr
     odometry says why, in its words; the others were not readable, or are of a track without a key-frame here."""
     first, last = plan.share.first, plan.share.last
     stamps = plan.sequence.stamps_ns[first : last + 1]
-    kinds = np.full(len(stamps), UNREADABLE, dtype=object)
+    kinds = unread_kinds(first, last, plan.tracked.other_size)
     tracked = np.concatenate([t.stamps_ns for t in plan.tracked.trajectories])
     kinds[np.isin(stamps, tracked)] = "tracked, but no key-frame of its track is the agent's"
     gap = np.full(len(stamps), -1)  # intervals of odometry stay apart, also where they touch

@@ -102,7 +102,7 @@ def _spoilt(sequence: ImageSequence) -> bool:
 
 
 def _fingerprint(sequence: ImageSequence) -> str:
-    digest = hashlib.sha256(f"{sequence.rig} {code_digest(*_CODE)}".encode())
+    digest = hashlib.sha256(f"{sequence.rig} {sequence.values} {code_digest(*_CODE)}".encode())
     for image in identities(sequence.left):
         digest.update(image.encode())
     return digest.hexdigest()
