@@ -71,7 +71,8 @@ class _Second(Generic[Value]):
 class Frame:
     """``image`` ``(H, W)`` uint8 grey; ``right`` likewise (stereo); ``depth_m`` ``(H, W)`` float32 metres along +Z,
     0 = unknown (RGB-D). ``index`` counts the frames of the sequence from 0; ``name`` is the image file, for messages to
-    people.
+    people. ``used``, ``right_used`` ``(H, W)``: pixels of ``image`` and ``right`` that may give points; None: all.
+    ``original``: the frame as it was read, where this one is an enlarged copy of it.
 
     Only key-frames need the second image, so it may be decoded as late as when it is first read; it is None where that
     failed, and ``problem`` then says why.
@@ -83,6 +84,9 @@ class Frame:
     right: _Second[NDArray[np.uint8]] = _Second()
     depth_m: _Second[NDArray[np.float32]] = _Second()
     name: str = ""
+    used: NDArray[np.bool_] | None = None
+    right_used: NDArray[np.bool_] | None = None
+    original: Frame | None = None
 
     @property
     def problem(self) -> str:
@@ -109,4 +113,5 @@ class Frame:
             put_off.begin()
 
     def _put_off(self) -> list[PutOff[Any]]:
-        return [given for given in self.__dict__.values() if isinstance(given, PutOff)]
+        """Of an enlarged copy those of the original: that is where damage is found."""
+        return [given for given in (self.original or self).__dict__.values() if isinstance(given, PutOff)]

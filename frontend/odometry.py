@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from maslam.backend.geometry import se3_inverse
 
 from .cameras.models import Rig, RigKind
 from .config import OdometryConfig
+from .enlargement import Enlargement
 from .errors import FrontendError
 from .files.point_views import PointViews
 from .files.trajectory import Trajectory
@@ -102,7 +104,8 @@ class Odometry:
         if rig.kind is RigKind.STEREO and not (rig.baseline_m and rig.baseline_m > 0):
             raise FrontendError(f"a stereo rig needs a baseline above 0 m, got {rig.baseline_m}")
         self.rig, self.config, self.vocabulary = rig, config, vocabulary
-        self.ranging = Ranging(rig, config.stereo, config.flow)
+        self._enlargement = Enlargement.of(rig.camera)
+        self.ranging = Ranging(self._enlargement.rig(rig), config.stereo, config.flow)
         self.stopwatch = Stopwatch()
         self._starter = make_starter(self.ranging, config, self.stopwatch)
         self._segment: Segment | None = None
@@ -122,6 +125,7 @@ class Odometry:
         problem = self._unfit(frame)
         if problem:
             return FrameResult(frame.stamp_ns, None, self._state(), False, problem)
+        frame = self._enlargement.frame(frame)
         segment = self._segment
         if segment is None:
             return self._start(frame)
@@ -140,7 +144,7 @@ class Odometry:
         if segment.light.out and not doubt.kind:
             doubt = doubt_dark(frame.image)
         # A view that brings something new stays, and the map around it is refined.
-        since = segment.since_keyframe(frame, self.rig)
+        since = segment.since_keyframe(frame, self.ranging.rig)
         wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
         allowed = not segment.tracker.held and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
         is_keyframe = found_again or (wanted and allowed)
@@ -171,7 +175,7 @@ class Odometry:
 
         A track with fewer key-frames than ``min_track_keyframes`` is left out.
         """
-        segments = [*self._finished, *([self._segment] if self._segment else [])]
+        segments, given_px = [*self._finished, *([self._segment] if self._segment else [])], self._enlargement.given_px
         for segment in segments:
             segment.close()
         kept = [s for s in segments if len(s.map.keyframes) >= self.config.min_track_keyframes]
@@ -181,7 +185,7 @@ class Odometry:
         return OdometryResult(
             tracks=[track for track, _ in written],
             views=[
-                PointViews(views.observations, self.ranging.ideal(views.uv.astype(np.float64)).astype(np.float32))
+                PointViews(views.observations, given_px(self.ranging.ideal(views.uv.astype(np.float64))))
                 for _, views in written
             ],
             keyframe_indices=[s.keyframe_indices() for s in kept],
@@ -233,7 +237,8 @@ class Odometry:
     def _search(self, frame: Frame, segment: Segment, refusal: Reason) -> tuple[Segment, TrackedFrame]:
         """Look for the frame in the map just lost, or, if that is too young to become a track, in the one before."""
         if not self._lost_frames:
-            log.warning("tracking lost at frame %d: %s", frame.index, unless_dark(refusal, frame.image).text)
+            image = f" ({PurePath(frame.name).name})" if frame.name else ""
+            log.warning("tracking lost at frame %d%s: %s", frame.index, image, unless_dark(refusal, frame.image).text)
             self._starter = make_starter(self.ranging, self.config, self.stopwatch)
             if self._finished and not segment.lasting(self.config.min_track_keyframes):
                 self._forgotten.append(segment)
@@ -293,5 +298,5 @@ class Odometry:
             "keyframes": float(sum(len(s.map.keyframes) for s in kept)),
             "keyframes_culled": float(sum(len(s.map.culled) for s in kept)),
             "points": float(sum(int(s.map.alive.sum()) for s in kept)),
-            **self.ranging.calibration_stats(),
+            **self._enlargement.given_stats(self.ranging.calibration_stats()),
         }

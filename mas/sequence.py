@@ -88,11 +88,14 @@ class CameraEntry(_Entry):
 
 class LostEntry(_Entry):
     """An interval without a pose, or with a doubtful one: first and last frame of the agent's block, counted from 0,
-    and why."""
+    and why. ``first_image``, ``last_image``: the names of their image files without suffix, where these are not the
+    same numbers; else empty."""
 
     first_frame: int
     last_frame: int
     reason: str
+    first_image: str = ""
+    last_image: str = ""
     kinds: dict[str, int] = Field(
         default={}, description="lost frames by reason without figures: each has one, so they add up; empty: not known"
     )

@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (".pipeline.demo", "render a small town, run four agents in it, write the report"),
     "render": (".worlds.command", "synthetic images, depth and ground truth of several agents"),
     "inspect": (".inspection.command", "what would be read from a folder of images, and what is wrong with it"),
+    "calibrate": (".calibration.command", "a camera from a film or images of a board that is moved in front of it"),
     "preprocess": (".pipeline.preprocess", "images to agent sequences: odometry, map points, place vectors"),
     "import": (
         ".interchange.command",

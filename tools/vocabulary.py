@@ -137,11 +137,12 @@ def _images_under(source: Path, every: int) -> list[Path]:
 
 def _describe_all(paths: Sequence[Path], features: int, progress: Progress) -> list[NDArray[np.uint8]]:
     from maslam.frontend.datasets.images import read_grey
+    from maslam.frontend.datasets.pixel_values import PixelValues
 
     task = progress.start("describing images", len(paths))
     images = []
     for done, path in enumerate(paths, 1):
-        descriptors = describe_orb(read_grey(path), features)
+        descriptors = describe_orb(PixelValues().levels(read_grey(path)), features)
         if len(descriptors) >= _MIN_DESCRIPTORS:
             images.append(descriptors)
         progress.advance(task, done)

@@ -21,6 +21,7 @@ from . import checks
 from .base import ImageSequence, Problems
 from .numbering import MissingImages
 from .stored_image import ImageRef, first_size, folder_of
+from .truth import Truth, check_cover
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class FoundSequence:
     ``stamps_ns`` (both for messages). ``truth``: ``T_W_C`` of the calibrated left camera, before rectification.
     ``depth_unit_m``: metres per step of the depth images. ``depth_sensor``: None where depth is stored registered to
     the image. ``missing``: images that the names' numbers lack. ``name``: of the sequence, by default the folder's;
-    ``origin``: what of a recording is read, for people.
+    ``origin``: what of a recording is read, for people. ``focal_guess``: where the focal length comes from that nobody
+    calibrated, else empty.
     """
 
     kind: str
@@ -56,10 +58,11 @@ class FoundSequence:
     depth: tuple[ImageRef, ...] = ()
     depth_unit_m: float = 0.001
     depth_sensor: DepthSensor | None = None
-    truth: Trajectory | None = None
+    truth: Truth | None = None
     missing: tuple[MissingImages, ...] = ()
     name: str = ""
     origin: str = ""
+    focal_guess: str = ""
 
 
 def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSequence:
@@ -76,10 +79,12 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
     size = first_size(found.images)
     checks.check_size(found.raw.left.size, size, found.calibration, found.images[0], problems)
     checks.check_camera(found.raw.left.pinhole(size), found.calibration, problems)
-    if kind is RigKind.STEREO and found.raw.right is not None and found.raw.baseline_m is not None:
+    T_left_right = found.raw.T_left_right
+    if kind is RigKind.STEREO and found.raw.right is not None and T_left_right is not None:
         checks.check_size(found.raw.right.size, size, found.calibration, right[0], problems)
         checks.check_camera(found.raw.right.pinhole(size), found.calibration, problems)
-        checks.check_baseline(found.raw.baseline_m, found.calibration, problems)
+        if found.raw.rectified or checks.check_side_by_side(T_left_right, found.calibration, problems):
+            checks.check_baseline(float(T_left_right[0, 3]), found.calibration, problems)
     try:
         ideal = rectify_rig(found.raw, kind, size)
     except FrontendError as error:
@@ -89,7 +94,9 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         T_ideal_left = se3(ideal.R_rectified_left, np.zeros(3))
         sensor = found.depth_sensor
         registration = DepthRegistration(sensor.camera, ideal.camera, product(T_ideal_left, sensor.T_C_D))
-    truth = found.truth
+    truth = None if found.truth is None else found.truth.trajectory
+    if found.truth is not None and (np.diff(found.stamps_ns) > 0).all():
+        check_cover(found.truth, found.stamps_ns, problems)
     if truth is not None and ideal.rectifier is not None:
         truth = Trajectory(truth.stamps_ns, product(truth.poses, se3(ideal.R_rectified_left.T, np.zeros(3))))
     return ImageSequence(
@@ -110,22 +117,19 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         missing=found.missing,
         understood=_understood(found, kind, None if ideal.rectifier is None else ideal.camera),
         origin=found.origin,
+        focal_guess=found.focal_guess,
         problems=tuple(dict.fromkeys(problems.found)),
     )
 
 
 def _understood(found: FoundSequence, kind: RigKind, ideal: PinholeCamera | None) -> tuple[UnderstoodCamera, ...]:
     raw, right = found.raw, found.raw.right
+    if found.focal_guess:
+        return ()
     if kind is not RigKind.STEREO or right is None:
         return (UnderstoodCamera("camera", raw.left, found.calibration, raw.form, ideal),)
     sides = (("left", raw.left), ("right", right))
     return tuple(UnderstoodCamera(side, one, found.calibration, raw.form, ideal) for side, one in sides)
-
-
-def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:
-    """Ground truth from ``poses`` ``(N, 4, 4)`` ``T_W_C``, one per frame, at ``stamps_ns`` ``(N,)``; None where the
-    stamps do not ascend, which is listed as a problem of its own."""
-    return Trajectory(stamps_ns, poses) if (np.diff(stamps_ns) > 0).all() else None
 
 
 def available_rigs(right: bool, depth: bool) -> list[RigKind]:

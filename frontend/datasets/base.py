@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -21,12 +21,14 @@ from ..cameras.depth_registration import DepthRegistration
 from ..cameras.description import UnderstoodCamera
 from ..cameras.models import Rig, RigKind
 from ..cameras.rectification import Rectifier
-from ..errors import FrontendError
+from ..errors import FrontendError, ImageSizeError
 from ..files.positions import PositionFixes
 from ..files.trajectory import Trajectory
 from ..frames import Frame, PutOff
 from ..stopwatch import Stopwatch, TimedStage
+from .mask_files import FrameMasks
 from .numbering import MissingImages
+from .pixel_values import PixelValues
 from .stored_image import ImageRef, read_colour, read_depth, read_grey
 
 Pixel = TypeVar("Pixel", bound=np.generic)
@@ -67,18 +69,19 @@ class Problems:
 class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
 
-    ``kind``: the reader's; ``name``: of the folder, unique in a data set.
-    ``stamps_ns`` ``(N,)`` int64, ascending. ``left`` names one image per frame, a file or a part of a recording;
-    ``right`` (stereo) and ``depth`` (RGB-D, 16 bit, ``depth_unit_m`` metres per step) likewise, else empty.
-    ``rectifier`` maps the images as stored to those of ``rig``; None where they are rectified already.
-    ``registration`` maps depth as stored to the camera of ``rig``; None where it is stored registered to the image
-    (and goes through the ``rectifier`` with it).
+    ``kind``: the reader's; ``name``: of the folder, unique in a data set. ``stamps_ns`` ``(N,)`` int64, ascending.
+    ``left`` names one image per frame, a file or a part of a recording; ``right`` (stereo) and ``depth`` (RGB-D)
+    likewise, else empty; ``depth_unit_m``: metres per step or number of its files. ``rectifier`` maps the images as
+    stored to those of ``rig``; None where they are rectified already. ``registration`` maps depth as stored to the
+    camera of ``rig``; None where it is stored registered to the image (and goes through the ``rectifier`` with it).
     ``stored_size`` ``(width, height)`` of the image files, pixels; ``stored_camera``: the calibrated camera that took
     them, and ``R_rectified_left`` ``(3, 3)``, which turns its coordinates into the rectified one's; None where the
-    images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left
-    camera, at all known moments, not only those of frames. ``missing``: images that the names' numbers lack.
-    ``understood``: each camera as its calibration file describes it.
-    ``origin``: what of a recording is read, in a line for people; empty for image files.
+    images are rectified already. ``groundtruth``: ``T_W_C`` of the rectified left camera, at all known moments, not
+    only those of frames. ``missing``: images that the names' numbers lack. ``understood``: each camera as its
+    calibration file describes it. ``origin``: what of a recording is read, in a line for people; empty for image files.
+    ``focal_guess``: where the focal length comes from that nobody calibrated, else empty.
+    ``values``: how stored values become grey levels; ``masks``: None where all of every image is used. ``notes``: what
+    was found out about the files and done with them, a sentence each.
     ``positions``: of an antenna, measured from outside (GPS).
     """
 
@@ -101,6 +104,10 @@ class ImageSequence:
     understood: tuple[UnderstoodCamera, ...] = ()
     origin: str = ""
     positions: PositionFixes | None = None
+    focal_guess: str = ""
+    values: PixelValues = field(default_factory=PixelValues)
+    masks: FrameMasks | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for count in (len(self.stamps_ns), len(self.right) or len(self.left), len(self.depth) or len(self.left)):
@@ -119,16 +126,20 @@ class ImageSequence:
             raise IndexError(f"frame {i} of {len(self)}")
         right = self._right(i) if self.right else None
         depth = self._depth(i) if self.depth else None
-        return Frame(i, int(self.stamps_ns[i]), self._left(i), right, depth, str(self.left[i]))
+        return Frame(i, int(self.stamps_ns[i]), self._left(i), right, depth, str(self.left[i]), *self._masks(i))
 
     def read_image(self, i: int) -> NDArray[np.uint8]:
         """The image of frame ``i`` alone, ``(H, W)`` uint8 grey; errors as :meth:`read`'s."""
         return self._left(i)
 
+    def read_right(self, i: int) -> NDArray[np.uint8]:
+        """The right image of frame ``i`` of a stereo sequence alone, as :meth:`read_image`."""
+        return self._right(i)
+
     def read_colour(self, i: int) -> NDArray[np.uint8]:
         """The image of frame ``i``, rectified like its grey one, ``(H, W, 3)`` BGR; of three equal channels where the
         file is grey. Errors as :meth:`read`'s."""
-        image = self._sized(read_colour(self.left[i]), self.left[i])
+        image = self.values.levels(self._sized(read_colour(self.left[i]), self.left[i]))
         return image if self.rectifier is None else self.rectifier.rectify_left(image)
 
     def frames(
@@ -158,26 +169,36 @@ class ImageSequence:
         image = _timed(partial(self._left, i), watch)()
         right = PutOff(_timed(partial(self._right, i), watch), reader.submit) if self.right else None
         depth = PutOff(_timed(partial(self._depth, i), watch), reader.submit) if self.depth else None
-        return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]))
+        return Frame(i, int(self.stamps_ns[i]), image, right, depth, str(self.left[i]), *self._masks(i))
 
     def _left(self, i: int) -> NDArray[np.uint8]:
-        image = self._sized(read_grey(self.left[i]), self.left[i])
+        image = self.values.levels(self._sized(read_grey(self.left[i]), self.left[i]))
         return image if self.rectifier is None else self.rectifier.rectify_left(image)
 
     def _right(self, i: int) -> NDArray[np.uint8]:
-        image = self._sized(read_grey(self.right[i]), self.right[i])
+        image = self.values.levels(self._sized(read_grey(self.right[i]), self.right[i]))
         return image if self.rectifier is None else self.rectifier.rectify_right(image)
 
     def _depth(self, i: int) -> NDArray[np.float32]:
-        depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i])
+        sensor = None if self.registration is None else self.registration.depth_camera
+        size = self.stored_size if sensor is None else (sensor.width, sensor.height)
+        depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i], size)
         if self.registration is not None:
-            return self.registration.register(depth)
-        return depth if self.rectifier is None else self.rectifier.rectify_depth(depth)
+            depth = self.registration.register(depth)
+        elif self.rectifier is not None:
+            depth = self.rectifier.rectify_depth(depth)
+        used, _ = self._masks(i)
+        return depth if used is None else np.where(used, depth, np.float32(0.0))
 
-    def _sized(self, image: NDArray[Pixel], stored: ImageRef) -> NDArray[Pixel]:
-        width, height = self.stored_size
+    def _masks(self, i: int) -> tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None]:
+        """Used pixels of the rectified image and right image of frame ``i``; None: all."""
+        return (None, None) if self.masks is None else (self.masks.of_left(i), self.masks.of_right(i))
+
+    def _sized(self, image: NDArray[Pixel], stored: ImageRef, size: tuple[int, int] | None = None) -> NDArray[Pixel]:
+        """The image, where it has the sequence's size, or this."""
+        width, height = size or self.stored_size
         if image.shape[:2] != (height, width):
-            raise FrontendError(
+            raise ImageSizeError(
                 f"{stored}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}"
             )
         return image
@@ -202,13 +223,14 @@ class Dataset:
     names.
 
     ``kind``: that of the sequences; ``problems``: agents that could not be opened at all, so that no sequence can list
-    them.
+    them; ``notes``: how the folder was understood, a sentence each.
     """
 
     kind: str
     root: Path
     sequences: list[ImageSequence]
     problems: tuple[Problem, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Reader(ABC):

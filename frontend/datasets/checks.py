@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -124,6 +125,20 @@ def check_size(
     problems.error(line)
 
 
+def check_side_by_side(T_left_right: NDArray[np.float64], source: Path, problems: Problems) -> bool:
+    """Check that the cameras of a pair stand beside each other; ``T_left_right`` ``(4, 4)`` metres."""
+    x, y, z = T_left_right[:3, 3].tolist()
+    if not np.isfinite([x, y, z]).all() or abs(x) >= max(abs(y), abs(z)):
+        return True
+    apart, where = (y, "below" if y > 0 else "above") if abs(y) >= abs(z) else (z, "before" if z > 0 else "behind")
+    cure = "; turn both images by 90 degrees, and calibrate them so" if abs(y) >= abs(z) else ""
+    problems.error(
+        f"{source}: the right camera stands {abs(apart):.4g} m {where} the left one, {abs(x):.4g} m beside it: pairs "
+        f"are read only where the cameras stand side by side{cure}"
+    )
+    return False
+
+
 def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
     """Check that the baseline, metres, is positive and of a size that a rig has."""
     if not np.isfinite(baseline_m) or baseline_m == 0:
@@ -141,10 +156,15 @@ def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
 
 
 def check_files(images: Sequence[ImageRef], what: str, problems: Problems) -> None:
-    """Check that the files of all ``images`` exist."""
+    """Check that the files of all ``images`` exist, and that none comes twice."""
     missing = [image for image in dict.fromkeys(map(file_of, images)) if not image.is_file()]
     if missing:
         problems.error(f"{missing[0]}: the {what} is missing{_more(len(missing) - 1)}")
+    listed = Counter(image for image in images if isinstance(image, Path))
+    if len(listed) < listed.total():
+        twice = next(path for path, count in listed.items() if count > 1)
+        more = listed.total() - len(listed)
+        problems.warning(f"{twice}: {more} of {len(images)} {what}s are files that come a second time")
 
 
 def _more(count: int) -> str:

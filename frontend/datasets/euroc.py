@@ -7,19 +7,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.backend.geometry import product, rotation_from_quat_wxyz, se3, se3_inverse
+from maslam.backend.geometry import product, se3, se3_inverse
 
 from ..cameras.calibration import RawCamera, RawRig
 from ..cameras.calibration_files import kalibr, load_fields
 from ..cameras.models import RigKind
 from ..cameras.rectification import stereo_rotations
 from ..errors import FrontendError
-from ..files import text_tables
-from ..files.timestamps import integer_ns, read_stamps
-from ..files.trajectory import Trajectory, read_tum
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
+from .image_times import TimedImages, known_times
 from .images import list_images
+from .listed_times import read_listed_times
+from .pairing import paired_in_time
+from .truth import Truth, find_truth, read_truth
 
 
 class EurocReader(Reader):
@@ -40,7 +41,7 @@ class EurocReader(Reader):
         """See :meth:`Reader.open`."""
         problems = Problems()
         mav = _mav(folder)
-        left_stamps, left_images = _images(mav / "cam0")
+        images = camera_images(mav / "cam0", problems)
         left, T_body_left = _sensor(mav / "cam0")
         has_right = (mav / "cam1" / "sensor.yaml").is_file()
         kind = choose_rig(available_rigs(has_right, False), rig, folder)
@@ -49,21 +50,21 @@ class EurocReader(Reader):
         if has_right:
             right, T_body_right = _sensor(mav / "cam1")
             raw = RawRig(left, right, product(se3_inverse(T_body_left), T_body_right), rectified=False, form="EuRoC")
+        elif list_images(mav / "cam1" / "data") and rig is None:
+            problems.warning(f"{mav / 'cam1'}: right images, but no sensor.yaml: not used, read as one camera")
         if kind is RigKind.STEREO:
-            right_stamps, right_images = _images(mav / "cam1")
-            left_stamps, left_images, right_images = _pairs(
-                left_stamps, left_images, right_stamps, right_images, mav, problems
-            )
+            seconds = camera_images(mav / "cam1", problems)
+            images, right_images = paired_in_time(images, seconds, "right image", problems)
         found = FoundSequence(
             kind=self.kind,
             folder=mav.resolve().parent,
             raw=raw,
             calibration=mav / "cam0" / "sensor.yaml",
-            images=left_images,
-            stamps_ns=left_stamps,
-            stamps_source=mav / "cam0",
+            images=images.files,
+            stamps_ns=images.stamps_ns,
+            stamps_source=images.source,
             right=right_images,
-            truth=_groundtruth(mav, raw, T_body_left),
+            truth=_groundtruth(mav, raw, T_body_left, images, problems),
         )
         return assemble(found, kind, problems)
 
@@ -72,32 +73,19 @@ def _mav(folder: Path) -> Path:
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
-def _images(cam: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
-    """Time stamps and files by ``data.csv``, or by the file names where there is none."""
+def camera_images(cam: Path, problems: Problems) -> TimedImages:
+    """Times and files by ``data.csv``, or by the file names where there is none."""
     table = cam / "data.csv"
-    if not table.is_file():
-        images = list_images(cam / "data")
-        try:
-            named = np.array([integer_ns(path.stem) for path in images], dtype=np.int64)
-        except ValueError:
-            named = np.zeros(0, dtype=np.int64)
-        if not len(named):
-            raise FrontendError(f"{cam / 'data'}: no images named by their time in nanoseconds, and no {table.name}")
-        return named, tuple(images)
-    stamps, files = [], []
-    for number, line in enumerate(text_tables.read_text(table).splitlines(), 1):
-        fields = [field.strip() for field in line.split(",")]
-        if not line.strip() or line.startswith("#"):
-            continue
-        try:
-            stamps.append(integer_ns(fields[0]))
-            files.append(cam / "data" / fields[1])
-        except (ValueError, IndexError):
-            found = repr(line[:60])
-            raise FrontendError(f"{table}:{number}: nanoseconds and a file name expected, found {found}") from None
-    if not files:
-        raise FrontendError(f"{table}: no images")
-    return np.array(stamps, dtype=np.int64), tuple(files)
+    if table.is_file():
+        listed = read_listed_times(table)
+        if not listed.names:
+            raise FrontendError(f"{table}: no images: a time in nanoseconds and a file name in each line expected")
+        return TimedImages(tuple(cam / "data" / Path(name).name for name in listed.names), listed.stamps_ns, cam)
+    files = list_images(cam / "data")
+    named = known_times(cam, files, problems) if files else None
+    if named is None:
+        raise FrontendError(f"{cam / 'data'}: no images named by their time in nanoseconds, and no {table.name}")
+    return named
 
 
 def _sensor(cam: Path) -> tuple[RawCamera, NDArray[np.float64]]:
@@ -107,44 +95,16 @@ def _sensor(cam: Path) -> tuple[RawCamera, NDArray[np.float64]]:
     return raw, fields.transform("T_BS")
 
 
-def _pairs(
-    left_stamps: NDArray[np.int64],
-    left: tuple[Path, ...],
-    right_stamps: NDArray[np.int64],
-    right: tuple[Path, ...],
-    mav: Path,
-    problems: Problems,
-) -> tuple[NDArray[np.int64], tuple[Path, ...], tuple[Path, ...]]:
-    """Frames that both cameras have by their tables: the recorder dropped some images of one camera in some
-    sequences."""
-    right_of = dict(zip(right_stamps.tolist(), right, strict=True))
-    kept = [i for i, stamp in enumerate(left_stamps.tolist()) if stamp in right_of]
-    if not kept:
-        raise FrontendError(f"{mav}: no image of cam0 has the time of one of cam1")
-    if len(kept) < len(left):
-        problems.warning(
-            f"{mav / 'cam1'}: no right image for {len(left) - len(kept)} of {len(left)} frames; these are left out"
-        )
-    return left_stamps[kept], tuple(left[i] for i in kept), tuple(right_of[int(left_stamps[i])] for i in kept)
-
-
-def _groundtruth(mav: Path, raw: RawRig, T_body_left: NDArray[np.float64]) -> Trajectory | None:
+def _groundtruth(
+    mav: Path, raw: RawRig, T_body_left: NDArray[np.float64], images: TimedImages, problems: Problems
+) -> Truth | None:
     """``T_W_C`` of the left camera as calibrated."""
     state = mav / "state_groundtruth_estimate0" / "data.csv"
     if state.is_file():
-        values = text_tables.read_table(
-            state, (17, 8), "a state (ns, position, quaternion wxyz, and velocity and biases)"
-        )
-        stamps = read_stamps(state, nanoseconds=True)
-        for row in np.flatnonzero(np.diff(stamps) <= 0)[:1] + 1:
-            raise FrontendError(f"{state}:{text_tables.row_line(state, row)}: time does not go on")
-        T_W_body = se3(rotation_from_quat_wxyz(values[:, 4:8]), values[:, 1:4])
-        return Trajectory(stamps, product(T_W_body, T_body_left))
-    beside = sorted(mav.resolve().parent.glob("groundtruth*.tum"))
-    if not beside:
-        return None
-    rectified = read_tum(beside[0])
-    if raw.T_left_right is None:
-        return rectified
+        body = read_truth(state, images, problems, wxyz=True)
+        return None if body is None else body.moved(T_body_left)
+    beside = find_truth(mav.resolve().parent, images, problems)
+    if beside is None or raw.T_left_right is None:
+        return beside
     R_rectified_left, _, _ = stereo_rotations(raw.T_left_right)
-    return Trajectory(rectified.stamps_ns, product(rectified.poses, se3(R_rectified_left, np.zeros(3))))
+    return beside.moved(se3(R_rectified_left, np.zeros(3)))

@@ -1,10 +1,11 @@
-"""Image files: found in natural order, decoded once, and distinguished from half-written ones."""
+"""Image files: found in natural order, looked at before they are decoded, decoded once."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,10 +13,14 @@ from numpy.typing import NDArray
 
 from ..errors import FrontendError
 from ..files.text_tables import read_bytes
+from .image_headers import ImageHeader, read_header
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"})
-_PNG_START = b"\x89PNG\r\n\x1a\n"
-_JPEG_START = b"\xff\xd8"
+_AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+"""Calibrations and poses are of images as stored: an orientation in the file is not applied."""
+_MAX_BYTES = 1 << 30
+MASK_FILES = ("mask.png", "camera_mask.png")
+"""Masks of all images, that may lie among them."""
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
@@ -24,40 +29,35 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """Image files directly in ``folder``, in natural order; hidden files are not images."""
+    """Image files directly in ``folder``, in natural order; hidden files and masks of all images are left out."""
     if not folder.is_dir():
         return []
-    found = [
-        p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()
-    ]
-    return sorted(found, key=lambda p: natural_key(p.name))
+    return sorted((path for path in folder.iterdir() if is_image(path)), key=lambda p: natural_key(p.name))
 
 
-def read_grey(path: Path) -> NDArray[np.uint8]:
-    """``(H, W)`` uint8 grey, whatever the file holds. :class:`FrontendError` where the file is missing, cut off or
-    not an image."""
-    image = _decode(path, cv2.IMREAD_GRAYSCALE)
-    return image.astype(np.uint8, copy=False)
+def is_image(path: Path) -> bool:
+    """Whether a file is one by its name; hidden files and masks of all images are not."""
+    name = path.name
+    return (
+        path.suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".") and name not in MASK_FILES and path.is_file()
+    )
 
 
-def read_colour(path: Path) -> NDArray[np.uint8]:
-    """``(H, W, 3)`` uint8 BGR, whatever the file holds; errors as :func:`read_grey`'s."""
-    image = _decode(path, cv2.IMREAD_COLOR)
-    return image.astype(np.uint8, copy=False)
+def read_grey(path: Path) -> NDArray[Any]:
+    """``(H, W)`` grey as stored: uint8, or uint16 where the file holds more than 8 bits (see
+    :class:`~.pixel_values.PixelValues`). :class:`FrontendError` where the file is missing, cut off, too large or not an
+    image that is read."""
+    return decode(_stored_bytes(path), path, cv2.IMREAD_GRAYSCALE | _AS_STORED)
 
 
-def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:
-    """``(H, W)`` float32 metres from a 16-bit depth image with ``unit_m`` metres per step; 0 and 65535 are unknown and
-    become 0. Errors as :func:`read_grey`'s, and for an image of another format."""
-    raw = _decode(path, cv2.IMREAD_UNCHANGED)
-    if raw.ndim != 2 or raw.dtype != np.uint16:
-        channels = 1 if raw.ndim == 2 else raw.shape[2]
-        raise FrontendError(
-            f"{path}: a depth image has one channel of 16 bits, found {channels} of {raw.dtype.itemsize * 8}"
-        )
-    depth = raw.astype(np.float32) * np.float32(unit_m)
-    depth[raw == np.uint16(65535)] = 0.0
-    return depth
+def read_colour(path: Path) -> NDArray[Any]:
+    """``(H, W, 3)`` BGR, uint8 or uint16, whatever the file holds; errors as :func:`read_grey`'s."""
+    return decode(_stored_bytes(path), path, cv2.IMREAD_COLOR | _AS_STORED)
+
+
+def read_numbers(path: Path) -> NDArray[Any]:
+    """The values of a depth image as stored, which may be real numbers; errors as :func:`read_grey`'s."""
+    return decode(_stored_bytes(path), path, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION, depth=True)
 
 
 def first_size(paths: Sequence[Path]) -> tuple[int, int]:
@@ -73,17 +73,37 @@ def first_size(paths: Sequence[Path]) -> tuple[int, int]:
     raise errors[0]
 
 
-def _decode(path: Path, flags: int) -> NDArray[np.generic]:
-    return decode(read_bytes(path), path, flags)
+def header_of(path: Path) -> ImageHeader:
+    """What the file says of itself; :class:`FrontendError` where it is missing, empty, or refused undecoded."""
+    return _checked(_stored_bytes(path), path)[1]
 
 
-def decode(data: bytes, name: object, flags: int) -> NDArray[np.generic]:
-    """Pixels of an image file's bytes, by OpenCV's ``flags``; ``name`` in messages. Errors as :func:`read_grey`'s."""
+def _stored_bytes(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise FrontendError(f"{path}: cannot be read: {error.strerror}") from error
+    if size > _MAX_BYTES:
+        raise FrontendError(f"{path}: a file of {size / 2**20:.0f} MB, more than the {_MAX_BYTES >> 20} of an image")
+    return read_bytes(path)
+
+
+def _checked(data: bytes, name: object, depth: bool = False) -> tuple[bytes, ImageHeader]:
+    """The bytes of the image alone, and its header, which refuses nothing."""
     if not data:
         raise FrontendError(f"{name}: the file is empty")
-    complete = _is_complete(data)
-    if not complete:
+    header = read_header(data)
+    if header.refusal and not (depth and header.only_depth):
+        raise FrontendError(f"{name}: {header.refusal}")
+    if not header.whole:
         raise FrontendError(f"{name}: the image is cut off after {len(data)} bytes")
+    return data[: header.end], header
+
+
+def decode(data: bytes, name: object, flags: int, depth: bool = False) -> NDArray[Any]:
+    """Pixels of an image file's bytes, by OpenCV's ``flags``; ``name`` in messages; ``depth``: also what only depth is
+    stored as. Errors as :func:`read_grey`'s."""
+    data, _ = _checked(data, name, depth)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as error:
@@ -93,25 +113,3 @@ def decode(data: bytes, name: object, flags: int) -> NDArray[np.generic]:
             f"{name}: not an image that can be decoded (damaged, or of another format than its name says)"
         )
     return image
-
-
-def _is_complete(data: bytes) -> bool:
-    """False for a PNG or JPEG that stops early: decoders pass those on with a grey or black rest and no error."""
-    if data.startswith(_PNG_START):
-        return _png_is_complete(data)
-    if data.startswith(_JPEG_START):
-        # The end marker must follow the last scan: in coded data FF is stuffed, and a thumbnail's end comes earlier.
-        return data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda")
-    return True
-
-
-def _png_is_complete(data: bytes) -> bool:
-    """Walk the chunks (length, name, data, checksum) to the end chunk."""
-    position = len(_PNG_START)
-    while position + 12 <= len(data):
-        length = int.from_bytes(data[position : position + 4], "big")
-        name = data[position + 4 : position + 8]
-        position += 12 + length
-        if name == b"IEND":
-            return position <= len(data)
-    return False

@@ -12,11 +12,14 @@ from maslam.backend.geometry import se3
 from ..cameras.calibration import RawCamera, RawRig
 from ..cameras.models import RigKind
 from ..errors import FrontendError
-from ..files import text_tables, timestamps
-from ..files.trajectory import Trajectory, read_kitti_poses
-from .assemble import FoundSequence, assemble, available_rigs, frame_truth
+from ..files import text_tables
+from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
+from .image_times import TimedImages, by_list
 from .images import list_images
+from .listed_times import read_listed_times
+from .pairing import with_partners
+from .truth import Truth, find_truth, read_truth
 
 Array = NDArray[np.float64]
 
@@ -39,24 +42,34 @@ class KittiReader(Reader):
         left, right = next((pair for pair in _PAIRS if list_images(folder / f"image_{pair[0]}")), (-1, -1))
         if left < 0:
             raise FrontendError(f"{folder}: no images in image_0 or image_2")
-        images = tuple(list_images(folder / f"image_{left}"))
+        files = tuple(list_images(folder / f"image_{left}"))
         projections = read_projections(folder / "calib.txt")
         P_left = _projection(projections, left, folder)
         has_right = (folder / f"image_{right}").is_dir() and len(projections) > 1
+        if rig is None and not has_right and list_images(folder / f"image_{right}"):
+            problems.warning(f"{folder / 'calib.txt'}: one camera, but image_{right} has right images: not used")
         P_right = _projection(projections, right, folder) if has_right else None
-        times = _times(folder, images, problems)
+        images = _times(folder, files, problems)
+        kind = choose_rig(available_rigs(has_right, False), rig, folder)
+        second: tuple[Path, ...] = ()
+        if kind is RigKind.STEREO:
+            second = tuple(folder / f"image_{right}" / path.name for path in images.files)
+            rights = list_images(folder / f"image_{right}")
+            if rights:
+                images, second = with_partners(folder, images, rights, "right image", problems)
         found = FoundSequence(
             kind=self.kind,
             folder=folder,
             raw=_rig(P_left, P_right),
             calibration=folder / "calib.txt",
-            images=images,
-            stamps_ns=times,
-            stamps_source=folder / "times.txt",
-            right=tuple(folder / f"image_{right}" / path.name for path in images),
-            truth=_groundtruth(folder, images, times, P_left, problems),
+            images=images.files,
+            stamps_ns=images.stamps_ns,
+            stamps_source=images.source,
+            right=second,
+            truth=_groundtruth(folder, images, P_left, problems),
+            missing=images.missing,
         )
-        return assemble(found, choose_rig(available_rigs(has_right, False), rig, folder), problems)
+        return assemble(found, kind, problems)
 
 
 def read_projections(path: Path) -> dict[int, Array]:
@@ -103,41 +116,23 @@ def _rig(P_left: Array, P_right: Array | None) -> RawRig:
     return RawRig(cameras[0], cameras[1], se3(np.eye(3), [baseline_m, 0.0, 0.0]))
 
 
-def _rows_of_images(count: int, images: tuple[Path, ...]) -> NDArray[np.int64] | None:
-    """Row of a per-image table for each image: in order, or by the number in the file name where some images were
-    taken out."""
-    if count == len(images):
-        return np.arange(count)
-    numbers = [int(path.stem) if path.stem.isdigit() else -1 for path in images]
-    return np.array(numbers) if min(numbers) >= 0 and max(numbers) < count else None
-
-
-def _times(folder: Path, images: tuple[Path, ...], problems: Problems) -> NDArray[np.int64]:
+def _times(folder: Path, files: tuple[Path, ...], problems: Problems) -> TimedImages:
     path = folder / "times.txt"
     if not path.is_file():
         raise FrontendError(f"{path}: missing; a KITTI sequence needs the time of each image, in seconds, one per line")
-    times = timestamps.read_stamps(path)
-    rows = _rows_of_images(len(times), images)
-    if rows is None:
-        raise FrontendError(f"{path}: {len(times)} times for {len(images)} images in {images[0].parent.name}")
-    if len(times) != len(images):
-        problems.warning(f"{path}: {len(times)} times for {len(images)} images; taken by the number in the file name")
-    return times[rows]
+    listed = read_listed_times(path)
+    if listed.doubt:
+        problems.warning(f"{path}: {listed.doubt}")
+    return by_list(files, listed, path, problems)
 
 
-def _groundtruth(
-    folder: Path, images: tuple[Path, ...], times: NDArray[np.int64], P_left: Array, problems: Problems
-) -> Trajectory | None:
+def _groundtruth(folder: Path, images: TimedImages, P_left: Array, problems: Problems) -> Truth | None:
     resolved = folder.resolve()
-    candidates = (folder / "poses.txt", resolved.parent.parent / "poses" / f"{resolved.name}.txt")
-    path = next((p for p in candidates if p.is_file()), None)
-    if path is None:
-        return None
-    _, poses = read_kitti_poses(path)
-    rows = _rows_of_images(len(poses), images)
-    if rows is None:
-        problems.warning(f"{path}: {len(poses)} poses for {len(images)} images; ground truth left out")
-        return None
+    published = resolved.parent.parent / "poses" / f"{resolved.name}.txt"
+    if (folder / "poses.txt").is_file() or not published.is_file():
+        truth = find_truth(folder, images, problems)
+    else:
+        truth = read_truth(published, images, problems)
     # Poses are those of camera 0; the fourth column of P is K times where camera 0's origin lies in this camera.
     offset = np.linalg.solve(P_left[:, :3], P_left[:, 3])
-    return frame_truth(times, poses[rows] @ se3(np.eye(3), -offset))
+    return None if truth is None else truth.moved(se3(np.eye(3), -offset))

@@ -50,17 +50,24 @@ def missing_images(stems: Sequence[str]) -> tuple[MissingImages, ...]:
 
 def numbered_steps(stems: Sequence[str]) -> tuple[NDArray[np.int64], int]:
     """Numbers ``(N,)`` of the names, and their usual step; 0 where they are not numbered in such steps."""
-    parts = [_parts(stem) for stem in stems]
+    numbers = numbers_of(stems)
     nothing = np.zeros(0, dtype=np.int64), 0
-    if len(parts) < 3 or len({(prefix, suffix) for prefix, _, suffix in parts}) > 1 or not parts[0][1]:
+    if numbers is None or len(numbers) < 3:
         return nothing
-    if max(len(digits) for _, digits, _ in parts) > 18:
-        return nothing
-    numbers = np.array([int(digits) for _, digits, _ in parts], dtype=np.int64)
     steps = np.diff(numbers)
     step, often = Counter(steps.tolist()).most_common(1)[0]
     regular = step > 0 and often > _REGULAR * len(steps) and (steps > 0).all() and not (steps % step).any()
     return (numbers, step) if regular else nothing
+
+
+def numbers_of(stems: Sequence[str]) -> NDArray[np.int64] | None:
+    """The last number ``(N,)`` in each name, where all names are alike but for it; else None."""
+    parts = [_parts(stem) for stem in stems]
+    if not parts or not parts[0][1] or len({(prefix, suffix) for prefix, _, suffix in parts}) > 1:
+        return None
+    if max(len(digits) for _, digits, _ in parts) > 18:
+        return None
+    return np.array([int(digits) for _, digits, _ in parts], dtype=np.int64)
 
 
 def _parts(stem: str) -> tuple[str, str, str]:

@@ -7,18 +7,37 @@ from collections.abc import Callable, Iterable
 from maslam.extensions import ExtensionGroup, check_name, installed, load_extension, made, name_of
 
 from ..recording_config import RecordingConfig
+from .associations import AssociationsReader
 from .base import Reader
 from .euroc import EurocReader
 from .folder import FolderReader
 from .kitti import KittiReader
+from .kitti_raw import KittiRawReader
 from .recordings.bags import BagReader
 from .recordings.films import FilmReader
+from .replica import ReplicaReader
+from .scannet import ScanNetReader
 from .seven_scenes import SevenScenesReader
+from .tartanair import TartanAirReader
 from .tum import TumReader
+from .tum_vi import TumViReader
 
 ReaderLike = Reader | type[Reader] | Callable[[], Reader]
 """A reader, or what makes one."""
-OURS: tuple[Reader, ...] = (KittiReader(), EurocReader(), TumReader(), SevenScenesReader(), BagReader(), FilmReader())
+OURS: tuple[Reader, ...] = (
+    KittiReader(),
+    EurocReader(),
+    TumReader(),
+    SevenScenesReader(),
+    TumViReader(),
+    KittiRawReader(),
+    AssociationsReader(),
+    ReplicaReader(),
+    ScanNetReader(),
+    TartanAirReader(),
+    BagReader(),
+    FilmReader(),
+)
 """Tried in this order."""
 ANY_IMAGES = FolderReader()
 """Takes any folder of images, so it comes last."""

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.backend.geometry import product, project_to_so3, se3, se3_inverse
+from maslam.backend.geometry import se3, se3_inverse
 
 from ..cameras.calibration import RawCamera, RawRig
 from ..cameras.models import PinholeCamera, RigKind
 from ..errors import FrontendError
 from ..files import text_tables
 from ..files.timestamps import NS_PER_S
-from ..files.trajectory import Trajectory
-from .assemble import DepthSensor, FoundSequence, assemble, available_rigs, frame_truth
+from .assemble import DepthSensor, FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .images import first_size, list_images
+from .numbering import missing_images
+from .truth import Truth, truth_of_files
 
 _COLOUR = re.compile(r"frame-(\d+)\.color\.(?:png|jpg|jpeg)")
 _RATE_HZ = 30  # of the Kinect; the data set has no time stamps
@@ -65,7 +66,8 @@ class SevenScenesReader(Reader):
             stamps_source=folder,
             depth=depth,
             depth_sensor=DepthSensor(_depth_camera(size), _T_C_D),
-            truth=_groundtruth(images, times, problems),
+            truth=_groundtruth(folder, images, times, problems),
+            missing=missing_images([_stem(path) for path in images]),
         )
         has_depth = any(path.is_file() for path in depth)
         return assemble(found, choose_rig(available_rigs(False, has_depth), rig, folder), problems)
@@ -94,24 +96,9 @@ def _depth_camera(size: tuple[int, int]) -> PinholeCamera:
     return PinholeCamera(width, height, focal, focal, width / 2, height / 2)
 
 
-def _groundtruth(images: tuple[Path, ...], times: NDArray[np.int64], problems: Problems) -> Trajectory | None:
+def _groundtruth(folder: Path, images: tuple[Path, ...], times: NDArray[np.int64], problems: Problems) -> Truth | None:
     """Colour camera's poses of the frames that have one. The published rotations are not exactly
     orthonormal: the nearest rotation is taken."""
-    stamps, poses, missing = [], [], []
-    for stamp, image in zip(times.tolist(), images, strict=True):
-        path = image.with_name(f"{_stem(image)}.pose.txt")
-        if not path.is_file():
-            missing.append(path)
-            continue
-        pose = text_tables.read_table(path, 4, "a row of a 4x4 pose")
-        if pose.shape != (4, 4) or abs(np.linalg.det(pose[:3, :3]) - 1.0) > 0.05:
-            raise FrontendError(f"{path}: not a rigid 4x4 transform")
-        stamps.append(stamp)
-        poses.append(pose)
-    if missing and poses:
-        problems.warning(f"{missing[0]}: no ground truth for {len(missing)} of {len(images)} frames")
-    if not poses:
-        return None
-    matrices = np.array(poses)
-    T_W_D = se3(project_to_so3(matrices[:, :3, :3]), matrices[:, :3, 3])
-    return frame_truth(np.array(stamps, dtype=np.int64), product(T_W_D, se3_inverse(_T_C_D)))
+    files = [path.with_name(f"{_stem(path)}.pose.txt") for path in images]
+    truth = truth_of_files(folder, [path if path.is_file() else None for path in files], times, problems)
+    return None if truth is None else truth.moved(se3_inverse(_T_C_D))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FrontendError
-from . import images
+from . import depth_files, images
 
 
 class StoredImage(ABC):
@@ -66,7 +66,7 @@ def read_colour(image: ImageRef) -> NDArray[np.uint8]:
 
 def read_depth(image: ImageRef, unit_m: float) -> NDArray[np.float32]:
     """``(H, W)`` float32 metres; errors as :func:`read_grey`'s."""
-    return image.read_depth(unit_m) if isinstance(image, StoredImage) else images.read_depth(image, unit_m)
+    return image.read_depth(unit_m) if isinstance(image, StoredImage) else depth_files.read_depth(image, unit_m)
 
 
 def file_of(image: ImageRef) -> Path:

@@ -5,21 +5,20 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..cameras.calibration import Distortion, RawCamera, RawRig
 from ..cameras.models import RigKind
 from ..errors import FrontendError
-from ..files import text_tables
-from ..files.timestamps import decimal_ns
-from ..files.trajectory import read_tum
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
+from .depth_unit import unit_of_depth
+from .image_times import TimedImages
+from .listed_times import read_listed_times
+from .pairing import paired_in_time
+from .truth import find_truth
 
 _TOLERANCE_NS = 20_000_000  # between colour and depth: more than half a frame at 30 Hz is another frame
-_DEPTH_UNIT_M = 1.0 / 5000.0
+DEPTH_UNIT_M = 1.0 / 5000.0
 _RADTAN = Distortion.RADIAL_TANGENTIAL
 _PUBLISHED = {  # colour cameras, from the data set's page; the recordings' folder names say which
     "freiburg1": RawCamera(517.3, 516.5, 318.6, 255.3, (640, 480), _RADTAN, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
@@ -47,77 +46,47 @@ class TumReader(Reader):
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         """See :meth:`Reader.open`."""
         problems = Problems()
-        stamps, images = _listed(folder / "rgb.txt")
+        images = _listed(folder / "rgb.txt", problems)
         has_depth = (folder / "depth.txt").is_file()
         kind = choose_rig(available_rigs(False, has_depth), rig, folder)
         depth: tuple[Path, ...] = ()
         if kind is RigKind.RGBD:
-            stamps, images, depth = _with_depth(folder, stamps, images, problems)
-        raw, source = _camera(folder, problems)
-        truth = folder / "groundtruth.txt"
+            images, depth = _with_depth(folder, images, problems)
+        raw, source = camera_of_recording(folder, problems)
         found = FoundSequence(
             kind=self.kind,
             folder=folder,
             raw=raw,
             calibration=source,
-            images=images,
-            stamps_ns=stamps,
-            stamps_source=folder / "rgb.txt",
+            images=images.files,
+            stamps_ns=images.stamps_ns,
+            stamps_source=images.source,
             depth=depth,
-            depth_unit_m=raw.depth_unit_m or _DEPTH_UNIT_M,
-            truth=read_tum(truth) if truth.is_file() else None,
+            depth_unit_m=unit_of_depth(depth, raw.depth_unit_m, DEPTH_UNIT_M, source, problems),
+            truth=find_truth(folder, images, problems),
         )
         return assemble(found, kind, problems)
 
 
-def _listed(path: Path) -> tuple[NDArray[np.int64], tuple[Path, ...]]:
-    stamps, files = [], []
-    for number, line in enumerate(text_tables.read_text(path).splitlines(), 1):
-        fields = line.split()
-        if not fields or fields[0].startswith("#"):
-            continue
-        try:
-            stamps.append(decimal_ns(fields[0]))
-            files.append(path.parent / fields[1])
-        except (ValueError, IndexError):
-            raise FrontendError(
-                f"{path}:{number}: a time in seconds and a file expected, found {line[:60]!r}"
-            ) from None
-    if not files:
+def _listed(path: Path, problems: Problems) -> TimedImages:
+    listed = read_listed_times(path)
+    if not len(listed.stamps_ns):
         raise FrontendError(f"{path}: no images")
-    return np.array(stamps, dtype=np.int64), tuple(files)
+    if not listed.names:
+        raise FrontendError(f"{path}: a time and an image file in each line expected")
+    if listed.doubt:
+        problems.warning(f"{path}: {listed.doubt}")
+    return TimedImages(tuple(path.parent / name for name in listed.names), listed.stamps_ns, path)
 
 
-def _with_depth(
-    folder: Path, stamps: NDArray[np.int64], images: tuple[Path, ...], problems: Problems
-) -> tuple[NDArray[np.int64], tuple[Path, ...], tuple[Path, ...]]:
+def _with_depth(folder: Path, images: TimedImages, problems: Problems) -> tuple[TimedImages, tuple[Path, ...]]:
     """Colour frames whose nearest depth image is near enough and nearer to no other colour frame."""
-    depth_stamps, depth = _listed(folder / "depth.txt")
-    if (np.diff(stamps) <= 0).any() or (np.diff(depth_stamps) <= 0).any():
-        back = folder / ("rgb.txt" if (np.diff(stamps) <= 0).any() else "depth.txt")
-        raise FrontendError(f"{back}: time goes back or stands still")
-    to_depth, to_colour = _nearest(stamps, depth_stamps), _nearest(depth_stamps, stamps)
-    mutual = to_colour[to_depth] == np.arange(len(stamps))
-    kept = np.flatnonzero(mutual & (np.abs(depth_stamps[to_depth] - stamps) <= _TOLERANCE_NS))
-    if not len(kept):
-        raise FrontendError(
-            f"{folder / 'depth.txt'}: no depth image within {_TOLERANCE_NS / 1e6:.0f} ms of a colour image"
-        )
-    if len(kept) < len(images):
-        problems.warning(
-            f"{folder / 'depth.txt'}: no depth image for {len(images) - len(kept)} of {len(images)} frames; "
-            "these are left out"
-        )
-    return stamps[kept], tuple(images[i] for i in kept), tuple(depth[i] for i in to_depth[kept])
+    depth = _listed(folder / "depth.txt", problems)
+    return paired_in_time(images, depth, "depth image", problems, _TOLERANCE_NS)
 
 
-def _nearest(stamps: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
-    after = np.clip(np.searchsorted(among, stamps), 0, len(among) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(stamps - among[before] <= among[after] - stamps, before, after)
-
-
-def _camera(folder: Path, problems: Problems) -> tuple[RawRig, Path]:
+def camera_of_recording(folder: Path, problems: Problems) -> tuple[RawRig, Path]:
+    """The calibration in the folder, else the published one by the folder's name, else ROS's, which is said."""
     found = find_camera_file(folder)
     if found is not None:
         return found

@@ -57,6 +57,11 @@ def seconds_text(stamp_ns: int) -> str:
     return f"{sign}{magnitude // NS_PER_S}.{magnitude % NS_PER_S:09d}"
 
 
+def span_text(stamps_ns: NDArray[np.int64]) -> str:
+    """``from to`` in seconds with milliseconds, of at least one time."""
+    return f"{stamps_ns[0] / NS_PER_S:.3f} to {stamps_ns[-1] / NS_PER_S:.3f} s"
+
+
 def read_stamps(path: Path, nanoseconds: bool = False) -> NDArray[np.int64]:
     """Nanoseconds ``(N,)`` of the first column of a text file, which holds seconds, or integer ``nanoseconds``.
 

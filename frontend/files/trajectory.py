@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from .timestamps import NS_PER_S, read_stamps, seconds_text, stamp_ns_from_s
 
 __all__ = [
     "NS_PER_S",
+    "TRUTH_TOLERANCE_NS",
     "Trajectory",
     "read_kitti_poses",
     "read_tum",
@@ -25,6 +27,8 @@ __all__ = [
     "write_tum",
 ]
 
+TRUTH_TOLERANCE_NS = 20_000_000
+"""An estimated pose and a true one belong together within this; ground truth is often sampled at its own times."""
 _QUATERNION_TOLERANCE = 0.05  # of its length: rounded digits are fine, a column mixed up is not
 _ROTATION_TOLERANCE = 0.02  # of R R^T against the identity: 7-Scenes poses are off by up to a percent
 
@@ -113,12 +117,16 @@ def read_kitti_poses(path: Path) -> tuple[NDArray[np.float64] | None, NDArray[np
     return times, se3(rigid_rotations(matrices[:, :, :3], path), matrices[:, :, 3])
 
 
-def rigid_rotations(rotations: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
-    """The nearest exact rotations ``(N, 3, 3)``; :class:`FrontendError` with the line of one that is none."""
+def rigid_rotations(
+    rotations: NDArray[np.float64], path: Path, lines: Sequence[int] | None = None
+) -> NDArray[np.float64]:
+    """The nearest exact rotations ``(N, 3, 3)``; :class:`FrontendError` with the line of one that is none: by
+    ``lines``, those of the rows, else the file's data rows are counted."""
     gram = rotations @ np.swapaxes(rotations, -1, -2)
     wrong = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE) | (np.linalg.det(rotations) < 0)
     for row in np.flatnonzero(wrong)[:1]:
-        raise FrontendError(f"{path}:{text_tables.row_line(path, row)}: the 3x3 part of the pose is not a rotation")
+        line = text_tables.row_line(path, row) if lines is None else lines[row]
+        raise FrontendError(f"{path}:{line}: the 3x3 part of the pose is not a rotation")
     return project_to_so3(rotations)
 
 

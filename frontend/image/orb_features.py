@@ -18,6 +18,7 @@ from maslam._kernels import kernel
 
 from ..config import FeatureConfig
 from .guided_matching import OrbFeatures
+from .used_pixels import corner_mask
 
 EDGE_PX = 20
 """ORB's rotated sampling pattern reaches 18.4 pixels from its centre."""
@@ -51,9 +52,12 @@ class Keypoints:
 
 
 class Pyramid:
-    """An image and its scaled copies, made once and shared by detection and description."""
+    """An image and its scaled copies, made once and shared by detection and description; ``used`` ``(H, W)``: where
+    corners may lie, None: everywhere."""
 
-    def __init__(self, image: NDArray[np.uint8], levels: int, scale_factor: float) -> None:
+    def __init__(
+        self, image: NDArray[np.uint8], levels: int, scale_factor: float, used: NDArray[np.bool_] | None = None
+    ) -> None:
         height, width = image.shape
         self.levels: list[NDArray[np.uint8]] = [np.ascontiguousarray(image)]
         for k in range(1, levels):
@@ -64,6 +68,12 @@ class Pyramid:
                 cv2.resize(self.levels[-1], size, interpolation=cv2.INTER_LINEAR).astype(np.uint8, copy=False)
             )
         self.scales = np.array([[width / im.shape[1], height / im.shape[0]] for im in self.levels])
+        self.used = None if used is None else self._scaled(corner_mask(used))
+
+    def _scaled(self, mask: NDArray[np.float32]) -> list[NDArray[np.uint8]]:
+        """The mask of each level, as OpenCV's detectors take it: pixels of which no part is masked."""
+        sized = (cv2.resize(mask, im.shape[::-1], interpolation=cv2.INTER_AREA) for im in self.levels)
+        return [(one > 1.0 - 1e-4).astype(np.uint8) for one in sized]
 
     def to_base(self, xy: NDArray[np.float64], level: int | NDArray[np.int8]) -> NDArray[np.float64]:
         """Pixels ``(n, 2)`` of the full image from those of ``level``."""
@@ -94,7 +104,8 @@ class Detector:
         all_uv, all_level, all_strength = [np.zeros((0, 2))], [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
         for level, image in enumerate(images):
             quota = max(round(count * image.size / area), 8)
-            xy, strength = self._detect_level(image, level, quota, pyramid.from_base(taken_uv, level))
+            used = None if pyramid.used is None else pyramid.used[level]
+            xy, strength = self._detect_level(image, used, level, quota, pyramid.from_base(taken_uv, level))
             all_uv.append(pyramid.to_base(xy, level))
             all_level.append(np.full(len(xy), level, dtype=np.int8))
             all_strength.append(strength)
@@ -103,7 +114,12 @@ class Detector:
         return uv[order], level_of[order], strength[order]
 
     def _detect_level(
-        self, image: NDArray[np.uint8], level: int, quota: int, taken: NDArray[np.float64]
+        self,
+        image: NDArray[np.uint8],
+        used: NDArray[np.uint8] | None,
+        level: int,
+        quota: int,
+        taken: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         height, width = image.shape
         columns, rows = max(width // _TILE_PX, 1), max(height // _TILE_PX, 1)
@@ -114,8 +130,8 @@ class Detector:
         for r in range(rows):
             for c in range(columns):
                 # FAST leaves a border of 3 pixels.
-                tile = image[y_edges[r] - 3 : y_edges[r + 1] + 3, x_edges[c] - 3 : x_edges[c + 1] + 3]
-                corners = self._detect_tile(tile, (level, r, c), want)
+                at = slice(y_edges[r] - 3, y_edges[r + 1] + 3), slice(x_edges[c] - 3, x_edges[c + 1] + 3)
+                corners = self._detect_tile(image[at], None if used is None else used[at], (level, r, c), want)
                 if corners:
                     found_xy.append(cv2.KeyPoint.convert(corners) + np.array([x_edges[c] - 3.0, y_edges[r] - 3.0]))
                     found_strength.append(np.array([k.response for k in corners]))
@@ -124,15 +140,17 @@ class Detector:
         keep = _spread(xy, np.argsort(-strength, kind="stable"), taken, width, height, cell, 2, 4.0)
         return xy[keep], strength[keep]
 
-    def _detect_tile(self, tile: NDArray[np.uint8], key: tuple[int, int, int], want: int) -> Sequence[cv2.KeyPoint]:
+    def _detect_tile(
+        self, tile: NDArray[np.uint8], used: NDArray[np.uint8] | None, key: tuple[int, int, int], want: int
+    ) -> Sequence[cv2.KeyPoint]:
         """Corners of a tile by its own threshold, which is halved at once where it finds far too few."""
         low = self.config.fast_threshold
         threshold = self._thresholds.get(key, 3 * low)
         tile = np.ascontiguousarray(tile)
-        corners = cv2.FastFeatureDetector.create(threshold).detect(tile)
+        corners = cv2.FastFeatureDetector.create(threshold).detect(tile, used)
         while len(corners) < want // 2 and threshold > low:
             threshold = max(threshold // 2, low)
-            corners = cv2.FastFeatureDetector.create(threshold).detect(tile)
+            corners = cv2.FastFeatureDetector.create(threshold).detect(tile, used)
         if len(corners) > 2 * want:
             threshold += max(threshold // 5, 1)
         elif len(corners) < want:

@@ -48,7 +48,7 @@ class Mapper:
             self._cull_keyframes()
         if keyframe.stays:
             with self._stage(TimedStage.VIEWS):
-                self.more_views.add(keyframe, frame.image)
+                self.more_views.add(keyframe, frame.image, frame.used)
         return keyframe
 
     def _make(self, frame: Frame, T_C_W: Array, seen: FrameObservations) -> MapKeyFrame:
@@ -56,7 +56,7 @@ class Mapper:
         key-points."""
         point, uv = seen
         features, stays = self.config.features, self._stays(T_C_W, point)
-        pyramid = Pyramid(frame.image, features.levels if stays else 2, features.scale_factor)
+        pyramid = Pyramid(frame.image, features.levels if stays else 2, features.scale_factor, frame.used)
         extra = features.landmarks if stays else 0
         new_uv, new_level, _ = self._detector.detect(pyramid, features.tracks + extra, uv, None if stays else 1)
         fill = spread_cells(new_uv, uv, frame.image.shape[1], frame.image.shape[0], features.tracks)

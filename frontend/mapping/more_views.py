@@ -17,6 +17,7 @@ from maslam.backend.geometry import product, transform_points
 
 from ..config import FlowConfig
 from ..image.patch_alignment import HALF, Patches, align, cut_patches, half_sized
+from ..image.used_pixels import are_used
 from .map import Array, FrameObservations, Ints, Map, MapKeyFrame
 from .range_sensor import Ranging
 
@@ -28,11 +29,12 @@ _REACH_SHARE = 0.006
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A key-frame, its image with halvings, and what its observations look like, row by row."""
+    """A key-frame, its image with halvings, what its observations look like, row by row, and where points may be."""
 
     keyframe: MapKeyFrame
     image: list[NDArray[np.uint8]]
     patches: Patches
+    used: NDArray[np.bool_] | None
 
 
 class MoreViews:
@@ -47,12 +49,13 @@ class MoreViews:
         self.found: dict[int, FrameObservations] = {}
         self._held: list[_Held] = []
 
-    def add(self, keyframe: MapKeyFrame, image: NDArray[np.uint8]) -> None:
-        """A key-frame that stays, the latest of the map; the one that has all its neighbours now is searched."""
+    def add(self, keyframe: MapKeyFrame, image: NDArray[np.uint8], used: NDArray[np.bool_] | None = None) -> None:
+        """A key-frame that stays, the latest of the map, with its image and which pixels may give points (None: all);
+        the one that has all its neighbours now is searched."""
         if not self.neighbours:
             return
         levels = half_sized(image, self.flow.align_levels)
-        self._held.append(_Held(keyframe, levels, cut_patches(levels, keyframe.uv)))
+        self._held.append(_Held(keyframe, levels, cut_patches(levels, keyframe.uv), used))
         del self._held[: -2 * self.neighbours - 1]
         if len(self._held) > self.neighbours:
             self._search(len(self._held) - 1 - self.neighbours)
@@ -77,6 +80,7 @@ class MoreViews:
             ids = home.keyframe.point[rows]
             tries[ids] += 1
             xy, good = align(home.patches.take(rows), at.image, warp, guess, self.flow.min_correlation, reach_px)
+            good &= are_used(at.used, xy)
             tries[ids[good]] = _TRIES
             points.append(ids[good])
             uv.append(xy[good])

@@ -24,6 +24,7 @@ from ..estimation.self_calibration import (
 )
 from ..frames import Frame
 from ..image.patch_alignment import align, cut_patches, half_sized
+from ..image.used_pixels import are_used
 
 _COARSE_LEVEL = 2
 _COARSE = 2**_COARSE_LEVEL
@@ -193,9 +194,11 @@ class Ranging:
             frame.check_size(frame.right, "right image", size)
             ideal = self.cam[4] / expected_depth
             shift = pair_shift(uv, np.nan_to_num(ideal), self.cam, self.calib)
-            return measure_disparity(
+            disparity, row = measure_disparity(
                 frame.image, frame.right, uv, ideal + shift[:, 0], shift[:, 1], self.flow, self.config
             )
+            seen = are_used(frame.right_used, uv + np.stack([-disparity, row], axis=1))
+            return np.where(seen, disparity, np.nan), np.where(seen, row, np.nan)
         if self.rig.kind is RigKind.RGBD and frame.depth_m is not None:
             frame.check_size(frame.depth_m, "depth image", size)
             depth = depth_at(frame.depth_m, uv, _DEPTH_JUMP)

@@ -13,7 +13,8 @@ from ..estimation.several_views import SeveralViews
 from ..frames import Frame
 from ..image.optical_flow import follow_both_ways
 from ..image.orb_features import Detector, Pyramid, spread_cells
-from ..mapping.map import FrameObservations
+from ..image.used_pixels import are_used
+from ..mapping.map import FrameObservations, MapKeyFrame
 from ..mapping.range_sensor import Ranging
 from ..reason import NO_REASON, Reason
 from ..stopwatch import Stopwatch
@@ -23,6 +24,10 @@ from .track import Segment
 _RENEW = 0.75
 """Share of a first view's corners below which the next first view is taken beside it."""
 _FIRST_VIEWS = 3
+TOO_FEW_FEATURES = "too few features in the image"
+SAME_IMAGES = "all disparities are 0: left and right are the same image"
+SAME_IMAGE_PX = 0.1
+"""Disparity that nearly all points of a pair of equal images stay below, also where each was compressed by itself."""
 WITHOUT_SECOND = ("the right image is missing", "the depth image is missing")
 """Refusals that are not about the image itself."""
 
@@ -74,8 +79,18 @@ class MetricStarter:
         placed = int(np.isfinite(segment.map.xyz[segment.tracker.followed.point, 0]).sum())
         need = 2 * self.config.pose.min_inliers
         if placed < need:
-            return Start(None, Reason.few("too few points with depth", placed, need, "points with depth in the image"))
+            return Start(None, self._unplaced(segment.latest, placed, need))
         return Start(segment)
+
+    def _unplaced(self, keyframe: MapKeyFrame, placed: int, need: int) -> Reason:
+        """Why a view has too few points with depth: hardly any feature (fog, blur, a bare wall), twice the same image,
+        or neither."""
+        if len(keyframe.uv) < need:
+            return Reason.few(TOO_FEW_FEATURES, len(keyframe.uv), need, "features in the image")
+        known = np.abs(keyframe.disparity[np.isfinite(keyframe.disparity)])
+        if self.ranging.rig.kind is RigKind.STEREO and len(known) >= need and np.quantile(known, 0.95) < SAME_IMAGE_PX:
+            return Reason(SAME_IMAGES, f"{SAME_IMAGES}: {len(known)} points lie at the same place in both")
+        return Reason.few("too few points with depth", placed, need, "points with depth in the image")
 
 
 def _without(second: int, frame: Frame) -> Reason:
@@ -112,6 +127,7 @@ class MonoStarter:
         if self._last is not None and self._views:
             before = np.concatenate([view.uv for view in self._views])
             uv, ok = follow_both_ways(self._last.image, frame.image, before, before, self.config.flow)
+            ok &= are_used(frame.used, uv)
             ends = np.cumsum([len(view) for view in self._views])[:-1]
             for view, at, found in zip(self._views, np.split(uv, ends), np.split(ok, ends), strict=True):
                 view.follow(at, found)
@@ -129,7 +145,7 @@ class MonoStarter:
         if self._views and self._views[-1].left >= _RENEW:
             return refusal or NO_REASON
         features, least = self.config.features, least_matches(self.config.mono)
-        pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
+        pyramid = Pyramid(frame.image, features.levels, features.scale_factor, frame.used)
         uv, _, _ = Detector(features).detect(pyramid, 2 * features.tracks, np.zeros((0, 2)))
         chosen = spread_cells(uv, np.zeros((0, 2)), frame.image.shape[1], frame.image.shape[0], 2 * features.tracks)
         if len(chosen) >= least:
@@ -139,7 +155,7 @@ class MonoStarter:
             return refusal or Reason("first view of a start", "first view taken, waiting for a second")
         if self._views and refusal is not None:
             return refusal
-        return Reason.few("too few corners in the image", len(chosen), least, "corners in the image")
+        return Reason.few(TOO_FEW_FEATURES, len(chosen), least, "features in the image")
 
     def _build(self, view: FirstView, frame: Frame, motion: SeveralViews) -> Start:
         """The map of two key-frames; its unit is the median depth in the first."""
@@ -157,4 +173,4 @@ class MonoStarter:
         need = min(self.config.mono.min_points, len(motion.points) * 3 // 4)
         if known < need:
             return Start(None, Reason.few("too few points left", known, need, "points left after bundle adjustment"))
-        return Start(segment, first=view.frame)
+        return Start(segment, first=view.frame.original or view.frame)

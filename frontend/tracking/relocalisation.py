@@ -138,7 +138,7 @@ class Relocaliser:
 
     def _describe(self, frame: Frame) -> Keypoints:
         features = self.config.features
-        pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
+        pyramid = Pyramid(frame.image, features.levels, features.scale_factor, frame.used)
         uv, level, _ = self._detector.detect(pyramid, features.landmarks + features.tracks, np.zeros((0, 2)))
         found = describe(pyramid, uv, level)
         usable = np.flatnonzero(np.isfinite(found.angle_deg))

@@ -16,6 +16,7 @@ from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..frames import Frame
 from ..image.optical_flow import follow, follow_both_ways
 from ..image.patch_alignment import Patches, align, cut_patches, half_sized
+from ..image.used_pixels import are_used
 from ..mapping.map import FrameObservations, Ints, Map
 from ..mapping.range_sensor import Ranging
 from ..reason import NO_REASON, Reason
@@ -209,13 +210,14 @@ class Tracker:
         uv[index], found[index] = align(
             patches, search.image, warp[index], guess[index], flow.min_correlation, flow.reach_px
         )
-        return uv, found
+        return uv, found & are_used(search.frame.used, uv)
 
     def _rough_pose(self, search: _Search) -> Array | None:
         """A pose without any prediction: wide flow from the previous frame, then RANSAC."""
         index = np.flatnonzero(self.followed.found & np.isfinite(search.xyz[:, 0]))
         before = self.followed.uv[index]
         uv, ok = follow(self.image[0], search.frame.image, before, before, self.config.flow)
+        ok &= are_used(search.frame.used, uv)
         error_px = 8.0 * self.config.pose.pixel_sigma_px
         return absolute_pose(search.xyz[index[ok]], self.ranging.ideal(uv[ok]), self.ranging.cam, error_px)
 
@@ -268,7 +270,7 @@ class Tracker:
         far, _ = self.ranging.project(se3(turn, np.zeros(3)), self.ranging.rays(start))
         guess = np.where(np.isfinite(far), far, start)
         at, good = follow_both_ways(self.image[0], search.frame.image, start, guess, self.config.flow)
-        good &= self._on_epipolar_line(start, at, T_C_W)
+        good &= are_used(search.frame.used, at) & self._on_epipolar_line(start, at, T_C_W)
         uv, found = fit.uv.copy(), fit.found.copy()
         uv[index], found[index] = at, good
         in_need = fit.result.inliers < _FEW_KNOWN and good.sum() < _FLOW_HOLDS * len(index)

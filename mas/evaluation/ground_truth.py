@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from maslam.backend.geometry import Array, rotation_angle_deg, se3_inverse
 from maslam.backend.trajectory_error import TrajectoryError, connected_error, path_length, trajectory_error
-from maslam.frontend.files.trajectory import Trajectory
+from maslam.frontend.files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
 
 from ..agent import Agent
 from ..map_exchange.map_copy import MapCopy
@@ -22,8 +22,6 @@ from ..state.place_match import Match
 from ..state.trajectories import frame_trajectory, keyframe_trajectory
 from .coverage import FrameName, frame_names, frames_held, frames_read
 
-# An estimated pose and a true one belong together within this; ground truth is often sampled at its own times.
-TRUTH_TOLERANCE_NS = 20_000_000
 # Placed frames so many of their usual intervals apart are not on one stretch of the path.
 _GAP = 1.5
 # Fewer poses than this align perfectly whatever they are.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import overload
 
 from maslam.backend.trajectory_error import TrajectoryError, trajectory_error
-from maslam.frontend.files.trajectory import Trajectory
-from maslam.mas.evaluation.ground_truth import MIN_POSES, TRUTH_TOLERANCE_NS
+from maslam.frontend.files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
+from maslam.mas.evaluation.ground_truth import MIN_POSES
 from maslam.mas.evaluation.summary import Summary
 from maslam.tools.common.errors import ToolError
 

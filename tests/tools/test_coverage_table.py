@@ -73,6 +73,18 @@ def test_frames_of_several_intervals_are_counted_by_kind() -> None:
     assert lost_lines(summary(lost=[lost(0, 4, dark=3, few=2)])) == ["agent_00: 5 frames lost (0 to 4): of 0"]
 
 
+def test_lost_frames_have_the_names_of_their_images_where_these_are_others() -> None:
+    def lost(first: int, last: int, **images: str) -> dict[str, Any]:
+        return {"first_frame": first, "last_frame": last, "reason": "dark", **images}
+
+    entries = [
+        lost(5, 6, first_image="000017", last_image="000018"),
+        lost(9, 9, first_image="000023", last_image="000023"),
+    ]
+    (line,) = lost_lines(summary(lost=entries))
+    assert line == "agent_00: 3 frames lost (5 to 6 = 000017 to 000018, 9 to 9 = 000023): dark"
+
+
 def test_agents_are_named_for_their_images_where_these_tell_them_apart() -> None:
     coverage = summary()["coverage"][0]
     several = {"agents": 2, "coverage": [{**coverage, "sequence": name} for name in ("kitchen", "agent_01")]}

@@ -290,7 +290,7 @@ def test_lost_intervals_are_those_of_the_agents_own_frames_without_a_pose() -> N
     rest = [k for k in range(20) if not 3 <= k <= 8 and k != 12 and not 15 <= k <= 17]
     main = Trajectory(stamps[rest], np.tile(np.eye(4), (len(rest), 1, 1)))
     lost = (Gap(3, 5, "too dark"), Gap(6, 8, "few points"))
-    tracked = SimpleNamespace(trajectories=(main, track), lost=lost)
+    tracked = SimpleNamespace(trajectories=(main, track), lost=lost, other_size=())
     share = SimpleNamespace(first=4, last=19)
     plan: Any = SimpleNamespace(sequence=SimpleNamespace(stamps_ns=stamps), tracked=tracked, share=share)
     found = lost_frames(plan, main.stamps_ns)
@@ -381,7 +381,7 @@ def square_or_fail(number: int, advance: Any) -> int:
 @pytest.mark.parametrize(
     ("text", "code", "said"),
     [
-        ("relpose: {min_inliers: 3}", 2, ":1: unknown setting 'relpose'; there are odometry, recording"),
+        ("relpose: {min_inliers: 3}", 2, ":1: unknown setting 'relpose'; there are odometry, recording, images"),
         (
             "odometry: {features: {track: 3}}",
             2,

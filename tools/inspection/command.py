@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..checks.findings import ImageFindings, look_at, samples_of
 from ..common.options import add_model_options, build
 from .record import record
 from .report import InspectReport, SequenceReport
 
 if TYPE_CHECKING:
     from maslam.frontend.cameras.models import RigKind
-    from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.datasets import ImageSequence, Problem, ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import Progress
 
 RECORDING = "recording"
-_SAMPLES = 8  # frames decoded of each sequence when not all are
 
 
 def inspect_dataset(
@@ -30,19 +29,22 @@ def inspect_dataset(
     progress: Progress | None = None,
     png: Path | None = None,
     recording: RecordingConfig | None = None,
+    focal: bool = False,
+    reading: ReadingConfig | None = None,
 ) -> InspectReport:
     """Look at a data set: its files, numbers and images; a sample of the images is decoded, or all of them.
 
-    ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read. Raises
+    ``png``: where a picture of each sequence's middle frame goes; ``recording``: what of the source is read; ``focal``:
+    estimate each focal length from the images; ``reading``: masks, and how images are understood. Raises
     ``FrontendError`` where there is no sequence to speak of.
     """
-    from maslam.frontend.datasets import open_dataset
+    from maslam.frontend.datasets import ReadingConfig, open_dataset
 
-    dataset = open_dataset(path, rig, strict=False, recording=recording)
-    reports = tuple(_inspect_sequence(sequence, decode_all, progress) for sequence in dataset.sequences)
+    dataset = open_dataset(path, rig, strict=False, recording=recording, reading=reading or ReadingConfig())
+    reports = tuple(_inspect_sequence(sequence, decode_all, progress, focal) for sequence in dataset.sequences)
     if png is not None:
         _write_picture(dataset.sequences, png)
-    return InspectReport(Path(path), dataset.kind, reports, dataset.problems)
+    return InspectReport(Path(path), dataset.kind, reports, dataset.problems, dataset.notes)
 
 
 def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
@@ -56,17 +58,23 @@ def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
     write_atomically(path, encoded.tobytes())
 
 
-def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progress | None) -> SequenceReport:
+def _inspect_sequence(
+    sequence: ImageSequence, decode_all: bool, progress: Progress | None, focal: bool
+) -> SequenceReport:
     import numpy as np
 
+    from maslam.frontend.datasets.truth import frames_covered
     from maslam.frontend.files.timestamps import NS_PER_S
 
+    from .focal_check import check_focal
+
     count = len(sequence)
-    chosen = range(count) if decode_all else sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
+    chosen = range(count) if decode_all else samples_of(count)
     duration_s = float(sequence.stamps_ns[-1] - sequence.stamps_ns[0]) / NS_PER_S
     intervals = np.diff(sequence.stamps_ns)
     median_s = float(np.median(intervals)) / NS_PER_S if len(intervals) else 0.0
     damaged, sensors = _decode(sequence, chosen, progress)
+    focal_line, focal_problems = check_focal(sequence, progress) if focal else ("", [])
     truth = sequence.groundtruth
     steps = np.linalg.norm(np.diff(truth.centres, axis=0), axis=1) if truth is not None else None
     return SequenceReport(
@@ -80,40 +88,33 @@ def _inspect_sequence(sequence: ImageSequence, decode_all: bool, progress: Progr
         stored_size=sequence.stored_size,
         rectified_here=sequence.rectifier is not None,
         groundtruth_poses=0 if truth is None else len(truth),
+        groundtruth_frames=0 if truth is None else frames_covered(truth, sequence.stamps_ns),
         path_length_m=None if steps is None else float(steps.sum()),
         decoded=len(chosen),
-        problems=(*sequence.problems, *damaged, *sensors.problems),
+        problems=(*sequence.problems, *damaged, *sensors.problems, *focal_problems),
+        focal=focal_line,
+        images=sensors.images,
         rows=sensors.rows,
         depth=sensors.depth,
         missing=sequence.missing,
         understood=sequence.understood,
         origin=sequence.origin,
+        notes=sequence.notes,
     )
-
-
-@dataclass(frozen=True)
-class _Sensors:
-    """Findings of the images on their calibration: a line for stereo, a line for depth, and what is wrong."""
-
-    rows: str = ""
-    depth: str = ""
-    problems: tuple[Problem, ...] = ()
 
 
 def _decode(
     sequence: ImageSequence, chosen: range | list[int], progress: Progress | None
-) -> tuple[list[Problem], _Sensors]:
+) -> tuple[list[Problem], ImageFindings]:
     """Every frame of ``chosen`` that cannot be read (missing files are known already), and what the
     others show."""
     from maslam.frontend.datasets import Problem, Severity
     from maslam.frontend.datasets.stored_image import file_of
     from maslam.frontend.errors import FrontendError
 
-    from .sensor_checks import check_depth, check_rows, depth_lines, row_lines
-
     known = any("missing" in problem.message for problem in sequence.problems)
-    looked_at = set(list(chosen)[:: max(1, len(chosen) // _SAMPLES)])
-    problems, rows, depths = [], [], []
+    looked_at = set(samples_of(len(sequence)))
+    problems, frames = [], []
     task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
     for done, i in enumerate(chosen, 1):
         files = [file_of(images[i]) for images in (sequence.left, sequence.right, sequence.depth) if images]
@@ -121,20 +122,17 @@ def _decode(
             try:
                 frame = sequence.read(i)
                 if i in looked_at:
-                    rows.append(check_rows(frame))
-                    depths.append(check_depth(frame))
+                    frames.append(frame)
             except FrontendError as error:
                 problems.append(Problem(Severity.ERROR, str(error)))
         if progress is not None:
             progress.advance(task, done)
-    pairs, measured = [c for c in rows if c is not None], [c for c in depths if c is not None]
-    row_line, row_problems = row_lines(pairs) if pairs else ("", [])
-    depth_line, depth_problems = depth_lines(measured) if measured else ("", [])
-    return problems, _Sensors(row_line, depth_line, (*row_problems, *depth_problems))
+    return problems, look_at(sequence, frames)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     parser.add_argument(
@@ -150,21 +148,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the middle frame, undistorted, with its features; a pair with common rows, or the depth beside it",
     )
     parser.add_argument("--all", action="store_true", help="decode every image, not only a sample")
+    parser.add_argument(
+        "--focal",
+        action="store_true",
+        help="estimate the focal length from the images (a minute), and warn where the calibration's is off by 5 %%",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     add_model_options(parser, RecordingConfig(), RECORDING)
+    add_model_options(parser, ReadingConfig(), "images")
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Print the report; 1 where an error would spoil a run."""
     from maslam.frontend.cameras.models import RigKind
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     from ..common.progress import progress_on
 
     rig = RigKind(arguments.rig) if arguments.rig else None
     recording = build(RecordingConfig(), arguments, prefix=RECORDING)
-    with progress_on(quiet=not arguments.all) as progress:
-        report = inspect_dataset(arguments.source, arguments.all, rig, progress, arguments.png, recording)
+    reading = build(ReadingConfig(), arguments, prefix="images")
+    with progress_on(quiet=not (arguments.all or arguments.focal)) as progress:
+        report = inspect_dataset(
+            arguments.source, arguments.all, rig, progress, arguments.png, recording, arguments.focal, reading
+        )
     print(json.dumps(record(report), indent=2) if arguments.json else "\n".join(report.lines()))
     if arguments.png is not None and not arguments.json:
         print(f"picture: {arguments.png}")

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .sensor_checks import check_rows
+from ..checks.sensor_checks import check_rows
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import ImageSequence
@@ -37,7 +37,7 @@ def draw(sequence: ImageSequence, index: int) -> Picture:
     """Frame ``index`` with a line of text above. Stereo: both images with common rows, points that lie a pixel or more
     off their row in red. RGB-D: depth by colour (black: unknown) under the edges of the image."""
     frame = sequence.read(index)
-    image, features = _with_features(frame.image)
+    image, features = _with_features(frame)
     panels, caption = [image], f"{features} features"
     if frame.right is not None:
         left, right, matched = _pair(frame, image)
@@ -51,15 +51,15 @@ def draw(sequence: ImageSequence, index: int) -> Picture:
     return np.concatenate([_strip(text, sum(p.shape[1] for p in panels)), np.concatenate(panels, axis=1)])
 
 
-def _with_features(image: NDArray[np.uint8]) -> tuple[Picture, int]:
+def _with_features(frame: Frame) -> tuple[Picture, int]:
     """A circle for each feature that a key-frame would take; larger and redder on coarser levels of the pyramid."""
     from maslam.frontend.config import FeatureConfig
     from maslam.frontend.image.orb_features import Detector, Pyramid
 
     config = FeatureConfig()
-    pyramid = Pyramid(image, config.levels, config.scale_factor)
+    pyramid = Pyramid(frame.image, config.levels, config.scale_factor, frame.used)
     uv, level, _ = Detector(config).detect(pyramid, config.tracks + config.landmarks, np.zeros((0, 2)))
-    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    picture = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR)
     for (u, v), k in zip(uv.tolist(), level.tolist(), strict=True):
         radius = round(3.0 * config.scale_factor**k)
         cv2.circle(picture, (round(u), round(v)), radius, _LEVEL_COLOURS[k % 4], 1, cv2.LINE_AA)

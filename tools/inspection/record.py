@@ -22,6 +22,7 @@ def record(report: InspectReport) -> dict[str, Any]:
         "errors": report.errors,
         "warnings": report.warnings,
         "problems": _problems(report.problems),
+        "notes": list(report.notes),
         "sequences": [_sequence(sequence) for sequence in report.sequences],
     }
 
@@ -52,11 +53,15 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
         "stored_size": list(one.stored_size),
         "rectified_here": one.rectified_here,
         "groundtruth_poses": one.groundtruth_poses,
+        "groundtruth_frames": one.groundtruth_frames,
         "path_length_m": one.path_length_m,
         "decoded": one.decoded,
+        "images": one.images,
         "rows": one.rows,
         "depth": one.depth,
+        "focal": one.focal,
         "problems": _problems(one.problems),
+        "notes": list(one.notes),
     }
 
 

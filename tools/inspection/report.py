@@ -18,10 +18,11 @@ _LABEL = {"camera": "calibration", "left": "left camera", "right": "right camera
 
 @dataclass(frozen=True)
 class SequenceReport:
-    """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without; ``decoded``
-    frames were tried; ``rows`` (stereo) and ``depth`` (RGB-D): what the images themselves say; ``missing``: images that
-    the names' numbers lack; ``understood``: each camera as its calibration file describes it; ``origin``: what of a
-    recording is read."""
+    """Properties of one sequence. Times in seconds; ``path_length_m`` of the ground truth, None without, which has a
+    pose at the time of ``groundtruth_frames``; ``decoded`` frames were tried; ``images``, ``rows`` (stereo) and
+    ``depth`` (RGB-D): what the images themselves say; ``focal``: what they say of the focal length, where that was
+    asked for; ``missing``: images that the names' numbers lack; ``understood``: each camera as its calibration file
+    describes it; ``origin``: what of a recording is read; ``notes``: how its files were understood."""
 
     name: str
     kind: str
@@ -33,14 +34,18 @@ class SequenceReport:
     stored_size: tuple[int, int]
     rectified_here: bool
     groundtruth_poses: int
+    groundtruth_frames: int
     path_length_m: float | None
     decoded: int
     problems: tuple[Problem, ...]
+    images: str = ""
     rows: str = ""
     depth: str = ""
+    focal: str = ""
     missing: tuple[MissingImages, ...] = ()
     understood: tuple[UnderstoodCamera, ...] = ()
     origin: str = ""
+    notes: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The report of this sequence, a line each."""
@@ -49,7 +54,8 @@ class SequenceReport:
         how = f"rectified here from {self.stored_size[0]}x{self.stored_size[1]}" if self.rectified_here else "as stored"
         truth = "none"
         if self.path_length_m is not None:
-            truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path"
+            at = f"at {self.groundtruth_frames} of {self.frames} frames"
+            truth = f"{self.groundtruth_poses} poses, {self.path_length_m:.1f} m of path, {at}"
         first = [
             f"{self.name} ({self.kind})",
             *([f"  read from     {self.origin}"] if self.origin else []),
@@ -61,8 +67,11 @@ class SequenceReport:
             *(f"  {_LABEL[one.side]:13} {one.sentence()}" for one in self.understood),
             f"  ground truth  {truth}",
             f"  decoded       {self.decoded} of {self.frames} frames",
+            *([f"  images        {self.images}"] if self.images else []),
             *([f"  rows          {self.rows}"] if self.rows else []),
             *([f"  depth         {self.depth}"] if self.depth else []),
+            *([f"  focal length  {self.focal}"] if self.focal else []),
+            *(f"  note          {note}" for note in self.notes),
         ]
         shown = [f"  {problem.severity.upper():8} {problem.message}" for problem in self.problems[:_SHOWN_PROBLEMS]]
         hidden = len(self.problems) - len(shown)
@@ -71,12 +80,14 @@ class SequenceReport:
 
 @dataclass(frozen=True)
 class InspectReport:
-    """Properties of a data set, sequence by sequence; ``problems``: agents that could not be opened."""
+    """Properties of a data set, sequence by sequence; ``problems``: agents that could not be opened; ``notes``: how the
+    folder was understood."""
 
     path: Path
     kind: str
     sequences: tuple[SequenceReport, ...]
     problems: tuple[Problem, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def errors(self) -> int:
@@ -95,7 +106,13 @@ class InspectReport:
         head = f"{self.path}: {self.kind}, {_count(len(self.sequences), 'sequence')}, {_count(frames, 'frame')}"
         verdict = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
         unopened = [f"{problem.severity.upper():8} {problem.message}" for problem in self.problems]
-        return [head, *(line for sequence in self.sequences for line in sequence.lines()), *unopened, verdict]
+        return [
+            head,
+            *self.notes,
+            *(line for sequence in self.sequences for line in sequence.lines()),
+            *unopened,
+            verdict,
+        ]
 
 
 def _count(number: int, noun: str) -> str:

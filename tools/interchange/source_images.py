@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import ImageSequence, open_dataset
+from maslam.frontend.datasets.reading_config import ReadingConfig
 from maslam.frontend.datasets.stored_image import name_in
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas.sequence import STAMP_TOLERANCE_NS, AgentEntry, Manifest
 
 from ..common.errors import ToolError
+from ..pipeline.focal_length import with_focal
+from ..pipeline.preprocess import READING
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets.readers import ReaderLike
@@ -87,9 +90,11 @@ def find_images(
     cure = "name their folder with --images DIR" if moved is None else "--images names another folder"
     settings = manifest.settings
     rig = RigKind(settings["rig"]) if settings.get("rig") else None
-    part = RecordingConfig(**settings.get("recording", {}))
+    part = RecordingConfig(**(settings.get("recording") or {}))
+    reading = ReadingConfig(**(settings.get(READING) or {}))
+    kind = settings.get("dataset")
     try:
-        dataset = open_dataset(root, rig, strict=False, readers=readers, kind=settings.get("dataset"), recording=part)
+        dataset = open_dataset(root, rig, strict=False, readers=readers, kind=kind, recording=part, reading=reading)
     except FrontendError as error:
         raise ToolError(f"{error}: the images of this run cannot be read from there; {cure}") from error
     sequences = {sequence.name: sequence for sequence in dataset.sequences}
@@ -101,9 +106,22 @@ def find_images(
         if entry.sequence not in sequences:
             why = "".join(f": {problem.message}" for problem in dataset.problems if entry.sequence in problem.message)
             raise ToolError(f"{root}: holds no images of {entry.name} that can be read{why}; {cure}")
-        _check_camera(entry, sequences[entry.sequence], root)
-        found[a] = AgentImages(entry, sequences[entry.sequence], dataset.root)
+        sequence = _as_then(entry, sequences[entry.sequence])
+        _check_camera(entry, sequence, root)
+        found[a] = AgentImages(entry, sequence, dataset.root)
     return found
+
+
+def _as_then(entry: AgentEntry, sequence: ImageSequence) -> ImageSequence:
+    """With the camera that the run has found from the images, where nobody calibrated it."""
+    if not sequence.focal_guess:
+        return sequence
+    stored = entry.camera.stored
+    return (
+        with_focal(sequence, stored.fx, stored.coefficients[0])
+        if stored
+        else with_focal(sequence, entry.camera.fx, 0.0)
+    )
 
 
 def _check_camera(entry: AgentEntry, sequence: ImageSequence, root: Path) -> None:

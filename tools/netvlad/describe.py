@@ -18,6 +18,7 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.descriptors.inference import NetVlad
 from maslam.frontend.datasets import ImageSequence, Severity, open_dataset
 from maslam.frontend.datasets.images import IMAGE_SUFFIXES, list_images, read_colour, read_grey
+from maslam.frontend.datasets.pixel_values import PixelValues
 from maslam.frontend.datasets.stored_image import ImageRef, identities
 from maslam.frontend.errors import FrontendError
 
@@ -139,7 +140,7 @@ def _plain(name: str, files: tuple[Path, ...], every: int, colour: bool) -> Imag
             raise ToolError(f"{path}: not an image file; several sources must be images, one may be a folder")
     kept, read = files[::every], read_colour if colour else read_grey
     stamps = np.arange(len(files), dtype=np.int64)[::every]
-    return ImageSet(name, kept, stamps, lambda i: read(kept[i]), "as stored")
+    return ImageSet(name, kept, stamps, lambda i: PixelValues().levels(read(kept[i])), "as stored")
 
 
 def _of_sequence(sequence: ImageSequence, every: int, colour: bool) -> ImageSet:

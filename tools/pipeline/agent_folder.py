@@ -21,6 +21,7 @@ from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
 from maslam.descriptors.base import PlaceDescriptor
 from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.datasets.base import Dataset, ImageSequence
+from maslam.frontend.datasets.numbering import numbers_of
 from maslam.frontend.datasets.stored_image import name_in
 from maslam.frontend.files.essential_graph import essential_graph
 from maslam.frontend.files.point_views import write_views
@@ -46,7 +47,7 @@ from maslam.mas.sequence import (
 
 from ..common.text_table import kinds_text
 from .split import SequenceShare, cut_track, cut_views, share_out
-from .tracking import UNREADABLE, Gap, Tracked
+from .tracking import Gap, Tracked, unread_kinds
 
 _COMMON = 8  # coefficients of a lens that other programs have a model for
 
@@ -153,8 +154,8 @@ def _write_agent(
         tracks=len(used),
         start_ns=plan.start_ns,
         camera=CameraEntry.from_rig(plan.sequence.rig, _stored(plan.sequence)),
-        lost=lost_frames(plan, trajectory.stamps_ns + plan.start_ns),
-        doubtful=_within(plan.share, plan.tracked.doubtful),
+        lost=with_images(plan, lost_frames(plan, trajectory.stamps_ns + plan.start_ns)),
+        doubtful=with_images(plan, _within(plan.share, plan.tracked.doubtful)),
         missing=tuple(
             MissingEntry(after_frame=one.after - plan.share.first, first=one.first, last=one.last, count=one.count)
             for one in plan.sequence.missing
@@ -256,7 +257,7 @@ def lost_frames(plan: SharePlan, placed_ns: NDArray[np.int64]) -> tuple[LostEntr
     odometry says why, in its words; the others were not readable, or are of a track without a key-frame here."""
     first, last = plan.share.first, plan.share.last
     stamps = plan.sequence.stamps_ns[first : last + 1]
-    kinds = np.full(len(stamps), UNREADABLE, dtype=object)
+    kinds = unread_kinds(first, last, plan.tracked.other_size)
     tracked = np.concatenate([t.stamps_ns for t in plan.tracked.trajectories])
     kinds[np.isin(stamps, tracked)] = "tracked, but no key-frame of its track is the agent's"
     gap = np.full(len(stamps), -1)  # intervals of odometry stay apart, also where they touch
@@ -270,6 +271,19 @@ def lost_frames(plan: SharePlan, placed_ns: NDArray[np.int64]) -> tuple[LostEntr
     changes = (np.diff(rows) > 1) | (np.diff(gap[rows]) != 0) | apart
     runs = np.split(rows, np.flatnonzero(changes) + 1) if len(rows) else []
     return tuple(_lost_entry(run, kinds, plan.tracked.lost[gap[run[0]]] if gap[run[0]] >= 0 else None) for run in runs)
+
+
+def with_images(plan: SharePlan, entries: Sequence[LostEntry]) -> tuple[LostEntry, ...]:
+    """The intervals with the names of their first and last images, where frames counted from 0 are not these numbers:
+    of a later block, of images numbered from elsewhere or with some missing, of names that are no numbers."""
+    named = []
+    for entry in entries:
+        frames = (entry.first_frame, entry.last_frame)
+        first, last = (plan.sequence.left[plan.share.first + frame].stem for frame in frames)
+        numbers = numbers_of([first, last])
+        same = numbers is not None and numbers.tolist() == list(frames)
+        named.append(entry if same else entry.model_copy(update={"first_image": first, "last_image": last}))
+    return tuple(named)
 
 
 def _lost_entry(rows: NDArray[np.int64], kinds: NDArray[np.object_], whole: Gap | None) -> LostEntry:

@@ -40,7 +40,7 @@ def check_same_sequences(out: Path, made_of: Mapping[str, Any]) -> None:
 def of_manifest(manifest: Manifest) -> dict[str, Any]:
     """Source and settings of a SEQS folder."""
     whole = manifest.model_dump(mode="json")
-    settings = {name: value for name, value in whole["settings"].items() if name != "problems"}
+    settings = {name: value for name, value in whole["settings"].items() if name not in ("problems", "notes")}
     return {"source": whole["source"], "split": whole["split"], "settings": settings}
 
 

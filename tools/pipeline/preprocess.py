@@ -35,15 +35,16 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import Dataset
     from maslam.frontend.datasets.readers import ReaderLike
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
-    from maslam.mas.sequence import LeftOutEntry, Manifest, SplitEntry
+    from maslam.mas.sequence import Manifest, SplitEntry
 
-    from .tracking_cache import TrackingJob
 
 FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
 SECTION = "odometry"
 RECORDING = "recording"
-SECTIONS = (SECTION, RECORDING)
+READING = "images"
+SECTIONS = (SECTION, RECORDING, READING)
 """Of a settings file, that are read here."""
 DEFAULT_OVERLAP = 0  # key-frames: agents see no image of another's; the predecessor's split of KITTI takes 3
 
@@ -53,7 +54,8 @@ class PreprocessSettings:
     """Settings of ``maslam preprocess``. ``agents`` None: one agent per sequence; ``overlap`` key-frames of a split
     sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: folder of
     the front end's results, by default OUT/frontend; ``recording``: what of the source is read, by default all;
-    ``overwrite``: replace a result of another source or of other settings."""
+    ``reading``: masks, and how images are understood, None: as they are; ``overwrite``: replace a result of another
+    source or of other settings."""
 
     odometry: OdometryConfig
     agents: int | None = None
@@ -69,15 +71,13 @@ class PreprocessSettings:
     recording: RecordingConfig | None = None
     overwrite: bool = False
     positions: PositionSettings = NO_POSITIONS
+    reading: ReadingConfig | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SRC OUT`` and everything that can be set."""
     parser.add_argument(
-        "source",
-        metavar="SRC",
-        type=Path,
-        help="images, film or bag; `maslam inspect SRC` shows what is read",
+        "source", metavar="SRC", type=Path, help="images, film or bag; `maslam inspect SRC` shows what is read"
     )
     parser.add_argument(
         "out",
@@ -87,7 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "gone on with or made anew",
     )
     add_preprocess_arguments(parser)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`, `images: {...}`"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print what was made, OUT/manifest.json, as one object")
 
@@ -114,9 +116,8 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dataset",
         metavar="KIND",
-        help="read SRC as this kind: kitti, euroc, tum, 7scenes, film, bag, images, or one of the entry points of "
-        "maslam.datasets "
-        "(default: the first that recognises it)",
+        help="read SRC as this kind: kitti, euroc, tum, 7scenes, tum-vi, kitti-raw, associations, replica, scannet, "
+        "tartanair, film, bag, images, or an entry point of maslam.datasets (default: the first that recognises it)",
     )
     parser.add_argument(
         "--model",
@@ -140,10 +141,12 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(parser)
     from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     add_position_options(parser)
     add_model_options(parser, RecordingConfig(), RECORDING)
+    add_model_options(parser, ReadingConfig(), READING)
     add_model_options(parser, OdometryConfig(), SECTION)
 
 
@@ -157,6 +160,7 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
 def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> PreprocessSettings:
     """The settings of one command line and the ``content`` of its ``--config`` file."""
     from maslam.frontend.config import OdometryConfig
+    from maslam.frontend.datasets.reading_config import ReadingConfig
     from maslam.frontend.recording_config import RecordingConfig
 
     if arguments.overlap < 0:
@@ -175,6 +179,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         recording=build(RecordingConfig(), arguments, content.get(RECORDING), arguments.config, RECORDING),
         overwrite=arguments.overwrite,
         positions=positions_from(arguments),
+        reading=build(ReadingConfig(), arguments, content.get(READING), arguments.config, READING),
     )
 
 
@@ -212,7 +217,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     """
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind
-    from maslam.frontend.datasets import open_dataset
+    from maslam.frontend.datasets import ReadingConfig, open_dataset
 
     from .split import check_shares
 
@@ -220,8 +225,8 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     _check_free(out)
     model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
     rig = RigKind(settings.rig) if settings.rig else None
-    readers, kind = settings.readers, settings.dataset
-    dataset = open_dataset(source, rig, strict=False, readers=readers, kind=kind, recording=settings.recording)
+    readers, kind, reading = settings.readers, settings.dataset, settings.reading or ReadingConfig()
+    dataset = open_dataset(source, rig, False, readers, kind, settings.recording, reading)
     if settings.agents is not None and len(dataset.sequences) > 1:
         count = len(dataset.sequences)
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
@@ -278,20 +283,29 @@ def _made(
     from ..common.compiling import compile_for
     from ..common.parallel import core_count, run_jobs
     from .agent_folder import plan_agents, stand_in, write_sequences
-    from .tracking_cache import is_tracked, take_tracked, track_job
+    from .calibration_notes import corrected
+    from .focal_length import refine_guessed
+    from .tracking_cache import is_tracked, make_job, take_tracked, track_job
+    from .tracking_plan import notes_of, plan_tracking
 
-    jobs, problems, left_out = _plan(dataset, out, settings)
+    store, workers = settings.store or out / FRONTEND, settings.workers or core_count()
+    dataset, refined = refine_guessed(dataset, store, progress, workers)
+    of = (settings.odometry, settings.model, settings.vocabulary, store, settings.provider)
+    plan = plan_tracking(dataset, lambda sequence: make_job(sequence, *of))
+    jobs, problems, left_out = plan.jobs, [*plan.problems, *refined], plan.left_out
     refused = [problem.message for problem in dataset.problems] + [f"{e.sequence}: {e.reason}" for e in left_out]
     compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
-    outcomes = run_jobs(track_job, named, settings.workers or core_count(), progress)
+    outcomes = run_jobs(track_job, named, workers, progress)
     errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
-    untracked = [f"{name}: {describe(error)}" for name, error in errors.items()]
-    problems += untracked
+    untracked = ["; ".join(filter(None, (f"{n}: {describe(error)}", plan.off.get(n)))) for n, error in errors.items()]
+    problems += [f"{name}: {describe(error)}" for name, error in errors.items()]
     left_out += [LeftOutEntry(sequence=n, frames=named[n][1], reason=describe(e)) for n, e in errors.items()]
     tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
     problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
     problems += [f"{sequence.name}: {line}" for sequence, _ in tracked if (line := stand_in(sequence))]
+    corrections = [(sequence.name, corrected(one.stats, sequence.rig)) for sequence, one in tracked]
+    problems += [f"{name}: {correction}" for name, correction in corrections if correction]
     if not tracked:
         why, count = [*refused, *untracked], len(dataset.sequences)
         said = why[0] if len(why) == 1 else f"{dataset.root}: none of {count} sequences can be used: {why[0]}"
@@ -302,9 +316,15 @@ def _made(
         frames = sum(len(sequence) for sequence, _ in tracked)
         made = counted(len(plans), "agent")
         raise ToolError(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame; ask for fewer")
-    for problem in problems:
-        progress.say(f"warning: {problem}")
-    noted = {**_as_set(settings), "problems": problems, **({"gps": positions} if positions else {})}
+    notes = notes_of(dataset)
+    for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in problems)):
+        progress.say(line)
+    noted = {
+        **_as_set(settings),
+        "problems": problems,
+        "notes": notes,
+        **({"gps": positions} if positions else {}),
+    }
     return write_sequences(out, dataset, plans, model, split, noted, tuple(left_out))
 
 
@@ -315,28 +335,6 @@ def _check_free(out: Path) -> None:
     ours = (out / FRONTEND).is_dir() or (out / MANIFEST).is_file() or (out / BEGUN).is_file()
     if out.is_dir() and any(out.iterdir()) and not ours:
         raise ToolError(f"{out}: not empty, and no folder of agent sequences")
-
-
-def _plan(
-    dataset: Dataset, out: Path, settings: PreprocessSettings
-) -> tuple[list[TrackingJob], list[str], list[LeftOutEntry]]:
-    """A job for each sequence that can be used; all that is wrong with the data; the sequences that cannot be used."""
-    from maslam.frontend.datasets.base import Severity
-    from maslam.mas.sequence import LeftOutEntry
-
-    from .tracking_cache import make_job
-
-    jobs, problems = [], [problem.message for problem in dataset.problems]
-    left_out = []
-    for sequence in dataset.sequences:
-        problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
-        fatal = [problem.message for problem in sequence.problems if problem.severity is Severity.ERROR]
-        if fatal:
-            left_out.append(LeftOutEntry(sequence=sequence.name, frames=len(sequence), reason="; ".join(fatal)))
-        else:
-            of = (sequence, settings.odometry, settings.model, settings.vocabulary, settings.store or out / FRONTEND)
-            jobs.append(make_job(*of, settings.provider))
-    return jobs, problems, left_out
 
 
 def _split(settings: PreprocessSettings) -> SplitEntry | None:
@@ -360,4 +358,5 @@ def _as_set(settings: PreprocessSettings) -> dict[str, Any]:
         "model": _named(settings.model),
         "provider": settings.provider,
         "vocabulary": str(settings.vocabulary) if settings.vocabulary else None,
+        READING: None if settings.reading is None else settings.reading.model_dump(mode="json"),
     }

@@ -11,6 +11,7 @@ from ..common.options import read_settings
 from ..common.progress import Progress, counter, progress_on
 from .predecessor import SEQUENCES
 from .preprocess import (
+    READING,
     SECTION,
     SECTIONS,
     PreprocessSettings,
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="FILE",
-        help=f"YAML with settings of `run`, `{SECTION}: {{...}}`",
+        help=f"YAML with settings of `run`, `{SECTION}: {{...}}`, `{READING}: {{...}}`",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")

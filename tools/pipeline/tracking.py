@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from maslam.frontend.errors import FrontendError
+from maslam.frontend.errors import FrontendError, ImageSizeError
 from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
@@ -30,6 +30,7 @@ UNREADABLE_SHARE = (
     0.1  # more unreadable frames than this, and the sequence is refused: what is left is not what was filmed
 )
 UNREADABLE = "the image could not be read"
+OTHER_SIZE = "the image has another size than the others"
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Tracked:
     ``views``: for each, every view of its points that was found, pixels of the pinhole camera.
     ``trajectories``: every tracked frame of each track, ``T_W_C`` in the track's frame. ``vectors`` ``(K, dim)`` and
     ``textured`` ``(K,)``: one per key-frame, all tracks in order. ``unreadable``: what was wrong with each image that
-    was needed and could not be read.
+    was needed and could not be read; ``other_size``: frames whose image was whole, but of another size.
     """
 
     tracks: tuple[VoTrack, ...]
@@ -64,6 +65,7 @@ class Tracked:
     unreadable: tuple[str, ...]
     stats: dict[str, float]
     doubtful: tuple[Gap, ...] = ()
+    other_size: tuple[int, ...] = ()
 
 
 def track(
@@ -83,8 +85,9 @@ def track(
     odometry = Odometry(sequence.rig, config, vocabulary)
     places = _Places(sequence, model)
     unreadable: list[str] = []
+    other_size: list[int] = []
     read = np.zeros(len(sequence), dtype=bool)
-    for frame, result in follow(sequence, odometry, unreadable):
+    for frame, result in follow(sequence, odometry, unreadable, other_size):
         read[frame.index] = True
         for keyframe in (result.first, frame if result.stays else None):
             if keyframe is not None:
@@ -92,31 +95,40 @@ def track(
         advance(frame.index + 1)
     finished = odometry.finish()
     if not any(len(one) for one in finished.tracks):
-        raise FrontendError(f"no frame of {len(sequence)} could be tracked: {_why_none(finished, sequence, read)}")
-    return _collect(finished, places, sequence.stamps_ns, read, tuple(unreadable))
+        raise FrontendError(
+            f"no frame of {len(sequence)} could be tracked: {_why_none(finished, sequence, read, other_size)}"
+        )
+    return _collect(finished, places, sequence.stamps_ns, read, tuple(unreadable), tuple(other_size))
 
 
-def _why_none(finished: OdometryResult, sequence: ImageSequence, read: NDArray[np.bool_]) -> str:
+def _why_none(
+    finished: OdometryResult, sequence: ImageSequence, read: NDArray[np.bool_], other_size: Sequence[int]
+) -> str:
     """Why a result has no track. A frame that had a pose in a track too short to be kept counts as well."""
     reasons: Counter[str] = Counter()
     for interval in finished.lost:
-        for kind, frames in lost_gap(interval, sequence.stamps_ns, read).kinds:
+        for kind, frames in lost_gap(interval, sequence.stamps_ns, read, other_size).kinds:
             reasons[kind] += frames
     return ", ".join(f"{kind} ({count} x)" for kind, count in reasons.most_common(3)) or "no frame could be used"
 
 
-def follow(sequence: ImageSequence, odometry: Odometry, unreadable: list[str]) -> Iterator[tuple[Frame, FrameResult]]:
+def follow(
+    sequence: ImageSequence, odometry: Odometry, unreadable: list[str], other_size: list[int] | None = None
+) -> Iterator[tuple[Frame, FrameResult]]:
     """Every readable frame of ``sequence`` with what ``odometry`` makes of it; what is wrong with the others goes to
-    ``unreadable``."""
-    for frame in _readable(sequence, unreadable, odometry.stopwatch):
+    ``unreadable``, and which of them have another size to ``other_size``."""
+    for frame in _readable(sequence, unreadable, other_size, odometry.stopwatch):
         result = odometry.process(frame)
         if result.problem:
             _report(result.problem, unreadable, frame.index + 1, len(sequence))
         yield frame, result
 
 
-def _readable(sequence: ImageSequence, unreadable: list[str], watch: Stopwatch) -> Iterator[Frame]:
-    """The frames in order without those that cannot be read; what is wrong with these goes to ``unreadable``."""
+def _readable(
+    sequence: ImageSequence, unreadable: list[str], other_size: list[int] | None, watch: Stopwatch
+) -> Iterator[Frame]:
+    """The frames in order without those that cannot be read; what is wrong with these goes to ``unreadable`` and
+    ``other_size``."""
     following = 0
     while following < len(sequence):
         try:
@@ -124,6 +136,8 @@ def _readable(sequence: ImageSequence, unreadable: list[str], watch: Stopwatch) 
                 following = frame.index + 1
                 yield frame
         except FrontendError as error:
+            if isinstance(error, ImageSizeError) and other_size is not None:
+                other_size.append(following)
             following += 1
             _report(str(error), unreadable, following, len(sequence))
 
@@ -157,16 +171,26 @@ class _Places:
         return self._made[index]
 
 
-def lost_gap(interval: LostInterval, stamps_ns: NDArray[np.int64], read: NDArray[np.bool_]) -> Gap:
-    """The interval in frames of a sequence, each of which has one reason; odometry saw those ``read`` ``(F,)`` only."""
-    first, last = (int(np.searchsorted(stamps_ns, t)) for t in (interval.first_ns, interval.last_ns))
+def unread_kinds(first: int, last: int, other_size: Sequence[int]) -> NDArray[np.object_]:
+    """Why each of the frames ``first`` to ``last`` could not be read, if it could not."""
     kinds = np.full(last - first + 1, UNREADABLE, dtype=object)
+    kinds[[frame - first for frame in other_size if first <= frame <= last]] = OTHER_SIZE
+    return kinds
+
+
+def lost_gap(
+    interval: LostInterval, stamps_ns: NDArray[np.int64], read: NDArray[np.bool_], other_size: Sequence[int] = ()
+) -> Gap:
+    """The interval in frames of a sequence, each of which has one reason; odometry saw those ``read`` ``(F,)`` only,
+    and ``other_size`` are the frames that could not be read for their size."""
+    first, last = (int(np.searchsorted(stamps_ns, t)) for t in (interval.first_ns, interval.last_ns))
+    kinds = unread_kinds(first, last, other_size)
     seen = [kind for kind, frames in interval.kinds for _ in range(frames)]
     if not seen:
         return Gap(first, last, interval.reason)
+    missing = Counter(kinds[~read[first : last + 1]].tolist())
     kinds[read[first : last + 1]] = seen
-    missing = len(kinds) - len(seen)
-    more = f"; {UNREADABLE} ({missing} frame{'s'[missing == 1 :]})" if missing else ""
+    more = "".join(f"; {kind} ({count} frame{'s'[count == 1 :]})" for kind, count in sorted(missing.items()))
     return Gap(first, last, interval.reason + more, runs_of(kinds.tolist()))
 
 
@@ -181,6 +205,7 @@ def _collect(
     stamps_ns: NDArray[np.int64],
     read: NDArray[np.bool_],
     unreadable: tuple[str, ...],
+    other_size: tuple[int, ...],
 ) -> Tracked:
     def doubtful(interval: DoubtfulInterval) -> Gap:
         first, last = (int(np.searchsorted(stamps_ns, t)) for t in (interval.first_ns, interval.last_ns))
@@ -195,8 +220,9 @@ def _collect(
         trajectories=tuple(finished.trajectories[k] for k in order),
         vectors=np.stack([vector for vector, _ in described]).astype(np.float32),
         textured=np.array([textured for _, textured in described], dtype=bool),
-        lost=tuple(lost_gap(one, stamps_ns, read) for one in finished.lost),
+        lost=tuple(lost_gap(one, stamps_ns, read, other_size) for one in finished.lost),
         unreadable=unreadable,
         stats={name: float(value) for name, value in sorted(finished.stats.items())},
         doubtful=tuple(doubtful(one) for one in finished.doubtful),
+        other_size=other_size,
     )

@@ -64,10 +64,17 @@ def make_job(
     digest = hashlib.sha256(f"{sequence.rig} {odometry.model_dump_json()} {model} {provider} {code}".encode())
     digest.update(sequence.stamps_ns.tobytes() + _decoding(sequence))
     models = [path for path in (vocabulary, Path(model), Path(model).with_suffix(".json")) if path and path.is_file()]
-    for identity in identities((*sequence.left, *sequence.right, *sequence.depth, *models)):
+    files = (*sequence.left, *sequence.right, *sequence.depth, *_masks(sequence), *models)
+    for identity in identities(files):
         digest.update(identity.encode())
     store = folder / f"{sequence.name}.npz"
     return TrackingJob(sequence, odometry, descriptor, vocabulary, store, digest.hexdigest(), provider)
+
+
+def _masks(sequence: ImageSequence) -> list[Path]:
+    """Every file of masks, once."""
+    files = () if sequence.masks is None else (*sequence.masks.left, *sequence.masks.right)
+    return list(dict.fromkeys(path for path in files if path is not None))
 
 
 def _identity(descriptor: DescriptorLike | str | Path) -> str:
@@ -81,8 +88,10 @@ def _identity(descriptor: DescriptorLike | str | Path) -> str:
 
 
 def _decoding(sequence: ImageSequence) -> bytes:
-    """What turns stored files into frames, beside the rig: depth unit, depth sensor, rectification."""
-    parts = [repr(sequence.depth_unit_m).encode()]
+    """What turns stored files into frames, beside the rig: depth unit, depth sensor, rectification, grey levels, and
+    which mask is whose."""
+    masks = None if sequence.masks is None else (sequence.masks.left, sequence.masks.right)
+    parts = [repr((sequence.depth_unit_m, sequence.values, masks)).encode()]
     if sequence.registration is not None:
         sensor = sequence.registration
         parts += [repr(sensor.depth_camera).encode(), repr(sensor.camera).encode(), sensor.T_C_D.tobytes()]
@@ -130,6 +139,7 @@ def save_tracked(path: Path, tracked: Tracked, fingerprint: str) -> None:
         "lost": [asdict(gap) for gap in tracked.lost],
         "doubtful": [asdict(gap) for gap in tracked.doubtful],
         "unreadable": tracked.unreadable,
+        "other_size": tracked.other_size,
         "stats": tracked.stats,
     }
     arrays = {
@@ -170,6 +180,7 @@ def load_tracked(path: Path, fingerprint: str) -> Tracked | None:
                 doubtful=tuple(_gap(gap) for gap in header["doubtful"]),
                 unreadable=tuple(header["unreadable"]),
                 stats=header["stats"],
+                other_size=tuple(header["other_size"]),
             )
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None  # damaged: made anew

@@ -112,7 +112,7 @@ def _by_reason(intervals: Sequence[dict[str, Any]], what: str) -> list[str]:
     most = sorted(alike.items(), key=lambda entry: -_frames(entry[1]))
     lines = []
     for _, members in most[:_KINDS]:
-        spans = [f"{m['first_frame']} to {m['last_frame']}" for m in members[:_INTERVALS]]
+        spans = [_span(m) for m in members[:_INTERVALS]]
         more = f" and {len(members) - _INTERVALS} more" if len(members) > _INTERVALS else ""
         lines.append(f"{counted(_frames(members), 'frame')} {what} ({', '.join(spans)}{more}): {_reason(members)}")
     rest = [m for _, members in most[_KINDS:] for m in members]
@@ -128,6 +128,15 @@ def _reason(members: Sequence[dict[str, Any]]) -> str:
     if all(m.get("kinds") for m in members):
         return kinds_text(sum((Counter(m["kinds"]) for m in members), Counter()))
     return f"{members[0]['reason']} (the first of {len(members)})"
+
+
+def _span(interval: dict[str, Any]) -> str:
+    """Frames counted from 0, and the images' names where these are others."""
+    frames = f"{interval['first_frame']} to {interval['last_frame']}"
+    first, last = interval.get("first_image"), interval.get("last_image")
+    if not first:
+        return frames
+    return f"{frames} = {first}" if first == last else f"{frames} = {first} to {last}"
 
 
 def _missing(holes: Sequence[dict[str, Any]]) -> str:

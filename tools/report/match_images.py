@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from maslam.frontend.cameras.models import RigKind
-from maslam.frontend.datasets import open_dataset
+from maslam.frontend.datasets import ReadingConfig, open_dataset
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.recording_config import RecordingConfig
 
@@ -41,10 +41,12 @@ def sample_images(run: RunData) -> tuple[list[MatchImages], str]:
         return [], "No match was accepted, so there are no images to show."
     try:
         recording = RecordingConfig(**run.manifest.settings.get("recording", {}))
-        dataset = open_dataset(Path(run.manifest.source), RigKind.MONO, strict=False, recording=recording)
+        reading = ReadingConfig.model_validate(run.manifest.settings.get("images") or {})
+        source = Path(run.manifest.source)
+        dataset = open_dataset(source, RigKind.MONO, strict=False, recording=recording, reading=reading)
         sequences = {sequence.name: sequence for sequence in dataset.sequences}
         return [_images(run, row, sequences) for row in rows], ""
-    except (FrontendError, KeyError) as error:
+    except (FrontendError, KeyError, ValueError) as error:
         return [], f"The images are not where they were when this was made ({error}), so none can be shown."
 
 

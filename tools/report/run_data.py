@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from maslam.backend.geometry import Sim3
 from maslam.backend.trajectory_error import trajectory_error
-from maslam.frontend.files.trajectory import Trajectory, read_tum
-from maslam.mas.evaluation.ground_truth import MIN_POSES, TRUTH_TOLERANCE_NS
+from maslam.frontend.files.trajectory import TRUTH_TOLERANCE_NS, Trajectory, read_tum
+from maslam.mas.evaluation.ground_truth import MIN_POSES
 from maslam.mas.output.run_folder import later
 from maslam.mas.sequence import GROUNDTRUTH, TRAJECTORY, Manifest, read_manifest
 

@@ -14,11 +14,12 @@ from ...cameras.calibration import RawRig
 from ...cameras.models import RigKind
 from ...errors import FrontendError
 from ...files.timestamps import NS_PER_S
-from ...files.trajectory import Trajectory
 from ...recording_config import RecordingConfig
 from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..images import list_images
+from ..pairing import pair_by_time
+from ..truth import Truth
 from .bag import BAG_SUFFIXES, Bag, Messages, bags_in
 from .bag_image import BagImage, ImageTopic
 from .bag_truth import read_truth
@@ -26,7 +27,6 @@ from .beside import camera_beside, truth_beside
 from .camera_info import CameraInfo, one_camera, pair
 from .message_file import Topic
 from .robot_topics import RobotTopics, find_robots
-from .simultaneous import same_moment
 
 _FEW_IMAGES = 3  # beside a bag, fewer are no sequence
 _HALF = 0.5  # of the interval between images: what is nearer in time is of the same moment
@@ -182,7 +182,8 @@ def _second(
     """Frames that have an image of the second topic of the same moment, and these images."""
     stamps, second = (np.array([image.stamp_ns for image in images], dtype=np.int64) for images in (left, others))
     interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    kept, partners = same_moment(stamps, second, int(_HALF * interval))
+    pairs = pair_by_time(stamps, second, int(_HALF * interval))
+    kept, partners = pairs.kept, pairs.second
     where = f"{others[0].file if others else left[0].file}: {topic.name}"
     if not len(kept):
         raise FrontendError(
@@ -248,9 +249,9 @@ def _registered(bag: Bag, topics: RobotTopics, problems: Problems) -> bool:
     return False
 
 
-def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool) -> Trajectory | None:
+def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool) -> Truth | None:
     if topics.truth is not None:
-        return read_truth(bag, topics.truth)
+        return Truth(read_truth(bag, topics.truth), bag.path / topics.truth.name.strip("/"))
     folder = bag.path if bag.path.is_dir() else bag.path.parent
     return truth_beside(folder, name, alone) or truth_beside(bag.path.parent, name, False)
 

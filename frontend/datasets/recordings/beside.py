@@ -6,8 +6,9 @@ from pathlib import Path
 
 from ...cameras.calibration import RawRig
 from ...cameras.calibration_files import read_calibration
-from ...files.trajectory import Trajectory, read_tum
+from ...files.trajectory import read_tum
 from ..camera_file import find_camera_file
+from ..truth import Truth
 
 _CAMERA_SUFFIXES = (".yaml", ".yml")
 _TRUTH_SUFFIX = ".tum"
@@ -23,11 +24,11 @@ def camera_beside(folder: Path, name: str, others: bool = True) -> tuple[RawRig,
     return find_camera_file(folder) if others else None
 
 
-def truth_beside(folder: Path, name: str, alone: bool) -> Trajectory | None:
+def truth_beside(folder: Path, name: str, alone: bool) -> Truth | None:
     """``T_W_C`` of the recording or robot ``name``: ``<name>.tum`` (TUM lines, on the recording's clock), or
     ``groundtruth.txt`` where it is ``alone`` in the folder; None where there is none."""
     path = _first(folder, [name + _TRUTH_SUFFIX, *(_TRUTHS if alone else ())])
-    return None if path is None else read_tum(path)
+    return None if path is None else Truth(read_tum(path), path)
 
 
 def _first(folder: Path, names: list[str]) -> Path | None:

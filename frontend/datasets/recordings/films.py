@@ -15,10 +15,11 @@ from ...errors import FrontendError
 from ...files.timestamps import NS_PER_S
 from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
+from ..guessed_camera import guess_text, usual_camera
 from ..images import list_images, natural_key
+from ..pairing import pair_by_time
 from .beside import camera_beside, truth_beside
 from .film import FILM_SUFFIXES, Film, FilmFrame, FilmIndex, index_film
-from .simultaneous import same_moment
 
 _PAIRS = (("left", "right"), ("cam0", "cam1"), ("image_0", "image_1"))
 _FEW_IMAGES = 3  # beside a film, fewer are a picture of it or of a calibration board, no sequence
@@ -78,13 +79,14 @@ def _open_film(path: Path, right_path: Path | None, rig: RigKind | None, alone: 
     """The sequence of a film, with a second one for a pair; ``alone``: in its folder, whose ground truth is its own."""
     problems = Problems()
     calibration = camera_beside(path.parent, path.stem)
+    film = _film(path, None if calibration is None else calibration[0].left.size, problems)
+    guess = ""
     if calibration is None:
-        raise FrontendError(
-            f"{path}: a film without a calibration; put {path.stem}.yaml or camera.yaml beside it "
-            "(width, height, fx, fy, cx, cy)"
-        )
-    raw, source = calibration
-    film = _film(path, raw.left.size, problems)
+        raw, guess = usual_camera(film.index.played_size if film.turned else film.index.size)
+        source = path
+        problems.warning(guess_text(path, raw, guess))
+    else:
+        raw, source = calibration
     stamps = film.index.stamps_ns
     frames = np.arange(len(stamps))
     right: tuple[FilmFrame, ...] = ()
@@ -107,6 +109,7 @@ def _open_film(path: Path, right_path: Path | None, rig: RigKind | None, alone: 
         stamps_source=path,
         right=right,
         truth=truth_beside(path.parent, path.stem, alone),
+        focal_guess=guess,
         name=path.resolve().parent.name if right else path.stem,
         origin=_described(path, film) + (f"; right: {right_path.name}" if right and right_path else ""),
     )
@@ -138,7 +141,8 @@ def _paired(film: Film, other: Film, problems: Problems) -> tuple[NDArray[np.int
     """Frames of both films of one moment."""
     left, right = film.index.stamps_ns, other.index.stamps_ns
     tolerance = int(_SAME_MOMENT * np.median(np.diff(left))) if len(left) > 1 else 0
-    frames, partners = same_moment(left, right, tolerance)
+    pairs = pair_by_time(left, right, tolerance)
+    frames, partners = pairs.kept, pairs.second
     if not len(frames):
         raise FrontendError(f"{other.path}: no frame at the time of one of {film.path.name}")
     if len(frames) < len(left):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import Problem
+    from maslam.frontend.datasets.pair_check import PairFit
     from maslam.frontend.frames import Frame
 
 _FEATURES = 1000
@@ -22,6 +23,8 @@ _ENOUGH = 40
 _ROWS_PX, _ROWS_75_PX = 1.0, 1.5
 _WRONG_WAY = 0.25
 """Share of points that may lie right of their place in the left image: mismatches; far points do so by rounding."""
+_YAW_DEG = 0.5
+"""A turn of the right camera about y that moves all disparities, as cameras in each other's place do."""
 _DEPTH_M = (0.1, 30.0)
 _DEPTH_KNOWN = 0.05
 
@@ -133,6 +136,19 @@ def row_lines(checks: Sequence[RowCheck]) -> tuple[str, list[Problem]]:
             )
         )
     return line, problems
+
+
+def turned_lines(checks: Sequence[RowCheck], fit: PairFit | None) -> tuple[str, str, list[Problem]]:
+    """As :func:`row_lines`, with a cause of what else looks like other faults: the right camera is turned against its
+    calibration (``fit``), which moves rows and disparities. Between them the words on that, empty where it is not."""
+    from maslam.frontend.datasets import Problem, Severity
+
+    line, problems = row_lines(checks)
+    if fit is None or not fit.off:
+        return line, "", problems
+    errors = [one for one in problems if one.severity is Severity.ERROR and abs(fit.turn_deg[1]) < _YAW_DEG]
+    off = f"the calibration is off, or the pair is not rectified: {fit.text()}; calibrate the pair anew"
+    return line, off, [*errors, Problem(Severity.WARNING, off)]
 
 
 def depth_lines(checks: Sequence[DepthCheck]) -> tuple[str, list[Problem]]:

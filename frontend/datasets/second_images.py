@@ -1,0 +1,87 @@
+"""Which images of a folder are the camera's, which are another camera's, and which are depth: by folder and by name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from .depth_files import FLOAT_SUFFIXES, list_depth
+from .images import is_image, list_images
+
+LEFT_FOLDERS = (
+    "image_0", "left", "images", "image", "rgb", "color", "colour", "cam0", "image_left", "left_images",
+    "left_camera", "infra1", ".",
+)  # fmt: skip
+_RIGHT_OF = {
+    "image_0": "image_1", "left": "right", "cam0": "cam1", "image_left": "image_right", "left_images": "right_images",
+    "left_camera": "right_camera", "infra1": "infra2",
+}  # fmt: skip
+_DEPTH_FOLDERS = ("depth_0", "depth", "depth_images", "depths")
+_DEPTH = re.compile(r"(?:^|[^a-z])(?:depth|depthmap)(?![a-z])")
+_RIGHT, _LEFT = (re.compile(rf"(?:^|[^a-z]){side}(?![a-z])") for side in ("right", "left"))
+
+
+@dataclass(frozen=True)
+class SortedImages:
+    """``inside``: the sub-folder of the camera's images, ``files``; ``right`` and ``depth``: what seems to belong to
+    them, in natural order; ``unused``: a folder of right images beside images that are nobody's left ones."""
+
+    inside: str
+    files: tuple[Path, ...]
+    right: tuple[Path, ...] = ()
+    depth: tuple[Path, ...] = ()
+    unused: Path | None = None
+
+
+def has_images(folder: Path) -> bool:
+    """Whether :func:`sort_images` finds any; looks at no more names than it takes."""
+    places = (folder / name for name in LEFT_FOLDERS)
+    return any(is_image(path) and not _is_depth(path) for place in places if place.is_dir() for path in place.iterdir())
+
+
+def sort_images(folder: Path) -> SortedImages | None:
+    """The images in ``folder`` or its usual sub-folders; None where there are none. Images called depth are never the
+    camera's, also beside its own; nor are those called right beside others called left."""
+    for inside in LEFT_FOLDERS:
+        every = list_images(folder / inside)
+        files, right, depth = _by_names(every)
+        if files:
+            break
+    else:
+        return None
+    other = _RIGHT_OF.get(inside)
+    right = right or (list_images(folder / other) if other is not None else [])
+    unused = None
+    if not right:
+        unused = next(
+            (folder / name for name in _RIGHT_OF.values() if name != inside and list_images(folder / name)), None
+        )
+    if not depth:
+        depth = next((found for name in _DEPTH_FOLDERS if (found := list_depth(folder / name))), [])
+    if not depth:
+        depth = [path for path in list_depth(folder / inside, FLOAT_SUFFIXES) if _is_depth(path)]
+    return SortedImages(inside, tuple(files), tuple(right), tuple(depth), unused)
+
+
+def _by_names(every: Sequence[Path]) -> tuple[list[Path], list[Path], list[Path]]:
+    """The camera's, right and depth images of one folder."""
+    depth = [path for path in every if _is_depth(path)]
+    called = set(depth)
+    others = [path for path in every if path not in called] if called else list(every)
+    right = [path for path in others if _is_called("right", _RIGHT, path)]
+    left = [path for path in others if _is_called("left", _LEFT, path)] if right else []
+    if left and right and len(left) + len(right) == len(others):
+        return left, right, depth
+    return others, [], depth
+
+
+def _is_depth(path: Path) -> bool:
+    return _is_called("depth", _DEPTH, path)
+
+
+def _is_called(word: str, pattern: re.Pattern[str], path: Path) -> bool:
+    """Whether the name has the word, as a word; a search of letters first: folders have thousands of names."""
+    name = path.name.lower()
+    return word in name and pattern.search(name) is not None

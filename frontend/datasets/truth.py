@@ -1,0 +1,206 @@
+"""The ground truth of a sequence: found, read in whatever form, and compared with the images' times. What is wrong with
+it is a warning: a run needs none."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import product
+
+from ..errors import FrontendError
+from ..files.pose_table import PoseTable, read_poses
+from ..files.timestamps import span_text
+from ..files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
+from .base import Problems
+from .image_times import TimedImages, rows_of_images
+from .images import natural_key
+
+_SUFFIXES = (".txt", ".tum", ".csv")
+_NAMES = ("poses", "groundtruth", "ground_truth", "gt", "gt_poses", "gt_pose", "traj")
+_POSE_FOLDERS = ("poses", "pose")
+_LOOKS_TRUE = re.compile(r"ground.?truth|(?:^|[^a-z])gt(?:[^a-z]|$)")
+_MANY, _AHEAD = 10, 0.9  # poses, and the share of their path ahead, from which axes are a body's
+_LEFT_OUT = "ground truth left out, errors cannot be known"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """``trajectory``: ``T_W_C`` at its own times, or those of the images; ``source``: the file or folder."""
+
+    trajectory: Trajectory
+    source: Path
+
+    def moved(self, T_given_camera: NDArray[np.float64]) -> Truth:
+        """That of another camera or frame fixed to the one whose poses are given; ``T_given_camera`` ``(4, 4)``."""
+        poses = product(self.trajectory.poses, T_given_camera)
+        return Truth(Trajectory(self.trajectory.stamps_ns, poses), self.source)
+
+
+def as_truth(trajectory: Trajectory | None, source: Path) -> Truth | None:
+    """A trajectory that a reader has found by itself in ``source``, or None."""
+    return None if trajectory is None else Truth(trajectory, source)
+
+
+def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth | None:
+    """The ground truth beside the images of ``folder``, under a usual name, in any form that
+    :func:`~maslam.frontend.files.pose_table.read_poses` knows, or one file an image in ``poses``; None without.
+
+    A file that is damaged or does not fit is named in ``problems`` and left out, and so is one that looks like ground
+    truth and is not read.
+    """
+    files = sorted(
+        (path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file()),
+        key=lambda path: natural_key(path.name),
+    )
+    usual = [path for name in _NAMES for path in files if path.stem.lower() == name]
+    looks = [path for path in files if _LOOKS_TRUE.search(path.stem.lower()) and path not in usual]
+    found = [*usual, *looks]
+    if found:
+        if len(found) > 1:
+            others = ", ".join(path.name for path in found[1:])
+            problems.warning(f"{found[0]}: taken as the ground truth; {others} beside it is not used")
+        truth = read_truth(found[0], images, problems)
+        if truth is not None:
+            _check_axes(truth, problems)
+        return truth
+    inside = next((folder / name for name in _POSE_FOLDERS if (folder / name).is_dir()), None)
+    return None if inside is None else _of_single_files(inside, images, problems)
+
+
+def read_truth(path: Path, images: TimedImages, problems: Problems, wxyz: bool = False) -> Truth | None:
+    """The ground truth in ``path``; poses without times are those of the images, in order or by the numbers in the
+    names. None, and a warning, where it cannot be used. ``wxyz``: see :func:`read_poses`."""
+    try:
+        table = read_poses(path, wxyz)
+    except FrontendError as error:
+        problems.warning(f"{error}: {_LEFT_OUT}")
+        return None
+    notes = [*table.notes]
+    if table.stamps_ns is None:
+        trajectory = _of_images(path, table, images, problems)
+    else:
+        trajectory, more = table.in_time()
+        notes += more
+    for note in notes:
+        problems.warning(f"{path}: {note}")
+    return None if trajectory is None else Truth(trajectory, path)
+
+
+def check_cover(truth: Truth, stamps_ns: NDArray[np.int64], problems: Problems) -> None:
+    """Warn where frames at ``stamps_ns`` ``(N,)`` have no true pose near them in time: some, or all: another clock."""
+    covered = frames_covered(truth.trajectory, stamps_ns)
+    if covered == len(stamps_ns):
+        return
+    near = f"within {TRUTH_TOLERANCE_NS / 1e6:.0f} ms"
+    if not covered:
+        problems.warning(
+            f"{truth.source}: no true pose {near} of any image: its times are {span_text(truth.trajectory.stamps_ns)}, "
+            f"the images' {span_text(stamps_ns)}: on another clock? errors cannot be known"
+        )
+    else:
+        problems.warning(
+            f"{truth.source}: a true pose {near} for {covered} of {len(stamps_ns)} frames; errors are of these alone"
+        )
+
+
+def _check_axes(truth: Truth, problems: Problems) -> None:
+    """Warn of poses that move ahead along their own x, as those of a vehicle's body do, not of a camera, whose z looks
+    ahead. More than that cannot be known of axes."""
+    steps = np.diff(truth.trajectory.centres, axis=0)
+    ahead = np.einsum("nij,ni->nj", truth.trajectory.poses[:-1, :3, :3], steps)[:, 0]
+    length = float(np.linalg.norm(steps, axis=1).sum())
+    share = float(ahead.sum()) / length if length > 0 else 0.0
+    if len(steps) >= _MANY and share > _AHEAD:
+        problems.warning(
+            f"{truth.source}: poses move along their own x axis ({100 * share:.0f} % of the path): axes of a body (x "
+            "ahead) rather than of a camera (z ahead)? positions are compared all the same, rotations of matches are "
+            "not to be relied on"
+        )
+
+
+def frames_covered(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> int:
+    """How many of the frames at ``stamps_ns`` have a true pose at their time."""
+    return int((truth.nearest(stamps_ns, TRUTH_TOLERANCE_NS) >= 0).sum())
+
+
+def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:
+    """Ground truth from ``poses`` ``(N, 4, 4)`` ``T_W_C``, one per frame, at ``stamps_ns`` ``(N,)``; None where the
+    stamps do not ascend, which is listed as a problem of its own."""
+    return Trajectory(stamps_ns, poses) if (np.diff(stamps_ns) > 0).all() else None
+
+
+def _of_images(path: Path, table: PoseTable, images: TimedImages, problems: Problems) -> Trajectory | None:
+    """Poses without times, one an image."""
+    rows = rows_of_images(table.count, images.files)
+    if rows is None:
+        problems.warning(
+            f"{path}: {table.count} poses without times for {len(images.files)} images: which is whose? {_LEFT_OUT}"
+        )
+        return None
+    place = np.full(table.count, -1)
+    place[table.rows] = np.arange(len(table.rows))
+    known = place[rows] >= 0
+    return frame_truth(images.stamps_ns[known], table.poses[place[rows][known]])
+
+
+def _of_single_files(inside: Path, images: TimedImages, problems: Problems) -> Truth | None:
+    """A 4x4 or 3x4 matrix in a file of its own for each image, of the same name, or in the same order."""
+    files = sorted(
+        (path for path in inside.iterdir() if path.suffix == ".txt"), key=lambda path: natural_key(path.name)
+    )
+    if not files:
+        return None
+    matched = _match_names(files, images.files)
+    if matched is None:
+        problems.warning(
+            f"{inside}: {len(files)} pose files of other names for {len(images.files)} images: which is whose? "
+            f"{_LEFT_OUT}"
+        )
+        return None
+    return truth_of_files(inside, matched, images.stamps_ns, problems)
+
+
+def truth_of_files(
+    source: Path, files: Sequence[Path | None], stamps_ns: NDArray[np.int64], problems: Problems
+) -> Truth | None:
+    """Ground truth from one file an image, each with one pose; None for an image without. Files that hold no pose are
+    counted; those without a finite one are moments at which it was not known."""
+    stamps, poses, broken = [], [], []
+    for stamp, path in zip(stamps_ns.tolist(), files, strict=True):
+        if path is None:
+            continue
+        try:
+            poses.append(_one_pose(path))
+            stamps.append(stamp)
+        except FrontendError as error:
+            broken.append(str(error))
+    if broken:
+        more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
+        problems.warning(f"{broken[0]}{more}: left out of the ground truth")
+    if not poses:
+        return None
+    trajectory = frame_truth(np.array(stamps, dtype=np.int64), np.array(poses))
+    return None if trajectory is None else Truth(trajectory, source)
+
+
+def _one_pose(path: Path) -> NDArray[np.float64]:
+    """The only pose in a file, ``(4, 4)``: four rows of four, three rows of four, or one row."""
+    table = read_poses(path)
+    if len(table.poses) != 1:
+        raise FrontendError(f"{path}: one pose expected, found {len(table.poses)}")
+    pose: NDArray[np.float64] = table.poses[0]
+    return pose
+
+
+def _match_names(files: Sequence[Path], images: Sequence[Path]) -> list[Path | None] | None:
+    by_stem = {path.name.split(".")[0]: path for path in files}
+    matched = [by_stem.get(image.name.split(".")[0]) for image in images]
+    if any(matched):
+        return matched
+    return list(files) if len(files) == len(images) else None

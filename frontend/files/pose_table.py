@@ -1,0 +1,194 @@
+"""Trajectories in the forms that people have: TUM, KITTI, EuRoC, matrices, with headings, in any unit of time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import rotation_from_quat_wxyz, se3
+
+from ..errors import FrontendError
+from .headed_table import HeadedTable, read_headed_table
+from .time_units import NotATime, TimeUnit, parse_times, unit_of_heading
+from .trajectory import Trajectory, rigid_rotations
+
+Array = NDArray[np.float64]
+_FORMS = {
+    7: "positions and quaternions",
+    8: "TUM",
+    12: "KITTI",
+    13: "KITTI with times",
+    16: "4x4",
+    17: "4x4 with times",
+}
+_QUATERNION_TOLERANCE = 0.05  # of its length: rounded digits are fine, a column mixed up is not
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class PoseTable:
+    """``poses`` ``(N, 4, 4)`` ``T_W_C``, in the order of the file; ``stamps_ns`` ``(N,)`` their times as they are, or
+    None where the file has none; ``rows`` ``(N,)`` of the file, lost ones left out; ``notes``: what to know."""
+
+    poses: Array
+    stamps_ns: NDArray[np.int64] | None
+    rows: NDArray[np.int64]
+    count: int
+    notes: tuple[str, ...] = ()
+
+    def in_time(self) -> tuple[Trajectory, tuple[str, ...]]:
+        """The poses in order of time, the first of each time kept, and notes that count what was changed.
+        ``ValueError`` where the file has no times."""
+        if self.stamps_ns is None:
+            raise ValueError("no times in this table")
+        back = int((np.diff(self.stamps_ns) < 0).sum())
+        order = np.argsort(self.stamps_ns, kind="stable")
+        stamps = self.stamps_ns[order]
+        first = np.diff(stamps, prepend=stamps[:1] - 1) > 0
+        notes = [f"time goes back {back} times; the poses are sorted by time"] if back else []
+        if not first.all():
+            notes.append(f"{int((~first).sum())} of {len(stamps)} poses have the time of another; the first is kept")
+        return Trajectory(stamps[first], self.poses[order[first]]), tuple(notes)
+
+
+def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> PoseTable:
+    """Poses ``T_W_C`` of a text file, whose form its columns tell: 8 (time, position, quaternion: TUM; also 7, without
+    a time), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17 (4x4), four lines of four (4x4); with headings any
+    columns among which a position and a quaternion are found by name.
+
+    The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``. Times are in
+    ``unit``, or that which they must be in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose.
+    :class:`FrontendError` with the line for anything else that is no pose.
+    """
+    table = read_headed_table(path)
+    values = _values(path, table)
+    lines = table.lines
+    if values.shape[1] == 4 and not table.headings:
+        values, lines = _matrices(values, lines)
+    columns = _columns(path, table, values.shape[1], wxyz)
+    known = np.isfinite(values[:, columns.all]).all(axis=1)
+    if columns.quaternion is not None:
+        known &= np.abs(values[:, columns.quaternion]).max(axis=1, initial=0.0) > 0
+    rows = np.flatnonzero(known)
+    if not len(rows):
+        raise FrontendError(f"{path}: no poses in this file")
+    notes = [f"{len(values) - len(rows)} of {len(values)} rows hold no pose (NaN or zeros)"] * (len(rows) < len(values))
+    stamps = None
+    if columns.time is not None:
+        stamps, doubt = _stamps(path, table, columns.time, unit)
+        stamps = stamps[rows]
+        notes += [doubt] if doubt else []
+    return PoseTable(
+        _poses(path, values[rows], columns, [lines[i] for i in rows]), stamps, rows, len(values), tuple(notes)
+    )
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Column of the time; those of the position and the quaternion (w x y z), or of a row-major matrix."""
+
+    time: int | None
+    position: tuple[int, ...] = ()
+    quaternion: list[int] | None = None
+    matrix: tuple[int, ...] = ()
+
+    @property
+    def all(self) -> list[int]:
+        return [*self.position, *(self.quaternion or ()), *self.matrix]
+
+
+def _values(path: Path, table: HeadedTable) -> Array:
+    """All cells as numbers; what is no number, and a row of another length, is named with its line."""
+    if not table.rows:
+        raise FrontendError(f"{path}: no poses in this file")
+    width = len(table.rows[0])
+    for cells, line in zip(table.rows, table.lines, strict=True):
+        if len(cells) != width:
+            form = _FORMS.get(width, "a row")
+            raise FrontendError(f"{path}:{line}: {len(cells)} numbers, but the rows before ({form}) have {width}")
+    try:
+        return np.array(table.rows, dtype=object).astype(np.float64).reshape(-1, width)
+    except ValueError:
+        return np.array([[_number(cell) for cell in cells] for cells in table.rows])
+
+
+def _matrices(values: Array, lines: list[int]) -> tuple[Array, list[int]]:
+    """Lines of four numbers as matrices, one a row, with the line on which each begins: 4x4, or one of 3x4."""
+    if len(values) == 3:
+        return values.reshape(1, 12), lines[:1]
+    if len(values) % 4 == 0 and (values[3::4] == (0.0, 0.0, 0.0, 1.0)).all():
+        return values.reshape(-1, 16), lines[::4]
+    return values, lines
+
+
+def _number(cell: str) -> float:
+    """A cell that is no number, such as a name or a date, is NaN: it matters only in a column that is used."""
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
+
+
+def _columns(path: Path, table: HeadedTable, width: int, wxyz: bool) -> _Columns:
+    named = _named_columns(table.headings) if len(table.headings) == width else None
+    if named is not None:
+        return named
+    quaternion = (3, 0, 1, 2) if not wxyz else (0, 1, 2, 3)
+    timed = width in (8, 13, 17) or (wxyz and width > 8)
+    first = int(timed)
+    if width in (7, 8) or (wxyz and width == 17):
+        return _Columns(0 if timed else None, (first, first + 1, first + 2), [first + 3 + i for i in quaternion])
+    if width in (12, 13, 16, 17):
+        return _Columns(0 if timed else None, matrix=tuple(range(first, first + 12)))
+    forms = ", ".join(f"{n} ({form})" for n, form in _FORMS.items())
+    what = "positions without rotations" if width in (3, 4) else "no form of poses that is known"
+    raise FrontendError(f"{path}:{table.lines[0]}: {width} columns: {what}; known are {forms}, or headings")
+
+
+def _named_columns(headings: Sequence[str]) -> _Columns | None:
+    """By headings such as ``timestamp tx ty tz qx qy qz qw`` or EuRoC's ``p_RS_R_x [m]``, ``q_RS_w []``."""
+    bare = [re.sub(r"[\[(].*?[\])]", "", heading).strip().replace("-", "_") for heading in headings]
+    position = [
+        _find(bare, rf"(t_?|p_?|pos_?|position[_.]?|p_.*_|.*position[_.]|.*translation[_.])?{axis}") for axis in _AXES
+    ]
+    turn = [
+        _find(bare, rf"(q_?|quat_?|q_.*_|orientation[_.]?|.*orientation[_.]|.*rotation[_.]|rot_?){axis}")
+        for axis in ("w", *_AXES)
+    ]
+    if None in position or None in turn:
+        return None
+    time = next(
+        (i for i, one in enumerate(bare) if "time" in one or "stamp" in one or one in ("t", "ts", "ns", "sec")), None
+    )
+    return _Columns(time, tuple(i for i in position if i is not None), [i for i in turn if i is not None])
+
+
+def _find(headings: Sequence[str], pattern: str) -> int | None:
+    return next((i for i, heading in enumerate(headings) if re.fullmatch(pattern, heading)), None)
+
+
+def _stamps(path: Path, table: HeadedTable, column: int, unit: TimeUnit | None) -> tuple[NDArray[np.int64], str]:
+    if unit is None and table.headings:
+        unit = unit_of_heading(table.headings[column])
+    try:
+        times = parse_times([cells[column] for cells in table.rows], unit)
+    except NotATime as error:
+        written = table.rows[error.index][column][:40]
+        raise FrontendError(f"{path}:{table.lines[error.index]}: not a time: {written!r}") from None
+    return times.stamps_ns, times.doubt
+
+
+def _poses(path: Path, values: Array, columns: _Columns, lines: Sequence[int]) -> Array:
+    if columns.quaternion is None:
+        matrices = values[:, columns.matrix].reshape(-1, 3, 4)
+        return se3(rigid_rotations(matrices[:, :, :3], path, lines), matrices[:, :, 3])
+    quaternions = values[:, columns.quaternion]
+    lengths = np.linalg.norm(quaternions, axis=1)
+    for row in np.flatnonzero(np.abs(lengths - 1.0) > _QUATERNION_TOLERANCE)[:1]:
+        raise FrontendError(f"{path}:{lines[row]}: the quaternion's length is {lengths[row]:.3f}, expected 1")
+    return se3(rotation_from_quat_wxyz(quaternions), values[:, columns.position])

@@ -1,0 +1,1 @@
+"""``maslam calibrate``: a camera from a film of a board."""

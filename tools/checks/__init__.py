@@ -1,0 +1,1 @@
+"""What images themselves say of a sequence: its light, its pairs, its depth, its calibration."""

@@ -1,0 +1,72 @@
+"""What a sample of a sequence's images says about its calibration, its pairs, its depth and its light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.frames import Frame
+
+_SAMPLES = 8  # frames that are looked at
+
+
+@dataclass(frozen=True)
+class ImageFindings:
+    """A line on what the ``images`` show, a line for stereo (``rows``), a line for ``depth``, and what is wrong;
+    ``off``: which of that says that the calibration of a pair is, else empty."""
+
+    images: str = ""
+    rows: str = ""
+    depth: str = ""
+    problems: tuple[Problem, ...] = ()
+    off: str = ""
+
+
+def samples_of(count: int) -> list[int]:
+    """Numbers of frames spread evenly over ``count``, the first and the last among them."""
+    return sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
+
+
+def look_at(sequence: ImageSequence, frames: list[Frame]) -> ImageFindings:
+    """Findings of ``frames`` of the sequence, which are a sample of it."""
+    from maslam.frontend.datasets.pair_check import fit_pair, match_pair
+    from maslam.frontend.datasets.stored_image import folder_of
+
+    from .depth_edges import edge_problems
+    from .image_checks import check_image, image_lines
+    from .pair_checks import pair_problems
+    from .repeats import repeat_problems
+    from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
+
+    images, image_problems = image_lines([check_image(frame) for frame in frames]) if frames else ("", [])
+    pairs = [one for frame in frames if (one := check_rows(frame)) is not None]
+    depths = [check for frame in frames if (check := check_depth(frame)) is not None]
+    rows, off = "", ""
+    row_problems: list[Problem] = []
+    if pairs:
+        matches = [match_pair(frame.image, frame.right) for frame in frames if frame.right is not None]
+        rows, off, row_problems = turned_lines(pairs, fit_pair(matches, sequence.rig.camera))
+    problems = pair_problems(sequence, [frame.index for frame in frames])
+    if not problems:  # rows and sides of images that are no pairs say nothing of the calibration
+        problems = row_problems
+    else:
+        off = ""
+    depth, depth_problems = depth_lines(depths) if depths else ("", [])
+    if depths:
+        problems = [*problems, *depth_problems, *edge_problems(frames, str(folder_of(sequence.depth[0])))]
+    return ImageFindings(images, rows, depth, (*image_problems, *problems, *repeat_problems(sequence)), off)
+
+
+def look_at_sample(sequence: ImageSequence) -> ImageFindings:
+    """Findings of a sample of the sequence's images; those that cannot be read are passed over."""
+    from maslam.frontend.errors import FrontendError
+
+    frames = []
+    for i in samples_of(len(sequence)):
+        try:
+            frames.append(sequence.read(i))
+        except FrontendError:
+            continue
+    return look_at(sequence, frames)
