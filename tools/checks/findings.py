@@ -29,8 +29,9 @@ def samples_of(count: int) -> list[int]:
     return sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
 
 
-def look_at(sequence: ImageSequence, frames: list[Frame]) -> ImageFindings:
-    """Findings of ``frames`` of the sequence, which are a sample of it."""
+def look_at(sequence: ImageSequence, frames: list[Frame], light: bool = True) -> ImageFindings:
+    """Findings of ``frames`` of the sequence, which are a sample of it; ``light``: also whether they are dark or have
+    nothing to follow."""
     from maslam.frontend.datasets.pair_check import fit_pair, match_pair
     from maslam.frontend.datasets.stored_image import folder_of
 
@@ -40,7 +41,7 @@ def look_at(sequence: ImageSequence, frames: list[Frame]) -> ImageFindings:
     from .repeats import repeat_problems
     from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
 
-    images, image_problems = image_lines([check_image(frame) for frame in frames]) if frames else ("", [])
+    images, image_problems = image_lines([check_image(frame) for frame in frames]) if frames and light else ("", [])
     pairs = [one for frame in frames if (one := check_rows(frame)) is not None]
     depths = [check for frame in frames if (check := check_depth(frame)) is not None]
     rows, off = "", ""
@@ -60,7 +61,8 @@ def look_at(sequence: ImageSequence, frames: list[Frame]) -> ImageFindings:
 
 
 def look_at_sample(sequence: ImageSequence) -> ImageFindings:
-    """Findings of a sample of the sequence's images; those that cannot be read are passed over."""
+    """Findings of a sample of the sequence's images before they are tracked; those that cannot be read are passed over.
+    Tracking itself counts the frames that are dark or have too few features."""
     from maslam.frontend.errors import FrontendError
 
     frames = []
@@ -69,4 +71,4 @@ def look_at_sample(sequence: ImageSequence) -> ImageFindings:
             frames.append(sequence.read(i))
         except FrontendError:
             continue
-    return look_at(sequence, frames)
+    return look_at(sequence, frames, light=False)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam._atomic import replacing
+from maslam._replaced import replaced
 from maslam.backend.geometry import product, se3_inverse
 from maslam.backend.pose_graph.g2o import write_g2o
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
@@ -282,7 +283,7 @@ def with_images(plan: SharePlan, entries: Sequence[LostEntry]) -> tuple[LostEntr
         first, last = (plan.sequence.left[plan.share.first + frame].stem for frame in frames)
         numbers = numbers_of([first, last])
         same = numbers is not None and numbers.tolist() == list(frames)
-        named.append(entry if same else entry.model_copy(update={"first_image": first, "last_image": last}))
+        named.append(entry if same else replaced(entry, first_image=first, last_image=last))
     return tuple(named)
 
 
