@@ -237,6 +237,17 @@ class AgentState:
         """Agents it has an accepted match with, sorted."""
         return sorted({a for m in self.accepted for a in m.agents} - {self.me})
 
+    def note_length(self, track: int, length: float, changed: bool, most: int) -> None:
+        """An optimisation has shown odometry's lengths on a track to be ``length`` times what it said; ``changed``: by
+        more than before. After ``most`` changes they count as settled."""
+        self.lengths[track] = length
+        self.length_changes += int(changed)
+        self.lengths_settled = self.lengths_settled and (not changed or self.length_changes > most)
+
+    def note_lengths_settled(self) -> None:
+        """An optimisation begins to judge odometry's lengths anew."""
+        self.lengths_settled = True
+
     def join(self, members: Iterable[int]) -> bool:
         """Grow the group; whether it grew."""
         before = len(self.group)

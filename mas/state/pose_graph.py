@@ -173,9 +173,7 @@ def _learn_length(state: AgentState, track: int) -> None:
         return
     log_length = float(np.clip(np.median(np.log(found[far] / own[far])), -_MOST_LENGTH, _MOST_LENGTH))
     changed = abs(log_length - np.log(state.lengths.get(track, 1.0))) > _SETTLED_LENGTH
-    state.lengths[track] = float(np.exp(log_length))
-    state.length_changes += int(changed)
-    state.lengths_settled = state.lengths_settled and (not changed or state.length_changes > _LENGTH_CHANGES)
+    state.note_length(track, float(np.exp(log_length)), changed, _LENGTH_CHANGES)
 
 
 def _length_factor(points: Array, enu: Array, sigma: Array) -> tuple[float, float]:
@@ -211,7 +209,7 @@ def adopt(
     """Take the optimised poses and units over; key-frames that came later are carried along rigidly with the last
     optimised one, in its unit."""
     before = {i: state.pose(i) for i in range(len(state.keyframes))}
-    state.lengths_settled = True
+    state.note_lengths_settled()
     for track in task.tracks:
         piece = state.piece(track)
         state.pieces[state.pieces.index(piece)] = Piece(track, piece.first, task.frame, task.metric)

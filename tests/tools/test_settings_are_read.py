@@ -55,7 +55,7 @@ def config_models() -> Iterator[type[BaseModel]]:
     """Every model whose fields somebody can set: by the names that all of them have."""
     for folder in FOLDERS:
         for path in sorted((ROOT / folder).rglob("*.py")):
-            if "BaseModel" in (text := path.read_text(encoding="utf-8")) or "Config(_" in text:
+            if "BaseModel" in (text := path.read_text(encoding="utf-8")) or "(Settings)" in text:
                 module = PREFIX + ".".join(path.relative_to(ROOT).with_suffix("").parts)
                 for name, one in vars(importlib.import_module(module)).items():
                     if name.endswith(("Config", "Plan")) and is_model(one) and one.__module__ == module:

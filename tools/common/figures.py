@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from typing import Any
 from maslam._atomic import replacing
 
 from .errors import UsageError
+from .logs import without_warnings_of
 
 # Okabe and Ito's colours, distinguishable for colour-blind readers, without the yellow that vanishes on white.
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#6A51A3", "#8C6D31")
@@ -73,9 +73,9 @@ def check_picture(path: Path | None) -> None:
 @contextmanager
 def house_figure(inches: tuple[float, float]) -> Iterator[Any]:
     """A matplotlib figure (width, height) to draw in; drawn and saved inside the block, since the style ends there."""
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps what it knows of fonts matters to nobody
-    import matplotlib
-    from matplotlib.figure import Figure
+    with without_warnings_of("matplotlib"):  # where it keeps what it knows of fonts matters to nobody
+        import matplotlib
+        from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE):
         yield Figure(figsize=inches, facecolor="white", layout="constrained")

@@ -37,6 +37,18 @@ _job = ""  # what this process works on, when it works on one of several things
 
 
 @contextmanager
+def without_warnings_of(library: str) -> Iterator[None]:
+    """What ``library`` logs meanwhile is heard from errors on."""
+    logger = logging.getLogger(library)
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+@contextmanager
 def working_on(name: str) -> Iterator[None]:
     """Lines that are logged meanwhile begin with ``name``: they are about one of several jobs."""
     global _job
