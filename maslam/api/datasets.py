@@ -10,7 +10,7 @@ from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import Dataset, ReadingConfig
 from maslam.frontend.datasets.readers import ReaderLike
 from maslam.frontend.recording_config import RecordingConfig
-from maslam.tools.pipeline.preprocess import READING
+from maslam.tools.pipeline.preprocess_options import READING
 
 from .common import PathLike, Settings, changed, nested, rig_kind
 

@@ -20,7 +20,7 @@ from maslam.tools.interchange.export_request import Exported, ExportRequest, Fra
 from maslam.tools.interchange.given import ImportSettings, import_given
 from maslam.tools.pipeline.positions import PositionSettings
 from maslam.tools.pipeline.predecessor import import_folder
-from maslam.tools.pipeline.preprocess import SECTION
+from maslam.tools.pipeline.preprocess_options import SECTION
 
 from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
 from .results import Run, Sequences

@@ -28,7 +28,7 @@ from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
 from maslam.tools.pipeline.predecessor import sequences_for
-from maslam.tools.pipeline.preprocess import (
+from maslam.tools.pipeline.preprocess_options import (
     DEFAULT_OVERLAP,
     READING,
     RECORDING,

@@ -11,7 +11,8 @@ from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.config import OdometryConfig
 from maslam.frontend.kernels import odometry_kernels
 from maslam.tools.common.progress import Silent
-from maslam.tools.pipeline.preprocess import PreprocessSettings, preprocess
+from maslam.tools.pipeline.preprocess import preprocess
+from maslam.tools.pipeline.preprocess_options import PreprocessSettings
 
 
 class Begun(Exception):

@@ -16,7 +16,7 @@ from maslam.tools import cli
 from maslam.tools.common.earlier_settings import SETTINGS_OF_0_1, Fate, Removed, Renamed, fate, modernised
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.options import build, read_settings
-from maslam.tools.pipeline.preprocess import settings_from
+from maslam.tools.pipeline.preprocess_options import settings_from
 
 OF_0_1 = Path(__file__).parent / "of_0_1"
 TABLE: dict[str, Fate] = {

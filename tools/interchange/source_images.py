@@ -21,7 +21,7 @@ from maslam.mas.sequence import STAMP_TOLERANCE_NS, AgentEntry, Manifest
 
 from ..common.errors import ToolError
 from ..pipeline.focal_length import with_focal
-from ..pipeline.preprocess import READING
+from ..pipeline.preprocess_options import READING
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets.readers import ReaderLike

@@ -34,7 +34,7 @@ def main(arguments: argparse.Namespace) -> None:
     from ..report.summary_table import table_of
     from ..worlds.config import RenderConfig
     from ..worlds.dataset import render_dataset
-    from .preprocess import PreprocessSettings
+    from .preprocess_options import PreprocessSettings
     from .run import DEFAULT_PRESET
     from .slam import slam
 

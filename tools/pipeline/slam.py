@@ -10,15 +10,14 @@ from ..common.folders import check_apart
 from ..common.options import read_settings
 from ..common.progress import Progress, counter, progress_on
 from .predecessor import SEQUENCES
-from .preprocess import (
+from .preprocess import preprocess, summary_line
+from .preprocess_options import (
     READING,
     SECTION,
     SECTIONS,
     PreprocessSettings,
     add_preprocess_arguments,
-    preprocess,
     settings_from,
-    summary_line,
 )
 from .run import add_run_arguments, config_from
 

@@ -77,7 +77,8 @@ def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
     from maslam.frontend.config import OdometryConfig
 
     from ..common.compiling import COMPILING
-    from ..pipeline.preprocess import FRONTEND, PreprocessSettings, preprocess
+    from ..pipeline.preprocess import FRONTEND, preprocess
+    from ..pipeline.preprocess_options import PreprocessSettings
     from ..worlds.dataset import render_dataset
 
     for cell in _materials(plan):
