@@ -46,7 +46,7 @@ from .protocol.solver_messages import SolverBody
 from .protocol.tasks import Outcome
 from .state.agent_state import AgentState, Profile
 from .state.keyframe import KeyFrame
-from .state.pose_graph import uses_positions
+from .state.positions import uses_positions
 
 
 class Agent:
