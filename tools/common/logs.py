@@ -38,7 +38,7 @@ _job = ""  # what this process works on, when it works on one of several things
 
 @contextmanager
 def without_warnings_of(library: str) -> Iterator[None]:
-    """What ``library`` logs meanwhile is heard from errors on."""
+    """Of what ``library`` logs meanwhile only errors count."""
     logger = logging.getLogger(library)
     before = logger.level
     logger.setLevel(logging.ERROR)
