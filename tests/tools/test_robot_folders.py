@@ -55,10 +55,13 @@ def test_masks_are_said_and_belong_to_the_fingerprint(tmp_path: Path, capsys: py
     assert preprocess(source, tmp_path / "out") == 0
     assert "masks" not in capsys.readouterr().err
     options = ("--images.masks", tmp_path / "robot.png")
-    assert preprocess(source, tmp_path / "out", *options) == 0
+    assert preprocess(source, tmp_path / "out", *options) == 1
+    assert "other settings (images.masks)" in capsys.readouterr().err
+    assert preprocess(source, tmp_path / "out", "--overwrite", *options) == 0
     said = capsys.readouterr().err
     assert "robot.png: masks every image; 25.0 % of the pixels give no points" in said
     assert cli.main(["inspect", str(source), *map(str, options)]) == 0
     assert "masks every image" in capsys.readouterr().out
-    assert preprocess(source, tmp_path / "out", "--images.masks", tmp_path / "nowhere.png") == 1
+    nowhere = tmp_path / "nowhere.png"
+    assert preprocess(source, tmp_path / "out", "--overwrite", "--images.masks", nowhere) == 1
     assert "nowhere.png: no such mask" in capsys.readouterr().err

@@ -75,6 +75,9 @@ def find_images(sources: Sequence[Path], every: int, colour: bool, say: Callable
             raise
         say(f"no data set ({error}): the images are described as they are stored, numbered for time stamps")
         return [_plain(folder.resolve().name, tuple(files), every, colour)]
+    if all(sequence.focal_guess for sequence in dataset.sequences) and (files := list_images(folder)):
+        say(f"{folder}: no calibration: the images are described as they are stored, numbered for time stamps")
+        return [_plain(folder.resolve().name, tuple(files), every, colour)]
     for problem in (p for sequence in dataset.sequences for p in sequence.problems if p.severity is Severity.WARNING):
         say(f"warning: {problem.message}")
     return [_of_sequence(sequence, every, colour) for sequence in dataset.sequences]
