@@ -27,6 +27,9 @@ _GAP = 1.5
 # Fewer poses than this align perfectly whatever they are.
 MIN_POSES = 3
 
+# Under a similarity any trajectory fits a truth that stands still: a scale of 0 and no error.
+_STANDS_M = 1e-3
+
 # An accepted match is false if its position is off by more than a fifth of the match's median depth (2 m at most,
 # where the scene is farther than 10 m) plus 5 % of the cameras' distance, or its rotation by more than 10 degrees.
 # RelPose errs by about a hundredth of the depth; a look-alike place is off by a room or a house.
@@ -119,7 +122,7 @@ class GroundTruthEvaluator:
             return None
         estimate = np.vstack([p.estimate for p in known.values()])
         truth = np.vstack([p.truth for p in known.values()])
-        return trajectory_error(estimate, truth, self.placed_with_scale(agent.state))
+        return _error(_Positions(estimate, truth), self.placed_with_scale(agent.state))
 
     def copy_errors(self, agent: Agent) -> dict[int, TrajectoryError]:
         """Each map copy's share of that, and the own key-frames'."""
@@ -253,13 +256,19 @@ class GroundTruthEvaluator:
 
 
 def _error(pair: _Positions | None, with_scale: bool) -> TrajectoryError | None:
-    if pair is None or len(pair) < MIN_POSES:
+    if pair is None or len(pair) < MIN_POSES or _stands(pair.truth, with_scale):
         return None
     return trajectory_error(pair.estimate, pair.truth, with_scale)
 
 
+def _stands(truth: Array, with_scale: bool) -> bool:
+    return with_scale and float(np.ptp(truth, axis=0).max()) < _STANDS_M
+
+
 def _connected(pairs: Mapping[int, _Positions], with_scale: bool) -> dict[int, TrajectoryError]:
-    """The error of each under one alignment for all."""
+    """The error of each under one alignment for all; nothing where that tells nothing."""
+    if _stands(np.vstack([p.truth for p in pairs.values()]), with_scale):
+        return {}
     estimates, truths = {a: p.estimate for a, p in pairs.items()}, {a: p.truth for a, p in pairs.items()}
     return connected_error(estimates, truths, with_scale)
 

@@ -13,6 +13,7 @@ from test_sequence import write
 
 from maslam.backend.geometry import umeyama
 from maslam.frontend.files.trajectory import Trajectory
+from maslam.mas.evaluation.ground_truth import _error, _Positions
 from maslam.mas.policies.presets import preset
 from maslam.mas.simulation import run
 from maslam.tools import cli
@@ -76,3 +77,12 @@ def test_tracks_without_a_place_count_for_neither(tmp_path: Path) -> None:
     assert summary.alignments is not None
     (odometry,), (own,) = summary.alignments.odometry, summary.alignments.agents
     assert odometry is not None and own is not None and odometry.frames == own.frames == 60 and odometry.tracks == 1
+
+
+def test_a_camera_that_stands_has_no_error_under_a_similarity() -> None:
+    """A scale of 0 would fit any track to it."""
+    rng = np.random.default_rng(0)
+    stands = _Positions(rng.normal(size=(20, 3)), np.tile([1.0, 2.0, 3.0], (20, 1)))
+    assert _error(stands, with_scale=True) is None
+    found = _error(stands, with_scale=False)
+    assert found is not None and found.rmse_m > 1.0

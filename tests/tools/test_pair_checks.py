@@ -58,6 +58,35 @@ def test_right_images_of_other_moments_are_named(pair: Path, lag: int, words: st
     assert right - left == lag
 
 
+@pytest.mark.parametrize("step", [0.5, -0.5, 0.27, 0.96])
+def test_a_camera_that_moves_sideways_shows_its_pairs_again_and_is_no_fault(pair: Path, step: float) -> None:
+    """After ``1 / step`` frames the left camera is where the right one was: its image is the same to the pixel, or
+    nearly. The true partner still has common rows, and disparities."""
+    rng = np.random.default_rng(0)
+    left, right = files(pair / "image_0"), files(pair / "image_1")
+    height, width = cv2.imread(str(left[0]), cv2.IMREAD_GRAYSCALE).shape
+    layers = [cv2.GaussianBlur(rng.integers(0, 256, (height, 4 * width)).astype(np.uint8), (5, 5), 0) for _ in range(2)]
+    layers = [cv2.normalize(layer, None, 0, 255, cv2.NORM_MINMAX) for layer in layers]
+
+    def view(x: float) -> np.ndarray:
+        far, near = (
+            cv2.warpAffine(layer, np.array([[1.0, 0.0, -1.5 * width - shift * x], [0.0, 1.0, 0.0]]), (width, height))
+            for layer, shift in zip(layers, (12.0, 30.0), strict=True)
+        )
+        return np.where(np.arange(height)[:, None] < height // 2, far, near)
+
+    for k, (a, b) in enumerate(zip(left, right, strict=True)):
+        assert cv2.imwrite(str(a), view(step * k)) and cv2.imwrite(str(b), view(step * k + 1.0))
+    (pair / "poses.txt").unlink()
+    assert not [message for message in messages(pair) if "lag" in message or "lead" in message]
+
+
+def test_right_images_of_another_size_are_an_error_in_one_line(pair: Path) -> None:
+    for path in files(pair / "image_1"):
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5))
+    assert any(message.startswith("error") and "image_1" in message for message in messages(pair))
+
+
 def test_an_image_lost_on_one_side_in_the_middle_is_named(pair: Path) -> None:
     paths = files(pair / "image_1")
     for path, after in pairwise(paths[9:]):

@@ -33,6 +33,11 @@ _BETTER = 1.25
 _FRAMES = 2
 _FITS = 0.75
 """Share of its points on common rows, from which an image is a partner: by chance fewer are."""
+_AS_GOOD = 0.9
+"""Where the share of points on common rows is so near to the best partner's, the one given is a pair of its own."""
+_NEARER = 0.5
+"""A partner of another moment sees points about as far off; in a view that a camera moving sideways had from the same
+place they lie where they were."""
 _LAGS = 6
 
 
@@ -59,6 +64,14 @@ class _Matches:
         disparity = self.left[:, 0] - self.right[:, 0]
         good = (np.abs(rows - offset) <= _ROW_PX) & (disparity > -1.0)
         return int(good.sum()) if good.mean() >= share else 0
+
+    def row_share(self) -> float:
+        """Share of the points that lie on common rows."""
+        return self.on_common_rows() / max(len(self.left), 1)
+
+    def disparity_px(self) -> float:
+        """Median, 0 where there are no points."""
+        return float(np.median(self.left[:, 0] - self.right[:, 0])) if len(self.left) else 0.0
 
     def in_one_place(self) -> bool:
         """Whether hardly any point moves."""
@@ -97,7 +110,7 @@ def pair_problems(sequence: ImageSequence, samples: list[int]) -> list[Problem]:
         cure = "pairs like this are not read; turn both images by 90 degrees, and calibrate them so"
         return [Problem(Severity.ERROR, f"{where}: {message}; {cure}")]
     lags = {i: lag for i in usable if (lag := _lag(read, i)) is not None}
-    if sum(lag != 0 for lag in lags.values()) < min(_FRAMES, len(usable)):
+    if not usable or sum(lag != 0 for lag in lags.values()) < min(_FRAMES, len(usable)):
         return []
     return [Problem(Severity.ERROR, f"{where}: {_lag_text(sequence, lags)}")]
 
@@ -168,8 +181,11 @@ def _lag(read: _Images, i: int) -> int | None:
     """How many frames later the right image comes that belongs to left image ``i``: 0 for its own; None where no one
     stands out, as of a camera that stands still."""
 
+    def matched(lag: int) -> _Matches:
+        return _match(read.left_features(i), read.right_features(i + lag))
+
     def fit(lag: int, share: float = 0.0) -> int:
-        return _match(read.left_features(i), read.right_features(i + lag)).on_common_rows(share)
+        return matched(lag).on_common_rows(share)
 
     inside = [lag for lag in range(-_LAGS, _LAGS + 1) if 0 <= i + lag < len(read)]
     fits = {lag: fit(lag) for lag in inside if abs(lag) <= 1}
@@ -183,6 +199,10 @@ def _lag(read: _Images, i: int) -> int | None:
         return None
     if best == 0:
         return 0 if {-1, 1} <= set(inside) else None  # at an end its own partner may be the one that is not there
+    given, found = matched(0), matched(best)
+    sideways = found.disparity_px() < _NEARER * given.disparity_px()
+    if sideways or given.row_share() >= _AS_GOOD * found.row_share():
+        return None
     return best if fits[best] >= _BETTER * own else None
 
 

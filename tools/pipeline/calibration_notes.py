@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 _SAID_PX = 1.0
 """Displacement by a correction, pixels, from which it is said."""
-_LENS_PX = 2.0
+_LENS_PX, _LENS_SHARE = 2.0, 0.03
+"""The same of the lens, in pixels and as a share of the way to the corners: what tracking takes for the lens of an
+exact camera reaches 2 percent."""
 
 
 def corrected(stats: Mapping[str, float], rig: Rig) -> str:
@@ -31,7 +33,10 @@ def corrected(stats: Mapping[str, float], rig: Rig) -> str:
         )
     radius = float(np.hypot(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy))
     bend_px = (stats.get("lens_k1", 0.0) * radius**3 + stats.get("lens_k2", 0.0) * radius**5) * camera.fx
-    if abs(bend_px) > _LENS_PX and not parts:  # a turn of the right camera leaves traces in the lens
+    corner_px = float(np.hypot(camera.width, camera.height)) / 2.0
+    if (
+        abs(bend_px) > max(_LENS_PX, _LENS_SHARE * corner_px) and not parts
+    ):  # a turn of the right camera leaves traces in the lens
         parts.append(f"the lens by {bend_px:+.1f} px in the corners (k1 {stats['lens_k1']:+.3f})")
     if not parts:
         return ""
