@@ -27,6 +27,8 @@ OPERATIONS = {
     "total": "total",
 }
 
+_STANDS_M = 1e-3
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``RUN``."""
@@ -122,9 +124,7 @@ def _errors(summary: dict[str, Any]) -> list[str]:
     shared = [f"{together} of {of} agents share one frame{apart}"] if of > 1 else []
     known, unit = any(v is not None for v in rmse["agents"]), summary.get("scale") in ("arbitrary", "mixed")
     said = _measured(summary) if known and measured_on(summary) else []
-    truth_there = any(length is not None for length in summary["path_length_m"])
-    why = "no frame has both a place and a true one" if truth_there else "no ground truth"
-    truth = [] if known else [f"{why}: errors cannot be known"]
+    truth = [] if known else [f"{_why_unknown(summary)}: errors cannot be known"]
     whose = "agents with one camera alone" if summary.get("scale") == "mixed" else "one camera"
     own = [f"{whose}: lengths in their files are in units of their own, not metres"] if unit else []
     return [*aligned(rows), *shared, *said, *truth, *own]
@@ -144,6 +144,17 @@ def _traffic(summary: dict[str, Any]) -> list[str]:
         one = traffic.get(key, {})
         rows.append([name, *(f"{one.get(column, 0):,}" for column in ("messages", "payload_bytes", "wire_bytes"))])
     return aligned(rows)
+
+
+def _why_unknown(summary: dict[str, Any]) -> str:
+    """Why there are no errors."""
+    lengths = [length for length in summary["path_length_m"] if length is not None]
+    if not lengths:
+        return "no ground truth"
+    placed = any(one["placed"] for one in summary.get("coverage", []))
+    if placed and max(lengths) < _STANDS_M:
+        return "by its ground truth the camera stands"
+    return "no frame has both a place and a true one"
 
 
 def _matches(summary: dict[str, Any]) -> list[str]:
