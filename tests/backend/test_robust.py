@@ -167,23 +167,24 @@ def agree_on_frames(graph):
     return np.array(right)
 
 
+# Of ``among`` edges between robots ``wrong`` are wrong. A few stand in two files in other digits, and count once.
 @pytest.mark.realdata
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"no pose graphs at {DATA} (MASLAM_DATA)")
 @pytest.mark.parametrize(
     ("name", "method", "wrong", "among"),
     [
-        ("argos_2robots_spoiled", "pcm", 2, 31),
-        ("argos_2robots_spoiled", "gnc", 2, 31),
-        ("argos_2robots_spoiled", "pcm+gnc", 2, 31),
-        ("argos_4robots_spoiled", "pcm", 6, 45),
-        ("argos_4robots_spoiled", "pcm+gnc", 6, 45),
+        ("argos_2robots_spoiled", "pcm", 2, 30),
+        ("argos_2robots_spoiled", "gnc", 2, 30),
+        ("argos_2robots_spoiled", "pcm+gnc", 2, 30),
+        ("argos_4robots_spoiled", "pcm", 6, 44),
+        ("argos_4robots_spoiled", "pcm+gnc", 6, 44),
         ("grid_2robots_spoiled", "gnc", 10, 20),
         ("grid_2robots_spoiled", "pcm+gnc", 10, 20),
         ("grid_4robots_spoiled", "pcm", 24, 48),
         ("grid_4robots_spoiled", "gnc", 24, 48),
         ("grid_4robots_spoiled", "pcm+gnc", 24, 48),
         ("argos_2robots_clean", "pcm+gnc", 0, 34),
-        ("argos_4robots_clean", "pcm+gnc", 0, 87),
+        ("argos_4robots_clean", "pcm+gnc", 0, 83),
     ],
 )
 def test_public_sets(name, method, wrong, among):

@@ -16,6 +16,15 @@ from maslam.tools.common.writing import remove_parts
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 
+
+@pytest.fixture(autouse=True)
+def ctrl_c():
+    """Whoever runs the tests in the background may ignore it, and what they start would, too."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 POOL = """
 import argparse, sys
 from maslam.tools import cli
