@@ -60,6 +60,11 @@ class ElectedMessage:
         """Whether whoever has it needs no answer."""
         return self.kind in (Kind.SIZE, Kind.DECISION)
 
+    @property
+    def asks(self) -> bool:
+        """Whether it only asks for what its sender waits for."""
+        return self.kind is Kind.WAIT
+
     def check(self) -> None:
         """Bodies are checked when they are read."""
 

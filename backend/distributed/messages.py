@@ -95,6 +95,11 @@ class _SolverMessage(ABC):
         """Whether it ends something, so that whoever has it needs no answer."""
         return False
 
+    @property
+    def asks(self) -> bool:
+        """Whether it only asks for what its sender waits for: no message of rounds does."""
+        return False
+
 
 @dataclass(frozen=True, eq=False)
 class Values(_SolverMessage):

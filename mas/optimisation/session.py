@@ -80,6 +80,8 @@ class OptimisationSession:
     def receive(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> SolverReply:
         """Hand a message to the node; :class:`~maslam.backend.errors.BackendError` where it makes no sense."""
         out = self.node.handle(message)
+        if message.asks:  # an answer is larger than the question, and brings this node no further
+            return SolverReply(again=tuple(self.link.answered(message.sender, out, now_ns, rtt)))
         if self.link.seen(message) and not out:
             return SolverReply(again=tuple(self.link.again(self.node, message, now_ns, rtt)))
         if out:

@@ -7,6 +7,7 @@ of this happens as long as messages arrive.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from maslam.backend.distributed.methods import SolverNode
@@ -47,9 +48,14 @@ class SolverLink:
 
     def again(self, node: SolverNode, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
         """To a member that has sent ``message`` again: what it may have missed. Not twice at once."""
-        member = message.sender
-        answered = self._answered_ns.get(member)
-        if answered is not None and now_ns - answered < rtt.wait_ns(member) // 2:
+        return self.answered(message.sender, node.again(message), now_ns, rtt)
+
+    def answered(
+        self, member: int, answer: Sequence[SolverMessage], now_ns: int, rtt: RttEstimator
+    ) -> list[SolverMessage]:
+        """The ``answer`` to a member, or nothing where it got one just now."""
+        before = self._answered_ns.get(member)
+        if not answer or (before is not None and now_ns - before < rtt.wait_ns(member) // 2):
             return []
         self._answered_ns[member] = now_ns
-        return list(node.again(message))
+        return list(answer)

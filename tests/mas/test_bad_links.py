@@ -7,17 +7,26 @@ from pathlib import Path
 import pytest
 from factory import town
 
+from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
 from maslam.mas.config import FaultsConfig, LinkConfig, MasConfig
 from maslam.mas.contracts.contract import Contract, ContractState
 from maslam.mas.contracts.retransmission import Retransmitter
 from maslam.mas.contracts.rtt import RttEstimator
 from maslam.mas.evaluation.summary import Summary
+from maslam.mas.optimisation.session import OptimisationSession
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Call, Message
 from maslam.mas.simulation import run
 
 MS = 10**6
+
+
+class Asked:
+    """A node that was asked and has an answer of many bytes."""
+
+    def handle(self, message: ElectedMessage) -> list[ElectedMessage]:
+        return [ElectedMessage(Kind.CONTRIBUTION, 0, 0, message.sender, bytes(1000))]
 
 
 def through(tmp_path: Path, seed: int = 0, **faults: float) -> Summary:
@@ -54,6 +63,14 @@ def test_answers_to_what_was_sent_once_say_how_long_to_wait() -> None:
         rtt.answered(1, took * MS, repeated=False)
     assert rtt.wait_ns(1) == (300 + 4 * 100) * MS, "mean and four mean deviations"
     assert rtt.wait_ns(2) == 10 * MS
+
+
+def test_a_question_that_is_repeated_at_once_is_answered_once() -> None:
+    """A byte asked for must not bring a graph each time, whoever asks."""
+    session = OptimisationSession(None, None, Asked())  # type: ignore[arg-type]
+    rtt, question = RttEstimator(LinkConfig()), ElectedMessage(Kind.WAIT, 0, 1, 0, b"\x01")
+    answers = [len(session.receive(question, now * MS, rtt).again) for now in (0, 0, 1, 4, 5, 6, 12)]
+    assert answers == [1, 0, 0, 0, 1, 0, 1]
 
 
 def test_who_only_repeats_itself_does_not_shorten_the_wait() -> None:
