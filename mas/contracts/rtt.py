@@ -2,7 +2,8 @@
 
 An answer to a message that was sent once tells how long answers take (Karn and Partridge, SIGCOMM 1987): their mean and
 four times their mean deviation is the timeout, as TCP's (RFC 6298). Until there is one, the quickest of the other
-answers has to do: a lost message makes an answer late, never early.
+answers has to do: a lost message makes an answer late, never early. Where there are too few of those either, the
+quickest answer of any agent is taken: one that was late by bad luck would make this agent wait for seconds.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from ..config import LinkConfig
 # Answers that count; deviations beyond their mean that an answer may take; and how much longer than the quickest answer
 # to wait where none is sure.
 _ANSWERS, _DEVIATIONS = 8, 4.0
-_PATIENCE = 1.5
+_PATIENCE, _FEW = 1.5, 3
 
 
 class RttEstimator:
@@ -39,6 +40,9 @@ class RttEstimator:
         """How long an answer may take."""
         surely = self._surely.get(other)
         if not surely:
-            return _PATIENCE * min(self._took.get(other, (0,)))
+            took = list(self._took.get(other, ()))
+            if len(took) < _FEW:
+                took = [t for kept in (*self._took.values(), *self._surely.values()) for t in kept]
+            return _PATIENCE * min(took, default=0)
         mean = sum(surely) / len(surely)
         return mean + _DEVIATIONS * sum(abs(took - mean) for took in surely) / len(surely)

@@ -62,7 +62,10 @@ def test_answers_to_what_was_sent_once_say_how_long_to_wait() -> None:
     for took in (200, 400, 200, 400):
         rtt.answered(1, took * MS, repeated=False)
     assert rtt.wait_ns(1) == (300 + 4 * 100) * MS, "mean and four mean deviations"
-    assert rtt.wait_ns(2) == 10 * MS
+    for took in (2000, 700, 900):
+        assert rtt.wait_ns(2) == 300 * MS, "too little is known: the quickest of all"
+        rtt.answered(2, took * MS, repeated=True)
+    assert rtt.wait_ns(2) == 1050 * MS, "the quickest of its own"
 
 
 def test_a_question_that_is_repeated_at_once_is_answered_once() -> None:
