@@ -28,7 +28,7 @@ _GAP = 1.5
 MIN_POSES = 3
 
 # Under a similarity any trajectory fits a truth that stands still: a scale of 0 and no error.
-_STANDS_M = 1e-3
+STANDS_M = 1e-3
 
 # An accepted match is false if its position is off by more than a fifth of the match's median depth (2 m at most,
 # where the scene is farther than 10 m) plus 5 % of the cameras' distance, or its rotation by more than 10 degrees.
@@ -262,7 +262,7 @@ def _error(pair: _Positions | None, with_scale: bool) -> TrajectoryError | None:
 
 
 def _stands(truth: Array, with_scale: bool) -> bool:
-    return with_scale and float(np.ptp(truth, axis=0).max()) < _STANDS_M
+    return with_scale and float(np.ptp(truth, axis=0).max()) < STANDS_M
 
 
 def _connected(pairs: Mapping[int, _Positions], with_scale: bool) -> dict[int, TrajectoryError]:

@@ -25,9 +25,6 @@ from .contradictions import hold_against
 from .planning import Plan, plan
 from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
 
-# Waits in vain after which a member asks its manager whether the optimisation still goes on.
-_DOUBTS = 3
-
 
 class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     """At most one at a time for an agent. Of two managers that call at once, the lower number goes first.
@@ -246,11 +243,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
                 effects += self.context.send(session.contract, Failure("the last message did not arrive"))
             return effects
         due = session.link.due(session.node, self.context.now_ns, self._rtt)
-        effects = self._repeat(session, due)
-        if due and session.contract is not None and session.link.tries > _DOUBTS:
-            # Its manager may have given it up, and that message may be lost: it answers a confirmation with it.
-            effects += self.context.tell(session.contract.manager, session.identity, Confirmation())
-        return effects + self._finish_if_done(session)
+        return self._repeat(session, due) + self._finish_if_done(session)
 
     def _run(self, session: OptimisationSession) -> Effects:
         start = session.begin(self.context.now_ns)

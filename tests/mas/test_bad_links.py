@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from factory import town
@@ -17,7 +18,7 @@ from maslam.mas.optimisation.session import OptimisationSession
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Call, Message
-from maslam.mas.simulation import run
+from maslam.mas.simulation import make_agents, run
 
 MS = 10**6
 
@@ -45,7 +46,7 @@ def test_late_answers_cost_time_on_the_way_and_little_else(tmp_path: Path, seed:
     assert late.ate_rmse_m.mean_agents == pytest.approx(still.ate_rmse_m.mean_agents, rel=0.1)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1, 2, 4])
 def test_of_ten_messages_three_are_lost_and_not_many_more_are_sent_than_must_be(tmp_path: Path, seed: int) -> None:
     still, lossy = through(tmp_path), through(tmp_path, seed, loss=0.3)
     assert lossy.groups == still.groups == [[0, 1, 2]]
@@ -74,6 +75,26 @@ def test_a_question_that_is_repeated_at_once_is_answered_once() -> None:
     rtt, question = RttEstimator(LinkConfig()), ElectedMessage(Kind.WAIT, 0, 1, 0, b"\x01")
     answers = [len(session.receive(question, now * MS, rtt).again) for now in (0, 0, 1, 4, 5, 6, 12)]
     assert answers == [1, 0, 0, 0, 1, 0, 1]
+
+
+class EndsByWaiting:
+    """A node that gives up when it has waited long enough."""
+
+    share = SimpleNamespace(members=(0, 1), robot=0)
+    outcome: object = None
+
+    def tick(self) -> list[ElectedMessage]:
+        self.outcome = SimpleNamespace(poses={}, units={0: float("nan")})
+        return []
+
+
+def test_an_optimisation_that_ends_by_waiting_is_over_at_once() -> None:
+    agent = make_agents(*town(2, 10), preset("maslam"))[0]
+    task = SimpleNamespace(members=(0, 1))
+    session = OptimisationSession(None, task, EndsByWaiting(), begun=True)  # type: ignore[arg-type]
+    agent.optimisation.session, agent.context.now_ns = session, 10**9
+    agent.optimisation.resend()
+    assert agent.optimisation.session is None, "its outcome is no number, so it is given up"
 
 
 def test_who_only_repeats_itself_does_not_shorten_the_wait() -> None:

@@ -27,8 +27,6 @@ OPERATIONS = {
     "total": "total",
 }
 
-_STANDS_M = 1e-3
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``RUN``."""
@@ -148,11 +146,13 @@ def _traffic(summary: dict[str, Any]) -> list[str]:
 
 def _why_unknown(summary: dict[str, Any]) -> str:
     """Why there are no errors."""
+    from maslam.mas.evaluation.ground_truth import STANDS_M
+
     lengths = [length for length in summary["path_length_m"] if length is not None]
     if not lengths:
         return "no ground truth"
     placed = any(one["placed"] for one in summary.get("coverage", []))
-    if placed and max(lengths) < _STANDS_M:
+    if placed and max(lengths) < STANDS_M:
         return "by its ground truth the camera stands"
     return "no frame has both a place and a true one"
 
