@@ -97,10 +97,10 @@ class RelPoseConfig(Settings):
 class SolverConfig(Settings):
     """Pose-graph optimisation, central and distributed (thesis section 3.6)."""
 
-    method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "elected"] = Field(
+    method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "multifrontal", "elected"] = Field(
         default="sor",
         description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, "
-        "or one elected robot that solves for all",
+        "exact elimination along an agreed order (multifrontal), or one elected robot that solves for all",
     )
     relaxation: float = Field(
         default=1.75,

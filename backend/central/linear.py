@@ -115,6 +115,35 @@ def turn_derivatives(R_i: Array, R_j: Array, R_ij: Array) -> tuple[Array, Array]
     return turned_i.reshape(m, 3, 9).transpose(0, 2, 1), turned_j.reshape(m, 3, 9).transpose(0, 2, 1)
 
 
+def curvature_blocks(T_i: Array, T_j: Array, T_ij: Array, kappa: Array, tau: Array) -> Array:
+    """What F's second derivative ``(m, 12, 12)`` has more than the matrix of :func:`pose_blocks`, halved: the residuals'
+    own curvature, which Gauss-Newton leaves out. From poses ``(m, 4, 4)``.
+    """
+    R_i, R_j, R_ij, t_ij = T_i[:, :3, :3], T_j[:, :3, :3], T_ij[:, :3, :3], T_ij[:, :3, 3]
+    out = np.zeros((len(kappa), 12, 12))
+    turned = np.swapaxes(R_j, 1, 2) @ R_i
+    weight = kappa[:, None, None]
+    # Of kappa |R_j - R_i R_ij|^2 = kappa (6 - 2 tr(R_j^T R_i R_ij)): the whole second derivative, less Gauss-Newton's.
+    out[:, 3:6, 3:6] = weight * (_curved(R_ij @ turned) - 2.0 * np.eye(3))
+    out[:, 9:, 9:] = weight * (_curved(turned @ R_ij) - 2.0 * np.eye(3))
+    across = np.einsum("kab,mbc,lcd,mda->mkl", _GENERATORS, turned, _GENERATORS, R_ij)
+    linear_i, linear_j = turn_derivatives(R_i, R_j, R_ij)
+    out[:, 9:, 3:6] = weight * (across - np.swapaxes(linear_j, 1, 2) @ linear_i)
+    out[:, 3:6, 9:] = np.swapaxes(out[:, 9:, 3:6], 1, 2)
+    residual = T_j[:, :3, 3] - T_i[:, :3, 3] - (R_i @ t_ij[:, :, None])[:, :, 0]
+    seen = (np.swapaxes(R_i, 1, 2) @ residual[:, :, None])[:, :, 0]
+    both = seen[:, :, None] * t_ij[:, None, :]
+    along = (seen * t_ij).sum(axis=1)[:, None, None] * np.eye(3)
+    out[:, 3:6, 3:6] += tau[:, None, None] * (along - 0.5 * (both + np.swapaxes(both, 1, 2)))
+    return out
+
+
+def _curved(product: Array) -> Array:
+    """``tr(P) I - (P + P^T) / 2`` of matrices ``(m, 3, 3)``: minus the second derivative of ``tr(P exp([delta]))``."""
+    trace = np.trace(product, axis1=1, axis2=2)
+    return np.asarray(trace[:, None, None] * np.eye(3) - 0.5 * (product + np.swapaxes(product, 1, 2)))
+
+
 class BlockSystem:
     """A quadratic cost over nodes joined by edges, of which some nodes are to be solved and the others given.
 

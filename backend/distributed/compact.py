@@ -57,6 +57,10 @@ class CompactWriter:
         for weight in weights:
             self.rough(weight)
 
+    def array(self, values: Array, kind: str) -> None:
+        """Numbers as numpy's type ``kind`` has them."""
+        self._out += np.ascontiguousarray(values, dtype=kind).tobytes()
+
     def steps(self, values: Iterable[float]) -> None:
         """Whole numbers that come as floating-point ones."""
         for value in values:
@@ -111,6 +115,13 @@ class CompactReader:
     def weights(self, count: int) -> tuple[float, ...]:
         """See :meth:`CompactWriter.weights`."""
         return tuple(self.rough() for _ in range(count))
+
+    def array(self, count: int, kind: str) -> Array:
+        """``count`` finite numbers; see :meth:`CompactWriter.array`."""
+        values = np.frombuffer(self._take(count * np.dtype(kind).itemsize), dtype=kind).astype(np.float64)
+        if not np.isfinite(values).all():
+            raise BackendError("a message has a number that is not finite")
+        return values
 
     def steps(self, count: int) -> list[int]:
         """See :meth:`CompactWriter.steps`."""

@@ -18,6 +18,7 @@ from .elected_messages import ElectedMessage
 from .message_bytes import decode, encode
 from .messages import Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values
 from .methods import node_for
+from .multifrontal.frontal_messages import FrontalMessage
 from .share import JudgedEdge, Share, SolverOutcome, shares
 
 # Ticks of a group that works without rounds, for each version a robot may make, before it counts as stuck.
@@ -81,16 +82,19 @@ class _Post:
 
     def __init__(self, method: str) -> None:
         self.queue: deque[bytes] = deque()
-        self._elected, self._descends = method == "elected", method.startswith("rbcd")
+        self._enveloped: type[ElectedMessage] | type[FrontalMessage] | None = None
+        if method in ("elected", "multifrontal"):
+            self._enveloped = ElectedMessage if method == "elected" else FrontalMessage
+        self._descends = method.startswith("rbcd")
         self._messages = self._payload = self._wire = 0
         self._trace: list[tuple[int, float]] = []
 
     def send(self, messages: Sequence[Any]) -> None:
         for message in messages:
-            data = message.encode() if self._elected else encode(message)
+            data = encode(message) if self._enveloped is None else message.encode()
             self.queue.append(data)
             self._messages, self._wire = self._messages + 1, self._wire + len(data)
-            if self._elected:
+            if self._enveloped is not None:
                 self._payload += message.payload_bytes
             else:
                 self._count(message)
@@ -98,7 +102,7 @@ class _Post:
     def next(self) -> Any:
         """The oldest message in transit."""
         data = self.queue.popleft()
-        return ElectedMessage.decode(data) if self._elected else decode(data)
+        return decode(data) if self._enveloped is None else self._enveloped.decode(data)
 
     def _count(self, message: NodeMessage) -> None:
         stage = message.round.stage

@@ -10,6 +10,7 @@ from ..errors import BackendError
 from .descent_node import DescentNode
 from .elected import ElectedNode
 from .free_node import FreeNode
+from .multifrontal.frontal_node import FrontalNode
 from .node import Node
 from .share import Share, SolverOutcome
 
@@ -45,6 +46,8 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
             return DescentNode(share, config)
         case "rbcd-async":
             return FreeNode(share, config)
+        case "multifrontal":
+            return FrontalNode(share, config)
         case "elected":
             return ElectedNode(share, config)
         case _:

@@ -221,6 +221,21 @@ class TestRobustBlockDescent(SolverContract):
         return float(np.where(judged, np.minimum(squared, bound), squared).sum())
 
 
+class TestMultifrontal(SolverContract):
+    config = SolverConfig(method="multifrontal")
+    exact = SolverConfig(method="multifrontal", cost_tolerance=1e-12)
+
+    def test_shares_that_contradict_each_other_are_an_error(self):
+        graph, _ = loops(np.random.default_rng(11), robots=2, length=10, separators=3)
+        group = shares(graph)
+        short = replace(group[1], edges=tuple(e for e in group[1].edges if not e.is_separator))
+        with pytest.raises(BackendError, match=r"do not fit together|wait for messages"):
+            solve_group({0: group[0], 1: short}, self.config)
+        node = node_for(group[0], self.config)
+        with pytest.raises(BackendError, match="message of another method"):
+            node.handle(Report(1, 0, Round(SolverStage.START), 0.0, 0.0))
+
+
 class TestFreeBlockDescent(SolverContract):
     config = SolverConfig(method="rbcd-async")
     exact = SolverConfig(method="rbcd-async")

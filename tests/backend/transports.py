@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from maslam.backend.distributed.message_bytes import decode, encode
 from maslam.backend.distributed.methods import node_for
+from maslam.backend.distributed.wire import pack, unpack
 
 
 def faulty(group, config, rng, loss=0.3, repeat=0.2, latest=4, most=5000):
@@ -12,7 +12,7 @@ def faulty(group, config, rng, loss=0.3, repeat=0.2, latest=4, most=5000):
     flying = []
 
     def post(now, messages):
-        for data in map(encode, messages):
+        for data in ((m.sender, m.receiver, pack(m)) for m in messages):
             for _ in range(1 + (rng.random() < repeat)):
                 if rng.random() >= loss:
                     flying.append((now + 1 + int(rng.integers(latest)), data))
@@ -23,7 +23,7 @@ def faulty(group, config, rng, loss=0.3, repeat=0.2, latest=4, most=5000):
         due = [data for at, data in flying if at <= now]
         flying[:] = [(at, data) for at, data in flying if at > now]
         for k in rng.permutation(len(due)):
-            message = decode(due[k])
+            message = unpack(*due[k])
             post(now, nodes[message.receiver].handle(message))
         for robot in rng.permutation(sorted(nodes)):
             post(now, nodes[robot].tick())
