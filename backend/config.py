@@ -170,6 +170,11 @@ class SolverConfig(Settings):
     gnc_sweeps: int = Field(default=3, ge=1, description="sweeps between two changes of weights")
     gnc_steps: int = Field(default=60, ge=1, description="changes of weights at most")
 
+    multifrontal_most_mb: float = Field(
+        default=64.0,
+        gt=0,
+        description="multifrontal: most that one pass may send, MB as estimated; above it the robots do not begin",
+    )
     elected_longest: int = Field(
         default=1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
     )

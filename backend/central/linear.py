@@ -116,8 +116,8 @@ def turn_derivatives(R_i: Array, R_j: Array, R_ij: Array) -> tuple[Array, Array]
 
 
 def curvature_blocks(T_i: Array, T_j: Array, T_ij: Array, kappa: Array, tau: Array) -> Array:
-    """What F's second derivative ``(m, 12, 12)`` has more than the matrix of :func:`pose_blocks`, halved: the residuals'
-    own curvature, which Gauss-Newton leaves out. From poses ``(m, 4, 4)``.
+    """What half of F's second derivative ``(m, 12, 12)`` has more than the matrix of :func:`pose_blocks`: the curvature
+    of the residuals, which Gauss-Newton leaves out. From poses ``(m, 4, 4)``.
     """
     R_i, R_j, R_ij, t_ij = T_i[:, :3, :3], T_j[:, :3, :3], T_ij[:, :3, :3], T_ij[:, :3, 3]
     out = np.zeros((len(kappa), 12, 12))

@@ -25,7 +25,7 @@ from .common import PathLike, Settings, changed, nested, on_one_thread
 Cost = Literal["auto", "F", "U", "E"]
 Weights = Literal["auto", "information", "unit"]
 Loss = Literal["none", "huber", "cauchy"]
-Method = Literal["dgs", "jor", "sor", "quick", "rbcd", "rbcd-async", "elected"]
+Method = Literal["dgs", "jor", "sor", "quick", "rbcd", "rbcd-async", "multifrontal", "elected"]
 
 
 def read_g2o(paths: PathLike | Sequence[PathLike]) -> PoseGraph:
@@ -113,7 +113,7 @@ def optimise(
 def optimise_distributed(
     graph: PoseGraph,
     *,
-    method: Method = "rbcd",
+    method: Method = "elected",
     weights: Weights = "auto",
     settings: Settings | None = None,
     monocular: Collection[int] = (),
@@ -123,15 +123,16 @@ def optimise_distributed(
     Args:
         graph: nodes named by robot; ``graph.partitioned(n)`` cuts one robot's graph into ``n``.
         method: ``dgs``, ``jor``, ``sor``: two-stage sweeps; ``quick``: fewest bytes within 1 %; ``rbcd``:
-            block-coordinate descent to the optimum; ``rbcd-async``: the same without rounds; ``elected``: one robot
-            solves for all.
+            block-coordinate descent towards the optimum; ``rbcd-async``: the same without rounds; ``multifrontal``:
+            exact elimination along an agreed order, to the optimum on any shape; ``elected``: one robot solves for all,
+            to the optimum in the fewest bytes.
         weights: of the edges: ``information``: as the graph says (cost F); ``unit``: 1 (cost U); ``auto``: 1 where
             every edge's information is the identity.
         settings: of ``maslam.backend.config.SolverConfig``, ``{"descent_sweeps": 100}``.
         monocular: robots whose unit of length is their own and drifts: each of their nodes has a unit, found along with
             its pose (similarities); an edge's translation is in the unit of its first node, and its ``scale`` is the
             size of the second one's in it, up to ``scale_sigma``: of loops that were read from a file, unknown.
-            ``elected`` reaches the optimum; sweeps take many rounds to it.
+            ``elected`` and ``multifrontal`` reach the optimum; sweeps take many rounds to it.
 
     Returns:
         ``graph``, with its own information, in one unit throughout; ``units`` of the nodes in it; ``outcomes`` by

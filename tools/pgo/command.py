@@ -28,8 +28,10 @@ methods
   central      one computer: chordal start, then Newton's method (F, U) or Levenberg-Marquardt (E)
   dgs jor sor  two-stage distributed Gauss-Seidel, Jacobi, over-relaxed; what is minimised is 0.2 to 0.6 % off
   quick        sor with the schedule that ends within 1 % in the fewest bytes
-  rbcd         block-coordinate descent to the optimum, in agreed rounds; rbcd-async: late, lost, repeated messages
-  elected      one robot gathers the condensed graph, solves it, and sends poses back
+  rbcd         block-coordinate descent towards the optimum, in agreed rounds; rbcd-async: late, lost, repeated messages
+  multifrontal exact elimination along an agreed order, to the optimum on any shape; no robot sees more than its own
+               part and poses that are shared; bytes grow with the square of these, too many are refused
+  elected      one robot gathers the condensed graph, solves it, and sends poses back: the optimum in the fewest bytes
 monocular
   one camera's unit of length drifts: each pose has one, found along with it (--monocular). A g2o line is rigid (SE3):
   its translation is in the unit of its first pose, and loops leave the units open. The result is rigid again, in one
@@ -53,7 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("out", metavar="OUT", type=Path, help="a .g2o file, or a folder for one file per robot")
     parser.add_argument(
-        "--method", choices=METHODS, help="see below (default: rbcd; elected where --monocular is given)"
+        "--method",
+        choices=METHODS,
+        help="see below (default: elected; rbcd with --robust gnc, central with huber or cauchy)",
     )
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(
@@ -97,7 +101,7 @@ def main(arguments: argparse.Namespace) -> None:
     from .methods import check, default_method
 
     if arguments.method is None:
-        arguments.method = default_method(arguments.monocular is not None)
+        arguments.method = default_method(arguments.robust)
     check(arguments.method, arguments.robust, arguments.monocular is not None)
     if arguments.monocular is not None and arguments.plot is not None:
         raise UsageError("--plot compares methods on rigid graphs; leave out --monocular, or --plot")

@@ -26,7 +26,7 @@ from ..common.errors import UnknownName, UsageError
 
 CENTRAL = "central"
 TWO_STAGE = ("dgs", "jor", "sor")
-TO_THE_OPTIMUM = ("rbcd", "rbcd-async", "elected")
+TO_THE_OPTIMUM = ("rbcd", "rbcd-async", "multifrontal", "elected")
 METHODS = (CENTRAL, *TWO_STAGE, "quick", *TO_THE_OPTIMUM)
 LOSSES = ("huber", "cauchy")
 SELECTIONS = ("pcm", "gnc", "pcm+gnc")
@@ -69,9 +69,9 @@ class Solution:
     cost_before: float | None = None
 
 
-def default_method(monocular: bool) -> str:
-    """With units of length sweeps take many rounds to the optimum."""
-    return "elected" if monocular else "rbcd"
+def default_method(robust: str) -> str:
+    """The one that reaches the optimum on any graph, in the fewest bytes, and what selects edges by itself."""
+    return "rbcd" if "gnc" in robust else CENTRAL if robust in LOSSES else "elected"
 
 
 def own_units(graph: PoseGraph, monocular: Collection[int]) -> frozenset[int]:
@@ -190,8 +190,14 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
         refused=_refused(result.outcomes),
-        cost_before=max(o.cost_before for o in outcomes),
+        cost_before=_largest([o.cost_before for o in outcomes]),
     )
+
+
+def _largest(costs: list[float]) -> float | None:
+    """None where robots did not begin, and know none."""
+    known = [cost for cost in costs if np.isfinite(cost)]
+    return max(known, default=None)
 
 
 def _refused(outcomes: Mapping[int, SolverOutcome]) -> str | None:

@@ -74,8 +74,10 @@ class PgoReport:
         common = "that of the other robots" if metric else "that of the first pose"
         sizes = f"{self.units['smallest']:.4g} to {self.units['largest']:.4g}"
         out = [f"  units of length estimated for {whose}: {sizes}, in {common}, which the result is in throughout"]
-        if self.method not in ("central", "elected"):
-            out.append("  with units, sweeps take many rounds to the optimum: elected and central reach it")
+        if self.method not in ("central", "elected", "multifrontal"):
+            out.append(
+                "  with units, sweeps take many rounds to the optimum: elected, multifrontal and central reach it"
+            )
         return out
 
     def _proof(self) -> list[str]:
@@ -93,6 +95,6 @@ class PgoReport:
         elif self.rotation_sweeps:
             how = f"{self.rotation_sweeps} rotation and {self.pose_sweeps} pose sweeps"
         else:
-            how = f"{self.pose_sweeps} sweeps"
+            how = f"{self.pose_sweeps} {'passes' if self.method == 'multifrontal' else 'sweeps'}"
         traffic = f"{self.payload_bytes} bytes of poses, {self.wire_bytes} in {self.messages} messages"
         return [f"  {how}, {traffic}, {self.seconds:.2f} s"]

@@ -89,8 +89,8 @@ class Elimination:
         return 0.5 * (left + left.T)
 
     def pushed(self, b: Array) -> tuple[Array, float]:
-        """For right-hand sides ``(n, w, c)`` of all rows: those ``(k, w, c)`` that the boundary is left with, and by how
-        much the eliminated rows alone lower the problem's value."""
+        """For right-hand sides ``(n, w, c)`` of all rows: those ``(k, w, c)`` that the boundary is left with, and by
+        how much the eliminated rows alone lower the problem's value."""
         outer: Array = b[self._boundary].copy()
         if self._factor is None:
             return outer, 0.0

@@ -17,8 +17,8 @@ from ...geometry import Array, project_to_so3, se3, so3_exp
 from ..places import RIGID, SCALED, Places
 
 
-class Problem(IntEnum):
-    """What a pass is about; ``KNOWN``: the poses share a frame already, and are only told."""
+class Unknowns(IntEnum):
+    """What a pass looks for; ``KNOWN``: nothing, the poses share a frame already and are passed on."""
 
     KNOWN = 0
     ROTATION = 1
@@ -28,17 +28,17 @@ class Problem(IntEnum):
 
 
 class Matrices(IntEnum):
-    """Which matrices of the problem robots pass on: none, the last ones count again; Gauss-Newton's, or linear problems'
-    own; the exact second derivative's, where that has a minimum."""
+    """Which matrices robots pass on: none, the last ones count again; Gauss-Newton's, or those of linear problems; the
+    exact second derivative's, where that has a minimum."""
 
     OLD = 0
     GAUSS_NEWTON = 1
     EXACT = 2
 
 
-class Place(IntEnum):
-    """Where the next pass begins: a step further; there, and where poses are is remembered as the best; half of the last
-    step back; where the best was."""
+class StepFrom(IntEnum):
+    """Where the next pass begins: a step further; there, and where poses are now is remembered as the best; half of the
+    last step back; where the best was."""
 
     FURTHER = 0
     BEST_AND_FURTHER = 1
@@ -48,18 +48,18 @@ class Place(IntEnum):
     @property
     def moves(self) -> bool:
         """Whether a step's numbers come with it."""
-        return self in (Place.FURTHER, Place.BEST_AND_FURTHER)
+        return self in (StepFrom.FURTHER, StepFrom.BEST_AND_FURTHER)
 
 
-def shape_of(problem: Problem, scaled: bool) -> tuple[int, int]:
+def shape_of(problem: Unknowns, scaled: bool) -> tuple[int, int]:
     """Unknowns of a node, and right-hand sides."""
     poses = SCALED if scaled else RIGID
     return {
-        Problem.KNOWN: (0, 0),
-        Problem.ROTATION: (3, 3),
-        Problem.UNIT: (1, 1),
-        Problem.POSITION: (1, 3),
-        Problem.POSE: (poses, 1),
+        Unknowns.KNOWN: (0, 0),
+        Unknowns.ROTATION: (3, 3),
+        Unknowns.UNIT: (1, 1),
+        Unknowns.POSITION: (1, 3),
+        Unknowns.POSE: (poses, 1),
     }[problem]
 
 
@@ -69,28 +69,28 @@ class Equations:
     def __init__(self, edges: SimilarityEdges, fixed: NDArray[np.bool_], scaled: bool) -> None:
         self.edges, self._fixed, self._scaled = edges, fixed, scaled
 
-    def blocks(self, problem: Problem, places: Places) -> tuple[Array, Array]:
+    def blocks(self, problem: Unknowns, places: Places) -> tuple[Array, Array]:
         """Matrices ``(m, 2w, 2w)`` and right-hand sides ``(m, 2w, c)`` of each edge; in ``POSE`` of a move from where
         the nodes are, else of what is looked for itself."""
         match problem:
-            case Problem.ROTATION:
+            case Unknowns.ROTATION:
                 return rotation_blocks(self.edges.measured[:, :3, :3], self.edges.kappa)
-            case Problem.UNIT:
+            case Unknowns.UNIT:
                 return self._units()
-            case Problem.POSITION:
+            case Unknowns.POSITION:
                 return self._positions(places)
             case _:
                 return self._poses(places)
 
     def curvature(self, places: Places) -> Array:
-        """What the second derivative has more than the matrices of ``POSE``; with units of length Gauss-Newton's stay."""
+        """What the second derivative has more than the matrices of ``POSE``; nothing where units are variables."""
         i, j = self.edges.ends.T
         if self._scaled:
             return np.zeros((len(i), 2 * SCALED, 2 * SCALED))
         e = self.edges
         return curvature_blocks(places.poses[i], places.poses[j], e.measured, e.kappa, e.tau)
 
-    def right_hand_sides(self, problem: Problem, places: Places, count: int) -> Array:
+    def right_hand_sides(self, problem: Unknowns, places: Places, count: int) -> Array:
         """Their sums ``(n, w, c)`` over the ``count`` nodes."""
         width, columns = shape_of(problem, self._scaled)
         out = np.zeros((count, width, columns))
@@ -133,16 +133,16 @@ class Equations:
         return hessian, rhs - hessian @ now
 
 
-def put_solution(problem: Problem, places: Places, rows: NDArray[np.intp], values: Array) -> None:
+def put_solution(problem: Unknowns, places: Places, rows: NDArray[np.intp], values: Array) -> None:
     """Set ``rows`` of ``places`` to what was found ``(k, w, c)``; in place."""
     match problem:
-        case Problem.ROTATION:
+        case Unknowns.ROTATION:
             places.poses[rows, :3, :3] = project_to_so3(np.swapaxes(values, 1, 2))
-        case Problem.UNIT:
+        case Unknowns.UNIT:
             places.log_units[rows] = values[:, 0, 0]
-        case Problem.POSITION:
+        case Unknowns.POSITION:
             places.poses[rows, :3, 3] = values[:, 0]
-        case Problem.POSE:
+        case Unknowns.POSE:
             x = values[:, :, 0]
             R, t = places.poses[rows, :3, :3], places.poses[rows, :3, 3]
             places.poses[rows] = se3(R @ so3_exp(x[:, 3:6]), t + x[:, :3])
@@ -150,12 +150,12 @@ def put_solution(problem: Problem, places: Places, rows: NDArray[np.intp], value
                 places.log_units[rows] += x[:, 6]
 
 
-def solution_at(problem: Problem, places: Places, rows: NDArray[np.intp]) -> Array:
+def solution_at(problem: Unknowns, places: Places, rows: NDArray[np.intp]) -> Array:
     """Inverse of :func:`put_solution` for the linear problems: ``(k, w, c)``."""
     match problem:
-        case Problem.ROTATION:
+        case Unknowns.ROTATION:
             return np.swapaxes(places.poses[rows, :3, :3], 1, 2)
-        case Problem.UNIT:
+        case Unknowns.UNIT:
             return places.log_units[rows][:, None, None]
         case _:
             return places.poses[rows, :3, 3][:, None, :]

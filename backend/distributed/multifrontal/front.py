@@ -30,7 +30,10 @@ class Front:
         me, rank = share.robot, {robot: k for k, robot in enumerate(order)}
         usable, arrays = _usable(share)
         own = sorted(share.poses)
-        guests = {n for b in below.values() for n in b.nodes if n.robot != me}
+        named = {n for b in below.values() for n in b.nodes}
+        guests = {n for n in named if n.robot != me}
+        if not named - guests <= set(own) or not {n.robot for n in guests} <= set(order):
+            raise BackendError(f"robot {me} was sent poses that nobody has: the members' shares do not fit together")
         pushed = _pushed(usable, me, rank)
         mine = np.array([_answers_for(e, me, rank, pushed, guests) for e in usable], dtype=bool)
         guests |= {n for e, m in zip(usable, mine, strict=True) if m for n in (e.i, e.j) if n.robot != me}
@@ -125,9 +128,9 @@ class Front:
                         out[self.row[node]].add(other.robot)
                     else:
                         out[self.row[other]].add(other.robot)
-        for robots in out:
-            robots.discard(me)
-            if any(rank[r] < rank[me] for r in robots):
+        for row in out:
+            row.discard(me)
+            if any(rank[r] < rank[me] for r in row):
                 raise BackendError(f"robot {me} was sent poses that a robot before it should have eliminated")
         return out
 

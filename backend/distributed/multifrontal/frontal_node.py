@@ -9,7 +9,6 @@ share.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -18,16 +17,17 @@ from ...config import SolverConfig
 from ...errors import BackendError
 from ...geometry import Array
 from ...pose_graph.graph import NodeId
-from ..compact import CompactReader, CompactWriter, numbers_of, poses_of
+from ..compact import CompactReader, CompactWriter, numbers_of
 from ..local import LocalProblem
-from ..places import Places
 from ..share import Share, SolverOutcome
-from .equations import Matrices, Place, Problem, shape_of
+from .agreement import read_order, read_pairs, write_order, write_pairs
+from .equations import Matrices, StepFrom, Unknowns, shape_of
 from .front import Front, neighbours_by_edges
 from .frontal_messages import FrontalKind, FrontalMessage
 from .ordering import elimination_order
 from .passes import Passes
 from .reports import Boundary, Step, Sums, Update
+from .results import cost_aside, finished, refused
 from .schedule import Schedule
 
 _FINENESS = 2048.0
@@ -38,15 +38,15 @@ _ENVELOPES = 100
 class FrontalNode:
     """Call ``start()`` once, then ``handle`` with every message addressed to it, in any order; send what they return.
 
-    ``outcome`` is None while it works. Repeated messages do no harm. ``tick()`` asks for what has not come; who is asked
-    for what it cannot give yet asks in turn.
+    ``outcome`` is None while it works. Repeated messages do no harm. ``tick()`` asks for what has not come; who is
+    asked for what it cannot give yet asks in turn.
     """
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
         self.share = share
         self.outcome: SolverOutcome | None = None
         self._warm = config.start == "warm"
-        self._depth = config.mixed_sweeps
+        self._depth, self._most = config.mixed_sweeps, config.multifrontal_most_mb
         self._matrix_bytes = 0
         self._schedule = Schedule(config, share.scaled, self._warm)
         self._problem, self._number = self._schedule.first, 0
@@ -87,8 +87,13 @@ class FrontalNode:
             return self._answer(message)
         if self.outcome is not None or message.number < self._number or message.number > self._number + 1:
             return []
-        self._inbox.setdefault((message.kind, message.number), {})[message.sender] = message.body
-        return self._advance()
+        arrived = self._inbox.setdefault((message.kind, message.number), {})
+        arrived[message.sender] = message.body
+        try:
+            return self._advance()
+        except BackendError:
+            arrived.pop(message.sender, None)
+            raise
 
     def tick(self) -> list[FrontalMessage]:
         """Ask for what has not come."""
@@ -131,7 +136,9 @@ class FrontalNode:
         """Do everything that can be done with what was received."""
         out: list[FrontalMessage] = []
         while self.outcome is None:
-            found = self._try_order() if self._order is None else self._try_up() if not self._went_up else self._try_down()
+            found = (
+                self._try_order() if self._order is None else self._try_up() if not self._went_up else self._try_down()
+            )
             if found is None:
                 break
             out += found
@@ -148,12 +155,15 @@ class FrontalNode:
                 return None
             pairs = {(self.share.robot, r): n for r, n in self._neighbours.items() if r > self.share.robot}
             for child in self._children:
-                pairs |= _read_pairs(given[child], self.share.members)
+                pairs |= read_pairs(given[child], self.share.members)
             if self._parent is not None:
-                return [self._send(FrontalKind.PAIRS, 0, self._parent, _write_pairs(pairs))]
-            found = elimination_order(self.share.members, pairs, self.share.anchor)
-            order = _write_order(found)
-        self._order = _read_order(order, self.share)
+                return [self._send(FrontalKind.PAIRS, 0, self._parent, write_pairs(pairs))]
+            found, squares = elimination_order(self.share.members, pairs, self.share.anchor)
+            megabytes = squares * shape_of(Unknowns.POSE, self.share.scaled)[0] ** 2 * 1e-6
+            order = write_order(found, megabytes if megabytes > self._most else 0.0)
+        self._order, megabytes = read_order(order, self.share)
+        if megabytes:
+            self.outcome = refused(self.share, megabytes, self._most)
         return [self._send(FrontalKind.ORDER, 0, c, order) for c in self._children]
 
     # -- up ----------------------------------------------------------------------------------------------------------
@@ -202,16 +212,17 @@ class FrontalNode:
 
     def _go_up(self, below: dict[int, Update]) -> list[FrontalMessage]:
         assert self._passes is not None
-        passes, places = self._passes, {}
-        if self._problem is Problem.KNOWN:
+        passes = self._passes
+        places: dict[NodeId, Array] = {}
+        if self._problem is Unknowns.KNOWN:
             for update in below.values():
                 passes.take_places(update.places)
                 places |= update.places
-            places = passes.told_places(places)
+            places = passes.sent_places(places)
         hessian, b, sums = passes.up(self._problem, below, self._matrices)
         if self._number == 0 and not self._warm:
             sums = Sums(self._local.cost())
-        elif self._problem is Problem.POSE:
+        elif self._problem is Unknowns.POSE:
             sums = replace(sums, cost=sums.cost + self._aside)
         # What comes back is about as much as right-hand sides are.
         sums = replace(sums, matrices=self._matrix_bytes, others=2 * b.size * 4 + _ENVELOPES)
@@ -246,8 +257,8 @@ class FrontalNode:
             self._cost_before = sums.cost
         decided = schedule.after(self._problem, sums)
         grid = (1.0, 1.0)
-        if self._problem is Problem.POSE:
-            grid = schedule.grid(sums, shape_of(Problem.POSE, self.share.scaled)[0], _FINENESS)
+        if self._problem is Unknowns.POSE:
+            grid = schedule.grid(sums, shape_of(Unknowns.POSE, self.share.scaled)[0], _FINENESS)
             self._cost_before = schedule.start if self._warm else self._cost_before
         origin = None
         if decided.problem is None and not self._warm:
@@ -270,69 +281,33 @@ class FrontalNode:
         assert self._passes is not None
         passes, problem = self._passes, self._problem
         moves = step.place.moves and step.next_problem is not None
-        if step.place is Place.BEST_AND_FURTHER:
+        if step.place is StepFrom.BEST_AND_FURTHER:
             passes.remember()
         if moves:
             numbers = passes.down(problem, step)
-        elif step.place is Place.HALFWAY:
+        elif step.place is StepFrom.HALFWAY:
             passes.go_halfway()
         else:
             passes.go_to_best()
         if moves and self._number == 0:
-            self._aside = self._cost_aside()
+            self._aside = cost_aside(self._local, passes.front)
         out = []
         for robot in sorted(self._below):
             passed = step
             if moves:
-                known, told = passes.for_robot(robot, numbers)
-                passed = replace(step, known=known, numbers=told)
+                known, sent = passes.for_robot(robot, numbers)
+                passed = replace(step, known=known, numbers=sent)
             out.append(self._send(FrontalKind.STEP, self._number, robot, passed.encode(problem)))
         for key in [k for k in self._said if k[1] < self._number]:
             del self._said[key]
         for old in [k for k in self._inbox if k[1] <= self._number]:
             del self._inbox[old]
         if step.next_problem is None:
-            self.outcome = self._finish(step)
+            self.outcome = finished(self.share, passes, step, self._number + 1)
         else:
             self._problem, self._matrices = step.next_problem, step.matrices
             self._number, self._went_up = self._number + 1, False
         return out
-
-    def _cost_aside(self) -> float:
-        """F over the edges of poses that are not tied to the anchor, which stay: what this robot counts of it."""
-        assert self._passes is not None
-        local, front = self._local, self._passes.front
-        lost = np.zeros(len(local.nodes), dtype=bool)
-        lost[: local.own_count] = ~front.reached[: front.own_count]
-        aside = local.counted & lost[local.edges.ends].any(axis=1)
-        costs = local.edges.only(aside).costs(local.places.poses, local.places.log_units)
-        return float(costs[np.isfinite(costs)].sum())
-
-    def _finish(self, step: Step) -> SolverOutcome:
-        assert self._passes is not None
-        front, me = self._passes.front, self.share
-        own = front.nodes[: front.own_count]
-        start = front.places(me).at(slice(front.own_count))
-        accepted = step.cost <= step.cost_before
-        reason = "accepted" if accepted else f"the cost would rise: {step.cost_before:.6g} to {step.cost:.6g}"
-        places, reached = self._passes.places.at(slice(front.own_count)), front.reached[: front.own_count]
-        if step.origin is not None:
-            places = _carried(places, step.origin)
-        final = start
-        if accepted:
-            final.put(reached, places.at(reached))
-        return SolverOutcome(
-            robot=me.robot,
-            accepted=accepted,
-            reason=reason,
-            poses={n: final.poses[k].copy() for k, n in enumerate(own)},
-            units=dict(zip(own, np.exp(final.log_units).tolist(), strict=True)),
-            cost_before=step.cost_before,
-            cost_after=step.cost if accepted else step.cost_before,
-            rotation_sweeps=1,
-            pose_sweeps=self._number,
-            unreached=tuple(n for n, r in zip(own, reached.tolist(), strict=True) if not r),
-        )
 
     # -- poses as they are -------------------------------------------------------------------------------------------
 
@@ -345,44 +320,3 @@ class FrontalNode:
         rows = len(self._local.received_rows[neighbour])
         values = CompactReader(body).array(rows * self._local.width, "<f4")
         self._local.receive_places(neighbour, values.reshape(rows, -1))
-
-
-def _carried(places: Places, origin: Array) -> Places:
-    """Places in the frame whose pose and log unit are ``origin`` ``(7,)``."""
-    poses = places.poses.copy()
-    poses[:, :3, 3] *= np.exp(origin[6])
-    return Places(poses_of(origin[:6]) @ poses, places.log_units + origin[6])
-
-
-def _write_pairs(pairs: dict[tuple[int, int], int]) -> bytes:
-    out = CompactWriter()
-    for (a, b), count in sorted(pairs.items()):
-        for number in (a, b, count):
-            out.count(number)
-    return out.bytes()
-
-
-def _read_pairs(data: bytes, members: Iterable[int]) -> dict[tuple[int, int], int]:
-    source, out, known = CompactReader(data), {}, set(members)
-    while not source.empty:
-        a, b = source.count(), source.count()
-        if a not in known or b not in known:
-            raise BackendError(f"robots {a} and {b}, said to share poses, are not both in the group")
-        out[a, b] = source.count()
-    return out
-
-
-def _write_order(order: Iterable[int]) -> bytes:
-    out = CompactWriter()
-    for robot in order:
-        out.count(robot)
-    return out.bytes()
-
-
-def _read_order(data: bytes, share: Share) -> tuple[int, ...]:
-    source, order = CompactReader(data), []
-    while not source.empty:
-        order.append(source.count())
-    if tuple(sorted(order)) != share.members or order[-1] != share.anchor:
-        raise BackendError(f"robot {share.robot} was sent an order that is not of its group's members")
-    return tuple(order)

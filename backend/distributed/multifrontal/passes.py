@@ -7,16 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import BackendError
 from ...geometry import Array
 from ...pose_graph.graph import NodeId
-from ..places import Places, moved
+from ..places import moved
 from ..share import Share
 from .elimination import Elimination
-from .equations import Equations, Matrices, Problem, put_solution, shape_of, solution_at
+from .equations import Equations, Matrices, Unknowns, put_solution, shape_of, solution_at
 from .front import Front
 from .memory import Memory
-from .reports import Boundary, Step, Sums, Update, put_told, told
+from .reports import Boundary, Step, Sums, Update, put_sent, sent
 from .shared_poses import LocalCoordinates
 
 _DAMPED = 0.5
@@ -42,18 +41,20 @@ class Passes:
 
     # -- up ----------------------------------------------------------------------------------------------------------
 
-    def carried_of(self, robot: int | None, problem: Problem) -> NDArray[np.bool_]:
+    def carried_of(self, robot: int | None, problem: Unknowns) -> NDArray[np.bool_]:
         """Of the numbers that a robot before, or (None) this one, sends of its boundary, those that are carried."""
         front = self.front
         rows = front.held if robot is None else self._brought[robot]
-        if problem is not Problem.POSE:
+        if problem is not Unknowns.POSE:
             return np.ones(len(rows) * shape_of(problem, self._scaled)[0], dtype=bool)
         return self._coordinates(rows, front.label[rows] if robot is None else self._labels[robot]).carried
 
-    def up(self, problem: Problem, below: Mapping[int, Update], matrices: Matrices) -> tuple[Array | None, Array, Sums]:
+    def up(
+        self, problem: Unknowns, below: Mapping[int, Update], matrices: Matrices
+    ) -> tuple[Array | None, Array, Sums]:
         """What the boundary is left with, in local coordinates where poses move: matrix, right-hand side; and this
         robot's sums."""
-        if problem is Problem.KNOWN:
+        if problem is Unknowns.KNOWN:
             return None, np.zeros((0, 0)), Sums()
         front, equations = self.front, self._equations
         fresh = matrices is not Matrices.OLD
@@ -74,15 +75,15 @@ class Passes:
         self._b = b
         outer, gain = self._elimination.pushed(b)
         left, flat = self._elimination.left, outer.reshape(-1, columns)
-        if problem is Problem.POSE and front.given is None:
+        if problem is Unknowns.POSE and front.given is None:
             coordinates = self._coordinates(front.held, front.label[front.held])
             left, local = coordinates.local(left, flat[:, 0])
             flat = local[:, None]
         edges = equations.edges
-        cost = equations.cost(self.places) if problem is Problem.POSE else 0.0
+        cost = equations.cost(self.places) if problem is Unknowns.POSE else 0.0
         freedom = len(edges.ends) - len(front.inner)
         products: tuple[float, ...] = ()
-        if problem is Problem.POSE:
+        if problem is Unknowns.POSE:
             if fresh:
                 self._memory.restart()
             products = self._memory.note(self.places, own[:, :, 0], b[:, :, 0])
@@ -99,52 +100,52 @@ class Passes:
                 return found
         return Elimination(blocks, front.inner, front.held, n, width)
 
-    def _whole(self, problem: Problem, robot: int, update: Update) -> tuple[Array | None, Array]:
-        if problem is not Problem.POSE:
+    def _whole(self, problem: Unknowns, robot: int, update: Update) -> tuple[Array | None, Array]:
+        if problem is not Unknowns.POSE:
             return update.hessian, update.b
         coordinates = self._coordinates(self._brought[robot], self._labels[robot])
         hessian = None if update.hessian is None else coordinates.matrix(update.hessian)
         return hessian, coordinates.vector(update.b[:, 0])
 
     def _coordinates(self, rows: NDArray[np.intp], label: NDArray[np.intp]) -> LocalCoordinates:
-        width = shape_of(Problem.POSE, self._scaled)[0]
+        width = shape_of(Unknowns.POSE, self._scaled)[0]
         return LocalCoordinates(self.places.at(rows), label, width, self.front.fixed[rows])
 
     # -- down --------------------------------------------------------------------------------------------------------
 
-    def down(self, problem: Problem, step: Step) -> Array:
-        """Take in where the boundary is, and find the rest; returns what others are told of each row ``(n, columns)``:
+    def down(self, problem: Unknowns, step: Step) -> Array:
+        """Take in where the boundary is, and find the rest; returns what others are sent of each row ``(n, columns)``:
         whole steps where poses move."""
         front = self.front
         held = front.held
         if front.given is None:
             front.lose(held[~step.known])
             self._equations = Equations(front.usable_edges(), front.fixed, self._scaled)
-        if problem is Problem.POSE:
+        if problem is Unknowns.POSE:
             return self._move(held, step)
         known = held if front.given is not None else held[step.known]
         if front.given is None:
-            put_told(problem, self.places, known, step.numbers)
-        if problem is not Problem.KNOWN:
+            put_sent(problem, self.places, known, step.numbers)
+        if problem is not Unknowns.KNOWN:
             self._find(problem, held)
-        return told(problem, self.places, np.arange(len(front.nodes)))
+        return sent(problem, self.places, np.arange(len(front.nodes)))
 
-    def _find(self, problem: Problem, held: NDArray[np.intp]) -> None:
+    def _find(self, problem: Unknowns, held: NDArray[np.intp]) -> None:
         assert self._elimination is not None
         front = self.front
         found = self._elimination.solved(self._b, solution_at(problem, self.places, held))
         kept = front.reached[self._elimination.rows]
         rows = self._elimination.rows[kept]
         put_solution(problem, self.places, rows, found[kept])
-        # What others are told is what it is, to the bit.
+        # What others are sent is what it is, to the bit.
         shared = rows[front.shared[rows]]
-        numbers = told(problem, self.places, shared).astype(np.float32).astype(np.float64)
-        put_told(problem, self.places, shared, numbers)
+        numbers = sent(problem, self.places, shared).astype(np.float32).astype(np.float64)
+        put_sent(problem, self.places, shared, numbers)
 
     def _move(self, held: NDArray[np.intp], step: Step) -> Array:
         assert self._elimination is not None
         front = self.front
-        width = shape_of(Problem.POSE, self._scaled)[0]
+        width = shape_of(Unknowns.POSE, self._scaled)[0]
         sizes = np.repeat([step.grid[0], step.grid[1]], (3, width - 3))
         steps, moves = np.zeros((len(front.nodes), width)), np.zeros((len(front.nodes), width))
         if front.given is None:
@@ -155,7 +156,7 @@ class Passes:
         if step.weights:
             mix, self._b = self._memory.mixed(step.weights)
             self._b = self._b[:, :, None]
-            put_solution(Problem.POSE, self.places, np.arange(len(mix)), mix[:, :, None])
+            put_solution(Unknowns.POSE, self.places, np.arange(len(mix)), mix[:, :, None])
         # Gauss-Newton's step is too long where residuals are large; the mixes that follow find what is missing.
         part = _DAMPED if step.weights and self._kind is Matrices.GAUSS_NEWTON else 1.0
         boundary = moves[held][:, :, None] / part
@@ -163,7 +164,7 @@ class Passes:
         shared = rows[front.shared[rows]]
         steps[shared] = np.rint(moves[shared] / sizes)
         moves[shared] = steps[shared] * sizes
-        put_solution(Problem.POSE, self.places, np.arange(len(moves)), moves[:, :, None])
+        put_solution(Unknowns.POSE, self.places, np.arange(len(moves)), moves[:, :, None])
         self._moves = moved(self._before, self.places, width)
         return steps
 
@@ -175,14 +176,14 @@ class Passes:
         """Take half of the last step back."""
         self._part *= 0.5
         self.places.put(slice(None), self._before)
-        put_solution(Problem.POSE, self.places, np.arange(len(self._moves)), self._part * self._moves[:, :, None])
+        put_solution(Unknowns.POSE, self.places, np.arange(len(self._moves)), self._part * self._moves[:, :, None])
 
     def go_to_best(self) -> None:
         """Return to where it was best."""
         self.places.put(slice(None), self._best)
 
     def for_robot(self, robot: int, numbers: Array) -> tuple[NDArray[np.bool_], Array]:
-        """What a robot before is told: which of its poses are tied to the anchor, and their numbers. Of the others
+        """What a robot before is sent: which of its poses are tied to the anchor, and their numbers. Of the others
         nothing is said again."""
         rows = self._brought[robot]
         known = self.front.reached[rows]
@@ -192,17 +193,17 @@ class Passes:
 
     # -- poses that share a frame already ----------------------------------------------------------------------------
 
-    def take_places(self, told_below: Mapping[NodeId, Array]) -> None:
-        """Places of guests, told by robots before."""
+    def take_places(self, from_below: Mapping[NodeId, Array]) -> None:
+        """Places of guests, sent by robots before."""
         me = self.front.nodes[0].robot
-        for node, numbers in told_below.items():
+        for node, numbers in from_below.items():
             if node.robot != me and node in self.front.row:
-                put_told(Problem.KNOWN, self.places, np.array([self.front.row[node]]), numbers[None])
+                put_sent(Unknowns.KNOWN, self.places, np.array([self.front.row[node]]), numbers[None])
 
-    def told_places(self, told_below: Mapping[NodeId, Array]) -> dict[NodeId, Array]:
-        """Of the poses that go on, those that robots to come cannot know: own ones, and what was told."""
+    def sent_places(self, from_below: Mapping[NodeId, Array]) -> dict[NodeId, Array]:
+        """Of the poses that go on, those that robots to come cannot know: own ones, and what was sent."""
         front, me = self.front, self.front.nodes[0].robot
         own = [k for k in front.outer.tolist() if front.nodes[k].robot == me]
-        numbers = told(Problem.KNOWN, self.places, np.array(own, dtype=np.intp))
+        numbers = sent(Unknowns.KNOWN, self.places, np.array(own, dtype=np.intp))
         out = {front.nodes[k]: v for k, v in zip(own, numbers, strict=True)}
-        return {**out, **{n: v for n, v in told_below.items() if n in front.boundary.nodes}}
+        return {**out, **{n: v for n, v in from_below.items() if n in front.boundary.nodes}}

@@ -13,7 +13,7 @@ from ...geometry import Array
 from ...pose_graph.graph import NodeId
 from ..compact import CompactReader, CompactWriter, numbers_of, poses_of
 from ..places import Places
-from .equations import Matrices, Place, Problem, shape_of
+from .equations import Matrices, StepFrom, Unknowns, shape_of
 from .shared_poses import read_function, write_function
 
 _MOST = 1 << 20
@@ -23,8 +23,9 @@ _MOST = 1 << 20
 class Boundary:
     """Poses that a robot does not eliminate, sorted, and what those who do must know.
 
-    ``touching``: of each, the robots that still have edges with it. ``label`` ``(k,)``: which of them what is eliminated
-    joins. ``below``: how many robots, of those eliminated so far, each robot to come shares edges with.
+    ``touching``: of each, the robots that still have edges with it. ``label`` ``(k,)``: equal for those that are joined
+    by what is eliminated. ``robots``: how many are eliminated so far; ``below``: with how many of these each robot to
+    come shares edges.
     """
 
     nodes: tuple[NodeId, ...]
@@ -150,7 +151,7 @@ class Update:
 
     @classmethod
     def decode(
-        cls, data: bytes, problem: Problem, carried: NDArray[np.bool_] | None, fresh: bool, scaled: bool
+        cls, data: bytes, problem: Unknowns, carried: NDArray[np.bool_] | None, fresh: bool, scaled: bool
     ) -> Update:
         """Inverse of :meth:`encode`; ``carried`` None: the boundary comes with it."""
         source = CompactReader(data)
@@ -171,13 +172,14 @@ class Update:
 class Step:
     """What a robot gets back: what follows, and the numbers of its boundary.
 
-    ``next_problem``: None at the end. ``matrices``: which are passed on in it. ``place``: where it begins. ``known`` ``(k,)``: poses that are tied to the anchor. ``grid``: sizes of whole steps, which
-    begin at the mix of earlier passes that ``weights`` make.
+    ``next_problem``: None at the end. ``matrices``: which are passed on in it. ``place``: where it begins. ``cost``,
+    ``cost_before`` and ``origin``, the anchor's own pose and log unit, come at the end. ``known`` ``(k,)``: poses that
+    are tied to the anchor. ``grid``: sizes of whole steps, which begin at the mix of earlier passes by ``weights``.
     """
 
-    next_problem: Problem | None
+    next_problem: Unknowns | None
     matrices: Matrices
-    place: Place
+    place: StepFrom
     cost: float
     cost_before: float
     origin: Array | None
@@ -186,7 +188,7 @@ class Step:
     numbers: Array
     weights: tuple[float, ...] = ()
 
-    def encode(self, problem: Problem) -> bytes:
+    def encode(self, problem: Unknowns) -> bytes:
         """Its bytes; ``problem``: of the pass that it ends."""
         out = CompactWriter()
         code = 0 if self.next_problem is None else 1 + int(self.next_problem)
@@ -202,78 +204,78 @@ class Step:
         out.count(len(lost))
         for k in lost:
             out.count(k)
-        if problem is Problem.POSE:
+        if problem is Unknowns.POSE:
             for size in self.grid:
                 out.rough(size)
             out.count(len(self.weights))
             out.array(np.array(self.weights), "<f4")
             out.steps(self.numbers.ravel().tolist())
         else:
-            out.array(self.numbers, "<f8" if problem is Problem.KNOWN else "<f4")
+            out.array(self.numbers, "<f8" if problem is Unknowns.KNOWN else "<f4")
         return out.bytes()
 
     @classmethod
-    def decode(cls, data: bytes, problem: Problem, count: int, scaled: bool) -> Step:
+    def decode(cls, data: bytes, problem: Unknowns, count: int, scaled: bool) -> Step:
         """Inverse of :meth:`encode`; ``count``: poses on the boundary."""
         source = CompactReader(data)
         code = source.count()
-        next_problem = None if not code & 7 else Problem(min((code & 7) - 1, 4))
-        matrices, place, told = Matrices(min(code >> 3 & 3, 2)), Place(code >> 5 & 3), bool(code >> 7 & 1)
+        next_problem = None if not code & 7 else Unknowns(min((code & 7) - 1, 4))
+        matrices, place, sent = Matrices(min(code >> 3 & 3, 2)), StepFrom(code >> 5 & 3), bool(code >> 7 & 1)
         cost, before = (source.number(), source.number()) if next_problem is None else (0.0, 0.0)
-        origin = source.array(7, "<f8") if told else None
+        origin = source.array(7, "<f8") if sent else None
         known = np.ones(count, dtype=bool)
         numbers, grid, weights = np.zeros((0, 0)), (1.0, 1.0), np.zeros(0)
         if next_problem is not None and place.moves:
             lost = [source.count() for _ in range(_bounded(source.count()))]
             if any(k >= count for k in lost):
-                raise BackendError("an eliminating robot was told of a pose that it does not share")
+                raise BackendError("an eliminating robot was sent a pose that it does not share")
             known[lost] = False
             width = columns_of(problem, scaled)
-            if problem is Problem.POSE:
+            if problem is Unknowns.POSE:
                 grid = (source.rough(), source.rough())
                 weights = source.array(_bounded(source.count()), "<f4")
                 numbers = np.array(source.steps(int(known.sum()) * width), dtype=np.float64).reshape(-1, width)
             else:
-                numbers = source.array(int(known.sum()) * width, "<f8" if problem is Problem.KNOWN else "<f4")
+                numbers = source.array(int(known.sum()) * width, "<f8" if problem is Unknowns.KNOWN else "<f4")
                 numbers = numbers.reshape(-1, width)
         return cls(next_problem, matrices, place, cost, before, origin, grid, known, numbers, tuple(weights.tolist()))
 
 
-def columns_of(problem: Problem, scaled: bool) -> int:
+def columns_of(problem: Unknowns, scaled: bool) -> int:
     """Numbers of a pose that come back: of rotations and positions three."""
     match problem:
-        case Problem.KNOWN:
+        case Unknowns.KNOWN:
             return 7
-        case Problem.UNIT:
+        case Unknowns.UNIT:
             return 1
-        case Problem.POSE:
+        case Unknowns.POSE:
             return shape_of(problem, scaled)[0]
         case _:
             return 3
 
 
-def told(problem: Problem, places: Places, rows: NDArray[np.intp]) -> Array:
+def sent(problem: Unknowns, places: Places, rows: NDArray[np.intp]) -> Array:
     """What comes back of ``rows`` in passes that look for places themselves: ``(k, columns)``."""
     match problem:
-        case Problem.ROTATION:
+        case Unknowns.ROTATION:
             return numbers_of(places.poses[rows])[:, 3:]
-        case Problem.UNIT:
+        case Unknowns.UNIT:
             return places.log_units[rows][:, None]
-        case Problem.POSITION:
+        case Unknowns.POSITION:
             return places.poses[rows, :3, 3]
         case _:
             return places.at(rows).numbers(7)
 
 
-def put_told(problem: Problem, places: Places, rows: NDArray[np.intp], numbers: Array) -> None:
-    """Inverse of :func:`told`; in place."""
+def put_sent(problem: Unknowns, places: Places, rows: NDArray[np.intp], numbers: Array) -> None:
+    """Inverse of :func:`sent`; in place."""
     match problem:
-        case Problem.ROTATION:
+        case Unknowns.ROTATION:
             whole = np.concatenate([np.zeros((len(rows), 3)), numbers], axis=1)
             places.poses[rows, :3, :3] = poses_of(whole)[:, :3, :3]
-        case Problem.UNIT:
+        case Unknowns.UNIT:
             places.log_units[rows] = numbers[:, 0]
-        case Problem.POSITION:
+        case Unknowns.POSITION:
             places.poses[rows, :3, 3] = numbers
         case _:
             places.poses[rows] = poses_of(numbers[:, :6])

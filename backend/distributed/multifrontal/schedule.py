@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...config import SolverConfig
-from .equations import Matrices, Place, Problem
+from .equations import Matrices, StepFrom, Unknowns
 from .memory import best_weights
 from .reports import Sums
 
@@ -30,9 +30,9 @@ _ROUNDING = 1e-12
 class Decided:
     """See :class:`~maslam.backend.distributed.multifrontal.reports.Step`; ``problem`` None: the end."""
 
-    problem: Problem | None
+    problem: Unknowns | None
     matrices: Matrices = Matrices.GAUSS_NEWTON
-    place: Place = Place.FURTHER
+    place: StepFrom = StepFrom.FURTHER
     weights: tuple[float, ...] = ()
 
 
@@ -45,7 +45,7 @@ class Schedule:
 
     def __init__(self, config: SolverConfig, scaled: bool, warm: bool) -> None:
         self._tolerance = config.cost_tolerance
-        self.first = Problem.KNOWN if warm else Problem.ROTATION
+        self.first = Unknowns.KNOWN if warm else Unknowns.ROTATION
         self._scaled = scaled
         self.start = self.best = np.inf
         """The cost before the first step, and the lowest so far."""
@@ -53,15 +53,15 @@ class Schedule:
         self._made, self._kind = np.inf, Matrices.GAUSS_NEWTON
         self._raised = self._halvings = self._returns = self._passes = 0
 
-    def after(self, problem: Problem, sums: Sums) -> Decided:
+    def after(self, problem: Unknowns, sums: Sums) -> Decided:
         """The decision; ``sums`` over all robots."""
         match problem:
-            case Problem.ROTATION:
-                return Decided(Problem.UNIT if self._scaled else Problem.POSITION)
-            case Problem.UNIT:
-                return Decided(Problem.POSITION)
-            case Problem.KNOWN | Problem.POSITION:
-                return Decided(Problem.POSE)
+            case Unknowns.ROTATION:
+                return Decided(Unknowns.UNIT if self._scaled else Unknowns.POSITION)
+            case Unknowns.UNIT:
+                return Decided(Unknowns.POSITION)
+            case Unknowns.KNOWN | Unknowns.POSITION:
+                return Decided(Unknowns.POSE)
         self._passes += 1
         if self._passes == 1:
             self.start = sums.cost
@@ -71,25 +71,25 @@ class Schedule:
         self.best = sums.cost
         self._raised = self._halvings = 0
         if sums.gain <= self._tolerance * sums.cost + _NOTHING or self._passes >= _MOST_PASSES:
-            return Decided(None, place=Place.BEST_AND_FURTHER)
+            return Decided(None, place=StepFrom.BEST_AND_FURTHER)
         self._gains.append(sums.gain)
         if sums.gain > _VERY_FAR * sums.cost or self._worth_a_matrix(sums):
-            return Decided(Problem.POSE, self._anew(sums), Place.BEST_AND_FURTHER, weights)
-        return Decided(Problem.POSE, Matrices.OLD, Place.BEST_AND_FURTHER, weights)
+            return Decided(Unknowns.POSE, self._anew(sums), StepFrom.BEST_AND_FURTHER, weights)
+        return Decided(Unknowns.POSE, Matrices.OLD, StepFrom.BEST_AND_FURTHER, weights)
 
     def _raised_to(self, sums: Sums, weights: tuple[float, ...], mixed: float) -> Decided:
         """The last step led uphill."""
         self._raised += 1
         near = sums.gain <= self._tolerance * sums.cost and sums.cost <= self.best * (1.0 + self._tolerance)
         if near or self._passes >= _MOST_PASSES or self._returns >= _MOST_RETURNS:
-            return Decided(None, place=Place.BEST)
+            return Decided(None, place=StepFrom.BEST)
         if weights and self._raised == 1 and mixed < self.best:
-            return Decided(Problem.POSE, Matrices.OLD, Place.FURTHER, weights)
+            return Decided(Unknowns.POSE, Matrices.OLD, StepFrom.FURTHER, weights)
         if not sums.products and self._halvings < _MOST_HALVINGS:
             self._halvings += 1
-            return Decided(Problem.POSE, Matrices.OLD, Place.HALFWAY)
+            return Decided(Unknowns.POSE, Matrices.OLD, StepFrom.HALFWAY)
         self._returns += 1
-        return Decided(Problem.POSE, self._anew(sums), Place.BEST)
+        return Decided(Unknowns.POSE, self._anew(sums), StepFrom.BEST)
 
     def _anew(self, sums: Sums) -> Matrices:
         """Which matrices to make."""

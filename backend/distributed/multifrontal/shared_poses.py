@@ -101,7 +101,7 @@ def read_function(source: CompactReader, carried: NDArray[np.bool_]) -> Array:
     n, first = int(carried.sum()), int((~carried).sum())
     kind = source.count()
     if kind not in _TYPES:
-        raise BackendError(f"no way of writing a function has the number {kind}")
+        raise BackendError(f"a function is written as none is: {kind}")
     size = source.array(n, "<f4")
     lower = _lower(source.array(n * (n + 1) // 2, _TYPES[kind]), n)
     if kind == _BYTE:
@@ -131,7 +131,10 @@ def _rounded_factor(scaled: Array) -> tuple[int, Array]:
     except np.linalg.LinAlgError:
         return _SINGLE, scaled[rows]
     whole = np.rint(exact * _LARGEST)
-    for kind, numbers, meant in ((_BYTE, whole, whole / _LARGEST), (_HALF, exact, exact.astype(np.float16))):
+    for kind, numbers, meant in (
+        (_BYTE, whole, whole / _LARGEST),
+        (_HALF, exact, np.asarray(exact.astype(np.float16), np.float64)),
+    ):
         if _says_the_same(exact, meant, len(scaled)):
             return kind, numbers
     return _SINGLE, scaled[rows]
