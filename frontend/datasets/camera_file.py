@@ -41,6 +41,12 @@ def find_camera_file(folder: Path) -> tuple[RawRig, Path] | None:
     return None if chosen is None else (read_calibration(chosen), chosen)
 
 
+def usual_camera_file(folder: Path) -> Path | None:
+    """A YAML file called as calibrations are (``camera.yaml`` …), by its name alone."""
+    names = (f"{stem}{suffix}" for stem in _USUAL for suffix in _SUFFIXES[:2])
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
 def _only_one(folder: Path, without_camera: list[Path]) -> Path | None:
     """A file that holds no camera, where there is one: reading it says what is wrong with it."""
     if len(without_camera) > 1:

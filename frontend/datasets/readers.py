@@ -13,6 +13,7 @@ from .euroc import EurocReader
 from .folder import FolderReader
 from .kitti import KittiReader
 from .kitti_raw import KittiRawReader
+from .nerfstudio import NerfstudioReader
 from .recordings.bags import BagReader
 from .recordings.films import FilmReader
 from .replica import ReplicaReader
@@ -35,6 +36,7 @@ OURS: tuple[Reader, ...] = (
     ReplicaReader(),
     ScanNetReader(),
     TartanAirReader(),
+    NerfstudioReader(),
     BagReader(),
     FilmReader(),
 )

@@ -160,3 +160,24 @@ def write_associations(folder: Path, scene: Scene, form: str = "rgb depth gt", n
         lines.append(" ".join(parts[part] for part in form.split()))
     (folder / name).write_text("\n".join(lines) + "\n")
     (folder / "camera.yaml").write_text(own_camera())
+
+
+def write_nerfstudio(folder: Path, scene: Scene, depth: bool = True, **camera: object) -> None:
+    """``camera``: keys of the file; by default focal lengths and centre, where the first pixel's is (0.5, 0.5)."""
+    colour = np.repeat(scene.images[..., None], 3, axis=3)
+    write_images(folder / "images", [f"frame_{i + 1:05d}.png" for i in range(COUNT)], colour)
+    opengl = np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1.0]])  # its y is up, its z behind
+    frames = []
+    for i, pose in enumerate(scene.poses):
+        frames.append(
+            {"file_path": f"images/frame_{i + 1:05d}.png", "transform_matrix": (pose @ opengl).tolist()}
+            | ({"depth_file_path": f"depth/{i}.png"} if depth else {})
+        )
+    if depth:
+        write_images(folder / "depth", [f"{i}.png" for i in range(COUNT)], scene.depth_mm)
+    frames = [frames[i] for i in (3, 0, 5, 1, 2, 4)]  # COLMAP's order is none
+    camera = camera or {
+        "camera_model": "OPENCV", "w": WIDTH, "h": HEIGHT, "fl_x": FX, "fl_y": FY, "cx": CX + 0.5, "cy": CY + 0.5,
+        "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0,
+    }  # fmt: skip
+    (folder / "transforms.json").write_text(json.dumps({**camera, "frames": frames}))
