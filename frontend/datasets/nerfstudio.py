@@ -38,8 +38,8 @@ class NerfstudioReader(Reader):
     """``transforms.json`` with ``frames`` that name images, and depth if all do (``depth_file_path``, millimetres).
 
     Camera: of the file (a missing size is the images'), unless ``camera.yaml`` or the like lies beside it. Ground
-    truth: ``transform_matrix``. Time stamps: :mod:`.image_times`, in the order of the names. A file without such frames is a
-    calibration beside plain images.
+    truth: ``transform_matrix``. Time stamps: :mod:`.image_times`, in the order of the names. A file without such frames
+    is a calibration beside plain images.
     """
 
     kind = "nerfstudio"

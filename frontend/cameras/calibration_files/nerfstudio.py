@@ -88,9 +88,10 @@ def _refuse_unlike(data: Fields, frames: list[Fields]) -> None:
             low, high = 0, next((i for i, value in enumerate(found) if value != found[0]), 0)
             alike = high == 0
         if not alike:
+            one, other = frames[low].data.get(key), frames[high].data.get(key)
             raise FrontendError(
-                f"{data.path}: its frames are of several cameras: {key} is {frames[low].data.get(key)} in frames[{low}] "
-                f"and {frames[high].data.get(key)} in frames[{high}]; one folder for each camera is needed"
+                f"{data.path}: its frames are of several cameras: {key} is {one} in frames[{low}] "
+                f"and {other} in frames[{high}]; one folder for each camera is needed"
             )
 
 

@@ -97,6 +97,17 @@ class Bag:
         first, last = (self._decoded(file, place, topic) for _, _, file, place in ends)
         return first, last
 
+    def sample(self, topic: Topic, most: int) -> list[Any]:
+        """At most about ``most`` messages of a topic, evenly over the order of reception, the first one among them."""
+        found = [
+            (received, number, i, file, place)
+            for number, (file, one) in enumerate(self._topics)
+            if (one.name, one.type) == (topic.name, topic.type)
+            for i, (received, place) in enumerate(file.places(one))
+        ]
+        chosen = sorted(found, key=lambda one: one[:3])[:: 1 + len(found) // most]
+        return [self._decoded(file, place, topic) for _, _, _, file, place in chosen]
+
     def read(self, messages: Messages, i: int, topic: Topic) -> Any:
         """Message ``i`` of ``messages``, of ``topic``. :class:`FrontendError` where it is damaged."""
         return self._decoded(messages.files[i], messages.places[i], topic)

@@ -100,8 +100,17 @@ def deserialised(data: bytes, kind: str, ros1: bool) -> Any:
     return store.deserialize_ros1(data, kind) if ros1 else store.deserialize_cdr(data, kind)
 
 
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
+_MORE_TYPES = {"tf2_msgs/msg/TFMessage": _TRANSFORMS, "tf/msg/tfMessage": _TRANSFORMS}
+"""Definitions that ROS's own set lacks, as their packages publish them."""
+
+
 @lru_cache(maxsize=2)
 def _typestore(ros1: bool) -> Any:
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name, definition in _MORE_TYPES.items():
+        if name not in store.fielddefs:
+            store.register(get_types_from_msg(definition, name))
+    return store

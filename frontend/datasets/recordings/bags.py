@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...cameras.calibration import RawRig
 from ...cameras.models import RigKind
 from ...errors import FrontendError
 from ...files.timestamps import NS_PER_S
@@ -21,10 +20,10 @@ from ..images import list_images
 from ..pairing import pair_by_time
 from ..truth import Truth
 from .bag import BAG_SUFFIXES, Bag, Messages, bags_in
+from .bag_cameras import camera_of_robot, depth_use
 from .bag_image import BagImage, ImageTopic
 from .bag_truth import read_truth
-from .beside import camera_beside, truth_beside
-from .camera_info import CameraInfo, one_camera, pair
+from .beside import truth_beside
 from .message_file import Topic
 from .robot_topics import RobotTopics, find_robots
 
@@ -102,7 +101,7 @@ def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, a
     for warning in topics.warnings:
         problems.warning(warning)
     left = _images(bag, topics.left, False, problems)
-    raw, source = _camera(bag, topics, name, alone, problems)
+    raw, source = camera_of_robot(bag, topics, name, problems)
     right: tuple[BagImage, ...] = ()
     depth: tuple[BagImage, ...] = ()
     kept = np.arange(len(left))
@@ -110,14 +109,18 @@ def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, a
         if raw.right is None:
             problems.warning(
                 f"{source}: right images on {topics.right.name}, but no baseline of a pair (P of the right "
-                "camera_info, or a camera file beside the bag): read as one camera"
+                "camera_info, tf between the two frames, or a camera file beside the bag): read as one camera"
             )
         else:
             kept, right = _second(left, _images(bag, topics.right, False, problems), topics.right, problems)
     elif raw.right is not None and topics.right is None and rig is None:
         problems.warning(f"{source}: a calibrated pair, but {bag.path} has no right images: read as mono")
-    if topics.depth is not None and not right and rig in (None, RigKind.RGBD) and _registered(bag, topics, problems):
-        kept, depth = _second(left, _images(bag, topics.depth, True, problems), topics.depth, problems)
+    sensor = None
+    if topics.depth is not None and not right and rig in (None, RigKind.RGBD):
+        use = depth_use(bag, topics, problems)
+        if use.used:
+            sensor = use.sensor
+            kept, depth = _second(left, _images(bag, topics.depth, True, problems), topics.depth, problems)
     stamps = np.array([image.stamp_ns for image in left], dtype=np.int64)[kept]
     found = FoundSequence(
         kind=BagReader.kind,
@@ -130,9 +133,10 @@ def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, a
         right=right,
         depth=depth,
         depth_unit_m=raw.depth_unit_m or _MILLIMETRE,
+        depth_sensor=sensor,
         truth=_truth(bag, topics, name, alone),
         name=name,
-        origin=_described(topics, bool(right), bool(depth)),
+        origin=_described(topics, bool(right), bool(depth)) + ("; depth moved to the image by tf" if sensor else ""),
     )
     return assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
 
@@ -202,51 +206,6 @@ def _second(
             "a camera that moves sees another place then"
         )
     return kept, tuple(others[i] for i in partners.tolist())
-
-
-def _camera(bag: Bag, topics: RobotTopics, name: str, alone: bool, problems: Problems) -> tuple[RawRig, Path]:
-    """The calibration: a file named after the robot or the bag, else camera_info, else another file beside the bag."""
-    folder = bag.path if bag.path.is_dir() else bag.path.parent
-    own = camera_beside(folder, name, others=False) or camera_beside(bag.path.parent, name, others=False)
-    if own is not None:
-        return own
-    infos = [None if topic is None else _info(bag, topic, problems) for topic in topics.infos[:2]]
-    left, right = infos
-    if left is not None and (left.calibrated or (topics.rectified and left.P[0, 0] > 0)):
-        rig = None if right is None else pair(left, right, topics.rectified)
-        return rig or one_camera(left, topics.rectified), left.source
-    beside = camera_beside(folder, name, others=True)
-    if beside is not None:
-        return beside
-    if left is not None:
-        left.camera(topics.rectified)  # says what is wrong with it
-    raise FrontendError(
-        f"{bag.path}: no camera_info topic beside {topics.left.name}, and no camera file: put {name}.yaml "
-        "beside the bag (width, height, fx, fy, cx, cy), or name the topic by --recording.camera-topic"
-    )
-
-
-def _info(bag: Bag, topic: Topic, problems: Problems) -> CameraInfo:
-    """The first message of a camera_info topic; a change by the last is said."""
-    source = bag.path / topic.name.strip("/")
-    first, last = (CameraInfo(message, source) for message in bag.ends(topic))
-    if not first.same_view(last):
-        problems.warning(f"{source}: the calibration changes within the recording: the first one is taken")
-    return first
-
-
-def _registered(bag: Bag, topics: RobotTopics, problems: Problems) -> bool:
-    """Whether depth is of the images' own camera, as far as camera_info says; else that it is not read is said."""
-    left, depth = topics.infos[0], topics.infos[2]
-    if left is None or depth is None or topics.depth is None or left == depth:
-        return True
-    if _info(bag, left, problems).same_view(_info(bag, depth, problems)):
-        return True
-    problems.warning(
-        f"{bag.path}: {topics.depth.name} is of another camera than {topics.left.name} by its camera_info: "
-        "depth as the image's camera sees it is needed (aligned_depth_to_color, depth_registered): read without depth"
-    )
-    return False
 
 
 def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool) -> Truth | None:

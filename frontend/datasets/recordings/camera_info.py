@@ -39,6 +39,7 @@ class CameraInfo:
             source,
         )
         self.calibrated = small["k"][0] > 0
+        self.frame = str(message.header.frame_id).strip("/")
         self.P = np.array(small["p"], dtype=np.float64).reshape(3, 4)
         roi, binning = message.roi, (int(message.binning_x), int(message.binning_y))
         cut = roi.width and (int(roi.width), int(roi.height)) != self.size
@@ -76,6 +77,13 @@ def pair(left: CameraInfo, right: CameraInfo, rectified: bool) -> RawRig | None:
         return RawRig(camera, right.camera(True), se3(np.eye(3), [baseline, 0.0, 0.0]))
     transform = transform_of_files(left.fields, right.fields)
     return RawRig(left.camera(False), right.camera(False), transform, rectified=False)
+
+
+def pair_apart(left: CameraInfo, right: CameraInfo, rectified: bool, T_left_right: NDArray[np.float64]) -> RawRig:
+    """The rig of two of which something else says how they stand; of ``rectified`` ones only along x."""
+    cameras = left.camera(rectified), right.camera(rectified)
+    stands = se3(np.eye(3), [float(T_left_right[0, 3]), 0.0, 0.0]) if rectified else T_left_right
+    return RawRig(*cameras, stands, rectified=rectified)
 
 
 def _listed(message: Any, name: str) -> list[float]:

@@ -13,6 +13,7 @@ from .bag_truth import POSE_TYPES
 from .camera_info import CAMERA_INFO
 from .message_file import Topic
 from .topic_names import ImageName, by_robot, right_of
+from .transforms import TF_TYPES
 
 _SHOWN = 12
 _OPTION = "--recording.image-topic"
@@ -21,7 +22,8 @@ _OPTION = "--recording.image-topic"
 @dataclass(frozen=True)
 class RobotTopics:
     """What is read of one robot. ``right``, ``depth``, ``infos`` (camera_info of left, right, depth), ``truth``: None
-    where there is none. ``warnings``: what was found and is not used; ``unread``: its other images."""
+    where there is none. ``warnings``: what was found and is not used; ``unread``: its other images;
+    ``transforms``: tf of its name space and those above, static ones first."""
 
     left: Topic
     right: Topic | None = None
@@ -31,6 +33,7 @@ class RobotTopics:
     rectified: bool = False
     warnings: tuple[str, ...] = field(default=())
     unread: tuple[Topic, ...] = ()
+    transforms: tuple[Topic, ...] = ()
 
     @property
     def all(self) -> tuple[Topic, ...]:
@@ -147,7 +150,18 @@ def _completed(
         left.is_rectified,
         tuple(warnings),
         tuple(topic for name, topic in images.items() if name not in (left, right, depth)),
+        _transforms(topics, left),
     )
+
+
+def _transforms(topics: Sequence[Topic], left: ImageName) -> tuple[Topic, ...]:
+    """Topics of tf in a name space in which the images are, too."""
+    found = [
+        topic
+        for topic in topics
+        if topic.type in TF_TYPES and topic.count and _shared(topic.name, left) == topic.name.strip("/").count("/")
+    ]
+    return tuple(sorted(found, key=lambda topic: (not topic.name.endswith("static"), topic.name)))
 
 
 def _chosen(path: Path, images: dict[ImageName, Topic], head: str, wanted: str) -> ImageName:
