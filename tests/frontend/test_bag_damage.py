@@ -19,7 +19,7 @@ TRIES = 25
 
 def file_of(path: Path) -> Path:
     """The file of messages of a bag."""
-    return path if path.is_file() else next(p for p in path.iterdir() if p.suffix in (".db3", ".mcap"))
+    return path if path.is_file() else next(p for p in path.iterdir() if p.suffix in (".db3", ".mcap", ".zstd"))
 
 
 def read_all(path: Path) -> None:
@@ -106,7 +106,11 @@ class TestMetadata:
         ("old", "new", "said"),
         [
             ("sqlite3.db3", "other.db3", "other.db3: the file is missing, which metadata.yaml lists"),
-            ("compression_mode: ''", "compression_mode: file", "its files are compressed as a whole: unpack them"),
+            (
+                "compression_mode: ''",
+                "compression_mode: file",
+                "metadata.yaml: files compressed by '', which is not read",
+            ),
             ("relative_file_paths:", "relative_files:", "relative_file_paths: a list of files expected, found 'None'"),
             ("rosbag2_bagfile_information", "information", "rosbag2_bagfile_information: a group of keys expected"),
         ],

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ...cameras.models import RigKind
 from ...errors import FrontendError
-from ...files.timestamps import NS_PER_S
 from ...recording_config import RecordingConfig
 from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
@@ -25,17 +24,13 @@ from .bag_image import BagImage, ImageTopic
 from .bag_truth import read_truth
 from .beside import truth_beside
 from .message_file import Topic
-from .robot_topics import RobotTopics, find_robots
+from .recorded import RecordedBag, recordings
+from .robot_topics import RobotTopics
 
 _FEW_IMAGES = 3  # beside a bag, fewer are no sequence
 _HALF = 0.5  # of the interval between images: what is nearer in time is of the same moment
 _APART = 0.1  # of the interval: a pair that is farther apart is no pair for a camera that moves
 _MILLIMETRE = 0.001
-_PART_GAP_NS = 2 * NS_PER_S
-_PART = (
-    "{}: begins where the bag before it ends: parts of one recording are read as a robot each; join them first "
-    "(`rosbags-convert --src A --src B --dst C`)"
-)
 _BITS = (8, 10, 12, 14, 16)
 
 
@@ -60,20 +55,12 @@ class BagReader(Reader):
     def openers(self, path: Path, rig: RigKind | None) -> dict[str, Callable[[], ImageSequence]]:
         """See :meth:`Reader.openers`."""
         found: dict[str, Callable[[], ImageSequence]] = {}
-        paths = bags_in(path)
-        before: tuple[Bag, dict[str, RobotTopics]] | None = None
-        for one in paths:
-            bag = Bag(one)
-            robots = find_robots(one, bag.topics(), self.config)
-            bag.index([topic for robot in robots.values() for topic in robot.all])
-            goes_on = before is not None and _goes_on(*before, bag, robots)
-            before = bag, robots
-            stem = one.resolve().name if one.is_dir() else one.stem
-            for robot, topics in robots.items():
-                name = robot if robot and len(paths) == 1 else "_".join(filter(None, (stem, robot)))
-                said = (*topics.warnings, _PART.format(one)) if goes_on else topics.warnings
-                alone = len(robots) == len(paths) == 1
-                found[name] = partial(_open_robot, bag, replace(topics, warnings=said), name, rig, alone)
+        every = recordings(bags_in(path), self.config)
+        for one in every:
+            for robot, topics in one.robots.items():
+                name = robot if robot and len(every) == 1 else "_".join(filter(None, (one.name, robot)))
+                alone = len(one.robots) == len(every) == 1
+                found[name] = partial(_open_robot, one, topics, name, rig, alone)
         return found
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
@@ -84,21 +71,12 @@ class BagReader(Reader):
         return next(iter(openers.values()))()
 
 
-def _goes_on(first: Bag, topics: dict[str, RobotTopics], second: Bag, others: dict[str, RobotTopics]) -> bool:
-    """Whether the second bag begins where the first one ends: parts of one recording (`rosbag record --split`)."""
-    if [robot.left.name for robot in topics.values()] != [robot.left.name for robot in others.values()]:
-        return False
-    gaps = [
-        int(second.messages(b.left).stamps_ns[0] - first.messages(a.left).stamps_ns[-1])
-        for a, b in zip(topics.values(), others.values(), strict=True)
-    ]
-    return all(0 < gap < _PART_GAP_NS for gap in gaps)
-
-
-def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, alone: bool) -> ImageSequence:
+def _open_robot(
+    recorded: RecordedBag, topics: RobotTopics, name: str, rig: RigKind | None, alone: bool
+) -> ImageSequence:
     """The sequence of one robot; ``alone``: in its bag, beside which all files are its own."""
-    problems = Problems()
-    for warning in topics.warnings:
+    problems, bag = Problems(), recorded.bag
+    for warning in (*topics.warnings, *recorded.warnings):
         problems.warning(warning)
     left = _images(bag, topics.left, False, problems)
     raw, source = camera_of_robot(bag, topics, name, problems)
@@ -138,7 +116,8 @@ def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, a
         name=name,
         origin=_described(topics, bool(right), bool(depth)) + ("; depth moved to the image by tf" if sensor else ""),
     )
-    return assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
+    sequence = assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
+    return replace(sequence, notes=(*sequence.notes, *recorded.notes))
 
 
 def _images(bag: Bag, topic: Topic, depth: bool, problems: Problems) -> list[BagImage]:

@@ -54,13 +54,13 @@ class McapFile(MessageFile):
             from rosbags.rosbag2.storage_mcap import McapReader
 
             with unreadable(self.path, "no MCAP that can be read (`mcap recover` mends one that was not closed)"):
-                reader = McapReader(self.path)
+                reader = McapReader(self.location)
                 reader.open()
             self._indexed = reader
         return self._indexed
 
     def _open(self) -> BufferedReader:
-        return open(self.path, "rb")
+        return open(self.location, "rb")
 
     def _message(self, place: Place, most: int) -> bytes:
         if not place.size:

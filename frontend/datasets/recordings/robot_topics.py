@@ -65,6 +65,11 @@ def find_robots(path: Path, topics: Sequence[Topic], config: RecordingConfig) ->
     return found
 
 
+def has_images(topics: Sequence[Topic]) -> bool:
+    """Whether there are messages of images among ``topics``."""
+    return any(_is_image(topic) and topic.count for topic in topics)
+
+
 def _is_image(topic: Topic) -> bool:
     return topic.type in (IMAGE, COMPRESSED_IMAGE)
 
