@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-_OTHER_TYPES = {TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n"}
+VIDEO, PACKET = "foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+_OTHER_TYPES = {
+    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n",
+    VIDEO: "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n",
+    PACKET: "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+    "bool is_bigendian\nuint8[] data\n",
+    "theora_image_transport/msg/Packet": "std_msgs/Header header\nuint8[] data\nint32 b_o_s\n",
+}
 POSE = "geometry_msgs/msg/PoseStamped"
 
 
@@ -98,6 +105,15 @@ def image_message(store: Any, stamp_ns: int, pixels: NDArray[Any], encoding: str
 def compressed_message(store: Any, stamp_ns: int, data: bytes, form: str) -> Any:
     return store.types[COMPRESSED](
         header=header(store, stamp_ns), format=form, data=np.frombuffer(data, dtype=np.uint8)
+    )
+
+
+def video_message(store: Any, stamp_ns: int, data: bytes, coded: str, kind: str, frame: str = "camera") -> Any:
+    raw, head = np.frombuffer(data, dtype=np.uint8), header(store, stamp_ns, frame)
+    if kind == VIDEO:
+        return store.types[VIDEO](timestamp=head.stamp, frame_id=frame, data=raw, format=coded)
+    return store.types[PACKET](
+        header=head, width=96, height=64, encoding=coded, pts=stamp_ns, flags=0, is_bigendian=False, data=raw
     )
 
 

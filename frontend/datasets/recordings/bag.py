@@ -99,7 +99,7 @@ class Bag:
             _, file, place = found[topic][i]
             head = file.read(place, _HEAD_BYTES)
             with unreadable(file.path, f"a message of {topic.name} is damaged"):
-                stamps[topic][i] = stamp_ns(head, file.ros1)
+                stamps[topic][i] = stamp_ns(head, file.ros1, topic.type)
         for topic in wanted:
             self._known[topic] = _in_order(found[topic], stamps[topic])
         return [self._known[topic] for topic in topics]

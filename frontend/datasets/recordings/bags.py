@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...cameras.models import RigKind
 from ...errors import FrontendError
@@ -16,22 +15,17 @@ from ...recording_config import RecordingConfig
 from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..images import list_images
-from ..pairing import pair_by_time
 from ..truth import Truth
-from .bag import BAG_SUFFIXES, Bag, Messages, bags_in
+from .bag import BAG_SUFFIXES, Bag, bags_in
 from .bag_cameras import camera_of_robot, depth_use
-from .bag_image import BagImage, ImageTopic
 from .bag_truth import read_truth
 from .beside import truth_beside
-from .message_file import Topic
 from .recorded import RecordedBag, recordings
 from .robot_topics import RobotTopics
+from .topic_images import StampedImage, images_of_topic, partners
 
 _FEW_IMAGES = 3  # beside a bag, fewer are no sequence
-_HALF = 0.5  # of the interval between images: what is nearer in time is of the same moment
-_APART = 0.1  # of the interval: a pair that is farther apart is no pair for a camera that moves
 _MILLIMETRE = 0.001
-_BITS = (8, 10, 12, 14, 16)
 
 
 class BagReader(Reader):
@@ -78,10 +72,10 @@ def _open_robot(
     problems, bag = Problems(), recorded.bag
     for warning in (*topics.warnings, *recorded.warnings):
         problems.warning(warning)
-    left = _images(bag, topics.left, False, problems)
+    left = images_of_topic(bag, topics.left, False, problems)
     raw, source = camera_of_robot(bag, topics, name, problems)
-    right: tuple[BagImage, ...] = ()
-    depth: tuple[BagImage, ...] = ()
+    right: tuple[StampedImage, ...] = ()
+    depth: tuple[StampedImage, ...] = ()
     kept = np.arange(len(left))
     if topics.right is not None and rig in (None, RigKind.STEREO):
         if raw.right is None:
@@ -90,7 +84,7 @@ def _open_robot(
                 "camera_info, tf between the two frames, or a camera file beside the bag): read as one camera"
             )
         else:
-            kept, right = _second(left, _images(bag, topics.right, False, problems), topics.right, problems)
+            kept, right = partners(left, images_of_topic(bag, topics.right, False, problems), topics.right, problems)
     elif raw.right is not None and topics.right is None and rig is None:
         problems.warning(f"{source}: a calibrated pair, but {bag.path} has no right images: read as mono")
     sensor = None
@@ -98,7 +92,7 @@ def _open_robot(
         use = depth_use(bag, topics, problems)
         if use.used:
             sensor = use.sensor
-            kept, depth = _second(left, _images(bag, topics.depth, True, problems), topics.depth, problems)
+            kept, depth = partners(left, images_of_topic(bag, topics.depth, True, problems), topics.depth, problems)
     stamps = np.array([image.stamp_ns for image in left], dtype=np.int64)[kept]
     found = FoundSequence(
         kind=BagReader.kind,
@@ -118,73 +112,6 @@ def _open_robot(
     )
     sequence = assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
     return replace(sequence, notes=(*sequence.notes, *recorded.notes))
-
-
-def _images(bag: Bag, topic: Topic, depth: bool, problems: Problems) -> list[BagImage]:
-    """The images of a topic in order of time, one for each time."""
-    messages = bag.messages(topic)
-    where = f"{bag.path}: {topic.name}"
-    if messages.received:
-        problems.warning(f"{where}: headers without time stamps: the times of reception are taken")
-    if messages.moved:
-        problems.warning(f"{where}: {messages.moved} times go back in the order of reception: sorted by time stamp")
-    kept = np.flatnonzero(np.r_[True, np.diff(messages.stamps_ns) > 0])
-    if len(kept) < len(messages.stamps_ns):
-        count = len(messages.stamps_ns) - len(kept)
-        problems.warning(f"{where}: {count} messages have the time stamp of another; these are left out")
-    images = _all(messages, kept, ImageTopic(topic.name, topic.type))
-    white = None if depth else _white(images, where, problems)
-    return images if white is None else _all(messages, kept, ImageTopic(topic.name, topic.type, white))
-
-
-def _all(messages: Messages, kept: NDArray[np.int64], topic: ImageTopic) -> list[BagImage]:
-    return [BagImage(messages.files[i], messages.places[i], topic, int(messages.stamps_ns[i])) for i in kept.tolist()]
-
-
-def _white(images: list[BagImage], where: str, problems: Problems) -> float | None:
-    """The largest value of the bits that 16-bit images use, by some of them; None for images of 8 bits."""
-    most = 0.0
-    for image in images[:: max(1, len(images) // 3)][:3]:
-        try:
-            pixels = image.pixels()
-        except FrontendError:  # said when its turn comes
-            continue
-        if pixels.dtype == np.float32:
-            raise FrontendError(f"{where}: 32-bit floats are depth, no images; --recording.depth-topic names depth")
-        if pixels.dtype == np.uint8:
-            return None
-        most = max(most, float(pixels.max()))
-    white = next(2.0**bits - 1.0 for bits in _BITS if most < 2.0**bits)
-    problems.warning(f"{where}: images of 16 bits, values up to {most:.0f}: 0 to {white:.0f} become 0 to 255")
-    return white
-
-
-def _second(
-    left: list[BagImage], others: list[BagImage], topic: Topic, problems: Problems
-) -> tuple[NDArray[np.int64], tuple[BagImage, ...]]:
-    """Frames that have an image of the second topic of the same moment, and these images."""
-    stamps, second = (np.array([image.stamp_ns for image in images], dtype=np.int64) for images in (left, others))
-    interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    pairs = pair_by_time(stamps, second, int(_HALF * interval))
-    kept, partners = pairs.kept, pairs.second
-    where = f"{others[0].file if others else left[0].file}: {topic.name}"
-    if not len(kept):
-        raise FrontendError(
-            f"{where}: no image within {_HALF * interval / 1e6:.0f} ms of one of {left[0].topic.name}: "
-            "on another clock?"
-        )
-    if len(kept) < len(left) or len(kept) < len(others):
-        problems.warning(
-            f"{where}: no partner for {len(left) - len(kept)} of {len(left)} frames and "
-            f"{len(others) - len(kept)} of its {len(others)} images; these are left out"
-        )
-    apart = np.abs(second[partners] - stamps[kept])
-    if np.median(apart) > _APART * interval:
-        problems.warning(
-            f"{where}: not synchronised: {np.median(apart) / 1e6:.1f} ms (median) from the image it belongs to: "
-            "a camera that moves sees another place then"
-        )
-    return kept, tuple(others[i] for i in partners.tolist())
 
 
 def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool) -> Truth | None:
