@@ -164,7 +164,7 @@ def bags_in(path: Path) -> list[Path]:
     """The bags at ``path``: itself, or those directly in the folder, in natural order of their names."""
     if is_bag(path):
         return [path]
-    return sorted((p for p in _inside(path) if is_bag(p)), key=lambda p: natural_key(p.name)) if path.is_dir() else []
+    return sorted((p for p in _inside(path) if is_bag(p)), key=lambda p: natural_key(p.stem)) if path.is_dir() else []
 
 
 def _inside(folder: Path) -> Sequence[Path]:

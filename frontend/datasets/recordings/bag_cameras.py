@@ -33,16 +33,20 @@ class DepthUse:
 
 def camera_of_robot(bag: Bag, topics: RobotTopics, name: str, problems: Problems) -> tuple[RawRig, Path]:
     """The calibration: a file named after the robot or the bag, else camera_info, else another file beside the bag."""
-    folder = bag.path if bag.path.is_dir() else bag.path.parent
-    own = camera_beside(folder, name, others=False) or camera_beside(bag.path.parent, name, others=False)
+    folders = folders_beside(bag)
+    own = camera_beside(folders, name, others=False)
     if own is not None:
         return own
     infos = [None if topic is None else _info(bag, topic, problems) for topic in topics.infos[:2]]
     left, right = infos
     if left is not None and (left.calibrated or (topics.rectified and left.P[0, 0] > 0)):
         rig = None if right is None else _pair(bag, topics, left, right, problems)
+        if rig is None and topics.right is not None:
+            beside = _pair_beside(folders, name)
+            if beside is not None:
+                return beside
         return rig or one_camera(left, topics.rectified), left.source
-    beside = camera_beside(folder, name, others=True)
+    beside = next(filter(None, (camera_beside([folder], name) for folder in folders[: 1 + bag.path.is_dir()])), None)
     if beside is not None:
         return beside
     if left is not None:
@@ -51,6 +55,20 @@ def camera_of_robot(bag: Bag, topics: RobotTopics, name: str, problems: Problems
         f"{bag.path}: no camera_info topic beside {topics.left.name}, and no camera file: put {name}.yaml "
         "beside the bag (width, height, fx, fy, cx, cy), or name the topic by --recording.camera-topic"
     )
+
+
+def _pair_beside(folders: list[Path], name: str) -> tuple[RawRig, Path] | None:
+    """A file of a pair beside a bag whose camera_info does not say how its cameras stand."""
+    try:
+        found = camera_beside(folders, name)
+    except FrontendError:
+        return None
+    return found if found is not None and found[0].right is not None else None
+
+
+def folders_beside(bag: Bag) -> list[Path]:
+    """Where files lie that belong to the bag: in its folder, and beside it."""
+    return [bag.path, bag.path.parent] if bag.path.is_dir() else [bag.path.parent, bag.path.parent.parent]
 
 
 def depth_use(bag: Bag, topics: RobotTopics, problems: Problems) -> DepthUse:

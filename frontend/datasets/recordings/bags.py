@@ -17,7 +17,7 @@ from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..images import list_images
 from ..truth import Truth
 from .bag import BAG_SUFFIXES, Bag, bags_in
-from .bag_cameras import camera_of_robot, depth_use
+from .bag_cameras import camera_of_robot, depth_use, folders_beside
 from .bag_truth import read_truth
 from .beside import truth_beside
 from .recorded import RecordedBag, recordings
@@ -106,7 +106,7 @@ def _open_robot(
         depth=depth,
         depth_unit_m=raw.depth_unit_m or _MILLIMETRE,
         depth_sensor=sensor,
-        truth=_truth(bag, topics, name, alone),
+        truth=_truth(bag, topics, name, alone, problems),
         name=name,
         origin=_described(topics, bool(right), bool(depth)) + ("; depth moved to the image by tf" if sensor else ""),
     )
@@ -114,11 +114,10 @@ def _open_robot(
     return replace(sequence, notes=(*sequence.notes, *recorded.notes))
 
 
-def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool) -> Truth | None:
+def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool, problems: Problems) -> Truth | None:
     if topics.truth is not None:
         return Truth(read_truth(bag, topics.truth), bag.path / topics.truth.name.strip("/"))
-    folder = bag.path if bag.path.is_dir() else bag.path.parent
-    return truth_beside(folder, name, alone) or truth_beside(bag.path.parent, name, False)
+    return truth_beside(folders_beside(bag), name, alone, problems)
 
 
 def _described(topics: RobotTopics, right: bool, depth: bool) -> str:

@@ -132,9 +132,15 @@ def _cameras(
     pairs = [(name, right) for name in views if (right := right_of(name, views)) is not None]
     if len(views) == 1:
         return views[0], None
-    if len(views) == 2 and len(pairs) == 1:
+    if len(pairs) == 1 and all(name in pairs[0] or _is_colour_of(name, pairs[0][0]) for name in views):
         return pairs[0]
     raise FrontendError(f"{path}: which images are to be read? {_OPTION} names the topic: {_listed(images)}")
+
+
+def _is_colour_of(name: ImageName, left: ImageName) -> bool:
+    """Whether these are the colour images of the device of a pair (RealSense, OAK-D)."""
+    head, _, last = name.camera.rpartition("/")
+    return head == left.camera.rpartition("/")[0] and last.lower() in ("color", "colour", "rgb")
 
 
 def _one_each(names: Sequence[ImageName], images: dict[ImageName, Topic]) -> list[ImageName]:
