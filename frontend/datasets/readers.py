@@ -14,6 +14,7 @@ from .folder import FolderReader
 from .kitti import KittiReader
 from .kitti_raw import KittiRawReader
 from .nerfstudio import NerfstudioReader
+from .openloris import OpenLorisReader
 from .recordings.bags import BagReader
 from .recordings.films import FilmReader
 from .replica import ReplicaReader
@@ -36,6 +37,7 @@ OURS: tuple[Reader, ...] = (
     ReplicaReader(),
     ScanNetReader(),
     TartanAirReader(),
+    OpenLorisReader(),
     NerfstudioReader(),
     BagReader(),
     FilmReader(),
