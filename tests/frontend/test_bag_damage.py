@@ -126,3 +126,19 @@ class TestMetadata:
         metadata.write_text("a: [")
         with pytest.raises(FrontendError, match=r"metadata.yaml: not YAML"):
             open_dataset(metadata.parent)
+
+
+@pytest.mark.parametrize(("encoding", "schema"), [("protobuf", "protobuf"), ("json", "jsonschema")])
+def test_messages_that_are_none_of_ros_are_named(tmp_path: Path, encoding: str, schema: str) -> None:
+    writer_of = pytest.importorskip("mcap.writer").Writer
+    with open(tmp_path / "run.mcap", "wb") as file:
+        writer = writer_of(file)
+        writer.start()
+        number = writer.register_schema("foxglove.CompressedImage", schema, b"")
+        channel = writer.register_channel("/camera", encoding, number)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(
+        FrontendError, match=r"run.mcap: an MCAP of profile '': messages of ROS 2 are read .* convert it"
+    ):
+        open_dataset(tmp_path / "run.mcap")
