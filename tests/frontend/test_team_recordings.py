@@ -169,6 +169,8 @@ def check_kimera(sequences: Sequence[ImageSequence]) -> None:
         assert sequence.groundtruth is not None
         np.testing.assert_allclose(sequence.groundtruth.centres, SCENE.poses[:, :3, 3], atol=1e-9)
         assert sequence.groundtruth.stamps_ns.tolist() == STAMPS
+        robot = sequence.name.removeprefix("10_14_")
+        assert any(note.endswith(f"ground_truth/1014/{robot}_gt_odom.csv") for note in sequence.notes)
 
 
 ROBOTS = ("acl_jackal", "acl_jackal2", "thoth")
@@ -240,3 +242,10 @@ def test_truth_that_cannot_be_read_is_said(tmp_path: Path) -> None:
             and said in messages(sequence)
             and "errors cannot be known" in messages(sequence)
         )
+
+
+def test_a_text_of_the_recording_s_name_is_no_ground_truth(tmp_path: Path) -> None:
+    write_ros1(tmp_path / "alice.bag", [raw("/image_raw", SCENE.images, "mono8"), info("/camera_info")])
+    (tmp_path / "alice.txt").write_text("Driven on Monday, windy.\n")
+    [sequence] = open_dataset(tmp_path / "alice.bag").sequences
+    assert sequence.groundtruth is None and not sequence.problems

@@ -94,6 +94,8 @@ def _open_robot(
             sensor = use.sensor
             kept, depth = partners(left, images_of_topic(bag, topics.depth, True, problems), topics.depth, problems)
     stamps = np.array([image.stamp_ns for image in left], dtype=np.int64)[kept]
+    truth = _truth(bag, topics, name, alone, problems)
+    found_beside = (f"ground truth: {truth.source}",) if truth is not None and topics.truth is None else ()
     found = FoundSequence(
         kind=BagReader.kind,
         folder=bag.path,
@@ -106,12 +108,12 @@ def _open_robot(
         depth=depth,
         depth_unit_m=raw.depth_unit_m or _MILLIMETRE,
         depth_sensor=sensor,
-        truth=_truth(bag, topics, name, alone, problems),
+        truth=truth,
         name=name,
         origin=_described(topics, bool(right), bool(depth)) + ("; depth moved to the image by tf" if sensor else ""),
     )
     sequence = assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
-    return replace(sequence, notes=(*sequence.notes, *recorded.notes))
+    return replace(sequence, notes=(*sequence.notes, *recorded.notes, *found_beside))
 
 
 def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool, problems: Problems) -> Truth | None:

@@ -70,10 +70,12 @@ def truth_beside(folders: Sequence[Path], name: str, alone: bool, problems: Prob
 
 
 def _read(path: Path, problems: Problems) -> Truth | None:
+    sure = path.suffix.lower() == _TRUTH_SUFFIXES[0] or path.stem.lower() in _OF_ALL or _bare(path.stem) != path.stem
     try:
         table = read_poses(path)
     except FrontendError as error:
-        problems.warning(f"{error}: {_LEFT_OUT}")
+        if sure:  # else notes, or another sensor's table, that have the recording's name
+            problems.warning(f"{error}: {_LEFT_OUT}")
         return None
     if table.stamps_ns is None:
         problems.warning(f"{path}: poses without times beside a recording: {_LEFT_OUT}")
