@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from dataset_makers import BASELINE_M, COUNT, CX, CY, FX, FY, HEIGHT, WIDTH, quaternion_wxyz, seconds, tum_rows
 from recording_makers import Channel, write_ros1, write_ros2
-from test_bags import P_RIGHT, SCENE, STAMPS, info, messages, packed, png, raw
+from test_bags import CAMERA, P_RIGHT, SCENE, STAMPS, info, messages, packed, png, raw
 
 from maslam.backend.geometry import se3, so3_exp
 from maslam.frontend.cameras.calibration_files import read_calibration
@@ -249,3 +249,17 @@ def test_a_text_of_the_recording_s_name_is_no_ground_truth(tmp_path: Path) -> No
     (tmp_path / "alice.txt").write_text("Driven on Monday, windy.\n")
     [sequence] = open_dataset(tmp_path / "alice.bag").sequences
     assert sequence.groundtruth is None and not sequence.problems
+
+
+def test_other_settings_of_the_recording_s_name_are_no_calibration(tmp_path: Path) -> None:
+    write_ros1(tmp_path / "10_alice.bag", [raw("/image_raw", SCENE.images, "mono8"), info("/camera_info")])
+    (tmp_path / "10_alice.json").write_text('{"driver": "Ann"}')
+    (tmp_path / "alice.yaml").write_text("colour: red\n")
+    [sequence] = open_dataset(tmp_path / "10_alice.bag").sequences
+    assert sequence.rig.camera.fx == FX and not sequence.problems
+    (tmp_path / "alice.yaml").write_text(CAMERA.replace("fx: ", "fx: -"))
+    with pytest.raises(FrontendError, match=r"alice.yaml: focal lengths"):
+        open_dataset(tmp_path / "10_alice.bag")
+    (tmp_path / "10_alice.yaml").write_text("colour: red\n")
+    with pytest.raises(FrontendError, match=r"10_alice.yaml: no camera in this file"):
+        open_dataset(tmp_path / "10_alice.bag")

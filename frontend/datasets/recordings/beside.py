@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ...cameras.calibration import RawRig
-from ...cameras.calibration_files import read_calibration
+from ...cameras.calibration_files import load_fields, read_calibration
+from ...cameras.calibration_files.registry import format_of
 from ...errors import FrontendError
 from ...files.pose_table import read_poses
 from ..base import Problems
@@ -29,13 +30,22 @@ def camera_beside(folders: Sequence[Path], name: str, others: bool = True) -> tu
     ``calibration`` or ``configs``; else, with ``others``, the camera file of the first folder, or of one in it that is
     called so. None where there is none."""
     for path in _files(folders, _CAMERA_FOLDERS, _CAMERA_SUFFIXES):
-        if _names(path.stem, name):
+        own = path.suffix.lower() in _CAMERA_SUFFIXES[:2] and path.stem.lower() == name.lower()
+        if own or (_names(path.stem, name) and _holds_camera(path)):
             return read_calibration(path), path
     if not others:
         return None
     return find_camera_file(folders[0]) or next(
         filter(None, map(_camera_in, _places(folders[:1], _CAMERA_FOLDERS[1:]))), None
     )
+
+
+def _holds_camera(path: Path) -> bool:
+    """Whether a file has the keys of a calibration; other settings may have a robot's name."""
+    try:
+        return format_of(load_fields(path)) is not None
+    except FrontendError:
+        return False
 
 
 def _camera_in(folder: Path) -> tuple[RawRig, Path] | None:
