@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from dataset_makers import FX, Scene, make_scene, own_camera
 from layout_makers import write_icl_nuim, write_openloris
 from test_datasets import Contract
 
+from maslam.backend.geometry import se3, so3_exp
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets import open_dataset
 from maslam.frontend.errors import FrontendError
@@ -26,6 +28,8 @@ class TestOpenLoris(Contract):
 def test_icl_nuim_has_its_own_camera_and_mirrored_poses(tmp_path: Path) -> None:
     """The scene's path seen with y up: only heights change their sign, and turns about x and z."""
     scene = make_scene()
+    turned = np.stack([se3(so3_exp([0.1 * i, 0.2, -0.05 * i]), pose[:3, 3]) for i, pose in enumerate(scene.poses)])
+    scene = replace(scene, poses=turned)
     write_icl_nuim(tmp_path, scene)
     for folder in ("rgb", "depth"):
         for path in (tmp_path / folder).iterdir():
