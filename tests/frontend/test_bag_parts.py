@@ -20,10 +20,10 @@ from maslam.frontend.datasets.stored_image import name_in
 from maslam.frontend.errors import FrontendError
 
 
-def written(tmp_path: Path, names: Sequence[str]) -> None:
+def written(tmp_path: Path, names: Sequence[str], apart_ns: int = 0) -> None:
     """Bags that go on after each other; the first one alone has camera_info, as a latched topic has."""
     for part, name in enumerate(names):
-        later = [stamp + part * COUNT * 50_000_000 for stamp in STAMPS]
+        later = [stamp + part * (COUNT * 50_000_000 + apart_ns) for stamp in STAMPS]
         pixels = SCENE.images if part % 2 == 0 else SCENE.rights
         channels = [replace(raw("/image_raw", pixels, "mono8", later), received_ns=later)]
         write_ros1(tmp_path / name, [*channels, *([info("/camera_info")] if part == 0 else [])])
@@ -44,6 +44,13 @@ def test_parts_of_one_recording_are_one(tmp_path: Path, names: list[str], name: 
     np.testing.assert_array_equal(sequence.read_image(COUNT + 1), SCENE.rights[1])
     assert name_in(sequence.left[COUNT], tmp_path).startswith(f"{names[1]}/image_raw/")
     assert f"{len(names)} bags are read as one recording" in sequence.notes[0]
+
+
+def test_bags_of_other_times_are_robots(tmp_path: Path) -> None:
+    """As GrAco's, which were driven one after another."""
+    written(tmp_path, ["ground-01.bag", "ground-02.bag"], apart_ns=60 * 10**9)
+    (tmp_path / "ground-02.yaml").write_text(CAMERA)
+    assert [s.name for s in open_dataset(tmp_path).sequences] == ["ground-01", "ground-02"]
 
 
 def test_a_bag_of_another_name_that_goes_on_is_said(tmp_path: Path) -> None:
