@@ -110,3 +110,16 @@ def test_a_baseline_of_millimetres_is_doubted(tmp_path: Path) -> None:
 def _opened(folder: Path) -> ImageSequence:
     [sequence] = open_dataset(folder).sequences
     return sequence
+
+
+def test_matrices_that_are_not_of_rectified_images_are_refused(tmp_path: Path) -> None:
+    """left.yaml and right.yaml as ROS writes them, but with a transform in millimetres in P."""
+    for side, images in (("left", SCENE.images), ("right", SCENE.rights)):
+        write_images(tmp_path / side, numbered(), images)
+        P = [FX, 0, CX, 0, 0, FY, CY, 0, 0, 0, 1, 0]
+        if side == "right":
+            P[3], P[7], P[11] = -250.0, -4.0, -1.0
+        text = f"K: {[v for row in MATRIX for v in row]}\nD: [0, 0, 0, 0]\nR: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nP: {P}\n"
+        (tmp_path / f"{side}.yaml").write_text(text)
+    with pytest.raises(FrontendError, match=r"left.yaml: projection matrices whose third row is not 0 0 1 0"):
+        open_dataset(tmp_path)

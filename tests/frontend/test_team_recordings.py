@@ -107,6 +107,21 @@ def test_a_matrix_that_is_neither_form_is_refused(tmp_path: Path) -> None:
         read_calibration(tmp_path / "alpha.yaml")
 
 
+@pytest.mark.parametrize("last", ["image_raw", "image_rect"])
+def test_camera_info_with_such_matrices_states_no_baseline(tmp_path: Path, last: str) -> None:
+    """As Swarm-SLAM's experiments publish S3E's calibration: read as usual, the baseline would be 15 % short."""
+    P = np.array([[FX, 0, CX, -250.0], [0, FY, CY, -4.0], [0, 0, 1, -1.0]])
+    channels = [
+        raw(f"/left/{last}", SCENE.images, "mono8"),
+        raw(f"/right/{last}", SCENE.rights, "mono8"),
+        info("/left/camera_info"),
+        info("/right/camera_info", P=P),
+    ]
+    write_ros1(tmp_path / "run.bag", channels)
+    [sequence] = open_dataset(tmp_path).sequences
+    assert sequence.rig.kind is RigKind.MONO and "no baseline of a pair" in messages(sequence)
+
+
 def test_positions_without_turns_are_said(tmp_path: Path) -> None:
     folder = write_s3e(tmp_path / "S3Ev1")
     count = 20

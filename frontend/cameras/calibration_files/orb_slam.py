@@ -10,7 +10,7 @@ from maslam.backend.geometry import se3, se3_inverse
 from ..calibration import RawCamera, RawRig
 from .checked_camera import camera, camera_matrix, in_opencvs_order, transform_of_rectified
 from .fields import Fields
-from .opencv_pair import baseline_of, rectifying_rotation
+from .opencv_pair import baseline_of, rectifying_rotation, states_baseline
 
 _TYPES = {"": "pinhole", "pinhole": "pinhole", "kannalabrandt8": "fisheye", "rectified": "none"}
 _SAME_DISTANCE = 0.05  # share by which two keys that tell one distance may differ
@@ -84,7 +84,7 @@ def _raw_pair_of_sides(data: Fields, rate: float | None) -> RawRig:
     """ORB-SLAM2's ``LEFT.K LEFT.D LEFT.R LEFT.P`` and ``RIGHT`` alike."""
     left, right = (_side(data, side) for side in ("LEFT", "RIGHT"))
     P_left, P_right = (np.array(data.numbers(f"{side}.P", 12)).reshape(3, 4) for side in ("LEFT", "RIGHT"))
-    if P_left[2, 3] or P_right[2, 3]:
+    if not states_baseline(P_left, P_right):
         return RawRig(left, right, _of_millimetres(data, P_right), rectified=False, rate_hz=rate)
     rotations = [rectifying_rotation(data, f"{side}.R") for side in ("LEFT", "RIGHT")]
     T_left_right = transform_of_rectified(rotations[0], rotations[1], baseline_of(data, P_left, P_right))

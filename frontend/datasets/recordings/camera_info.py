@@ -13,7 +13,7 @@ from maslam.backend.geometry import se3
 from ...cameras.calibration import RawCamera, RawRig
 from ...cameras.calibration_files import Fields
 from ...cameras.calibration_files.opencv import read_one
-from ...cameras.calibration_files.opencv_pair import transform_of_files
+from ...cameras.calibration_files.opencv_pair import states_baseline, transform_of_files
 from ...errors import FrontendError
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -69,7 +69,7 @@ def one_camera(info: CameraInfo, rectified: bool) -> RawRig:
 
 def pair(left: CameraInfo, right: CameraInfo, rectified: bool) -> RawRig | None:
     """The rig of two; None where the right one's P states no baseline: how they stand is then not known."""
-    if right.P[0, 0] <= 0 or right.P[0, 3] == left.P[0, 3]:
+    if right.P[0, 0] <= 0 or right.P[0, 3] == left.P[0, 3] or not states_baseline(left.P, right.P):
         return None
     if rectified:
         baseline = float((left.P[0, 3] - right.P[0, 3]) / right.P[0, 0])
