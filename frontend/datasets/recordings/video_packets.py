@@ -15,7 +15,7 @@ VIDEO_DEFINITIONS = {
 """As their packages publish them; ROS's own set lacks them."""
 VIDEO_TYPES = frozenset(VIDEO_DEFINITIONS)
 HEAD_BYTES = 4096
-"""Of a message, in which its first units are told: parameters, and the kind of picture."""
+"""Of a message, in which its first units are: parameters, and the kind of picture."""
 _START = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)  # of a unit (ITU-T H.264, H.265: Annex B)
 _H264_PARAMETERS, _H264_KEYS = frozenset({7, 8}), frozenset({5, 7})
 _H265_PARAMETERS, _H265_KEYS = frozenset({32, 33, 34}), frozenset(range(16, 22)) | {32, 33}
