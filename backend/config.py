@@ -86,7 +86,12 @@ class RelPoseConfig(Settings):
         ge=0,
         description="smallest extent, as min_thickness, where views are compared by vocabulary words",
     )
-    max_scale: float = Field(default=20.0, gt=1, description="largest scale of a similarity, and largest inverse of it")
+    max_scale: float = Field(
+        default=200.0,
+        gt=1,
+        description="largest scale of a similarity, and largest inverse of it; one camera's unit is about the depth of "
+        "what it saw first, so that a street's is 20 m and a drone's 100 m",
+    )
     max_sigma: float = Field(
         default=0.1,
         gt=0,

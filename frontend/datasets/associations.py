@@ -17,6 +17,7 @@ from ..errors import FrontendError
 from ..files import text_tables
 from ..files.timestamps import NS_PER_S, decimal_ns
 from ..files.trajectory import Trajectory
+from . import icl_nuim
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .depth_unit import unit_of_depth
@@ -45,7 +46,8 @@ class AssociationsReader(Reader):
     """``associations.txt`` (``associate.txt``, ``…_assoc.txt``): ``time rgb/file time depth/file`` lines, the two in
     any order, or colour and a pose, or all three (``time tx ty tz qx qy qz qw``).
 
-    Camera and depth unit as of TUM recordings. Ground truth: the poses in the list, else ``groundtruth.txt``.
+    Camera and depth unit as of TUM recordings, or of ICL-NUIM (see :mod:`.icl_nuim`). Ground truth: the poses in the
+    list, else ``groundtruth.txt``.
     """
 
     kind = "associations"
@@ -62,12 +64,13 @@ class AssociationsReader(Reader):
             problems.warning(f"{lists[0]}: read, and {', '.join(p.name for p in lists[1:])} beside it is not")
         lines = _read(lists[0])
         stamps = np.array([line.stamp_ns for line in lines], dtype=np.int64)
+        icl = icl_nuim.poses_file(folder) if _are_numbers(stamps) else None
         if _are_numbers(stamps):
             problems.warning(f"{lists[0]}: the times are frame numbers: {_FRAME_RATE_HZ:.0f} Hz taken")
             stamps = np.rint(stamps / _FRAME_RATE_HZ).astype(np.int64)
         has_depth = all(line.depth is not None for line in lines)
         depth = tuple(line.depth for line in lines if line.depth is not None) if has_depth else ()
-        raw, source = camera_of_recording(folder, problems)
+        raw, source = (icl_nuim.camera if icl else camera_of_recording)(folder, problems)
         found = FoundSequence(
             kind=self.kind,
             folder=folder,
@@ -78,7 +81,7 @@ class AssociationsReader(Reader):
             stamps_source=lists[0],
             depth=depth,
             depth_unit_m=unit_of_depth(depth, raw.depth_unit_m, DEPTH_UNIT_M, source, problems),
-            truth=_truth(folder, lists[0], lines, problems),
+            truth=icl_nuim.truth(icl, _FRAME_RATE_HZ, problems) if icl else _truth(folder, lists[0], lines, problems),
         )
         return assemble(found, choose_rig(available_rigs(False, has_depth), rig, folder), problems)
 

@@ -6,7 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..cameras.calibration import RawRig
-from ..cameras.calibration_files import Fields, colmap, kalibr, load_fields, opencv_pair, read_calibration
+from ..cameras.calibration_files import (
+    Fields,
+    colmap,
+    kalibr,
+    load_fields,
+    numbers_alone,
+    opencv_pair,
+    read_calibration,
+)
 from ..cameras.calibration_files.registry import CalibrationFormat, format_of
 from ..errors import FrontendError
 
@@ -27,7 +35,7 @@ def find_camera_file(folder: Path) -> tuple[RawRig, Path] | None:
 
     Two files of one camera each whose names differ by left and right (or cam0 and cam1) are a stereo pair, and so are
     OpenCV's intrinsics and extrinsics; else a file named as usual comes first; the only one that holds a camera may
-    have any name. COLMAP's ``cameras.txt`` and ``cameras.bin`` come last.
+    have any name. COLMAP's ``cameras.txt`` and ``cameras.bin`` come next, text files of numbers alone last.
     """
     files = _candidates(folder)
     loaded, refused = _load(files)
@@ -36,9 +44,17 @@ def find_camera_file(folder: Path) -> tuple[RawRig, Path] | None:
     if pair is not None:
         return pair
     chosen = _chosen(folder, known, refused) or _colmaps(folder)
+    if chosen is None:  # called as calibrations are, and none: reading it says so
+        chosen = next((path for path in loaded if path.stem.lower() in _USUAL), None) or _numbers(folder)
     if chosen is None:
         chosen = _only_one(folder, [path for path in files if path.suffix.lower() not in _OFTEN_OTHERS])
     return None if chosen is None else (read_calibration(chosen), chosen)
+
+
+def usual_camera_file(folder: Path) -> Path | None:
+    """A YAML file called as calibrations are (``camera.yaml`` …), by its name alone."""
+    names = (f"{stem}{suffix}" for stem in _USUAL for suffix in _SUFFIXES[:2])
+    return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
 def _only_one(folder: Path, without_camera: list[Path]) -> Path | None:
@@ -87,6 +103,26 @@ def _chosen(folder: Path, known: _Known, refused: dict[Path, FrontendError]) -> 
 
 def _colmaps(folder: Path) -> Path | None:
     return next((p for inside in _MODELS for name in colmap.FILES if (p := folder / inside / name).is_file()), None)
+
+
+def _numbers(folder: Path) -> Path | None:
+    """A text file of numbers alone that is called as such are and holds a camera."""
+    for path in numbers_files(folder):
+        try:
+            read_calibration(path)
+        except FrontendError:
+            continue
+        return path
+    return None
+
+
+def numbers_files(folder: Path) -> list[Path]:
+    """Text files that are called as calibrations are."""
+    return [
+        path
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() == ".txt" and path.stem.lower() in numbers_alone.STEMS and path.is_file()
+    ]
 
 
 def _opencvs_pair(loaded: dict[Path, Fields], known: _Known) -> tuple[RawRig, Path] | None:

@@ -17,6 +17,7 @@ from .stored_image import ImageRef, file_of
 
 MAX_RATE_HZ = 1000.0
 MIN_RATE_HZ = 0.01
+USUAL_BASELINE_M = 0.01
 MAX_BASELINE_M = 10.0
 MIN_BASELINE_M = 0.001
 _FEW = 2  # images of one camera, of which no third confirms what the others show
@@ -152,6 +153,11 @@ def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
         problems.error(
             f"{source}: the stereo baseline is {baseline_m:.4g} m, outside {MIN_BASELINE_M} to {MAX_BASELINE_M:.0f} m: "
             "another unit than metres?"
+        )
+    elif baseline_m < USUAL_BASELINE_M:
+        problems.warning(
+            f"{source}: the stereo baseline is {1000.0 * baseline_m:.3g} mm, as endoscopes have: is it in metres? "
+            "(ORB-SLAM's Camera.bf is the baseline times fx)"
         )
 
 

@@ -9,7 +9,7 @@ from ..cameras.models import RigKind
 from ..errors import FrontendError
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
-from .camera_file import find_camera_file
+from .camera_file import find_camera_file, numbers_files
 from .depth_unit import unit_of_depth
 from .guessed_camera import guess_camera, guess_text
 from .image_times import timed_images
@@ -46,7 +46,7 @@ class FolderReader(Reader):
         if calibration is None:
             raw, guess = guess_camera(found.files)
             source = folder
-            problems.warning(guess_text(folder, raw, guess))
+            problems.warning(guess_text(folder, raw, guess) + _unread(folder))
         else:
             raw, source = calibration
         kind = choose_rig(_rigs(folder, found, raw, source, rig, problems), rig, folder)
@@ -73,6 +73,12 @@ class FolderReader(Reader):
             focal_guess=guess,
         )
         return assemble(sequence, kind, problems)
+
+
+def _unread(folder: Path) -> str:
+    """Files that are called as calibrations are, of no form that is read."""
+    names = ", ".join(path.name for path in numbers_files(folder))
+    return f"; {names} is of no form that is read" if names else ""
 
 
 def _rigs(

@@ -13,6 +13,8 @@ from .euroc import EurocReader
 from .folder import FolderReader
 from .kitti import KittiReader
 from .kitti_raw import KittiRawReader
+from .nerfstudio import NerfstudioReader
+from .openloris import OpenLorisReader
 from .recordings.bags import BagReader
 from .recordings.films import FilmReader
 from .replica import ReplicaReader
@@ -35,6 +37,8 @@ OURS: tuple[Reader, ...] = (
     ReplicaReader(),
     ScanNetReader(),
     TartanAirReader(),
+    OpenLorisReader(),
+    NerfstudioReader(),
     BagReader(),
     FilmReader(),
 )

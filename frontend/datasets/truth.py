@@ -67,7 +67,7 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
             problems.warning(f"{found[0]}: taken as the ground truth; {others} beside it is not used")
         truth = read_truth(found[0], images, problems)
         if truth is not None:
-            _check_axes(truth, problems)
+            check_axes(truth, problems)
         return truth
     inside = next((folder / name for name in _POSE_FOLDERS if (folder / name).is_dir()), None)
     return None if inside is None else _of_single_files(inside, images, problems)
@@ -109,9 +109,15 @@ def check_cover(truth: Truth, stamps_ns: NDArray[np.int64], problems: Problems) 
         )
 
 
-def _check_axes(truth: Truth, problems: Problems) -> None:
+def check_axes(truth: Truth, problems: Problems) -> None:
     """Warn of poses that move ahead along their own x, as those of a vehicle's body do, not of a camera, whose z looks
-    ahead. More than that cannot be known of axes."""
+    ahead, and of such that never turn where the path does. More than that cannot be known of axes."""
+    if _never_turns(truth.trajectory):
+        problems.warning(
+            f"{truth.source}: poses never turn, where their path does: positions alone (of a satellite receiver?); "
+            "these are compared, rotations of matches are not to be relied on"
+        )
+        return
     steps = np.diff(truth.trajectory.centres, axis=0)
     ahead = np.einsum("nij,ni->nj", truth.trajectory.poses[:-1, :3, :3], steps)[:, 0]
     length = float(np.linalg.norm(steps, axis=1).sum())
@@ -122,6 +128,17 @@ def _check_axes(truth: Truth, problems: Problems) -> None:
             "ahead) rather than of a camera (z ahead)? positions are compared all the same, rotations of matches are "
             "not to be relied on"
         )
+
+
+def _never_turns(trajectory: Trajectory) -> bool:
+    """Whether all rotations are one while the path bends by more than a quarter of a circle."""
+    rotations, steps = trajectory.poses[:, :3, :3], np.diff(trajectory.centres, axis=0)
+    if len(rotations) < _MANY or np.abs(rotations - rotations[0]).max() > 1e-9:
+        return False
+    lengths = np.linalg.norm(steps, axis=1)
+    ahead = steps[lengths > 0.1 * lengths.max(initial=0.0)]
+    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    return bool(len(ahead)) and float((ahead @ ahead[0]).min()) < 0.0
 
 
 def frames_covered(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> int:

@@ -17,7 +17,7 @@ from .listed_times import read_listed_times
 from .pairing import paired_in_time
 from .truth import find_truth
 
-_TOLERANCE_NS = 20_000_000  # between colour and depth: more than half a frame at 30 Hz is another frame
+TOLERANCE_NS = 20_000_000  # between colour and depth: more than half a frame at 30 Hz is another frame
 DEPTH_UNIT_M = 1.0 / 5000.0
 _RADTAN = Distortion.RADIAL_TANGENTIAL
 _PUBLISHED = {  # colour cameras, from the data set's page; the recordings' folder names say which
@@ -46,7 +46,7 @@ class TumReader(Reader):
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         """See :meth:`Reader.open`."""
         problems = Problems()
-        images = _listed(folder / "rgb.txt", problems)
+        images = read_list(folder / "rgb.txt", problems)
         has_depth = (folder / "depth.txt").is_file()
         kind = choose_rig(available_rigs(False, has_depth), rig, folder)
         depth: tuple[Path, ...] = ()
@@ -68,7 +68,8 @@ class TumReader(Reader):
         return assemble(found, kind, problems)
 
 
-def _listed(path: Path, problems: Problems) -> TimedImages:
+def read_list(path: Path, problems: Problems) -> TimedImages:
+    """The images that a list names, a time and a file in each line."""
     listed = read_listed_times(path)
     if not len(listed.stamps_ns):
         raise FrontendError(f"{path}: no images")
@@ -81,8 +82,8 @@ def _listed(path: Path, problems: Problems) -> TimedImages:
 
 def _with_depth(folder: Path, images: TimedImages, problems: Problems) -> tuple[TimedImages, tuple[Path, ...]]:
     """Colour frames whose nearest depth image is near enough and nearer to no other colour frame."""
-    depth = _listed(folder / "depth.txt", problems)
-    return paired_in_time(images, depth, "depth image", problems, _TOLERANCE_NS)
+    depth = read_list(folder / "depth.txt", problems)
+    return paired_in_time(images, depth, "depth image", problems, TOLERANCE_NS)
 
 
 def camera_of_recording(folder: Path, problems: Problems) -> tuple[RawRig, Path]:

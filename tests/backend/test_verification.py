@@ -132,7 +132,10 @@ def test_every_refusal_says_why():
     paper = random_descriptors(rng, 200)
     assert judge(PlaceView(wall, paper), PlaceView(wall + 0.01, paper)).kind == "ambiguous"
 
-    huge = PlaceView(query.points_C / 50.0, query.descriptors, metric=False)
+    # One camera in a street has a unit of 20 m and more, one in a drone of 100 m.
+    street = judge(PlaceView(query.points_C / 50.0, query.descriptors, metric=False), match)
+    assert street.accepted and street.T_M_Q.scale == pytest.approx(50.0, rel=0.05)
+    huge = PlaceView(query.points_C / 500.0, query.descriptors, metric=False)
     assert judge(huge, match).kind == "implausible scale"
     # The same picture at half the size is no place match when both cameras know what a metre is.
     model = PlaceView(query.points_C * 0.4, query.descriptors)

@@ -160,3 +160,59 @@ def write_associations(folder: Path, scene: Scene, form: str = "rgb depth gt", n
         lines.append(" ".join(parts[part] for part in form.split()))
     (folder / name).write_text("\n".join(lines) + "\n")
     (folder / "camera.yaml").write_text(own_camera())
+
+
+def write_nerfstudio(folder: Path, scene: Scene, depth: bool = True, **camera: object) -> None:
+    """``camera``: keys of the file; by default focal lengths and centre, where the first pixel's is (0.5, 0.5)."""
+    colour = np.repeat(scene.images[..., None], 3, axis=3)
+    write_images(folder / "images", [f"frame_{i + 1:05d}.png" for i in range(COUNT)], colour)
+    opengl = np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1.0]])  # its y is up, its z behind
+    frames = []
+    for i, pose in enumerate(scene.poses):
+        frames.append(
+            {"file_path": f"images/frame_{i + 1:05d}.png", "transform_matrix": (pose @ opengl).tolist()}
+            | ({"depth_file_path": f"depth/{i}.png"} if depth else {})
+        )
+    if depth:
+        write_images(folder / "depth", [f"{i}.png" for i in range(COUNT)], scene.depth_mm)
+    frames = [frames[i] for i in (3, 0, 5, 1, 2, 4)]  # COLMAP's order is none
+    camera = camera or {
+        "camera_model": "OPENCV", "w": WIDTH, "h": HEIGHT, "fl_x": FX, "fl_y": FY, "cx": CX + 0.5, "cy": CY + 0.5,
+        "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0,
+    }  # fmt: skip
+    (folder / "transforms.json").write_text(json.dumps({**camera, "frames": frames}))
+
+
+def write_openloris(folder: Path, scene: Scene) -> None:
+    names = [f"{seconds(int(stamp))}.png" for stamp in scene.stamps_ns]
+    for inside, images in (("color", np.repeat(scene.images[..., None], 3, axis=3)), ("aligned_depth", scene.depth_mm),
+                           ("depth", scene.depth_mm[:, ::2, ::2])):  # fmt: skip
+        write_images(folder / inside, names, images)
+        rows = "".join(f"{name[:-4]} {inside}/{name}\n" for name in names)
+        (folder / f"{inside}.txt").write_text("#Time Filename\n" + rows)
+    matrix = "!!opencv-matrix\n      rows: 1\n      cols: {}\n      dt: d\n      data: {}\n"
+    (folder / "sensors.yaml").write_text(
+        "%YAML:1.0\n---\nd400_color_optical_frame:\n   sensor_type: camera\n   sensor_name: d400_color_optical_frame\n"
+        f"   fps: 30\n   width: {WIDTH}\n   height: {HEIGHT}\n   model: pinhole\n"
+        f"   intrinsics: {matrix.format(4, [FX, CX, FY, CY])}   distortion_model: radial-tangential\n"
+        f"   distortion_coefficients: {matrix.format(5, [0.0] * 5)}t265_fisheye1_optical_frame:\n   model: pinhole\n"
+    )
+    (folder / "trans_matrix.yaml").write_text("%YAML:1.0\n---\ntrans_matrix: []\n")
+    rows = (f"{seconds(int(t))} {pose_fields(pose)}\n" for t, pose in zip(scene.stamps_ns, scene.poses, strict=True))
+    (folder / "groundtruth.txt").write_text("#Time px py pz qx qy qz qw\n" + "".join(rows))
+
+
+def write_icl_nuim(folder: Path, scene: Scene) -> None:
+    """Depth first, counted from 0; poses in a world whose y is up, of a camera whose y is up."""
+    names = [f"{i}.png" for i in range(COUNT)]
+    write_images(folder / "rgb", names, np.repeat(scene.images[..., None], 3, axis=3))
+    write_images(folder / "depth", names, scene.depth_mm * 5)
+    lines = [f"{i} depth/{i}.png {i} rgb/{i}.png" for i in range(COUNT)]
+    (folder / "associations.txt").write_text("\n".join(lines) + "\n")
+    rows = []
+    for i, pose in enumerate(scene.poses):
+        up = pose.copy()
+        up[[0, 1, 2, 1], [1, 0, 1, 2]] *= -1.0
+        up[1, 3] *= -1.0
+        rows.append(f"{i} {pose_fields(up)}")
+    (folder / "livingRoom2.gt.freiburg").write_text("\n".join(rows) + "\n")

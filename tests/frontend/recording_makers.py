@@ -13,6 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+VIDEO, PACKET = "foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+_OTHER_TYPES = {
+    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n",
+    VIDEO: "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n",
+    PACKET: "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+    "bool is_bigendian\nuint8[] data\n",
+    "theora_image_transport/msg/Packet": "std_msgs/Header header\nuint8[] data\nint32 b_o_s\n",
+}
 POSE = "geometry_msgs/msg/PoseStamped"
 
 
@@ -99,9 +108,19 @@ def compressed_message(store: Any, stamp_ns: int, data: bytes, form: str) -> Any
     )
 
 
+def video_message(store: Any, stamp_ns: int, data: bytes, coded: str, kind: str, frame: str = "camera") -> Any:
+    raw, head = np.frombuffer(data, dtype=np.uint8), header(store, stamp_ns, frame)
+    if kind == VIDEO:
+        return store.types[VIDEO](timestamp=head.stamp, frame_id=frame, data=raw, format=coded)
+    return store.types[PACKET](
+        header=head, width=96, height=64, encoding=coded, pts=stamp_ns, flags=0, is_bigendian=False, data=raw
+    )
+
+
 def info_message(
     store: Any, stamp_ns: int, size: tuple[int, int], K: NDArray[Any], model: str = "plumb_bob",
     D: Sequence[float] = (0.0,) * 5, R: NDArray[Any] | None = None, P: NDArray[Any] | None = None,
+    frame: str = "camera",
 ) -> Any:  # fmt: skip
     P = np.hstack([K, np.zeros((3, 1))]) if P is None else P
     values = {
@@ -115,8 +134,8 @@ def info_message(
         values = {name.upper(): value for name, value in values.items()}
     region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     return kind(
-        header=header(store, stamp_ns), height=size[1], width=size[0], distortion_model=model, binning_x=0, binning_y=0,
-        roi=region, **values,
+        header=header(store, stamp_ns, frame), height=size[1], width=size[0], distortion_model=model, binning_x=0,
+        binning_y=0, roi=region, **values,
     )  # fmt: skip
 
 
@@ -126,6 +145,33 @@ def pose_message(store: Any, stamp_ns: int, pose: NDArray[np.float64]) -> Any:
     point = kinds["geometry_msgs/msg/Point"](*map(float, pose[:3, 3]))
     turn = kinds["geometry_msgs/msg/Quaternion"](x, y, z, w)
     return kinds[POSE](header=header(store, stamp_ns, "map"), pose=kinds["geometry_msgs/msg/Pose"](point, turn))
+
+
+def transforms_message(store: Any, links: Sequence[tuple[str, str, NDArray[np.float64]]]) -> Any:
+    """``links``: parent, child and ``T_parent_child``."""
+    kinds, found = store.types, []
+    for parent, child, pose in links:
+        place = kinds["geometry_msgs/msg/Vector3"](*map(float, pose[:3, 3]))
+        turn = kinds["geometry_msgs/msg/Quaternion"](*_quaternion(pose[:3, :3]))
+        found.append(
+            kinds["geometry_msgs/msg/TransformStamped"](
+                header=header(store, 1, parent),
+                child_frame_id=child,
+                transform=kinds["geometry_msgs/msg/Transform"](translation=place, rotation=turn),
+            )
+        )
+    return kinds[TRANSFORMS](transforms=found)
+
+
+def known_store(store_name: Any) -> Any:
+    """ROS's own types, and those of packages beside it."""
+    from rosbags.typesys import get_types_from_msg, get_typestore
+
+    store = get_typestore(store_name)
+    for name, definition in _OTHER_TYPES.items():
+        if name not in store.fielddefs:
+            store.register(get_types_from_msg(definition, name))
+    return store
 
 
 def _quaternion(R: NDArray[np.float64]) -> tuple[float, float, float, float]:
@@ -143,9 +189,9 @@ def _in_order(channels: Sequence[Channel]) -> list[tuple[int, int, int]]:
 def write_ros1(path: Path, channels: Sequence[Channel], compression: str = "") -> None:
     """``compression``: ``bz2`` or ``lz4``; empty for none."""
     from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores
 
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store = known_store(Stores.ROS1_NOETIC)
     writer = Writer(path)
     if compression:
         writer.set_compression(Writer.CompressionFormat[compression.upper()])
@@ -159,9 +205,9 @@ def write_ros1(path: Path, channels: Sequence[Channel], compression: str = "") -
 def write_ros2(path: Path, channels: Sequence[Channel], storage: str = "sqlite3", compression: str = "") -> None:
     """``storage``: ``sqlite3`` or ``mcap``; ``compression``: ``message``, ``file``, or ``storage`` (mcap's own)."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = known_store(Stores.ROS2_HUMBLE)
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
     if compression:
         writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)

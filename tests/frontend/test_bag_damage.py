@@ -19,7 +19,7 @@ TRIES = 25
 
 def file_of(path: Path) -> Path:
     """The file of messages of a bag."""
-    return path if path.is_file() else next(p for p in path.iterdir() if p.suffix in (".db3", ".mcap"))
+    return path if path.is_file() else next(p for p in path.iterdir() if p.suffix in (".db3", ".mcap", ".zstd"))
 
 
 def read_all(path: Path) -> None:
@@ -106,7 +106,11 @@ class TestMetadata:
         ("old", "new", "said"),
         [
             ("sqlite3.db3", "other.db3", "other.db3: the file is missing, which metadata.yaml lists"),
-            ("compression_mode: ''", "compression_mode: file", "its files are compressed as a whole: unpack them"),
+            (
+                "compression_mode: ''",
+                "compression_mode: file",
+                "metadata.yaml: files compressed by '', which is not read",
+            ),
             ("relative_file_paths:", "relative_files:", "relative_file_paths: a list of files expected, found 'None'"),
             ("rosbag2_bagfile_information", "information", "rosbag2_bagfile_information: a group of keys expected"),
         ],
@@ -122,3 +126,19 @@ class TestMetadata:
         metadata.write_text("a: [")
         with pytest.raises(FrontendError, match=r"metadata.yaml: not YAML"):
             open_dataset(metadata.parent)
+
+
+@pytest.mark.parametrize(("encoding", "schema"), [("protobuf", "protobuf"), ("json", "jsonschema")])
+def test_messages_that_are_none_of_ros_are_named(tmp_path: Path, encoding: str, schema: str) -> None:
+    writer_of = pytest.importorskip("mcap.writer").Writer
+    with open(tmp_path / "run.mcap", "wb") as file:
+        writer = writer_of(file)
+        writer.start()
+        number = writer.register_schema("foxglove.CompressedImage", schema, b"")
+        channel = writer.register_channel("/camera", encoding, number)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(
+        FrontendError, match=r"run.mcap: an MCAP of profile '': messages of ROS 2 are read .* convert it"
+    ):
+        open_dataset(tmp_path / "run.mcap")

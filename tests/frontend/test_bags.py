@@ -45,7 +45,7 @@ SIZE = (WIDTH, HEIGHT)
 P_RIGHT = np.hstack([K, [[-FX * BASELINE_M], [0.0], [0.0]]])
 FORMATS = {
     "run.bag": "", "lz4.bag": "lz4", "bz2.bag": "bz2", "sqlite3": "", "sqlite3_message": "message", "mcap": "",
-    "mcap_storage": "storage", "mcap_message": "message",
+    "mcap_storage": "storage", "mcap_message": "message", "sqlite3_file": "file", "mcap_file": "file",
 }  # fmt: skip
 CAMERA = f"width: {WIDTH}\nheight: {HEIGHT}\nfx: {FX}\nfy: {FY}\ncx: {CX}\ncy: {CY}\n"
 
@@ -160,15 +160,6 @@ class TestRobots:
         for robot in ("alice", "bob"):
             write_ros1(tmp_path / f"{robot}.bag", pair_of())
         assert [s.name for s in open_dataset(tmp_path).sequences] == ["alice", "bob"]
-
-    def test_parts_of_one_recording_are_named(self, tmp_path: Path) -> None:
-        for part in (0, 1):
-            later = [stamp + part * COUNT * 50_000_000 for stamp in STAMPS]
-            write_ros1(
-                tmp_path / f"run_{part}.bag", [raw("/image_raw", SCENE.images, "mono8", later), info("/camera_info")]
-            )
-        first, second = open_dataset(tmp_path).sequences
-        assert not first.problems and "run_1.bag: begins where the bag before it ends" in messages(second)
 
     def test_topics_that_are_not_read_are_listed(self, tmp_path: Path) -> None:
         debug = raw("/car/debug/image", SCENE.images, "mono8")

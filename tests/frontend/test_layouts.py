@@ -190,6 +190,27 @@ def test_tartanair_without_a_calibration_has_the_published_camera(tmp_path: Path
     assert sequence.rig.baseline_m == pytest.approx(0.25)
 
 
+def test_tartanair_of_the_second_version(tmp_path: Path) -> None:
+    scene = make_scene()
+    write_tartanair(tmp_path, scene)
+    for old, new in (("left", "lcam_front"), ("right", "rcam_front")):
+        for path in (tmp_path / f"image_{old}").iterdir():
+            path.rename(path.with_name(path.name.replace(old, new)))
+        (tmp_path / f"image_{old}").rename(tmp_path / f"image_{new}")
+    (tmp_path / "pose_left.txt").rename(tmp_path / "pose_lcam_front.txt")
+    (tmp_path / "depth_left").rename(tmp_path / "depth_lcam_front")
+    [sequence] = open_dataset(tmp_path).sequences
+    assert sequence.kind == "tartanair" and sequence.rig.kind is RigKind.STEREO and sequence.problems == ()
+    np.testing.assert_allclose(sequence.read(1).right, scene.rights[1], atol=1)
+    assert sequence.groundtruth is not None
+    np.testing.assert_allclose(sequence.groundtruth.poses, scene.poses, atol=1e-8)
+    for path in (tmp_path / "image_rcam_front").iterdir():
+        path.unlink()
+    (tmp_path / "image_rcam_front").rmdir()
+    [sequence] = open_dataset(tmp_path).sequences
+    assert sequence.rig.kind is RigKind.MONO and "depth packed into colours is not read" in sequence.problems[0].message
+
+
 def test_tartanair_depth_arrays(tmp_path: Path) -> None:
     scene = make_scene()
     write_tartanair(tmp_path, scene)

@@ -94,6 +94,8 @@ def camera_matrix(fields: Fields, key: str) -> tuple[float, float, float, float]
     """``fx fy cx cy`` of the camera matrix at ``key``; other numbers in it than a camera without skew has are
     refused."""
     K = np.array(fields.numbers(key, 9)).reshape(3, 3)
+    if not K.any():
+        raise fields.fail(key, "the matrix of a calibrated camera")
     if not np.allclose([K[1, 0], K[2, 0], K[2, 1], K[2, 2]], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
         raise fields.fail(key, "a camera matrix, row by row (fx 0 cx 0 fy cy 0 0 1),")
     if abs(K[0, 1]) > _MAX_SKEW * abs(K[0, 0]):

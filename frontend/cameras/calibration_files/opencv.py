@@ -6,8 +6,17 @@ from ..calibration import RawCamera, RawRig
 from .checked_camera import camera, camera_matrix, refuse_other_names
 from .fields import Fields
 
-_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k")
-_COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "D", "d")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "mtx", "K", "k")
+_COEFFICIENTS = (
+    "distortion_coefficients",
+    "Distortion_Coefficients",
+    "dist_coeffs",
+    "distCoeffs",
+    "dist_coeff",
+    "dist",
+    "D",
+    "d",
+)
 _SIZES = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
 _RTABMAP_FISHEYE = 6  # RTAB-Map writes k1 k2 p1 p2 k3 k4 for a fisheye, with p1 = p2 = 0
 

@@ -110,8 +110,19 @@ def rectifying_rotation(fields: Fields, key: str) -> NDArray[np.float64]:
     return rotation
 
 
+def states_baseline(P_left: NDArray[np.float64], P_right: NDArray[np.float64]) -> bool:
+    """Whether two projection matrices are of rectified images, whose third row is 0 0 1 0: with anything else in it,
+    the fourth column is a transform of another kind (S3E writes millimetres there)."""
+    return bool(np.allclose(np.stack([P_left[2], P_right[2]]), [0.0, 0.0, 1.0, 0.0], atol=1e-6))
+
+
 def baseline_of(fields: Fields, P_left: NDArray[np.float64], P_right: NDArray[np.float64]) -> float:
     """Where the right camera stands along x, metres, by two projection matrices ``(3, 4)`` after rectification."""
     if P_right[0, 0] <= 0.0:
         raise FrontendError(f"{fields.path}: the projection matrix of the right camera has the focal length 0")
+    if not states_baseline(P_left, P_right):
+        raise FrontendError(
+            f"{fields.path}: projection matrices whose third row is not 0 0 1 0 are not of rectified images: how the "
+            "cameras stand is not known; --rig mono reads the left images alone"
+        )
     return float((P_left[0, 3] - P_right[0, 3]) / P_right[0, 0])

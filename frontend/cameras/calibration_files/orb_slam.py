@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from maslam.backend.geometry import se3
+from maslam.backend.geometry import se3, se3_inverse
 
 from ..calibration import RawCamera, RawRig
 from .checked_camera import camera, camera_matrix, in_opencvs_order, transform_of_rectified
 from .fields import Fields
-from .opencv_pair import baseline_of, rectifying_rotation
+from .opencv_pair import baseline_of, rectifying_rotation, states_baseline
 
 _TYPES = {"": "pinhole", "pinhole": "pinhole", "kannalabrandt8": "fisheye", "rectified": "none"}
+_SAME_DISTANCE = 0.05  # share by which two keys that tell one distance may differ
 _NEEDS_RECTIFIED = (
     "needs rectified images, and this file's are distorted: for a raw pair give Stereo.T_c1_c2 (or Tlr) with Camera2, "
     "or LEFT and RIGHT; --rig mono reads the left images alone"
@@ -82,9 +84,22 @@ def _raw_pair_of_sides(data: Fields, rate: float | None) -> RawRig:
     """ORB-SLAM2's ``LEFT.K LEFT.D LEFT.R LEFT.P`` and ``RIGHT`` alike."""
     left, right = (_side(data, side) for side in ("LEFT", "RIGHT"))
     P_left, P_right = (np.array(data.numbers(f"{side}.P", 12)).reshape(3, 4) for side in ("LEFT", "RIGHT"))
+    if not states_baseline(P_left, P_right):
+        return RawRig(left, right, _of_millimetres(data, P_right), rectified=False, rate_hz=rate)
     rotations = [rectifying_rotation(data, f"{side}.R") for side in ("LEFT", "RIGHT")]
     T_left_right = transform_of_rectified(rotations[0], rotations[1], baseline_of(data, P_left, P_right))
     return RawRig(left, right, T_left_right, rectified=False, rate_hz=rate)
+
+
+def _of_millimetres(data: Fields, P_right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``T_left_right`` of S3E's files, whose ``RIGHT.R`` and the last column of whose ``RIGHT.P`` are the transform
+    from the left to the right camera, in millimetres; ``Camera.bf`` must say the same distance."""
+    bf = data.number("Camera.bf", 0.0) / data.number("Camera.fx")
+    distance = float(np.linalg.norm(P_right[:, 3])) / 1000.0
+    if abs(distance - bf) > _SAME_DISTANCE * bf:
+        raise data.fail("RIGHT.P", "a projection matrix of rectified images, whose third row is 0 0 1 0,")
+    R = rectifying_rotation(data, "RIGHT.R")
+    return se3_inverse(se3(R, P_right[:, 3] / 1000.0))
 
 
 def _side(data: Fields, side: str) -> RawCamera:

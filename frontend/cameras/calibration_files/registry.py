@@ -8,7 +8,20 @@ from pathlib import Path
 
 from ...errors import FrontendError
 from ..calibration import RawRig
-from . import basalt, colmap, kalibr, nerfstudio, opencv, opencv_pair, openvslam, orb_slam, own, vins
+from . import (
+    basalt,
+    colmap,
+    depth_cameras,
+    kalibr,
+    nerfstudio,
+    numbers_alone,
+    opencv,
+    opencv_pair,
+    openvslam,
+    orb_slam,
+    own,
+    vins,
+)
 from .fields import Fields
 from .loading import load_fields
 
@@ -34,19 +47,24 @@ FORMATS = (
     CalibrationFormat("OpenCV's pair", "M1 and M2", opencv_pair.recognises, opencv_pair.read),
     CalibrationFormat("EuRoC", "camera_model and intrinsics", kalibr.recognises_sensor, kalibr.read_sensor),
     CalibrationFormat("OpenCV or ROS", "camera_matrix or K", opencv.recognises, opencv.read),
+    CalibrationFormat("Open3D", "intrinsic_matrix", depth_cameras.recognises_open3d, depth_cameras.read_open3d),
+    CalibrationFormat("RealSense", "ppx", depth_cameras.recognises_realsense, depth_cameras.read_realsense),
     CalibrationFormat("maslam", "fx", own.recognises, own.read),
 )
 """Tried in this order."""
 
 
 def read_calibration(path: Path) -> RawRig:
-    """One or two cameras from a file of any of :data:`FORMATS`, or COLMAP's ``cameras.txt`` or ``cameras.bin``.
+    """One or two cameras from a file of any of :data:`FORMATS`, COLMAP's ``cameras.txt`` or ``cameras.bin``, or a text
+    file of numbers alone.
 
     A ROS or OpenCV file holds one camera; for a pair of such files see :func:`.pair_of_files`. Raises
     :class:`FrontendError` naming the key that is missing or wrong, or for a file of no known format.
     """
     if path.name in colmap.FILES:
         return colmap.read(path)
+    if path.suffix.lower() == ".txt":
+        return numbers_alone.read(path)
     data = load_fields(path)
     found = format_of(data)
     if found is None:

@@ -18,10 +18,12 @@ from .mcap_file import McapFile
 from .message_file import MessageFile, Place, Topic, need_rosbags, unreadable
 from .ros1_bag import Ros1Bag
 from .sqlite_file import SqliteFile
+from .unpacked import PACKED_SUFFIXES, unpacked
 
 _FILES: dict[str, type[MessageFile]] = {".bag": Ros1Bag, ".mcap": McapFile, ".db3": SqliteFile}
 BAG_SUFFIXES = frozenset(_FILES)
 METADATA = "metadata.yaml"
+_SHOWN = 4
 _HEAD_BYTES = 64  # of a message: enough for the time in its header
 
 
@@ -38,15 +40,32 @@ class Messages:
 
 
 class Bag:
-    """The recording ``path``: a file, or the folder of a ROS 2 bag."""
+    """The recording ``path``: a file, or the folder of a ROS 2 bag; or the first of ``parts``, files of one recording
+    that go on where the one before ends."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, parts: Sequence[Path] = ()) -> None:
         """:class:`FrontendError` where it is damaged, or the package that reads it is missing."""
         need_rosbags()
-        self.path = path
-        self.files = _files_of(path)
+        self.path, self.parts = path, tuple(parts) or (path,)
+        self.files = [file for part in self.parts for file in _files_of(part)]
         self._known: dict[Topic, Messages] = {}
         self._topics = [(file, topic) for file in self.files for topic in file.topics()]
+
+    @property
+    def notes(self) -> list[str]:
+        """How its files were brought together, a sentence each."""
+        whole = [file for file in self.files if file.location != file.path]
+        notes = []
+        if len(self.parts) > 1:
+            names = [part.name for part in self.parts]
+            shown = ", ".join(names if len(names) <= _SHOWN else [*names[:2], "…", names[-1]])
+            notes.append(
+                f"{len(names)} bags are read as one recording, in which each goes on where another ends: {shown}"
+            )
+        if whole:
+            size = sum(file.location.stat().st_size for file in whole) / 1e6
+            notes.append(f"{len(whole)} files compressed as a whole are unpacked to a temporary folder: {size:.1f} MB")
+        return notes
 
     def topics(self) -> list[Topic]:
         """All topics, with the messages of all files counted, by name. A name with messages of two types is there for
@@ -80,7 +99,7 @@ class Bag:
             _, file, place = found[topic][i]
             head = file.read(place, _HEAD_BYTES)
             with unreadable(file.path, f"a message of {topic.name} is damaged"):
-                stamps[topic][i] = stamp_ns(head, file.ros1)
+                stamps[topic][i] = stamp_ns(head, file.ros1, topic.type)
         for topic in wanted:
             self._known[topic] = _in_order(found[topic], stamps[topic])
         return [self._known[topic] for topic in topics]
@@ -96,6 +115,17 @@ class Bag:
         ends = (choose(found, key=lambda one: one[:2]) for choose in (min, max))
         first, last = (self._decoded(file, place, topic) for _, _, file, place in ends)
         return first, last
+
+    def sample(self, topic: Topic, most: int) -> list[Any]:
+        """At most about ``most`` messages of a topic, evenly over the order of reception, the first one among them."""
+        found = [
+            (received, number, i, file, place)
+            for number, (file, one) in enumerate(self._topics)
+            if (one.name, one.type) == (topic.name, topic.type)
+            for i, (received, place) in enumerate(file.places(one))
+        ]
+        chosen = sorted(found, key=lambda one: one[:3])[:: 1 + len(found) // most]
+        return [self._decoded(file, place, topic) for _, _, _, file, place in chosen]
 
     def read(self, messages: Messages, i: int, topic: Topic) -> Any:
         """Message ``i`` of ``messages``, of ``topic``. :class:`FrontendError` where it is damaged."""
@@ -134,12 +164,14 @@ def bags_in(path: Path) -> list[Path]:
     """The bags at ``path``: itself, or those directly in the folder, in natural order of their names."""
     if is_bag(path):
         return [path]
-    return sorted((p for p in _inside(path) if is_bag(p)), key=lambda p: natural_key(p.name)) if path.is_dir() else []
+    return sorted((p for p in _inside(path) if is_bag(p)), key=lambda p: natural_key(p.stem)) if path.is_dir() else []
 
 
 def _inside(folder: Path) -> Sequence[Path]:
     """What lies in the folder; of a compressed bag's files the names without the last suffix."""
-    return [p.with_suffix("") if p.suffix == ".zstd" else p for p in folder.iterdir() if not p.name.startswith(".")]
+    return [
+        p.with_suffix("") if p.suffix in PACKED_SUFFIXES else p for p in folder.iterdir() if not p.name.startswith(".")
+    ]
 
 
 def _files_of(path: Path) -> list[MessageFile]:
@@ -151,18 +183,21 @@ def _files_of(path: Path) -> list[MessageFile]:
     names = about.get("relative_file_paths")
     if not isinstance(names, list) or not names:
         raise FrontendError(f"{metadata}: relative_file_paths: a list of files expected, found {str(names)[:60]!r}")
-    if mode == "file":
-        raise FrontendError(
-            f"{metadata}: its files are compressed as a whole: unpack them (`unzstd *.zstd`), and delete "
-            "compression_format and compression_mode here"
-        )
-    if mode == "message" and codec != "zstd":
-        raise FrontendError(f"{metadata}: messages compressed by {codec!r}, which is not read (zstd)")
+    if mode in ("message", "file") and codec != "zstd":
+        raise FrontendError(f"{metadata}: {mode}s compressed by {codec!r}, which is not read (zstd)")
     files = [path / Path(str(name)).name for name in names]
     missing = [file for file in files if not file.is_file()]
     if missing:
         raise FrontendError(f"{missing[0]}: the file is missing, which {METADATA} lists")
-    unknown = [file for file in files if file.suffix.lower() not in BAG_SUFFIXES]
+    unknown = [file for file in files if _suffix(file) not in BAG_SUFFIXES]
     if unknown:
         raise FrontendError(f"{unknown[0]}: a bag in a format that is not read ({', '.join(sorted(BAG_SUFFIXES))})")
-    return [_FILES[file.suffix.lower()](file, mode == "message") for file in files]
+    whole = [unpacked(file) if file.suffix in PACKED_SUFFIXES else None for file in files]
+    return [
+        _FILES[_suffix(file)](file, mode == "message", location) for file, location in zip(files, whole, strict=True)
+    ]
+
+
+def _suffix(file: Path) -> str:
+    """What the file is, compressed or not."""
+    return (file.with_suffix("") if file.suffix in PACKED_SUFFIXES else file).suffix.lower()

@@ -17,6 +17,7 @@ from ..images import decode
 from ..stored_image import StoredImage
 from .message_file import MessageFile, Place, unreadable
 from .pixel_formats import compressed_depth, depth_metres, raw_pixels
+from .video_packets import COMPRESSED_VIDEO, VIDEO_DEFINITIONS
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _STAMP_BYTES = 12  # before them a number or the encoding's head, then seconds and nanoseconds
@@ -43,6 +44,11 @@ class BagImage(StoredImage):
 
     def __str__(self) -> str:
         return f"{self.messages.path}: {self.topic.name} at {self.stamp_ns} ns"
+
+    @property
+    def topic_name(self) -> str:
+        """Name of its topic."""
+        return self.topic.name
 
     @property
     def file(self) -> Path:
@@ -86,11 +92,12 @@ class BagImage(StoredImage):
         return np.clip(pixels * (_WHOLE / self.topic.white), 0.0, _WHOLE).astype(np.uint8)
 
 
-def stamp_ns(beginning: bytes, ros1: bool) -> int:
-    """Time in the header with which a message begins; 0 where none was set."""
+def stamp_ns(beginning: bytes, ros1: bool, kind: str) -> int:
+    """Time in the header with which a message of type ``kind`` begins; 0 where none was set."""
+    at = 0 if ros1 and kind == COMPRESSED_VIDEO else 4  # before it ROS 1 counts headers, CDR names its encoding
     if len(beginning) < _STAMP_BYTES:
         raise ValueError(f"a message of {len(beginning)} bytes has no header")
-    seconds, nanoseconds = struct.unpack_from("<II" if ros1 else "<iI" if beginning[1] & 1 else ">iI", beginning, 4)
+    seconds, nanoseconds = struct.unpack_from("<II" if ros1 else "<iI" if beginning[1] & 1 else ">iI", beginning, at)
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
@@ -100,8 +107,17 @@ def deserialised(data: bytes, kind: str, ros1: bool) -> Any:
     return store.deserialize_ros1(data, kind) if ros1 else store.deserialize_cdr(data, kind)
 
 
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
+_MORE_TYPES = {**VIDEO_DEFINITIONS, "tf2_msgs/msg/TFMessage": _TRANSFORMS, "tf/msg/tfMessage": _TRANSFORMS}
+"""Definitions that ROS's own set lacks, as their packages publish them."""
+
+
 @lru_cache(maxsize=2)
 def _typestore(ros1: bool) -> Any:
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name, definition in _MORE_TYPES.items():
+        if name not in store.fielddefs:
+            store.register(get_types_from_msg(definition, name))
+    return store

@@ -8,36 +8,24 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...cameras.calibration import RawRig
 from ...cameras.models import RigKind
 from ...errors import FrontendError
-from ...files.timestamps import NS_PER_S
 from ...recording_config import RecordingConfig
 from ..assemble import FoundSequence, assemble, available_rigs
 from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..images import list_images
-from ..pairing import pair_by_time
 from ..truth import Truth
-from .bag import BAG_SUFFIXES, Bag, Messages, bags_in
-from .bag_image import BagImage, ImageTopic
+from .bag import BAG_SUFFIXES, Bag, bags_in
+from .bag_cameras import camera_of_robot, depth_use, folders_beside
 from .bag_truth import read_truth
-from .beside import camera_beside, truth_beside
-from .camera_info import CameraInfo, one_camera, pair
-from .message_file import Topic
-from .robot_topics import RobotTopics, find_robots
+from .beside import truth_beside
+from .recorded import RecordedBag, recordings
+from .robot_topics import RobotTopics
+from .topic_images import StampedImage, images_of_topic, partners
 
 _FEW_IMAGES = 3  # beside a bag, fewer are no sequence
-_HALF = 0.5  # of the interval between images: what is nearer in time is of the same moment
-_APART = 0.1  # of the interval: a pair that is farther apart is no pair for a camera that moves
 _MILLIMETRE = 0.001
-_PART_GAP_NS = 2 * NS_PER_S
-_PART = (
-    "{}: begins where the bag before it ends: parts of one recording are read as a robot each; join them first "
-    "(`rosbags-convert --src A --src B --dst C`)"
-)
-_BITS = (8, 10, 12, 14, 16)
 
 
 class BagReader(Reader):
@@ -61,20 +49,12 @@ class BagReader(Reader):
     def openers(self, path: Path, rig: RigKind | None) -> dict[str, Callable[[], ImageSequence]]:
         """See :meth:`Reader.openers`."""
         found: dict[str, Callable[[], ImageSequence]] = {}
-        paths = bags_in(path)
-        before: tuple[Bag, dict[str, RobotTopics]] | None = None
-        for one in paths:
-            bag = Bag(one)
-            robots = find_robots(one, bag.topics(), self.config)
-            bag.index([topic for robot in robots.values() for topic in robot.all])
-            goes_on = before is not None and _goes_on(*before, bag, robots)
-            before = bag, robots
-            stem = one.resolve().name if one.is_dir() else one.stem
-            for robot, topics in robots.items():
-                name = robot if robot and len(paths) == 1 else "_".join(filter(None, (stem, robot)))
-                said = (*topics.warnings, _PART.format(one)) if goes_on else topics.warnings
-                alone = len(robots) == len(paths) == 1
-                found[name] = partial(_open_robot, bag, replace(topics, warnings=said), name, rig, alone)
+        every = recordings(bags_in(path), self.config)
+        for one in every:
+            for robot, topics in one.robots.items():
+                name = robot if robot and len(every) == 1 else "_".join(filter(None, (one.name, robot)))
+                alone = len(one.robots) == len(every) == 1
+                found[name] = partial(_open_robot, one, topics, name, rig, alone)
         return found
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
@@ -85,40 +65,37 @@ class BagReader(Reader):
         return next(iter(openers.values()))()
 
 
-def _goes_on(first: Bag, topics: dict[str, RobotTopics], second: Bag, others: dict[str, RobotTopics]) -> bool:
-    """Whether the second bag begins where the first one ends: parts of one recording (`rosbag record --split`)."""
-    if [robot.left.name for robot in topics.values()] != [robot.left.name for robot in others.values()]:
-        return False
-    gaps = [
-        int(second.messages(b.left).stamps_ns[0] - first.messages(a.left).stamps_ns[-1])
-        for a, b in zip(topics.values(), others.values(), strict=True)
-    ]
-    return all(0 < gap < _PART_GAP_NS for gap in gaps)
-
-
-def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, alone: bool) -> ImageSequence:
+def _open_robot(
+    recorded: RecordedBag, topics: RobotTopics, name: str, rig: RigKind | None, alone: bool
+) -> ImageSequence:
     """The sequence of one robot; ``alone``: in its bag, beside which all files are its own."""
-    problems = Problems()
-    for warning in topics.warnings:
+    problems, bag = Problems(), recorded.bag
+    for warning in (*topics.warnings, *recorded.warnings):
         problems.warning(warning)
-    left = _images(bag, topics.left, False, problems)
-    raw, source = _camera(bag, topics, name, alone, problems)
-    right: tuple[BagImage, ...] = ()
-    depth: tuple[BagImage, ...] = ()
+    left = images_of_topic(bag, topics.left, False, problems)
+    raw, source = camera_of_robot(bag, topics, name, problems)
+    right: tuple[StampedImage, ...] = ()
+    depth: tuple[StampedImage, ...] = ()
     kept = np.arange(len(left))
     if topics.right is not None and rig in (None, RigKind.STEREO):
         if raw.right is None:
             problems.warning(
                 f"{source}: right images on {topics.right.name}, but no baseline of a pair (P of the right "
-                "camera_info, or a camera file beside the bag): read as one camera"
+                "camera_info, tf between the two frames, or a camera file beside the bag): read as one camera"
             )
         else:
-            kept, right = _second(left, _images(bag, topics.right, False, problems), topics.right, problems)
+            kept, right = partners(left, images_of_topic(bag, topics.right, False, problems), topics.right, problems)
     elif raw.right is not None and topics.right is None and rig is None:
         problems.warning(f"{source}: a calibrated pair, but {bag.path} has no right images: read as mono")
-    if topics.depth is not None and not right and rig in (None, RigKind.RGBD) and _registered(bag, topics, problems):
-        kept, depth = _second(left, _images(bag, topics.depth, True, problems), topics.depth, problems)
+    sensor = None
+    if topics.depth is not None and not right and rig in (None, RigKind.RGBD):
+        use = depth_use(bag, topics, problems)
+        if use.used:
+            sensor = use.sensor
+            kept, depth = partners(left, images_of_topic(bag, topics.depth, True, problems), topics.depth, problems)
     stamps = np.array([image.stamp_ns for image in left], dtype=np.int64)[kept]
+    truth = _truth(bag, topics, name, alone, problems)
+    found_beside = (f"ground truth: {truth.source}",) if truth is not None and topics.truth is None else ()
     found = FoundSequence(
         kind=BagReader.kind,
         folder=bag.path,
@@ -130,130 +107,19 @@ def _open_robot(bag: Bag, topics: RobotTopics, name: str, rig: RigKind | None, a
         right=right,
         depth=depth,
         depth_unit_m=raw.depth_unit_m or _MILLIMETRE,
-        truth=_truth(bag, topics, name, alone),
+        depth_sensor=sensor,
+        truth=truth,
         name=name,
-        origin=_described(topics, bool(right), bool(depth)),
+        origin=_described(topics, bool(right), bool(depth)) + ("; depth moved to the image by tf" if sensor else ""),
     )
-    return assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
+    sequence = assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
+    return replace(sequence, notes=(*sequence.notes, *recorded.notes, *found_beside))
 
 
-def _images(bag: Bag, topic: Topic, depth: bool, problems: Problems) -> list[BagImage]:
-    """The images of a topic in order of time, one for each time."""
-    messages = bag.messages(topic)
-    where = f"{bag.path}: {topic.name}"
-    if messages.received:
-        problems.warning(f"{where}: headers without time stamps: the times of reception are taken")
-    if messages.moved:
-        problems.warning(f"{where}: {messages.moved} times go back in the order of reception: sorted by time stamp")
-    kept = np.flatnonzero(np.r_[True, np.diff(messages.stamps_ns) > 0])
-    if len(kept) < len(messages.stamps_ns):
-        count = len(messages.stamps_ns) - len(kept)
-        problems.warning(f"{where}: {count} messages have the time stamp of another; these are left out")
-    images = _all(messages, kept, ImageTopic(topic.name, topic.type))
-    white = None if depth else _white(images, where, problems)
-    return images if white is None else _all(messages, kept, ImageTopic(topic.name, topic.type, white))
-
-
-def _all(messages: Messages, kept: NDArray[np.int64], topic: ImageTopic) -> list[BagImage]:
-    return [BagImage(messages.files[i], messages.places[i], topic, int(messages.stamps_ns[i])) for i in kept.tolist()]
-
-
-def _white(images: list[BagImage], where: str, problems: Problems) -> float | None:
-    """The largest value of the bits that 16-bit images use, by some of them; None for images of 8 bits."""
-    most = 0.0
-    for image in images[:: max(1, len(images) // 3)][:3]:
-        try:
-            pixels = image.pixels()
-        except FrontendError:  # said when its turn comes
-            continue
-        if pixels.dtype == np.float32:
-            raise FrontendError(f"{where}: 32-bit floats are depth, no images; --recording.depth-topic names depth")
-        if pixels.dtype == np.uint8:
-            return None
-        most = max(most, float(pixels.max()))
-    white = next(2.0**bits - 1.0 for bits in _BITS if most < 2.0**bits)
-    problems.warning(f"{where}: images of 16 bits, values up to {most:.0f}: 0 to {white:.0f} become 0 to 255")
-    return white
-
-
-def _second(
-    left: list[BagImage], others: list[BagImage], topic: Topic, problems: Problems
-) -> tuple[NDArray[np.int64], tuple[BagImage, ...]]:
-    """Frames that have an image of the second topic of the same moment, and these images."""
-    stamps, second = (np.array([image.stamp_ns for image in images], dtype=np.int64) for images in (left, others))
-    interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    pairs = pair_by_time(stamps, second, int(_HALF * interval))
-    kept, partners = pairs.kept, pairs.second
-    where = f"{others[0].file if others else left[0].file}: {topic.name}"
-    if not len(kept):
-        raise FrontendError(
-            f"{where}: no image within {_HALF * interval / 1e6:.0f} ms of one of {left[0].topic.name}: "
-            "on another clock?"
-        )
-    if len(kept) < len(left) or len(kept) < len(others):
-        problems.warning(
-            f"{where}: no partner for {len(left) - len(kept)} of {len(left)} frames and "
-            f"{len(others) - len(kept)} of its {len(others)} images; these are left out"
-        )
-    apart = np.abs(second[partners] - stamps[kept])
-    if np.median(apart) > _APART * interval:
-        problems.warning(
-            f"{where}: not synchronised: {np.median(apart) / 1e6:.1f} ms (median) from the image it belongs to: "
-            "a camera that moves sees another place then"
-        )
-    return kept, tuple(others[i] for i in partners.tolist())
-
-
-def _camera(bag: Bag, topics: RobotTopics, name: str, alone: bool, problems: Problems) -> tuple[RawRig, Path]:
-    """The calibration: a file named after the robot or the bag, else camera_info, else another file beside the bag."""
-    folder = bag.path if bag.path.is_dir() else bag.path.parent
-    own = camera_beside(folder, name, others=False) or camera_beside(bag.path.parent, name, others=False)
-    if own is not None:
-        return own
-    infos = [None if topic is None else _info(bag, topic, problems) for topic in topics.infos[:2]]
-    left, right = infos
-    if left is not None and (left.calibrated or (topics.rectified and left.P[0, 0] > 0)):
-        rig = None if right is None else pair(left, right, topics.rectified)
-        return rig or one_camera(left, topics.rectified), left.source
-    beside = camera_beside(folder, name, others=True)
-    if beside is not None:
-        return beside
-    if left is not None:
-        left.camera(topics.rectified)  # says what is wrong with it
-    raise FrontendError(
-        f"{bag.path}: no camera_info topic beside {topics.left.name}, and no camera file: put {name}.yaml "
-        "beside the bag (width, height, fx, fy, cx, cy), or name the topic by --recording.camera-topic"
-    )
-
-
-def _info(bag: Bag, topic: Topic, problems: Problems) -> CameraInfo:
-    """The first message of a camera_info topic; a change by the last is said."""
-    source = bag.path / topic.name.strip("/")
-    first, last = (CameraInfo(message, source) for message in bag.ends(topic))
-    if not first.same_view(last):
-        problems.warning(f"{source}: the calibration changes within the recording: the first one is taken")
-    return first
-
-
-def _registered(bag: Bag, topics: RobotTopics, problems: Problems) -> bool:
-    """Whether depth is of the images' own camera, as far as camera_info says; else that it is not read is said."""
-    left, depth = topics.infos[0], topics.infos[2]
-    if left is None or depth is None or topics.depth is None or left == depth:
-        return True
-    if _info(bag, left, problems).same_view(_info(bag, depth, problems)):
-        return True
-    problems.warning(
-        f"{bag.path}: {topics.depth.name} is of another camera than {topics.left.name} by its camera_info: "
-        "depth as the image's camera sees it is needed (aligned_depth_to_color, depth_registered): read without depth"
-    )
-    return False
-
-
-def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool) -> Truth | None:
+def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool, problems: Problems) -> Truth | None:
     if topics.truth is not None:
         return Truth(read_truth(bag, topics.truth), bag.path / topics.truth.name.strip("/"))
-    folder = bag.path if bag.path.is_dir() else bag.path.parent
-    return truth_beside(folder, name, alone) or truth_beside(bag.path.parent, name, False)
+    return truth_beside(folders_beside(bag), name, alone, problems)
 
 
 def _described(topics: RobotTopics, right: bool, depth: bool) -> str:

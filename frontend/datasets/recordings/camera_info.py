@@ -13,7 +13,7 @@ from maslam.backend.geometry import se3
 from ...cameras.calibration import RawCamera, RawRig
 from ...cameras.calibration_files import Fields
 from ...cameras.calibration_files.opencv import read_one
-from ...cameras.calibration_files.opencv_pair import transform_of_files
+from ...cameras.calibration_files.opencv_pair import states_baseline, transform_of_files
 from ...errors import FrontendError
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -39,6 +39,7 @@ class CameraInfo:
             source,
         )
         self.calibrated = small["k"][0] > 0
+        self.frame = str(message.header.frame_id).strip("/")
         self.P = np.array(small["p"], dtype=np.float64).reshape(3, 4)
         roi, binning = message.roi, (int(message.binning_x), int(message.binning_y))
         cut = roi.width and (int(roi.width), int(roi.height)) != self.size
@@ -68,7 +69,7 @@ def one_camera(info: CameraInfo, rectified: bool) -> RawRig:
 
 def pair(left: CameraInfo, right: CameraInfo, rectified: bool) -> RawRig | None:
     """The rig of two; None where the right one's P states no baseline: how they stand is then not known."""
-    if right.P[0, 0] <= 0 or right.P[0, 3] == left.P[0, 3]:
+    if right.P[0, 0] <= 0 or right.P[0, 3] == left.P[0, 3] or not states_baseline(left.P, right.P):
         return None
     if rectified:
         baseline = float((left.P[0, 3] - right.P[0, 3]) / right.P[0, 0])
@@ -76,6 +77,13 @@ def pair(left: CameraInfo, right: CameraInfo, rectified: bool) -> RawRig | None:
         return RawRig(camera, right.camera(True), se3(np.eye(3), [baseline, 0.0, 0.0]))
     transform = transform_of_files(left.fields, right.fields)
     return RawRig(left.camera(False), right.camera(False), transform, rectified=False)
+
+
+def pair_apart(left: CameraInfo, right: CameraInfo, rectified: bool, T_left_right: NDArray[np.float64]) -> RawRig:
+    """The rig of two of which something else says how they stand; of ``rectified`` ones only along x."""
+    cameras = left.camera(rectified), right.camera(rectified)
+    stands = se3(np.eye(3), [float(T_left_right[0, 3]), 0.0, 0.0]) if rectified else T_left_right
+    return RawRig(*cameras, stands, rectified=rectified)
 
 
 def _listed(message: Any, name: str) -> list[float]:

@@ -78,7 +78,7 @@ def _pair(films: list[Path]) -> tuple[Path, Path] | None:
 def _open_film(path: Path, right_path: Path | None, rig: RigKind | None, alone: bool) -> ImageSequence:
     """The sequence of a film, with a second one for a pair; ``alone``: in its folder, whose ground truth is its own."""
     problems = Problems()
-    calibration = camera_beside(path.parent, path.stem)
+    calibration = camera_beside([path.parent], path.stem)
     film = _film(path, None if calibration is None else calibration[0].left.size, problems)
     guess = ""
     if calibration is None:
@@ -108,7 +108,7 @@ def _open_film(path: Path, right_path: Path | None, rig: RigKind | None, alone: 
         stamps_ns=stamps[frames],
         stamps_source=path,
         right=right,
-        truth=truth_beside(path.parent, path.stem, alone),
+        truth=truth_beside([path.parent], path.stem, alone, problems),
         focal_guess=guess,
         name=path.resolve().parent.name if right else path.stem,
         origin=_described(path, film) + (f"; right: {right_path.name}" if right and right_path else ""),

@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import FrontendError
 from .message_file import MOST_BYTES, MessageFile, Place, Topic, exactly, topics_of, unpacked_zstd, unreadable
 
 _MESSAGE, _CHUNK, _MESSAGE_INDEX = 0x05, 0x06, 0x07  # op codes of records
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD_BYTES = 256  # with the profile
 _HEAD = 9  # op code and length of a record
 _MESSAGE_HEAD = 22  # channel, sequence, two times
 _CHUNK_HEAD = 32  # two times, size, checksum, length of the codec's name
@@ -53,14 +56,28 @@ class McapFile(MessageFile):
         if self._indexed is None:
             from rosbags.rosbag2.storage_mcap import McapReader
 
+            self._check_profile()
             with unreadable(self.path, "no MCAP that can be read (`mcap recover` mends one that was not closed)"):
-                reader = McapReader(self.path)
+                reader = McapReader(self.location)
                 reader.open()
             self._indexed = reader
         return self._indexed
 
+    def _check_profile(self) -> None:
+        """Refuse messages that are none of ROS 2, by the profile with which the file begins."""
+        with unreadable(self.path, "no MCAP that can be read"), self._open() as handle:
+            head = handle.read(_HEAD_BYTES)
+            at = len(_MAGIC) + _HEAD
+            length = int.from_bytes(head[at : at + 4], "little")
+            profile = head[at + 4 : at + 4 + length].decode("utf-8", "replace")
+        if head.startswith(_MAGIC) and profile != "ros2":
+            raise FrontendError(
+                f"{self.path}: an MCAP of profile {profile!r}: messages of ROS 2 are read (profile 'ros2'), no "
+                "protobuf, JSON or ROS 1: convert it (`mcap convert`, `rosbags-convert`), or save its images as files"
+            )
+
     def _open(self) -> BufferedReader:
-        return open(self.path, "rb")
+        return open(self.location, "rb")
 
     def _message(self, place: Place, most: int) -> bytes:
         if not place.size:

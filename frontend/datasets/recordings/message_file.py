@@ -43,13 +43,14 @@ class Place:
 
 class MessageFile(ABC):
     """One file of a bag. A process opens it when a message is first asked for; threads take turns; nothing of it is
-    kept but the blocks unpacked last. ``packed``: each message is compressed by itself (zstd)."""
+    kept but the blocks unpacked last. ``packed``: each message is compressed by itself (zstd). ``location``: of the
+    copy to be opened, where the file at ``path`` is compressed as a whole; None: itself."""
 
     ros1: ClassVar[bool]
     """Whether messages are serialised as ROS 1 does, else as CDR."""
 
-    def __init__(self, path: Path, packed: bool = False) -> None:
-        self.path, self.packed = path, packed
+    def __init__(self, path: Path, packed: bool = False, location: Path | None = None) -> None:
+        self.path, self.packed, self.location = path, packed, location or path
         self._forget()
 
     def _forget(self) -> None:
@@ -59,10 +60,10 @@ class MessageFile(ABC):
         self._blocks: OrderedDict[int, bytes] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "packed": self.packed}
+        return {"path": self.path, "packed": self.packed, "location": self.location}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.path, self.packed = state["path"], state["packed"]
+        self.path, self.packed, self.location = state["path"], state["packed"], state["location"]
         self._forget()
 
     @abstractmethod

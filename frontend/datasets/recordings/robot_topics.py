@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,15 +14,19 @@ from .bag_truth import POSE_TYPES
 from .camera_info import CAMERA_INFO
 from .message_file import Topic
 from .topic_names import ImageName, by_robot, right_of
+from .transforms import TF_TYPES
+from .video_packets import VIDEO_TYPES
 
 _SHOWN = 12
 _OPTION = "--recording.image-topic"
+_TYPES = (IMAGE, COMPRESSED_IMAGE, *sorted(VIDEO_TYPES))
 
 
 @dataclass(frozen=True)
 class RobotTopics:
     """What is read of one robot. ``right``, ``depth``, ``infos`` (camera_info of left, right, depth), ``truth``: None
-    where there is none. ``warnings``: what was found and is not used; ``unread``: its other images."""
+    where there is none. ``warnings``: what was found and is not used; ``unread``: its other images;
+    ``transforms``: tf of its name space and those above, static ones first."""
 
     left: Topic
     right: Topic | None = None
@@ -31,6 +36,7 @@ class RobotTopics:
     rectified: bool = False
     warnings: tuple[str, ...] = field(default=())
     unread: tuple[Topic, ...] = ()
+    transforms: tuple[Topic, ...] = ()
 
     @property
     def all(self) -> tuple[Topic, ...]:
@@ -41,10 +47,10 @@ class RobotTopics:
 def find_robots(path: Path, topics: Sequence[Topic], config: RecordingConfig) -> dict[str, RobotTopics]:
     """The topics of each robot, by its name in them; ``""`` where there is one. :class:`FrontendError` that lists the
     image topics where names do not tell what is to be read, or what the user named is not there."""
-    images = {ImageName.of(t.name, t.type == COMPRESSED_IMAGE): t for t in topics if _is_image(t) and t.count}
+    images = {ImageName.of(t.name, t.type != IMAGE): t for t in topics if _is_image(t) and t.count}
     if not images:
         others = ", ".join(f"{topic.name} ({topic.type})" for topic in topics[:_SHOWN])
-        raise FrontendError(f"{path}: no image topic with messages; it holds {others or 'no topic'}")
+        raise FrontendError(f"{path}: no image topic with messages; it holds {others or 'no topic'}{_cure(topics)}")
     if config.image_topic is not None:
         robots = _named(path, images, config.image_topic)
     else:
@@ -62,8 +68,29 @@ def find_robots(path: Path, topics: Sequence[Topic], config: RecordingConfig) ->
     return found
 
 
+def _cure(topics: Sequence[Topic]) -> str:
+    """What to do about images in messages that are not read."""
+    found = next((t for t in topics if t.count and re.search(r"theora|video|packet|image", t.type.lower())), None)
+    if found is None:
+        return ""
+    return (
+        f"; {found.name} seems to hold images in messages that are not read: republish them as sensor_msgs/Image "
+        "(`ros2 run image_transport republish`) and record these"
+    )
+
+
+def has_images(topics: Sequence[Topic]) -> bool:
+    """Whether there are messages of images among ``topics``."""
+    return any(_is_image(topic) and topic.count for topic in topics)
+
+
 def _is_image(topic: Topic) -> bool:
-    return topic.type in (IMAGE, COMPRESSED_IMAGE)
+    return topic.type in _TYPES
+
+
+def _coded(topic: Topic) -> int:
+    """How far from the sensor's own images: as they are, compressed one by one, video."""
+    return _TYPES.index(topic.type)
 
 
 def _named(path: Path, images: dict[ImageName, Topic], wanted: str) -> dict[str, list[ImageName]]:
@@ -98,22 +125,28 @@ def _cameras(
 ) -> tuple[ImageName, ImageName | None]:
     """The left and the right images of one robot, among its ``own``."""
     if config.image_topic is not None:
-        return min(own, key=lambda name: (name.rank, images[name].type != IMAGE, name.topic)), None
+        return min(own, key=lambda name: (name.rank, _coded(images[name]), name.topic)), None
     views = _one_each([name for name in own if not name.is_depth], images)
     if not views:
         raise FrontendError(f"{path}: no images but depth: {_listed(images)}")
     pairs = [(name, right) for name in views if (right := right_of(name, views)) is not None]
     if len(views) == 1:
         return views[0], None
-    if len(views) == 2 and len(pairs) == 1:
+    if len(pairs) == 1 and all(name in pairs[0] or _is_colour_of(name, pairs[0][0]) for name in views):
         return pairs[0]
     raise FrontendError(f"{path}: which images are to be read? {_OPTION} names the topic: {_listed(images)}")
+
+
+def _is_colour_of(name: ImageName, left: ImageName) -> bool:
+    """Whether these are the colour images of the device of a pair (RealSense, OAK-D)."""
+    head, _, last = name.camera.rpartition("/")
+    return head == left.camera.rpartition("/")[0] and last.lower() in ("color", "colour", "rgb")
 
 
 def _one_each(names: Sequence[ImageName], images: dict[ImageName, Topic]) -> list[ImageName]:
     """One topic for each camera: of several the one with most images, then the one closest to the sensor."""
     best: dict[str, ImageName] = {}
-    for name in sorted(names, key=lambda n: (n.rank, images[n].type != IMAGE, n.topic)):
+    for name in sorted(names, key=lambda n: (n.rank, _coded(images[n]), n.topic)):
         known = best.get(name.camera)
         if known is None or images[name].count > 1.5 * images[known].count:
             best[name.camera] = name
@@ -147,7 +180,18 @@ def _completed(
         left.is_rectified,
         tuple(warnings),
         tuple(topic for name, topic in images.items() if name not in (left, right, depth)),
+        _transforms(topics, left),
     )
+
+
+def _transforms(topics: Sequence[Topic], left: ImageName) -> tuple[Topic, ...]:
+    """Topics of tf in a name space in which the images are, too."""
+    found = [
+        topic
+        for topic in topics
+        if topic.type in TF_TYPES and topic.count and _shared(topic.name, left) == topic.name.strip("/").count("/")
+    ]
+    return tuple(sorted(found, key=lambda topic: (not topic.name.endswith("static"), topic.name)))
 
 
 def _chosen(path: Path, images: dict[ImageName, Topic], head: str, wanted: str) -> ImageName:
@@ -156,7 +200,7 @@ def _chosen(path: Path, images: dict[ImageName, Topic], head: str, wanted: str) 
     found = found or [n for n in images if _matches(n, wanted) and (not head or _head(n, wanted) == head)]
     if not found:
         raise FrontendError(f"{path}: no image topic {wanted} of {head or 'this robot'}: {_listed(images)}")
-    return min(found, key=lambda name: (name.rank, images[name].type != IMAGE, name.topic))
+    return min(found, key=lambda name: (name.rank, _coded(images[name]), name.topic))
 
 
 def _depth(
@@ -164,7 +208,7 @@ def _depth(
 ) -> tuple[ImageName | None, list[str]]:
     if config.depth_topic is not None:
         return _chosen(path, images, head, config.depth_topic), []
-    depths = [name for name in images if name.is_depth and not name.is_derived]
+    depths = [n for n in images if n.is_depth and not n.is_derived and images[n].type not in VIDEO_TYPES]
     depths = _one_each([name for name in depths if name.is_registered] or depths, images)
     if len(depths) > 1:
         names = ", ".join(name.topic for name in depths)

@@ -37,7 +37,7 @@ class Ros1Bag(MessageFile):
             from rosbags.rosbag1 import Reader
 
             with unreadable(self.path, "no bag that can be read (`rosbag reindex` mends one that was not closed)"):
-                reader = Reader(self.path)
+                reader = Reader(self.location)
                 reader.open()
             self._indexed = reader
         return self._indexed
@@ -48,7 +48,7 @@ class Ros1Bag(MessageFile):
         return {unpack: "" if name == "none" else name for name, unpack in decompressors.items()}
 
     def _open(self) -> BufferedReader:
-        return open(self.path, "rb")
+        return open(self.location, "rb")
 
     def _message(self, place: Place, most: int) -> bytes:
         if not place.codec:

@@ -28,10 +28,10 @@ class SqliteFile(MessageFile):
             return [(int(time), Place(int(row))) for time, row in rows]
 
     def _open(self) -> sqlite3.Connection:
-        journal = self.path.with_name(self.path.name + "-wal")
+        journal = self.location.with_name(self.location.name + "-wal")
         if journal.exists() and journal.stat().st_size:
             raise ValueError(f"it was not closed: {journal.name} holds messages; open it once with `ros2 bag info`")
-        uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+        uri = f"{self.location.resolve().as_uri()}?mode=ro&immutable=1"
         return sqlite3.connect(uri, uri=True, check_same_thread=False)
 
     def _message(self, place: Place, most: int) -> bytes:

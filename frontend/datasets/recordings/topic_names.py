@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-_TRANSPORTS = ("compressed", "compressedDepth", "compressed_depth", "theora", "ffmpeg", "zstd", "avif")
-_NO_CAMERA = re.compile(r"disparity|mask|label|segment|confidence|heat_?map|theora|ffmpeg|overlay|detect|debug|feature")
+_TRANSPORTS = ("compressed", "compressedDepth", "compressed_depth", "theora", "ffmpeg", "zstd", "avif", "h264", "h265")
+_NO_CAMERA = re.compile(r"disparity|mask|label|segment|confidence|heat_?map|theora|overlay|detect|debug|feature")
 _DEPTH = re.compile(r"depth")
 _REGISTERED = re.compile(r"aligned|registered")
 _IMAGE = re.compile(r"(image|img)\w*|color|colour|raw|mono|rect")
