@@ -45,6 +45,8 @@ def levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGr
     parameters.setRelativeErrorTol(config.tolerance)
     parameters.setAbsoluteErrorTol(0.0)
     parameters.setlambdaInitial(1e-4)
+    # In units of each unknown: weights of some files span ten powers of ten, and one damping for all is none for most.
+    parameters.setDiagonalDamping(True)
     optimiser = gtsam.LevenbergMarquardtOptimizer(_factors(graph, a, config), values, parameters)
     solved = optimiser.optimize()
     moved = np.array([solved.atPose3(k).matrix() for k in range(len(a.poses))]).reshape(-1, 4, 4)

@@ -206,3 +206,28 @@ def test_the_benchmark_refuses_a_city_in_two_parts(capsys):
     assert 0 not in met  # the first robot met nobody
     assert cli.main(["bench", "pgo", "--robots", "4", "--poses", "40", "--methods", "quick", "--quiet"]) == 2
     assert "120 poses" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--method", "rbcd", "--solver.descent-sweeps", "2"], "sweeps allowed were made, 2:"),
+        (["--method", "sor", "--solver.pose-sweeps", "1"], "(--solver.pose-sweeps)"),
+        (["--method", "central", "--central.cost", "E", "--central.iterations", "1"], "(--central.iterations)"),
+        (["--method", "multifrontal", "--solver.multifrontal-most-mb", "1e-5"], "result refused"),
+    ],
+)
+def test_who_was_not_allowed_to_go_on_says_so(folder, tmp_path, capsys, options, said):
+    assert cli.main(["pgo", str(folder), str(tmp_path / "o"), *options]) == 0
+    assert said in capsys.readouterr().out
+    assert cli.main(["pgo", str(folder), str(tmp_path / "p"), *options[:2]]) == 0
+    assert said not in capsys.readouterr().out
+
+
+def test_without_a_method_the_optimum_is_reached(folder, tmp_path, capsys):
+    assert cli.main(["pgo", str(folder), str(tmp_path / "o"), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["method"] == "elected"
+    assert cli.main(["pgo", str(folder), str(tmp_path / "p"), "--method", "central", "--json"]) == 0
+    best = json.loads(capsys.readouterr().out)["cost"]["F"]
+    assert report["cost"]["F"] == pytest.approx(best, rel=1e-4)

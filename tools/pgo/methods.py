@@ -112,6 +112,24 @@ def solve(graph: PoseGraph, request: Request) -> Solution:
     return (_central if request.method == CENTRAL else _distributed)(graph, request)
 
 
+def caps_reached(request: Request, found: Solution) -> list[str]:
+    """Whether the method ended because it was not allowed to go on, in a sentence."""
+    solver = request.solver
+    cap: tuple[int, str, str] | None = None
+    if request.method == CENTRAL and request.robust not in SELECTIONS:
+        if found.iterations >= request.central.iterations:
+            cap = (request.central.iterations, "iterations", "--central.iterations")
+    elif request.method in ("rbcd", "rbcd-async"):
+        if (found.pose_sweeps or 0) >= solver.descent_sweeps:
+            cap = (solver.descent_sweeps, "sweeps", "--solver.descent-sweeps")
+    elif request.method in TWO_STAGE and (found.pose_sweeps or 0) >= solver.pose_sweeps * solver.newton_steps:
+        cap = (solver.pose_sweeps, "sweeps of a step", "--solver.pose-sweeps")
+    if cap is None:
+        return []
+    better = "" if request.method == CENTRAL else "; elected and multifrontal end at the optimum"
+    return [f"the most {cap[1]} allowed were made, {cap[0]}: the cost may still fall ({cap[2]}){better}"]
+
+
 def _central(graph: PoseGraph, request: Request) -> Solution:
     config = request.central
     if request.robust in SELECTIONS:
