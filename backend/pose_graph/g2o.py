@@ -57,7 +57,7 @@ def read_g2o(
     if skipped is not None:
         skipped += map(str, errors)
     graph = reading.graph(files[0])
-    found += remarks.lines() + reading.shared.lines() + reading.conflicts()
+    found += remarks.lines() + reading.shared.lines() + reading.conflicts() + reading.without_vertex()
     if notes is None:
         for note in found:
             log.warning("%s: %s", files[0] if len(files) == 1 else f"{len(files)} files", note)
@@ -77,6 +77,7 @@ class _Reading:
         self.shared = SharedEdges()
         self.dimensions: set[int] = set()
         self._moved: dict[NodeId, None] = {}
+        self._named: dict[NodeId, str] = {}
 
     def take(self, line: G2oLine) -> None:
         nodes = [self.ids.node(line.file, i, line.where) for i in line.ids]
@@ -101,9 +102,20 @@ class _Reading:
         if i == j:
             raise BackendError(f"{line.where}: an edge from node {i} to itself")
         T_i_j, information = measurement_of(line.values, line.where)
+        for node, written in zip((i, j), line.ids, strict=True):
+            if node not in self._named:
+                self._named[node] = f"{line.where}: an edge to vertex {written}"
         edge = Edge(i, j, T_i_j, information, EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP)
         if self.shared.is_new(line, edge):
             self.edges.append(edge)
+
+    def without_vertex(self) -> list[str]:
+        """A sentence where edges lead to nodes of which no file has the pose, though the files have poses."""
+        missing = [node for node in self._named if node not in self.vertices] if self.vertices else []
+        if not missing:
+            return []
+        more = f"; {len(missing) - 1} more like this" if len(missing) > 1 else ""
+        return [f"{self._named[missing[0]]}, which no VERTEX line gives: its pose is taken from edges{more}"]
 
     def conflicts(self) -> list[str]:
         """A sentence where a file gives a node two poses."""

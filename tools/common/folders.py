@@ -37,7 +37,7 @@ def making(folder: Path) -> Iterator[None]:
 
 
 def check_file(path: Path, source: Path, suffixes: Sequence[str]) -> None:
-    """Refuse, before the work, a file to write that is a folder, has none of ``suffixes``, or is one of ``source``'s."""
+    """Refuse, before the work, a file to write that is a folder, lacks the suffix, or is one of ``source``'s."""
     if path.is_dir():
         raise ToolError(f"{path}: is a folder; a file is meant")
     if path.suffix.lower() not in suffixes:
