@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import re
 import shutil
@@ -9,11 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from maslam._atomic import replacing
+from maslam._atomic import part_stem, replacing
 
 from .folder_lock import locked
 from .folders import making
 
+_OF_THE_DISK = {errno.ENOSPC, errno.EROFS, errno.EIO, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _PART = re.compile(r"\..+\.\d+-\d+(\.old)?\.part")  # of maslam._atomic
 
 
@@ -33,7 +35,7 @@ def writing(folder: Path) -> Iterator[None]:
                 remove_parts(folder)
                 raise
     except OSError as error:
-        if error.filename is None:  # a full disk tells no name
+        if error.filename is None and error.errno in _OF_THE_DISK:  # these tell no name
             error.filename = str(folder)
         raise
 
@@ -56,7 +58,7 @@ def writing_whole(folder: Path) -> Iterator[Path]:
     it is removed."""
     place = folder.resolve()
     with writing(place):
-        for path in place.parent.glob(f".{glob.escape(place.name)}.*.part"):
+        for path in place.parent.glob(f".{glob.escape(part_stem(place.name))}.*.part"):
             if _PART.fullmatch(path.name):
                 _remove(path)
         with replacing(place) as part:
