@@ -293,7 +293,7 @@ def test_an_edge_to_a_vertex_that_is_not_there_names_line_and_vertex(ring, tmp_p
     first = next(n for n, line in enumerate(kept, 1) if line.startswith("EDGE") and missing in line.split()[1:3])
     assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", "central"]) == 0
     said = (
-        f"note: {path}:{first}: an edge to vertex {missing}, which no VERTEX line gives: its pose is taken from edges"
+        f"note: {path}:{first}: an edge to vertex {missing}, which no VERTEX line gives: its pose is taken from there"
     )
     assert said in capsys.readouterr().out
     edges_alone = [line for line in lines if line not in vertices]
@@ -308,3 +308,14 @@ def test_odd_nodes_are_named(ring, tmp_path, capsys):
     assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", "central"]) == 0
     said = capsys.readouterr().out
     assert "1 nodes without odometry from the node before: a999" in said or "before: 0:999" in said
+
+
+def test_a_prior_of_a_vertex_that_is_not_there_and_lines_of_two_kinds_are_named(ring, tmp_path):
+    path, lines = tmp_path / "in.g2o", lines_of(ring)
+    path.write_text("\n".join([*lines, f"EDGE_SE3_PRIOR 977 0 0 0 0 0 0 0 1 {WEIGHTS}"]) + "\n")
+    notes: list[str] = []
+    read_g2o(path, notes=notes)
+    assert f"{path}:{len(lines) + 1}: a prior of vertex 977, which no VERTEX line gives" in notes[0]
+    path.write_text("\n".join([*lines, "VERTEX_SE2 978 0 0 0"]) + "\n")
+    with pytest.raises(BackendError, match=rf"in.g2o:{len(lines) + 1}: a 2-D line, and .*in.g2o:1 is a 3-D one"):
+        read_g2o(path)
