@@ -128,7 +128,7 @@ def _in_pool(
 
 @contextmanager
 def _starting() -> Iterator[None]:
-    """What keeps worker processes from being started, and what they are told on, is a :class:`_NoWorkersError`."""
+    """What keeps worker processes, and the queues to them, from being made is a :class:`_NoWorkersError`."""
     try:
         yield
     except (OSError, ImportError) as error:  # Python lacks semaphores where there was none when it was built
