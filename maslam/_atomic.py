@@ -19,6 +19,15 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 _numbers = itertools.count()
+_LONGEST_STEM = 200
+
+
+def part_stem(name: str) -> str:
+    """What the names of half-written files begin with, after the dot: ``name``, or its beginning, since a name may have
+    255 bytes and no more."""
+    while len(os.fsencode(name)) > _LONGEST_STEM:
+        name = name[:-1]
+    return name
 
 
 @contextmanager
@@ -27,7 +36,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Where the block raises, ``path`` stays as it is and what was made is removed. An ``OSError`` names ``path``.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}-{next(_numbers)}.part")
+    part = path.with_name(f".{part_stem(path.name)}.{os.getpid()}-{next(_numbers)}.part")
     try:
         yield part
         _move(part, path)

@@ -19,7 +19,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from .common.errors import UnknownName, UsageError, describe
-from .common.interrupts import INTERRUPTED, TERMINATED, Interrupts, Terminated, interrupts
+from .common.interrupts import INTERRUPTED, TERMINATED, Interrupts, Terminated, forget_semaphores, interrupts
 from .common.logs import LEVELS, ON_CONSOLE, logs_to
 from .common.parser import CommandParser
 
@@ -66,6 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             # All is closed; Python would end by the signal itself where compiled code saw it, or be interrupted again.
             sys.stdout.flush()
             sys.stderr.flush()
+            forget_semaphores()
             os._exit(code)
         return code
 
@@ -103,7 +104,7 @@ def _interrupted(error: KeyboardInterrupt, signals: Interrupts) -> tuple[int, st
     signals.arrived()
     ended = isinstance(error, Terminated)
     what = "ended from outside" if ended else "interrupted"
-    line = f"{what}; nothing half-written; finished sequences are kept; the same command goes on with the others"
+    line = f"{what}; nothing half-written; the same command goes on from what is finished"
     return (TERMINATED if ended else INTERRUPTED), line
 
 

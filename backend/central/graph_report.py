@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,9 @@ import numpy as np
 from ..pose_graph.graph import NodeId, PoseGraph
 from .linear import indefinite
 from .trust_region import named_parts
+
+_SHOWN = 3
+"""Nodes named of those that are counted."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +36,22 @@ class GraphReport:
             (self.parts > 1, f"{self.parts} parts that no edge joins"),
             (self.indefinite, f"{len(self.indefinite)} edges with indefinite information, made semidefinite"),
             (self.weightless, f"{len(self.weightless)} edges without information on rotation or translation"),
-            (self.without_odometry, f"{len(self.without_odometry)} nodes without odometry from the node before"),
-            (self.repeated, f"{len(self.repeated)} pairs of nodes with more than one edge"),
+            (
+                self.without_odometry,
+                f"{len(self.without_odometry)} nodes without odometry from the node before: "
+                f"{_shown(list(map(str, self.without_odometry)))}",
+            ),
+            (
+                self.repeated,
+                f"{len(self.repeated)} pairs of nodes with more than one edge: "
+                f"{_shown([f'{i} and {j}' for i, j in self.repeated])}",
+            ),
         ]
         return [text for true, text in found if true]
+
+
+def _shown(names: Sequence[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
 def report(graph: PoseGraph) -> GraphReport:

@@ -57,7 +57,7 @@ def read_g2o(
     if skipped is not None:
         skipped += map(str, errors)
     graph = reading.graph(files[0])
-    found += remarks.lines() + reading.shared.lines() + reading.conflicts()
+    found += remarks.lines() + reading.shared.lines() + reading.conflicts() + reading.without_vertex()
     if notes is None:
         for note in found:
             log.warning("%s: %s", files[0] if len(files) == 1 else f"{len(files)} files", note)
@@ -75,8 +75,9 @@ class _Reading:
         self.edges: list[Edge] = []
         self.priors: list[Prior] = []
         self.shared = SharedEdges()
-        self.dimensions: set[int] = set()
+        self.dimensions: dict[int, str] = {}
         self._moved: dict[NodeId, None] = {}
+        self._named: dict[NodeId, str] = {}
 
     def take(self, line: G2oLine) -> None:
         nodes = [self.ids.node(line.file, i, line.where) for i in line.ids]
@@ -86,9 +87,10 @@ class _Reading:
         elif len(nodes) == 1:
             T, information = measurement_of(line.values, line.where)
             self.priors.append(Prior(nodes[0], T, information))
+            self._named.setdefault(nodes[0], f"{line.where}: a prior of vertex {line.ids[0]}")
         else:
             self._take_edge(line, *nodes)
-        self.dimensions.add(dimension)
+        self.dimensions.setdefault(dimension, line.where)
 
     def _take_vertex(self, line: G2oLine, node: NodeId) -> None:
         """The first of a file counts, as in g2o."""
@@ -101,9 +103,20 @@ class _Reading:
         if i == j:
             raise BackendError(f"{line.where}: an edge from node {i} to itself")
         T_i_j, information = measurement_of(line.values, line.where)
+        for node, written in zip((i, j), line.ids, strict=True):
+            if node not in self._named:
+                self._named[node] = f"{line.where}: an edge to vertex {written}"
         edge = Edge(i, j, T_i_j, information, EdgeKind.SEPARATOR if i.robot != j.robot else EdgeKind.LOOP)
         if self.shared.is_new(line, edge):
             self.edges.append(edge)
+
+    def without_vertex(self) -> list[str]:
+        """A sentence where edges and priors are of nodes of which no file has the pose, though the files have poses."""
+        missing = [node for node in self._named if node not in self.vertices] if self.vertices else []
+        if not missing:
+            return []
+        more = f"; {len(missing) - 1} more like this" if len(missing) > 1 else ""
+        return [f"{self._named[missing[0]]}, which no VERTEX line gives: its pose is taken from there{more}"]
 
     def conflicts(self) -> list[str]:
         """A sentence where a file gives a node two poses."""
@@ -126,7 +139,9 @@ class _Reading:
         if not self.vertices and not self.edges:
             raise BackendError(f"{first}: no vertex and no edge in this graph")
         if len(self.dimensions) > 1:
-            raise BackendError(f"{first}: 2-D and 3-D lines in one graph")
+            raise BackendError(
+                f"{self.dimensions[2]}: a 2-D line, and {self.dimensions[3]} is a 3-D one of the same graph"
+            )
         if self.edges and not any(e.information.any() for e in self.edges):
             raise BackendError(f"{first}: no edge has information: every information matrix is zero")
         poses = self._poses()
@@ -134,7 +149,7 @@ class _Reading:
         known = poses | {p.node: p.T_O_i for p in self.priors if p.node in lonely}
         edges = [_without_scale(e) for e in _with_odometry(self.edges, known)]
         spread = spread_poses(known, edges)
-        return PoseGraph(spread, tuple(edges), self.dimensions.pop(), tuple(self.priors), self.ids.symbols)
+        return PoseGraph(spread, tuple(edges), next(iter(self.dimensions)), tuple(self.priors), self.ids.symbols)
 
 
 def _without_scale(e: Edge) -> Edge:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product, se3
 
 from ..cameras.calibration import RawRig
-from ..cameras.depth_registration import DepthRegistration
 from ..cameras.description import UnderstoodCamera
 from ..cameras.models import PinholeCamera, Rig, RigKind
 from ..cameras.rectification import rectify_rig
@@ -91,6 +90,8 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         raise FrontendError(f"{found.calibration}: {error}") from None
     registration = None
     if depth and found.depth_sensor is not None:
+        from ..cameras.depth_registration import DepthRegistration  # it brings the compiler
+
         T_ideal_left = se3(ideal.R_rectified_left, np.zeros(3))
         sensor = found.depth_sensor
         registration = DepthRegistration(sensor.camera, ideal.camera, product(T_ideal_left, sensor.T_C_D))

@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.calibration import RawCamera
-from ..cameras.depth_registration import DepthRegistration
 from ..cameras.description import UnderstoodCamera
 from ..cameras.models import Rig, RigKind
 from ..cameras.rectification import Rectifier
@@ -30,6 +29,9 @@ from .mask_files import FrameMasks
 from .numbering import MissingImages
 from .pixel_values import PixelValues
 from .stored_image import ImageRef, read_colour, read_depth, read_grey
+
+if TYPE_CHECKING:  # it brings the compiler, which few data sets need
+    from ..cameras.depth_registration import DepthRegistration
 
 Pixel = TypeVar("Pixel", bound=np.generic)
 Value = TypeVar("Value")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..cameras.models import PinholeCamera, RigKind
 from ..files.timestamps import NS_PER_S, seconds_text
 from .base import Problems
+from .images import not_there
 from .numbering import MissingImages
 from .stored_image import ImageRef, file_of
 
@@ -163,7 +164,7 @@ def check_baseline(baseline_m: float, source: Path, problems: Problems) -> None:
 
 def check_files(images: Sequence[ImageRef], what: str, problems: Problems) -> None:
     """Check that the files of all ``images`` exist, and that none comes twice."""
-    missing = [image for image in dict.fromkeys(map(file_of, images)) if not image.is_file()]
+    missing = not_there(list(dict.fromkeys(map(file_of, images))))
     if missing:
         problems.error(f"{missing[0]}: the {what} is missing{_more(len(missing) - 1)}")
     listed = Counter(image for image in images if isinstance(image, Path))

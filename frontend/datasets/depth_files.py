@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import FrontendError
 from ..files.text_tables import read_bytes
 from .image_headers import MAX_PIXELS
-from .images import IMAGE_SUFFIXES, natural_key, read_numbers
+from .images import IMAGE_SUFFIXES, files_of, in_order, read_numbers
 
 FLOAT_SUFFIXES = frozenset({".pfm", ".exr", ".npy"})
 UNKNOWN = 65535
@@ -25,10 +25,7 @@ _SKY_M = 1e5
 
 def list_depth(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES | FLOAT_SUFFIXES) -> list[Path]:
     """Depth files directly in ``folder``, in natural order: images, ``.pfm``, ``.exr`` and ``.npy``."""
-    if not folder.is_dir():
-        return []
-    found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".") and p.is_file()]
-    return sorted(found, key=lambda p: natural_key(p.name))
+    return in_order(folder, files_of(folder, suffixes))
 
 
 def read_depth(path: Path, unit_m: float) -> NDArray[np.float32]:

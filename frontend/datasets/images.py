@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +21,60 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".
 _AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 """Calibrations and poses are of images as stored: an orientation in the file is not applied."""
 _MAX_BYTES = 1 << 30
+_DIGITS = re.compile(r"(\d+)")
 MASK_FILES = ("mask.png", "camera_mask.png")
 """Masks of all images, that may lie among them."""
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     """Sort key by which ``frame2`` comes before ``frame10``."""
-    return tuple((0, int(part), part) if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", name) if part)
+    return tuple((0, int(part), part) if part.isdigit() else (1, 0, part) for part in _DIGITS.split(name) if part)
 
 
 def list_images(folder: Path) -> list[Path]:
     """Image files directly in ``folder``, in natural order; hidden files and masks of all images are left out."""
+    return in_order(folder, _names(folder))
+
+
+def holds_images(folder: Path) -> bool:
+    """Whether :func:`list_images` finds any; looks at no more names than it takes."""
+    return next(_names(folder), None) is not None
+
+
+def files_of(folder: Path, suffixes: frozenset[str]) -> Iterator[str]:
+    """Names of the files in ``folder`` with one of ``suffixes``, in the disk's order; hidden ones are left out. None
+    where it is no folder. The disk is asked for the list, not for each file."""
     if not folder.is_dir():
-        return []
-    return sorted((path for path in folder.iterdir() if is_image(path)), key=lambda p: natural_key(p.name))
+        return
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            name = entry.name
+            if os.path.splitext(name)[1].lower() in suffixes and not name.startswith(".") and entry.is_file():
+                yield name
+
+
+def in_order(folder: Path, names: Iterable[str]) -> list[Path]:
+    """The files called ``names`` in ``folder``, in natural order."""
+    chosen = set(names)
+    # Joining a folder and a name anew takes longer than all else that is done with a file here.
+    found = [path for path in folder.iterdir() if path.name in chosen] if chosen else []
+    return sorted(found, key=lambda path: natural_key(path.name))
+
+
+def not_there(paths: Sequence[Path]) -> list[Path]:
+    """Those that are no files. Of a folder with many of them the disk is asked for the list, not for each file."""
+    inside: defaultdict[Path, list[Path]] = defaultdict(list)
+    for path in paths:
+        inside[path.parent].append(path)
+    missing: set[Path] = set()
+    for folder, wanted in inside.items():
+        listed = set(files_of(folder, frozenset(path.suffix.lower() for path in wanted)) if len(wanted) > 1 else ())
+        missing.update(path for path in wanted if path.name not in listed and not path.is_file())
+    return [path for path in paths if path in missing] if missing else []
+
+
+def _names(folder: Path) -> Iterator[str]:
+    return (name for name in files_of(folder, IMAGE_SUFFIXES) if name not in MASK_FILES)
 
 
 def is_image(path: Path) -> bool:

@@ -16,7 +16,7 @@ from ..files import text_tables
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .image_times import TimedImages, by_list
-from .images import list_images
+from .images import holds_images, list_images
 from .listed_times import read_listed_times
 from .pairing import with_partners
 from .truth import Truth, find_truth, read_truth
@@ -39,24 +39,25 @@ class KittiReader(Reader):
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         """See :meth:`Reader.open`."""
         problems = Problems()
-        left, right = next((pair for pair in _PAIRS if list_images(folder / f"image_{pair[0]}")), (-1, -1))
+        left, right = next((pair for pair in _PAIRS if holds_images(folder / f"image_{pair[0]}")), (-1, -1))
         if left < 0:
             raise FrontendError(f"{folder}: no images in image_0 or image_2")
         files = tuple(list_images(folder / f"image_{left}"))
         projections = read_projections(folder / "calib.txt")
         P_left = _projection(projections, left, folder)
         has_right = (folder / f"image_{right}").is_dir() and len(projections) > 1
-        if rig is None and not has_right and list_images(folder / f"image_{right}"):
+        if rig is None and not has_right and holds_images(folder / f"image_{right}"):
             problems.warning(f"{folder / 'calib.txt'}: one camera, but image_{right} has right images: not used")
         P_right = _projection(projections, right, folder) if has_right else None
         images = _times(folder, files, problems)
         kind = choose_rig(available_rigs(has_right, False), rig, folder)
         second: tuple[Path, ...] = ()
         if kind is RigKind.STEREO:
-            second = tuple(folder / f"image_{right}" / path.name for path in images.files)
             rights = list_images(folder / f"image_{right}")
             if rights:
                 images, second = with_partners(folder, images, rights, "right image", problems)
+            else:
+                second = tuple(folder / f"image_{right}" / path.name for path in images.files)
         found = FoundSequence(
             kind=self.kind,
             folder=folder,

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +16,7 @@ from maslam.backend.geometry import product
 from ..cameras.models import PinholeCamera, RigKind
 from ..errors import FrontendError
 from .base import ImageSequence
+from .orb_points import PairMatches, find_points, match_points
 
 Array = NDArray[np.float64]
 _FEATURES, _MATCH_DISTANCE = 1000, 40
@@ -65,28 +65,17 @@ class PairFit:
         )
 
 
-def match_pair(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Array, Array]:
-    """Positions ``(n, 2)`` of ORB key-points in both images, wherever they lie: wrong matches are among them."""
-    orb = cv2.ORB.create(nfeatures=_FEATURES)
-    (keys, a), (others, b) = (orb.detectAndCompute(image, None) for image in (left, right))
-    none = np.zeros((0, 2))
-    if a is None or b is None or not len(keys) or not len(others):
-        return none, none
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)
-    pairs = [m for m in pairs if m.distance <= _MATCH_DISTANCE]
-    if not pairs:
-        return none, none
-    return (
-        np.array([keys[m.queryIdx].pt for m in pairs], dtype=np.float64),
-        np.array([others[m.trainIdx].pt for m in pairs], dtype=np.float64),
-    )
+def match_pair(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> PairMatches:
+    """ORB key-points found in both images, wherever they lie."""
+    return match_points(find_points(left, _FEATURES), find_points(right, _FEATURES), _MATCH_DISTANCE)
 
 
-def fit_pair(matches: Sequence[tuple[Array, Array]], camera: PinholeCamera) -> PairFit | None:
+def fit_pair(matches: Sequence[PairMatches], camera: PinholeCamera) -> PairFit | None:
     """The turn that most matches of several pairs agree on; None where too few agree."""
     if not matches:
         return None
-    left, right = (np.concatenate([pair[side] for pair in matches]) for side in (0, 1))
+    left = np.concatenate([pair.left_uv for pair in matches]).astype(np.float64)
+    right = np.concatenate([pair.right_uv for pair in matches]).astype(np.float64)
     rows = right[:, 1] - left[:, 1]
     near = np.abs(rows) < _MAX_ROWS * camera.height
     left, right, rows = left[near], right[near], rows[near]

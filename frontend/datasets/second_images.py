@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .depth_files import FLOAT_SUFFIXES, list_depth
-from .images import is_image, list_images
+from .images import holds_images, is_image, list_images
 
 LEFT_FOLDERS = (
     "image_0", "left", "images", "image", "rgb", "color", "colour", "cam0", "image_left", "left_images",
@@ -56,7 +56,7 @@ def sort_images(folder: Path) -> SortedImages | None:
     unused = None
     if not right:
         unused = next(
-            (folder / name for name in _RIGHT_OF.values() if name != inside and list_images(folder / name)), None
+            (folder / name for name in _RIGHT_OF.values() if name != inside and holds_images(folder / name)), None
         )
     if not depth:
         depth = next((found for name in _DEPTH_FOLDERS if (found := list_depth(folder / name))), [])

@@ -97,6 +97,7 @@ def import_sequence(
     gps_sigma_m: float = 2.0,
     gps_antenna_m: tuple[float, float, float] | None = None,
     add: bool = False,
+    overwrite: bool = False,
     agents: int | None = None,
     overlap: int = 0,
     rig: RigKind | str | None = None,
@@ -122,6 +123,7 @@ def import_sequence(
         gps, gps_offset_s, gps_sigma_m, gps_antenna_m: a file of positions (or a folder with one for each agent), what
             to add to its times, its noise where the file has none, and the antenna's place in the camera's frame.
         add: keep the agents that ``out`` holds.
+        overwrite: replace agent sequences of another source or with other settings in ``out``.
         agents, overlap, rig, dataset, descriptor, provider, vocabulary, settings, progress: as in
             :func:`maslam.preprocess`.
 
@@ -137,7 +139,7 @@ def import_sequence(
         raise ToolError(f"scale: {scale!r}: metric or arbitrary is meant")
     shown = CallbackProgress(progress)
     if images is None:
-        import_folder(Path(poses), Path(out), shown, scale, agents, overlap)
+        import_folder(Path(poses), Path(out), shown, scale, agents, overlap, overwrite)
         return Sequences.load(out)
     kind = rig_kind(rig)
     on_body = T_body_camera
@@ -156,6 +158,7 @@ def import_sequence(
         provider=provider,
         vocabulary=None if vocabulary is None else Path(vocabulary),
         add=add,
+        overwrite=overwrite,
         positions=PositionSettings(None if gps is None else Path(gps), gps_offset_s, gps_sigma_m, gps_antenna_m),
     )
     import_given(Path(poses), Path(images), Path(out), told, shown)

@@ -252,12 +252,70 @@ def test_two_groups_of_robots_are_each_solved(tmp_path, capsys):
         assert cost(read_g2o(tmp_path / f"{method}.g2o"), "F") == pytest.approx(best, rel=1e-3)
 
 
-def test_a_refused_result_is_said(ring, tmp_path, capsys, monkeypatch):
+def test_a_refused_result_is_said_is_no_success_and_is_not_written(ring, tmp_path, capsys, monkeypatch):
     from maslam.backend.distributed import elected
 
     (tmp_path / "in.g2o").write_text("\n".join(lines_of(ring)) + "\n")
-    monkeypatch.setattr(elected, "cost_between", lambda groups, places: (0.0, 1e9))
-    shaken = tmp_path / "in.g2o"
-    words = ["pgo", str(shaken), str(tmp_path / "out.g2o"), "--method", "elected", "--agents", "2"]
+    words = ["pgo", str(tmp_path / "in.g2o"), str(tmp_path / "out"), "--method", "elected", "--agents", "2"]
+    with monkeypatch.context() as patch:
+        patch.setattr(elected, "cost_between", lambda groups, places: (0.0, 1e9))
+        assert cli.main(words) == 1
+        told = capsys.readouterr()
+        assert "result refused, poses as they were: the cost would rise" in told.out
+        assert "nothing is written" in told.out and told.err.count("\n") == 1
+        assert "out: not written: the solver refused its own result (the cost would rise" in told.err
+        assert not (tmp_path / "out").exists()
+        assert cli.main([*words, "--json"]) == 1 and json.loads(capsys.readouterr().out)["refused"]
     assert cli.main(words) == 0
-    assert "result refused, poses as they were: the cost would rise" in capsys.readouterr().out
+    written = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    monkeypatch.setattr(elected, "cost_between", lambda groups, places: (0.0, 1e9))
+    assert cli.main([*words, "--overwrite"]) == 1
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == written
+
+
+def test_what_is_optimal_already_is_no_refusal(ring, tmp_path, capsys):
+    (tmp_path / "in.g2o").write_text("\n".join(lines_of(ring)) + "\n")
+    assert cli.main(["pgo", str(tmp_path / "in.g2o"), str(tmp_path / "once.g2o"), "--method", "central"]) == 0
+    for proof in ([], ["--no-certificate"]):
+        words = ["pgo", str(tmp_path / "once.g2o"), str(tmp_path / "twice.g2o"), "--overwrite", *proof]
+        assert cli.main([*words, "--method", "elected", "--agents", "2"]) == 0
+        assert "refused" not in capsys.readouterr().out
+
+
+def test_an_edge_to_a_vertex_that_is_not_there_names_line_and_vertex(ring, tmp_path, capsys):
+    lines = lines_of(ring)
+    vertices = [line for line in lines if line.startswith("VERTEX")]
+    gone = vertices[-1]
+    path = tmp_path / "in.g2o"
+    kept = [line for line in lines if line != gone]
+    path.write_text("\n".join(kept) + "\n")
+    missing = gone.split()[1]
+    first = next(n for n, line in enumerate(kept, 1) if line.startswith("EDGE") and missing in line.split()[1:3])
+    assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", "central"]) == 0
+    said = (
+        f"note: {path}:{first}: an edge to vertex {missing}, which no VERTEX line gives: its pose is taken from there"
+    )
+    assert said in capsys.readouterr().out
+    edges_alone = [line for line in lines if line not in vertices]
+    path.write_text("\n".join(edges_alone) + "\n")
+    assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", "central", "--overwrite"]) == 0
+    assert "no VERTEX line" not in capsys.readouterr().out, "files without any are of a common kind"
+
+
+def test_odd_nodes_are_named(ring, tmp_path, capsys):
+    path = tmp_path / "in.g2o"
+    path.write_text("\n".join([*lines_of(ring), "VERTEX_SE3:QUAT 999 5 5 5 0 0 0 1"]) + "\n")
+    assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", "central"]) == 0
+    said = capsys.readouterr().out
+    assert "1 nodes without odometry from the node before: a999" in said or "before: 0:999" in said
+
+
+def test_a_prior_of_a_vertex_that_is_not_there_and_lines_of_two_kinds_are_named(ring, tmp_path):
+    path, lines = tmp_path / "in.g2o", lines_of(ring)
+    path.write_text("\n".join([*lines, f"EDGE_SE3_PRIOR 977 0 0 0 0 0 0 0 1 {WEIGHTS}"]) + "\n")
+    notes: list[str] = []
+    read_g2o(path, notes=notes)
+    assert f"{path}:{len(lines) + 1}: a prior of vertex 977, which no VERTEX line gives" in notes[0]
+    path.write_text("\n".join([*lines, "VERTEX_SE2 978 0 0 0"]) + "\n")
+    with pytest.raises(BackendError, match=rf"in.g2o:{len(lines) + 1}: a 2-D line, and .*in.g2o:1 is a 3-D one"):
+        read_g2o(path)

@@ -36,7 +36,7 @@ def test_usage_errors_exit_with_2(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (ToolError("there is nothing here"), 1, "maslam: there is nothing here"),
         (UsageError("choose one"), 2, "choose one"),
-        (KeyboardInterrupt(), 130, "finished sequences are kept; the same command goes on with the others"),
+        (KeyboardInterrupt(), 130, "nothing half-written; the same command goes on from what is finished"),
         (FileNotFoundError(2, "No such file or directory", "a/b"), 1, "maslam: a/b: No such file or directory"),
         (ValueError("two\nlines"), 1, "unexpected ValueError: two lines (--debug shows where)"),
     ],

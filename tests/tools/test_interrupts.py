@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from maslam.tools.common.interrupts import Terminated, interrupts
+from maslam.tools.common.interrupts import Terminated, held_back, interrupts
 from maslam.tools.common.writing import remove_parts
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -165,3 +165,21 @@ def _undo_slowly(undone):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(1.3)  # the alarm too
         undone.append(True)
+
+
+def test_a_signal_while_a_process_is_started_waits_until_it_is():
+    """Else it would tell of the half of its orders that it got."""
+    done = []
+    with pytest.raises(Terminated), interrupts():
+        _started(done)
+    assert done == ["whole"]
+    with pytest.raises(KeyboardInterrupt), interrupts():
+        _started([])
+
+
+def _started(done):
+    with held_back():
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1.2)  # the alarm too
+        done.append("whole")
+    pytest.fail("went on after the signal")

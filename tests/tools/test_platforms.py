@@ -28,7 +28,7 @@ from maslam.tools.common.writing import writing
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("frontend", "descriptors", "backend", "mas", "tools")
 POSIX_ONLY = {"crypt", "fcntl", "grp", "posix", "pty", "pwd", "resource", "spwd", "syslog", "termios", "tty"}
-GUARDED = {("memory.py", "resource"), ("isolation.py", "resource"), ("writing.py", "fcntl")}
+GUARDED = {("memory.py", "resource"), ("isolation.py", "resource"), ("folder_lock.py", "fcntl")}
 POSIX_CALLS = {
     "os.fork",
     "os.forkpty",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import ToolError, UsageError
+from ..common.folders import check_file
 from ..common.options import size
 from ..common.parser import at_least_one
 from ..common.progress import Progress, progress_on
@@ -155,6 +156,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--png", type=Path, metavar="FILE", help="draw where points covered the image, and their errors"
     )
+    parser.add_argument("--overwrite", action="store_true", help="replace a file that `maslam calibrate` did not write")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
@@ -177,14 +179,17 @@ def main(arguments: argparse.Namespace) -> None:
 
     from maslam._atomic import write_atomically
 
-    from .output import camera_text, draw_coverage
+    from .output import MADE_BY, camera_text, check_camera_file, draw_coverage
 
     settings = settings_from(arguments)
+    check_camera_file(arguments.out, arguments.source, arguments.overwrite)
+    if arguments.png is not None:
+        check_file(arguments.png, arguments.source, (".png",))
     with progress_on(quiet=arguments.quiet) as progress:
         done = calibrate(arguments.source, settings, progress)
         for warning in done.warnings:
             progress.say(f"warning: {arguments.source}: {warning}")
-    made = f"maslam calibrate: {len(done.fitted.views)} views, {done.fitted.rms_px:.3f} px root mean square"
+    made = f"{MADE_BY} {len(done.fitted.views)} views, {done.fitted.rms_px:.3f} px root mean square"
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(arguments.out, camera_text(done.fitted, made))
     if arguments.png is not None:

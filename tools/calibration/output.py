@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from maslam.frontend.cameras.calibration import Distortion, RawCamera
 
+from ..common.errors import ToolError
+from ..common.folders import check_file
 from .fit import FittedCamera
 from .views import coverage
 
 _NAMED = {Distortion.RADIAL_TANGENTIAL: "plumb_bob", Distortion.EQUIDISTANT: "fisheye"}
+MADE_BY = "maslam calibrate:"
+"""In a comment of the file, by which an earlier result is known."""
 _MAGNIFIED = 20.0
 """Times that errors are drawn longer than they are."""
 _HEIGHT_PX = 720
+
+
+def check_camera_file(path: Path, source: Path, overwrite: bool) -> None:
+    """Refuse, before the work, a file that no camera can be written to, or that somebody else wrote."""
+    check_file(path, source, (".yaml", ".yml"))
+    if not path.exists() or overwrite:
+        return
+    try:
+        earlier = f"# {MADE_BY}" in path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise ToolError(f"{path}: cannot be read: {error.strerror}") from error
+    if not earlier:
+        raise ToolError(f"{path}: is there already; choose another name, or replace it with --overwrite")
 
 
 def camera_text(fitted: FittedCamera, made: str) -> str:

@@ -42,14 +42,15 @@ def look_at(sequence: ImageSequence, frames: list[Frame], light: bool = True) ->
     from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
 
     images, image_problems = image_lines([check_image(frame) for frame in frames]) if frames and light else ("", [])
-    pairs = [one for frame in frames if (one := check_rows(frame)) is not None]
+    matches = [match_pair(frame.image, frame.right) for frame in frames if frame.right is not None]
+    stereo = [frame for frame in frames if frame.right is not None]
+    pairs = [one for pair in zip(stereo, matches, strict=True) if (one := check_rows(*pair)) is not None]
     depths = [check for frame in frames if (check := check_depth(frame)) is not None]
     rows, off = "", ""
     row_problems: list[Problem] = []
     if pairs:
-        matches = [match_pair(frame.image, frame.right) for frame in frames if frame.right is not None]
         rows, off, row_problems = turned_lines(pairs, fit_pair(matches, sequence.rig.camera))
-    problems = pair_problems(sequence, [frame.index for frame in frames])
+    problems = pair_problems(sequence, frames)
     if not problems:  # rows and sides of images that are no pairs say nothing of the calibration
         problems = row_problems
     else:

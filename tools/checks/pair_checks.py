@@ -4,7 +4,7 @@ other moments."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import ImageSequence, Problem
+    from maslam.frontend.datasets.orb_points import OrbPoints
+    from maslam.frontend.frames import Frame
 
 _FEATURES = 600
 _MATCH_DISTANCE = 40
@@ -39,12 +41,6 @@ _NEARER = 0.5
 """A partner of another moment sees points about as far off; in a view that a camera moving sideways had from the same
 place they lie where they were."""
 _LAGS = 6
-
-
-@dataclass(frozen=True)
-class _Features:
-    uv: NDArray[np.float32]
-    descriptors: NDArray[np.uint8] | None
 
 
 @dataclass(frozen=True)
@@ -88,18 +84,18 @@ class _Matches:
         return bool(one_way >= _MOST * len(rows))
 
 
-def pair_problems(sequence: ImageSequence, samples: list[int]) -> list[Problem]:
-    """What the images of the frames ``samples`` of a stereo sequence say about their pairs; nothing where they do not
-    tell. Images that cannot be read are passed over."""
+def pair_problems(sequence: ImageSequence, frames: Sequence[Frame]) -> list[Problem]:
+    """What ``frames``, a sample of a stereo sequence, say about its pairs; nothing where they do not tell. Images that
+    cannot be read are passed over."""
     from maslam.frontend.datasets import Problem, Severity
     from maslam.frontend.datasets.stored_image import folder_of
 
     if not sequence.right:
         return []
     where = folder_of(sequence.right[0])
-    read = _Images(sequence)
-    usable = [i for i in samples if read.left(i) is not None and read.right(i) is not None]
-    matched = [_match(read.left_features(i), read.right_features(i)) for i in usable]
+    read = _Points(sequence, frames)
+    usable = [frame.index for frame in frames]
+    matched = [read.matched(i) for i in usable]
     if matched and _together(matched).in_one_place():
         message = "left and right images are the same pictures: no depth comes from these"
         return [Problem(Severity.ERROR, f"{where}: {message}")]
@@ -115,61 +111,41 @@ def pair_problems(sequence: ImageSequence, samples: list[int]) -> list[Problem]:
     return [Problem(Severity.ERROR, f"{where}: {_lag_text(sequence, lags)}")]
 
 
-class _Images:
-    """Images of a sequence as decoded and rectified, and their features; each is read once."""
+class _Points:
+    """Key-points of a sequence's images and their matches, each found once."""
 
-    def __init__(self, sequence: ImageSequence) -> None:
+    def __init__(self, sequence: ImageSequence, frames: Sequence[Frame]) -> None:
         self._sequence = sequence
-        self._read: dict[tuple[bool, int], NDArray[np.uint8] | None] = {}
-        self._features: dict[tuple[bool, int], _Features] = {}
-
-    def left(self, i: int) -> NDArray[np.uint8] | None:
-        return self._image(False, i, self._sequence.read_image)
-
-    def right(self, i: int) -> NDArray[np.uint8] | None:
-        return self._image(True, i, self._sequence.read_right)
-
-    def left_features(self, i: int) -> _Features:
-        return self._found(False, i, self.left(i))
-
-    def right_features(self, i: int) -> _Features:
-        return self._found(True, i, self.right(i))
+        self._frames = {frame.index: frame for frame in frames}
+        self._left: dict[int, OrbPoints] = {}
+        self._right: dict[int, OrbPoints] = {}
+        self._matches: dict[tuple[int, int], _Matches] = {}
 
     def __len__(self) -> int:
         return len(self._sequence)
 
-    def _image(self, right: bool, i: int, read: Callable[[int], NDArray[np.uint8]]) -> NDArray[np.uint8] | None:
+    def matched(self, i: int, lag: int = 0) -> _Matches:
+        """Of the left image of frame ``i``, one of those given, and the right one ``lag`` frames later."""
+        from maslam.frontend.datasets.orb_points import find_points, match_points
+
+        if (i, lag) not in self._matches:
+            if i not in self._left:
+                self._left[i] = find_points(self._frames[i].image, _FEATURES)
+            if i + lag not in self._right:
+                self._right[i + lag] = find_points(self._right_image(i + lag), _FEATURES)
+            found = match_points(self._left[i], self._right[i + lag], _MATCH_DISTANCE)
+            self._matches[i, lag] = _Matches(found.left_uv, found.right_uv)
+        return self._matches[i, lag]
+
+    def _right_image(self, i: int) -> NDArray[np.uint8] | None:
         from maslam.frontend.errors import FrontendError
 
-        if (right, i) not in self._read:
-            try:
-                self._read[right, i] = read(i)
-            except FrontendError:
-                self._read[right, i] = None
-        return self._read[right, i]
-
-    def _found(self, right: bool, i: int, image: NDArray[np.uint8] | None) -> _Features:
-        import cv2
-
-        if (right, i) not in self._features:
-            found = _Features(np.zeros((0, 2), np.float32), None)
-            if image is not None:
-                points, descriptors = cv2.ORB.create(nfeatures=_FEATURES).detectAndCompute(image, None)
-                if descriptors is not None:
-                    uv = np.array([point.pt for point in points], dtype=np.float32).reshape(-1, 2)
-                    found = _Features(uv, np.asarray(descriptors, dtype=np.uint8))
-            self._features[right, i] = found
-        return self._features[right, i]
-
-
-def _match(a: _Features, b: _Features) -> _Matches:
-    import cv2
-
-    if a.descriptors is None or b.descriptors is None:
-        return _Matches(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a.descriptors, b.descriptors)
-    near = [pair for pair in pairs if pair.distance <= _MATCH_DISTANCE]
-    return _Matches(a.uv[[pair.queryIdx for pair in near]], b.uv[[pair.trainIdx for pair in near]])
+        if i in self._frames:
+            return self._frames[i].right
+        try:
+            return self._sequence.read_right(i)
+        except FrontendError:
+            return None
 
 
 def _together(matched: Sequence[_Matches]) -> _Matches:
@@ -177,15 +153,12 @@ def _together(matched: Sequence[_Matches]) -> _Matches:
     return _Matches(np.concatenate([one.left for one in matched]), np.concatenate([one.right for one in matched]))
 
 
-def _lag(read: _Images, i: int) -> int | None:
+def _lag(read: _Points, i: int) -> int | None:
     """How many frames later the right image comes that belongs to left image ``i``: 0 for its own; None where no one
     stands out, as of a camera that stands still."""
 
-    def matched(lag: int) -> _Matches:
-        return _match(read.left_features(i), read.right_features(i + lag))
-
     def fit(lag: int, share: float = 0.0) -> int:
-        return matched(lag).on_common_rows(share)
+        return read.matched(i, lag).on_common_rows(share)
 
     inside = [lag for lag in range(-_LAGS, _LAGS + 1) if 0 <= i + lag < len(read)]
     fits = {lag: fit(lag) for lag in inside if abs(lag) <= 1}
@@ -199,7 +172,7 @@ def _lag(read: _Images, i: int) -> int | None:
         return None
     if best == 0:
         return 0 if {-1, 1} <= set(inside) else None  # at an end its own partner may be the one that is not there
-    given, found = matched(0), matched(best)
+    given, found = read.matched(i), read.matched(i, best)
     sideways = found.disparity_px() < _NEARER * given.disparity_px()
     if sideways or given.row_share() >= _AS_GOOD * found.row_share():
         return None

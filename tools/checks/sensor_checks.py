@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import Problem
+    from maslam.frontend.datasets.orb_points import PairMatches
     from maslam.frontend.datasets.pair_check import PairFit
     from maslam.frontend.frames import Frame
 
-_FEATURES = 1000
-_MATCH_DISTANCE = 40
 _MAX_ROWS = 12.0
 """Rows apart, pixels, within which a point is looked for in the right image."""
 _ENOUGH = 40
@@ -57,30 +56,25 @@ class DepthCheck:
     median_m: float
 
 
-def check_rows(frame: Frame) -> RowCheck | None:
-    """Match ORB key-points of the two images, then refine by Lucas-Kanade; None without a right image.
+def check_rows(frame: Frame, matches: PairMatches | None = None) -> RowCheck | None:
+    """Match ORB key-points of the two images, then refine by Lucas-Kanade; None without a right image. ``matches``:
+    those of the frame's images, where they are known already.
 
     Made of OpenCV's parts alone, not of the odometry's: an opinion of its own.
     """
     import cv2
 
+    from maslam.frontend.datasets.pair_check import match_pair
+
     if frame.right is None:
         return None
-    orb = cv2.ORB.create(nfeatures=_FEATURES)
-    (left, a), (right, b) = (orb.detectAndCompute(image, None) for image in (frame.image, frame.right))
-    none = np.zeros((0, 2))
-    if a is None or b is None or not len(left) or not len(right):
-        return RowCheck(none, none, len(left))
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)
-    pairs = [m for m in pairs if m.distance <= _MATCH_DISTANCE]
-    if not pairs:
-        return RowCheck(none, none, len(left))
-    uv = np.array([left[m.queryIdx].pt for m in pairs], dtype=np.float32)
-    guess = np.array([right[m.trainIdx].pt for m in pairs], dtype=np.float32)
-    near = np.abs(guess[:, 1] - uv[:, 1]) <= _MAX_ROWS
-    uv, guess = uv[near], guess[near]
+    if matches is None:
+        matches = match_pair(frame.image, frame.right)
+    near = np.abs(matches.right_uv[:, 1] - matches.left_uv[:, 1]) <= _MAX_ROWS
+    uv, guess = matches.left_uv[near], matches.right_uv[near]
     if not len(uv):
-        return RowCheck(none, none, len(left))
+        none = np.zeros((0, 2))
+        return RowCheck(none, none, matches.features)
     found, ok, _ = cv2.calcOpticalFlowPyrLK(
         frame.image,
         frame.right,
@@ -92,7 +86,7 @@ def check_rows(frame: Frame) -> RowCheck | None:
     )
     moved = np.linalg.norm(found[:, 0] - guess, axis=1)
     good = (ok[:, 0] > 0) & (moved < 3.0)
-    return RowCheck(uv[good].astype(np.float64), found[good, 0].astype(np.float64), len(left))
+    return RowCheck(uv[good].astype(np.float64), found[good, 0].astype(np.float64), matches.features)
 
 
 def check_depth(frame: Frame) -> DepthCheck | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -34,3 +34,14 @@ def making(folder: Path) -> Iterator[None]:
             for path in new:
                 path.rmdir()
         raise
+
+
+def check_file(path: Path, source: Path, suffixes: Sequence[str]) -> None:
+    """Refuse, before the work, a file to write that is a folder, lacks the suffix, or is one of ``source``'s."""
+    if path.is_dir():
+        raise ToolError(f"{path}: is a folder; a file is meant")
+    if path.suffix.lower() not in suffixes:
+        raise ToolError(f"{path}: the name of the file to write ends in {' or '.join(suffixes)}")
+    place, read = path.resolve(), source.resolve()
+    if place == read or (path.exists() and path.suffix not in (".yaml", ".yml") and read in place.parents):
+        raise ToolError(f"{path}: is one of the files that are read; choose another name")

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from types import FrameType
 from typing import Any
 
@@ -32,6 +32,19 @@ class Interrupts:
         self.seen: type[KeyboardInterrupt] | None = None
         self._times = 0
         self._arrived = False
+        self._put_off = 0
+
+    @contextmanager
+    def put_off(self) -> Iterator[None]:
+        """What comes within the block is raised at its end: in the middle, a process would be half started."""
+        self._put_off += 1
+        try:
+            yield
+        finally:
+            self._put_off -= 1
+        if self.seen is not None and not self._arrived and not self._put_off:
+            _repeat(_AGAIN_S)
+            raise self.seen
 
     def arrived(self) -> None:
         """The exception has reached the end of the work: do not raise it again."""
@@ -42,6 +55,8 @@ class Interrupts:
         """Handler of the signals."""
         self.seen = KeyboardInterrupt if number == signal.SIGINT else Terminated
         self._times += 1
+        if self._put_off:
+            return
         if self._arrived or (self._times < _IMPATIENT and _on_its_way(sys.exc_info()[1])):
             return  # work is being undone
         _repeat(_AGAIN_S)
@@ -49,8 +64,12 @@ class Interrupts:
 
     def again(self, _number: int, _: FrameType | None) -> None:
         """Handler of the alarm. Work that is being undone because of the exception is left in peace."""
-        if self.seen is not None and not self._arrived and not _on_its_way(sys.exc_info()[1]):
+        if self.seen is not None and not self._arrived and not self._put_off and not _on_its_way(sys.exc_info()[1]):
             raise self.seen
+
+
+_current: Interrupts | None = None
+"""Of the main thread, within :func:`interrupts`."""
 
 
 def _on_its_way(error: BaseException | None) -> bool:
@@ -76,6 +95,7 @@ def _repeat(seconds: float) -> None:
 def interrupts() -> Iterator[Interrupts]:
     """Within the block, SIGINT raises ``KeyboardInterrupt``, SIGTERM and SIGHUP :class:`Terminated`. Only in the main
     thread, which alone is sent signals; elsewhere nothing changes."""
+    global _current
     one = Interrupts()
     if threading.current_thread() is not threading.main_thread():
         yield one
@@ -87,9 +107,11 @@ def interrupts() -> Iterator[Interrupts]:
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup, a shell's background job
             before[number] = signal.signal(number, handler)
     hook, sys.unraisablehook = sys.unraisablehook, _silent_where_lost
+    outer, _current = _current, one
     try:
         yield one
     finally:
+        _current = outer
         _repeat(0.0)
         sys.unraisablehook = hook
         for number, handler in before.items():
@@ -98,16 +120,18 @@ def interrupts() -> Iterator[Interrupts]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Signals of the terminal reach neither this process within the block, nor a process that is started in it, which
-    inherits that: :func:`let_through` ends it there."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    """Signals reach this process only after the block. Those of the terminal do not reach a process that is started in
+    it either, which inherits that: :func:`let_through` ends it there."""
+    here = threading.current_thread() is threading.main_thread()
+    with _current.put_off() if _current is not None and here else nullcontext():
+        if not hasattr(signal, "pthread_sigmask"):  # Windows
+            yield
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def let_through() -> None:
@@ -130,3 +154,11 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, name="end with parent", daemon=True).start()
+
+
+def forget_semaphores() -> None:
+    """Before ``os._exit``: let go of what queues of processes hold, which their tracker would tell of as leaked."""
+    util = sys.modules.get("multiprocessing.util")
+    if util is not None:
+        with suppress(Exception):  # whatever state the signal left them in
+            util._run_finalizers(0)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import multiprocessing
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -17,7 +19,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from queue import Empty
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from .errors import ToolError
+from .errors import ToolError, describe
 from .interrupts import end_with_parent, held_back, let_through
 from .logs import Relay, collected_logs, working_on
 from .progress import Progress
@@ -35,6 +37,9 @@ _WORKER_ENDED = (
     "a worker process ended: killed, or out of memory (fewer --workers need less); a script of your own must start "
     'its work under `if __name__ == "__main__":`'
 )
+_OF_THE_PROCESS = {errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM}
+_NO_WORKERS = "no worker processes can be started"
+log = logging.getLogger(__name__)
 _levels: Any = None  # in a worker: the queue on which it tells how far it is
 _work: Any = None  # in a worker: what it does with each small job
 
@@ -83,44 +88,93 @@ def run_jobs(
 ) -> dict[str, JobOutcome[Result]]:
     """``work(job, advance)`` for each named job (with its number of steps), the outcomes in the order of ``jobs``.
 
-    A failing job does not stop the others. With one worker or one job everything happens in this process, but with
-    ``fresh`` each job gets a new process of its own: what it measures is its own. ``work`` must be a function of a
-    module, its jobs and results picklable; results must not depend on which worker made them.
+    A failing job does not stop the others. With one worker or one job, and where no process can be started, everything
+    happens in this process, but with ``fresh`` each job gets a new process of its own: what it measures is its own.
+    ``work`` must be a function of a module, its jobs and results picklable; results must not depend on which worker
+    made them.
     """
     tasks = {name: progress.start(name, steps) for name, (_, steps) in jobs.items()}
     if min(workers, len(jobs)) <= 1 and not fresh:
         return {
             name: _guarded(work, name, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()
         }
+    try:
+        return _in_pool(work, jobs, workers, progress, tasks, fresh)
+    except _NoWorkersError as error:
+        if fresh:
+            raise ToolError(f"{_NO_WORKERS}: {error}") from error
+        log.warning("%s: %s; this one does all the work", _NO_WORKERS, error)
+        return run_jobs(work, jobs, 1, progress)
+
+
+def _in_pool(
+    work: Callable[[Job, Callable[[int], None]], Result],
+    jobs: Mapping[str, tuple[Job, int]],
+    workers: int,
+    progress: Progress,
+    tasks: dict[str, int],
+    fresh: bool,
+) -> dict[str, JobOutcome[Result]]:
     context = _context()
-    levels = context.Queue()
+    with _starting():
+        levels = context.Queue()
     with _pool(min(workers, len(jobs)), context, partial(_prepare_worker, levels), 1 if fresh else None) as pool:
-        futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
+        with _starting():
+            futures = {pool.submit(_in_worker, work, name, job): name for name, (job, _) in jobs.items()}
         _watch(futures, levels, tasks, progress)
         done = {name: future.result() for future, name in futures.items()}
     return {name: done[name] for name in jobs}
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """What keeps worker processes, and the queues to them, from being made is a :class:`_NoWorkersError`."""
+    try:
+        yield
+    except (OSError, ImportError) as error:  # Python lacks semaphores where there was none when it was built
+        where = "" if getattr(error, "errno", None) in _OF_THE_PROCESS else "/dev/shm (docker: --shm-size): "
+        raise _NoWorkersError(f"{where}{describe(error)}") from error
 
 
 def each_finished(work: Callable[[Job], None], jobs: Iterable[Job], workers: int) -> Iterator[None]:
     """``work(job)`` for each of many small jobs; yields each time one is done, in whatever order. The first error ends
     all.
 
-    ``work`` goes to each worker once and may keep there what it prepares. With one worker everything happens in this
-    process.
+    ``work`` goes to each worker once and may keep there what it prepares. With one worker, and where none can be
+    started, everything happens in this process.
     """
     if workers <= 1:
         for job in jobs:
             work(job)
             yield
         return
+    jobs = list(jobs)
+    done = 0
+    try:
+        for _ in _each_in_pool(work, jobs, workers):
+            done += 1
+            yield
+    except _NoWorkersError as error:
+        if done:
+            raise ToolError(f"{_NO_WORKERS}: {error}") from error
+        log.warning("%s: %s; this one does all the work", _NO_WORKERS, error)
+        yield from each_finished(work, jobs, 1)
+
+
+def _each_in_pool(work: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> Iterator[None]:
     queue = iter(jobs)
     with _pool(workers, _context(), partial(_keep, work)) as pool:
-        pending = {pool.submit(_kept, job) for job in islice(queue, 4 * workers)}
+        with _starting():
+            pending = {pool.submit(_kept, job) for job in islice(queue, 4 * workers)}
         while pending:
             finished, pending = wait(pending, return_when=FIRST_COMPLETED)
             pending |= {pool.submit(_kept, job) for job in islice(queue, len(finished))}
             for future in finished:
                 yield future.result()
+
+
+class _NoWorkersError(Exception):
+    """No process can be started here, or nothing be sent between processes."""
 
 
 class WorkerProcess(SpawnProcess):
@@ -152,8 +206,10 @@ def _pool(
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that is gone at the end, at once where the end is an error."""
     workers = min(workers, _MOST_WORKERS_ON_WINDOWS) if sys.platform == "win32" else workers
-    with collected_logs(context) as relay:
-        pool = ProcessPoolExecutor(workers, context, _settle_in, (relay, prepare), max_tasks_per_child=jobs_each)
+    with ExitStack() as logs:
+        with _starting():
+            relay = logs.enter_context(collected_logs(context))
+            pool = ProcessPoolExecutor(workers, context, _settle_in, (relay, prepare), max_tasks_per_child=jobs_each)
         try:
             yield pool
         except BaseException as error:

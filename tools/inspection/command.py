@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..checks.findings import ImageFindings, look_at, samples_of
+from ..common.folders import check_file
 from ..common.options import add_model_options, build
 from .record import record
 from .report import InspectReport, SequenceReport
@@ -169,6 +170,8 @@ def main(arguments: argparse.Namespace) -> int:
     rig = RigKind(arguments.rig) if arguments.rig else None
     recording = build(RecordingConfig(), arguments, prefix=RECORDING)
     reading = build(ReadingConfig(), arguments, prefix="images")
+    if arguments.png is not None:
+        check_file(arguments.png, arguments.source, (".png",))
     with progress_on(quiet=not (arguments.all or arguments.focal)) as progress:
         report = inspect_dataset(
             arguments.source, arguments.all, rig, progress, arguments.png, recording, arguments.focal, reading

@@ -42,9 +42,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "images", metavar="IMAGES", type=Path, nargs="?", help="folder of images; `maslam inspect IMAGES` shows it"
     )
     parser.add_argument(
-        "out", metavar="OUT", type=Path, help="for the agent sequences: a new folder, or an earlier one"
+        "out",
+        metavar="OUT",
+        type=Path,
+        help="for the agent sequences: a new folder, or an earlier one of the same, which is made anew; with --add any",
     )
     parser.add_argument("--add", action="store_true", help="keep the agents that OUT holds and add these")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace agent sequences of another source or with other settings"
+    )
     parser.add_argument(
         "--scale",
         choices=["metric", "arbitrary"],
@@ -141,6 +147,7 @@ def settings_from(arguments: argparse.Namespace) -> ImportSettings:
         provider=arguments.provider,
         vocabulary=arguments.vocabulary,
         add=arguments.add,
+        overwrite=arguments.overwrite,
         positions=positions_from(arguments),
     )
 
@@ -158,7 +165,9 @@ def main(arguments: argparse.Namespace) -> None:
             if settings.add or settings.T_body_camera is not None or settings.times is not None:
                 raise UsageError("--add, --T-body-camera and --times go with POSES IMAGES OUT, not with the five files")
             split = settings.agents, settings.overlap
-            manifest = import_folder(arguments.source, arguments.out, progress, settings.scale, *split)
+            manifest = import_folder(
+                arguments.source, arguments.out, progress, settings.scale, *split, settings.overwrite
+            )
         else:
             manifest = import_given(arguments.source, arguments.images, arguments.out, settings, progress)
     print(manifest.model_dump_json(indent=2) if arguments.json else summary_line(manifest, arguments.out))

@@ -7,12 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from maslam._atomic import replacing
-
 from ..common.errors import ToolError, UsageError
-from ..common.folders import making
 from ..common.progress import Progress
 from ..common.text_table import counted
+from ..common.writing import writing_whole
 from ..report.run_data import RunData, read_run
 from .evo_files import write_evo
 from .export_request import RECONSTRUCTIONS, Exported, ExportRequest
@@ -44,8 +42,8 @@ def export_run(run: Path, out: Path, request: ExportRequest, progress: Progress)
     data = read_run(run)
     _check_out(out, run, Path(data.manifest.source), request)
     members = _members(data, request.agent)
-    with making(out.resolve().parent), replacing(out.resolve()) as part:
-        part.mkdir()
+    with writing_whole(out) as part:
+        _check_out(out, run, Path(data.manifest.source), request)  # another export may have been first
         lines, entries = _WRITERS[request.program](part, data, members, request, progress)
         record = {
             "version": data.summary.get("version"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,8 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..common.errors import ToolError, UsageError
-from ..common.folders import check_apart, making
+from ..common.folders import check_apart
 from ..common.progress import Progress
+from ..common.writing import writing
+from ..pipeline.earlier_result import begun, check_same_sequences, check_sequences_free, sequences_made_of
 from ..pipeline.positions import NO_POSITIONS, PositionSettings, with_positions
 
 if TYPE_CHECKING:
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
     from maslam.frontend.datasets.base import Dataset, ImageSequence
     from maslam.frontend.datasets.readers import ReaderLike
     from maslam.frontend.files.other_trajectories import OtherTrajectory
-    from maslam.mas.sequence import AgentEntry, LeftOutEntry, Manifest
+    from maslam.mas.sequence import AgentEntry, LeftOutEntry, Manifest, SplitEntry
 
     from ..pipeline.tracking import Tracked
     from .placed_images import PlacingRules
@@ -56,6 +59,7 @@ class ImportSettings:
     provider: str = "CPU"
     vocabulary: Path | None = None
     add: bool = False
+    overwrite: bool = False
     positions: PositionSettings = NO_POSITIONS
 
     def rules(self) -> PlacingRules:
@@ -80,6 +84,7 @@ def import_given(poses: Path, images: Path, out: Path, settings: ImportSettings,
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.datasets import open_dataset
+    from maslam.mas.sequence import SplitEntry
 
     rules = settings.rules()
     check_apart(images, out)
@@ -97,8 +102,14 @@ def import_given(poses: Path, images: Path, out: Path, settings: ImportSettings,
     dataset, positions, lines = with_positions(dataset, settings.positions, settings.scale == "metric", before)
     for line in lines:
         progress.say(line)
-    with making(out):
-        return _made(dataset, files, out, settings, rules, model, earlier, progress, positions)
+    noted: dict[str, Any] = {_IMPORTS: [*_imports(earlier), _as_set(files, dataset.root, settings)]}
+    noted |= {"gps": positions} if positions else {}
+    split = SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents else None
+    made_of = sequences_made_of(dataset.root, split, noted)
+    if not settings.add and not settings.overwrite:
+        check_same_sequences(out, made_of)
+    with writing(out), nullcontext() if earlier else begun(out, made_of):
+        return _made(dataset, files, out, settings, rules, model, earlier, progress, split, noted)
 
 
 def _made(
@@ -110,11 +121,12 @@ def _made(
     model: PlaceDescriptor,
     earlier: Manifest | None,
     progress: Progress,
-    positions: dict[str, Any],
+    split: SplitEntry | None,
+    noted: dict[str, Any],
 ) -> Manifest:
     from maslam.frontend.datasets.base import Severity
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
-    from maslam.mas.sequence import LeftOutEntry, SplitEntry
+    from maslam.mas.sequence import LeftOutEntry
 
     from ..pipeline.agent_folder import plan_agents, write_sequences
 
@@ -142,13 +154,12 @@ def _made(
     problems += [entry.reason for entry in left_out]
     for problem in problems:
         progress.say(f"warning: {problem}")
-    split = SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents else None
     before: Sequence[AgentEntry] = earlier.agents if earlier else ()
     plans = plan_agents(tracked, split, len(before))
-    noted = {_IMPORTS: [*_imports(earlier), _as_set(files, dataset.root, settings)], "problems": problems}
-    noted |= {"gps": positions} if positions else {}
     left = (*(earlier.left_out if earlier else ()), *left_out)
-    manifest = write_sequences(out, dataset, plans, model, split, noted, left, settings.scale, before)
+    manifest = write_sequences(
+        out, dataset, plans, model, split, {**noted, "problems": problems}, left, settings.scale, before
+    )
     return manifest
 
 
@@ -236,11 +247,8 @@ def _earlier(out: Path, images: Path, settings: ImportSettings) -> Manifest | No
     """The agents that ``out`` holds and keeps; refuses somebody else's files."""
     from maslam.mas.sequence import MANIFEST, read_manifest
 
-    if not (out / MANIFEST).is_file():
-        if out.is_dir() and any(out.iterdir()):
-            raise ToolError(f"{out}: not empty, and no folder of agent sequences")
-        return None
-    if not settings.add:
+    check_sequences_free(out)
+    if not settings.add or not (out / MANIFEST).is_file():
         return None
     earlier = read_manifest(out)
     if earlier.split is not None or settings.agents is not None:

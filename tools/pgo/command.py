@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from .methods import Request, Solution
 
+_ROUNDING = 1e-4
 _METHODS = """\
 methods
   central      one computer: chordal start, then Newton's method (F, U) or Levenberg-Marquardt (E)
@@ -94,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """The command."""
+    """The command; :class:`ToolError` where robots refused the result: what was asked is not done then."""
     from maslam.backend.pose_graph.g2o import read_g2o
 
     from ..common.figures import check_picture
@@ -121,10 +122,18 @@ def main(arguments: argparse.Namespace) -> None:
         graph = graph.partitioned(arguments.agents)
     solved, report, units = optimise_graph(graph, arguments, notes)
     report = replace(report, files=names_of(inputs))
-    write(arguments.out, solved, report, units)
+    if report.refused is None:
+        write(arguments.out, solved, report, units)
     if arguments.plot is not None:
         plot(graph, arguments)
-    print(json.dumps(asdict(report)) if arguments.json else "\n".join([*report.lines(), f"  {arguments.out}"]))
+    where = f"  {arguments.out}" if report.refused is None else "  nothing is written"
+    print(json.dumps(asdict(report)) if arguments.json else "\n".join([*report.lines(), where]))
+    if report.refused is not None:
+        other = "central" if arguments.method != "central" else "rbcd"
+        raise ToolError(
+            f"{arguments.out}: not written: the solver refused its own result ({report.refused}); --method {other} "
+            "solves it another way"
+        )
 
 
 def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
@@ -175,7 +184,8 @@ def optimise_graph(
     seconds = time.perf_counter() - start
     solved = graph.in_one_unit(found.poses, found.units) if found.units else graph.with_poses(found.poses)
     believed = solved.with_weights(found.weights)
-    certified, gap = (None, None) if arguments.no_certificate or found.units else _proof(believed, found)
+    proof = (None, None) if found.units or (arguments.no_certificate and not found.refused) else _proof(believed, found)
+    certified, gap = (None, None) if arguments.no_certificate else proof
     sizes = [found.units[n] for n in found.units if n.robot in request.monocular]
     report = PgoReport(
         method=arguments.method,
@@ -199,8 +209,8 @@ def optimise_graph(
         rejected_edges=len(found.rejected),
         unreached_poses=found.unreached_poses,
         rejected=found.rejected,
-        warnings=[*notes, *look_at(graph).lines(), *([] if certified else caps_reached(request, found))],
-        refused=None if certified or _nothing_to_do(found) else found.refused,
+        warnings=[*notes, *look_at(graph).lines(), *([] if proof[0] else caps_reached(request, found))],
+        refused=None if _nothing_to_do(found, *proof) else found.refused,
         monocular=sorted(request.monocular),
         units={"smallest": min(sizes), "largest": max(sizes)} if sizes else None,
     )
@@ -209,8 +219,11 @@ def optimise_graph(
     return solved, report, found.units
 
 
-def _nothing_to_do(found: Solution) -> bool:
-    """Whether the graph fitted its edges before, up to rounding: a result that is no better is no failure."""
+def _nothing_to_do(found: Solution, certified: bool | None, gap: float | None) -> bool:
+    """Whether the poses that robots kept are the optimum's, up to the rounding of what they send: a result that is no
+    better is no failure."""
+    if certified or (gap is not None and gap < _ROUNDING):
+        return True
     return found.cost_before is not None and found.cost_before < 1e-12
 
 

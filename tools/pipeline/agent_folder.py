@@ -83,7 +83,8 @@ def write_sequences(
 
     ``scale``: the unit of poses that another system gave; ``before``: agents that the folder holds and keeps.
     """
-    (out / MANIFEST).unlink(missing_ok=True)
+    if not before:  # what is kept stays whole, whatever becomes of the others
+        (out / MANIFEST).unlink(missing_ok=True)
     entries = [*before, *(_write_agent(out, plan, model, dataset.root, scale) for plan in plans)]
     left = {*out.glob("agent_[0-9]*"), *out.glob(".agent_[0-9]*.part")}  # of another split, of a run that was killed
     for stale in sorted(left - {out / entry.name for entry in entries}):

@@ -24,8 +24,10 @@ from maslam.frontend.files.trajectory import Trajectory, stamp_ns_from_s
 from maslam.frontend.files.vo_files import read_tracks
 
 from ..common.errors import ToolError, UsageError
-from ..common.folders import check_apart, making
+from ..common.folders import check_apart
 from ..common.progress import Progress
+from ..common.writing import writing
+from .earlier_result import begun, check_same_sequences, check_sequences_free, sequences_made_of
 from .tracking import Tracked
 
 if TYPE_CHECKING:
@@ -92,14 +94,16 @@ def is_predecessor(folder: Path) -> bool:
     return bool(_folders(folder))
 
 
-def sequences_for(folder: Path, out: Path, progress: Progress) -> tuple[Manifest, list[AgentSequence]]:
+def sequences_for(
+    folder: Path, out: Path, progress: Progress, overwrite: bool = False
+) -> tuple[Manifest, list[AgentSequence]]:
     """What a run on ``folder`` plays: the agent sequences in it, or those made from the predecessor's files into
     ``out/sequences``."""
     from maslam.mas.sequence import MANIFEST, load_sequences
 
     if (folder / MANIFEST).is_file() or not is_predecessor(folder):
         return load_sequences(folder)
-    import_folder(folder, out / SEQUENCES, progress)
+    import_folder(folder, out / SEQUENCES, progress, overwrite=overwrite)
     return load_sequences(out / SEQUENCES)
 
 
@@ -110,6 +114,7 @@ def import_folder(
     scale: Literal["metric", "arbitrary"] = "metric",
     agents: int | None = None,
     overlap: int = 0,
+    overwrite: bool = False,
 ) -> Manifest:
     """Make the SEQS folder ``out`` from the predecessor's ``folder``; errors name file and line.
 
@@ -120,6 +125,7 @@ def import_folder(
     from .agent_folder import plan_agents, write_sequences
 
     check_apart(folder, out)
+    check_sequences_free(out)
     folders = _folders(folder)
     if not folders:
         raise ToolError(
@@ -135,7 +141,10 @@ def import_folder(
     split = SplitEntry(agents=agents, overlap=overlap) if agents else None
     dataset = Dataset("predecessor's five files", folder, [one.sequence for one in read])
     plans = plan_agents([(one.sequence, one.tracked) for one in read], split)
-    with making(out):
+    made_of = sequences_made_of(folder, split, {"scale": scale})
+    if not overwrite:
+        check_same_sequences(out, made_of)
+    with writing(out), begun(out, made_of):
         return write_sequences(out, dataset, plans, model, split, {"scale": scale}, (), scale)
 
 

@@ -8,13 +8,9 @@ complete.
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from maslam._atomic import write_atomically
 from maslam.extensions import name_of
 
 from ..common.errors import ToolError, UsageError, describe
@@ -23,7 +19,7 @@ from ..common.options import read_settings
 from ..common.progress import Progress, progress_on
 from ..common.text_table import counted
 from ..common.writing import writing
-from .earlier_result import BEGUN, check_same_sequences
+from .earlier_result import FRONTEND, begun, check_same_sequences, check_sequences_free, sequences_made_of
 from .positions import with_positions
 from .preprocess_options import (
     READING,
@@ -40,8 +36,6 @@ if TYPE_CHECKING:
     from maslam.descriptors.choice import DescriptorLike
     from maslam.frontend.datasets.base import Dataset
     from maslam.mas.sequence import Manifest, SplitEntry
-
-FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,7 +85,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     from .split import check_shares
 
     check_apart(source, out)
-    _check_free(out)
+    check_sequences_free(out)
     model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
     rig = RigKind(settings.rig) if settings.rig else None
     readers, kind, reading = settings.readers, settings.dataset, settings.reading or ReadingConfig()
@@ -104,37 +98,12 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     dataset, positions, lines = with_positions(dataset, settings.positions, None)
     for line in lines:
         progress.say(line)
-    made_of = _made_of(dataset, settings)
+    made_of = sequences_made_of(dataset.root, _split(settings), _as_set(settings))
     made_of["settings"] |= {"gps": positions} if positions else {}
     if not settings.overwrite:
         check_same_sequences(out, made_of)
-    with writing(out), _begun(out, made_of):
+    with writing(out), begun(out, made_of):
         return _made(dataset, out, settings, model, progress, positions)
-
-
-def _made_of(dataset: Dataset, settings: PreprocessSettings) -> dict[str, Any]:
-    """Source and settings, as the manifest has them."""
-    split = _split(settings)
-    return {
-        "source": str(dataset.root.resolve()),
-        "split": None if split is None else split.model_dump(mode="json"),
-        "settings": _as_set(settings),
-    }
-
-
-@contextmanager
-def _begun(out: Path, made_of: dict[str, Any]) -> Iterator[None]:
-    """Until the block ends without an exception, a file in ``out`` says what is being made there."""
-    mark = out / BEGUN
-    write_atomically(mark, json.dumps(made_of, indent=2) + "\n")
-    try:
-        yield
-    except BaseException:
-        store = out / FRONTEND
-        if {path.name for path in out.iterdir()} <= {BEGUN, FRONTEND} and not (store.is_dir() and any(store.iterdir())):
-            mark.unlink(missing_ok=True)  # nothing came of it
-        raise
-    mark.unlink(missing_ok=True)
 
 
 def _made(
@@ -195,15 +164,6 @@ def _made(
         **({"gps": positions} if positions else {}),
     }
     return write_sequences(out, dataset, plans, model, split, noted, tuple(left_out))
-
-
-def _check_free(out: Path) -> None:
-    """Refuse a folder with somebody else's files in it."""
-    from maslam.mas.sequence import MANIFEST
-
-    ours = (out / FRONTEND).is_dir() or (out / MANIFEST).is_file() or (out / BEGUN).is_file()
-    if out.is_dir() and any(out.iterdir()) and not ours:
-        raise ToolError(f"{out}: not empty, and no folder of agent sequences")
 
 
 def _split(settings: PreprocessSettings) -> SplitEntry | None:

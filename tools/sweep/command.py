@@ -16,6 +16,7 @@ from ..common.errors import ToolError
 from ..common.options import add_model_options, build, read_settings
 from ..common.parser import at_least_one
 from ..common.progress import Progress, progress_on
+from ..common.writing import writing
 
 if TYPE_CHECKING:
     from .execute import Workshop
@@ -94,14 +95,23 @@ def sweep(
     plan: SweepPlan, workshop: Workshop, progress: Progress, with_reference: bool = True, ray: str | None = None
 ) -> tuple[list[Row], Path]:
     """Everything; returns the rows and the page with the tables."""
-    from .execute import check_sources, execute, prepare, references
+    from .execute import check_sources
+
+    _check_free(workshop.out)
+    check_sources(plan, workshop)
+    with writing(workshop.out):
+        _write_plan(workshop.out, plan)
+        return _swept(plan, workshop, progress, with_reference, ray)
+
+
+def _swept(
+    plan: SweepPlan, workshop: Workshop, progress: Progress, with_reference: bool, ray: str | None
+) -> tuple[list[Row], Path]:
+    from .execute import execute, prepare, references
     from .pictures import draw_all
     from .rows import grouped, row_of
     from .tables import report
 
-    _check_free(workshop.out)
-    check_sources(plan, workshop)
-    _write_plan(workshop.out, plan)
     prepare(plan, workshop, progress)
     known: dict[str, dict[str, Any]] = references(plan, workshop, progress) if with_reference else {}
     figures = execute(plan, workshop, progress, ray)
@@ -126,10 +136,8 @@ def _check_free(out: Path) -> None:
 
 
 def _write_plan(out: Path, plan: SweepPlan) -> None:
-    """The folder, with the plan in it."""
     import yaml
 
-    out.mkdir(parents=True, exist_ok=True)
     write_atomically(out / PLAN, yaml.safe_dump(plan.model_dump(mode="json"), sort_keys=False))
 
 

@@ -77,7 +77,8 @@ def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
     from maslam.frontend.config import OdometryConfig
 
     from ..common.compiling import COMPILING
-    from ..pipeline.preprocess import FRONTEND, preprocess
+    from ..pipeline.earlier_result import FRONTEND
+    from ..pipeline.preprocess import preprocess
     from ..pipeline.preprocess_options import PreprocessSettings
     from ..worlds.dataset import render_dataset
 
