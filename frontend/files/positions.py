@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from maslam._atomic import write_atomically
 
 from ..errors import FrontendError
-from .geodesy import enu_of
+from .geodesy import enu_of, geodetic_of
 from .nmea import is_nmea, read_nmea
 from .position_columns import read_position_table
 from .timestamps import NS_PER_S, seconds_text
@@ -101,3 +101,12 @@ def write_positions(path: Path, fixes: PositionFixes) -> None:
         for t, row in zip(fixes.stamps_ns.tolist(), rows, strict=True)
     ]
     write_atomically(path, head + "".join(lines))
+
+
+def write_geodetic(
+    path: Path, stamps_ns: NDArray[np.int64], enu: NDArray[np.float64], origin: NDArray[np.float64]
+) -> None:
+    """Latitudes and longitudes of ``enu`` ``(N, 3)`` around ``origin`` (latitude, longitude, altitude), a line each."""
+    rows = zip(stamps_ns.tolist(), geodetic_of(enu, origin).tolist(), strict=True)
+    text = "".join(f"{seconds_text(t)},{lat:.10f},{lon:.10f},{alt:.4f}\n" for t, (lat, lon, alt) in rows)
+    write_atomically(path, "time_s,latitude_deg,longitude_deg,altitude_m\n" + text)

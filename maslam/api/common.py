@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from argparse import Namespace
 from collections.abc import Callable, Mapping
 from functools import wraps
@@ -14,6 +15,7 @@ from maslam.frontend.cameras.models import RigKind
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.options import build
 from maslam.tools.common.parallel import one_blas_thread
+from maslam.tools.pipeline.positions import LONGEST_S, PositionSettings
 
 PathLike = str | Path
 Settings = Mapping[str, object]
@@ -72,6 +74,19 @@ def rig_kind(rig: RigKind | str | None) -> RigKind | None:
         return None if rig is None else RigKind(rig)
     except ValueError:
         raise ToolError(f"rig: {rig!r}: one of {', '.join(RigKind)} is meant") from None
+
+
+def positions_of(
+    gps: PathLike | None, offset_s: float, sigma_m: float, antenna_m: tuple[float, float, float] | None
+) -> PositionSettings:
+    """Settings of positions (GPS); numbers that make no sense are refused by the arguments' names."""
+    if not (math.isfinite(sigma_m) and sigma_m > 0):
+        raise ToolError(f"gps_sigma_m: metres above 0 are meant, not {sigma_m}")
+    if not (math.isfinite(offset_s) and abs(offset_s) < LONGEST_S):
+        raise ToolError(f"gps_offset_s: seconds are meant, not {offset_s}")
+    if antenna_m is not None and (len(antenna_m) != 3 or not all(map(math.isfinite, antenna_m))):
+        raise ToolError(f"gps_antenna_m: three numbers, metres, are meant, not {antenna_m}")
+    return PositionSettings(None if gps is None else Path(gps), offset_s, sigma_m, antenna_m)
 
 
 def check_least(name: str, value: int, least: int) -> None:

@@ -18,11 +18,21 @@ from maslam.tools.common.progress import CallbackProgress
 from maslam.tools.interchange.export_folder import export_run
 from maslam.tools.interchange.export_request import Exported, ExportRequest, Frames, Groups, Program
 from maslam.tools.interchange.given import ImportSettings, import_given
-from maslam.tools.pipeline.positions import PositionSettings
+from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M
 from maslam.tools.pipeline.predecessor import import_folder
 from maslam.tools.pipeline.preprocess_options import SECTION
 
-from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
+from .common import (
+    PathLike,
+    ProgressCallback,
+    Settings,
+    changed,
+    check_least,
+    nested,
+    on_one_thread,
+    positions_of,
+    rig_kind,
+)
 from .results import Run, Sequences
 
 
@@ -94,7 +104,7 @@ def import_sequence(
     topic: str | None = None,
     gps: PathLike | None = None,
     gps_offset_s: float = 0.0,
-    gps_sigma_m: float = 2.0,
+    gps_sigma_m: float = DEFAULT_SIGMA_M,
     gps_antenna_m: tuple[float, float, float] | None = None,
     add: bool = False,
     agents: int | None = None,
@@ -156,7 +166,7 @@ def import_sequence(
         provider=provider,
         vocabulary=None if vocabulary is None else Path(vocabulary),
         add=add,
-        positions=PositionSettings(None if gps is None else Path(gps), gps_offset_s, gps_sigma_m, gps_antenna_m),
+        positions=positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m),
     )
     import_given(Path(poses), Path(images), Path(out), told, shown)
     return Sequences.load(out)

@@ -27,6 +27,7 @@ from maslam.tools.common.writing import writing
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
+from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M, PositionSettings
 from maslam.tools.pipeline.predecessor import sequences_for
 from maslam.tools.pipeline.preprocess_options import (
     DEFAULT_OVERLAP,
@@ -38,7 +39,17 @@ from maslam.tools.pipeline.preprocess_options import (
 )
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
-from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
+from .common import (
+    PathLike,
+    ProgressCallback,
+    Settings,
+    changed,
+    check_least,
+    nested,
+    on_one_thread,
+    positions_of,
+    rig_kind,
+)
 from .results import Run, Sequences
 
 
@@ -55,6 +66,10 @@ def preprocess(
     descriptor: DescriptorLike | str | Path = "default",
     provider: str = "CPU",
     vocabulary: PathLike | None = None,
+    gps: PathLike | None = None,
+    gps_offset_s: float = 0.0,
+    gps_sigma_m: float = DEFAULT_SIGMA_M,
+    gps_antenna_m: tuple[float, float, float] | None = None,
     settings: Settings | None = None,
     workers: int = 1,
     overwrite: bool = False,
@@ -76,6 +91,9 @@ def preprocess(
             ``maslam.descriptors``, or your own (:class:`maslam.Descriptor`).
         provider: where onnxruntime runs it.
         vocabulary: file of ORB words; None takes the one shipped.
+        gps, gps_offset_s, gps_sigma_m, gps_antenna_m: a file of positions (or a folder with one for each agent; None:
+            ``gps.csv`` or ``gps.nmea`` beside the images), what to add to its times, its noise where the file has none,
+            and the antenna's place in the camera's frame.
         settings: of the odometry, ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``,
             and how, ``{"images.masks": "masks"}``.
         workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.
@@ -86,8 +104,9 @@ def preprocess(
         MaslamError: nothing that can be used, an unknown setting, a folder with other files in it.
     """
     content = nested(settings)
+    positions = positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m)
     told = _preprocess_settings(
-        content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite
+        content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite, positions
     )
     images.preprocess(Path(source), Path(out), told, CallbackProgress(progress))
     return Sequences.load(out)
@@ -152,6 +171,10 @@ def slam(
     descriptor: DescriptorLike | str | Path = "default",
     provider: str = "CPU",
     vocabulary: PathLike | None = None,
+    gps: PathLike | None = None,
+    gps_offset_s: float = 0.0,
+    gps_sigma_m: float = DEFAULT_SIGMA_M,
+    gps_antenna_m: tuple[float, float, float] | None = None,
     preset: str | MasConfig = DEFAULT_PRESET,
     seed: int | None = None,
     settings: Settings | None = None,
@@ -167,8 +190,8 @@ def slam(
     Args:
         source: a folder of images or a recording, as :func:`maslam.open_dataset` reads it.
         out: folder for the results; ``out/sequences`` holds the agent sequences.
-        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite: as in
-            :func:`maslam.preprocess`.
+        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, gps, gps_offset_s, gps_sigma_m,
+            gps_antenna_m, workers, overwrite: as in :func:`maslam.preprocess`.
         preset, seed, policy, transport: as in :func:`maslam.run`.
         settings: of the agents, ``{"places.threshold": 0.8}``, of the odometry,
             ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``, and how,
@@ -181,8 +204,9 @@ def slam(
     content = nested(settings)
     config = _config(preset, seed, {k: v for k, v in content.items() if k not in SECTIONS}, policy, transport)
     own = {key: content[key] for key in SECTIONS if key in content}
+    positions = positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m)
     told = _preprocess_settings(
-        own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite
+        own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite, positions
     )
     shown = CallbackProgress(progress)
     chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
@@ -201,6 +225,7 @@ def _preprocess_settings(
     vocabulary: PathLike | None,
     workers: int,
     overwrite: bool,
+    positions: PositionSettings,
 ) -> PreprocessSettings:
     strange = sorted(set(content) - set(SECTIONS))
     if strange:
@@ -222,6 +247,7 @@ def _preprocess_settings(
         vocabulary=None if vocabulary is None else Path(vocabulary),
         workers=workers,
         overwrite=overwrite,
+        positions=positions,
         reading=changed(ReadingConfig(), content.get(READING, {})),
     )
 

@@ -17,7 +17,8 @@ from ..common.text_table import counted
 if TYPE_CHECKING:
     from maslam.frontend.datasets.base import Dataset, ImageSequence
 
-_SIGMA_M = 2.0
+DEFAULT_SIGMA_M = 2.0
+LONGEST_S = 9e9  # of 64 bits of nanoseconds
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class PositionSettings:
 
     file: Path | None = None
     offset_s: float = 0.0
-    sigma_m: float = _SIGMA_M
+    sigma_m: float = DEFAULT_SIGMA_M
     antenna_m: tuple[float, float, float] | None = None
 
 
@@ -52,7 +53,7 @@ def add_position_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--gps-sigma",
         type=float,
-        default=_SIGMA_M,
+        default=DEFAULT_SIGMA_M,
         metavar="M",
         help="standard deviation of each axis where the file has none, at HDOP 1, metres (default: %(default)s)",
     )
@@ -74,7 +75,7 @@ def positions_from(arguments: argparse.Namespace) -> PositionSettings:
         antenna = (numbers[0], numbers[1], numbers[2])
     if not (math.isfinite(arguments.gps_sigma) and arguments.gps_sigma > 0):
         raise UsageError(f"--gps-sigma {arguments.gps_sigma}: metres above 0 are meant")
-    if not (math.isfinite(arguments.gps_offset) and abs(arguments.gps_offset) < 9e9):
+    if not (math.isfinite(arguments.gps_offset) and abs(arguments.gps_offset) < LONGEST_S):
         raise UsageError(f"--gps-offset {arguments.gps_offset}: seconds are meant")
     return PositionSettings(arguments.gps, arguments.gps_offset, arguments.gps_sigma, antenna)
 
