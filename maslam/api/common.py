@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import math
 from argparse import Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from pydantic import BaseModel
 
+from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
+from maslam.frontend.config import OdometryConfig
+from maslam.frontend.datasets.readers import ReaderLike
+from maslam.frontend.datasets.reading_config import ReadingConfig
+from maslam.frontend.recording_config import RecordingConfig
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.options import build
 from maslam.tools.common.parallel import one_blas_thread
 from maslam.tools.pipeline.positions import LONGEST_S, PositionSettings
+from maslam.tools.pipeline.preprocess_options import READING, RECORDING, SECTION, SECTIONS, PreprocessSettings
 
 PathLike = str | Path
 Settings = Mapping[str, object]
@@ -93,3 +99,43 @@ def check_least(name: str, value: int, least: int) -> None:
     """Refuse a count below ``least``."""
     if value < least:
         raise ToolError(f"{name}: at least {least}, not {value}")
+
+
+def preprocess_settings(
+    content: dict[str, Any],
+    agents: int | None,
+    overlap: int,
+    rig: RigKind | str | None,
+    dataset: str | None,
+    readers: Sequence[ReaderLike],
+    descriptor: DescriptorLike | str | Path,
+    provider: str,
+    vocabulary: PathLike | None,
+    workers: int,
+    overwrite: bool,
+    positions: PositionSettings,
+) -> PreprocessSettings:
+    """Settings of preprocessing as the arguments of a function say them; ``content``: the sections of a file."""
+    strange = sorted(set(content) - set(SECTIONS))
+    if strange:
+        known = " and ".join(f"'{name}.…'" for name in SECTIONS)
+        raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows {known}")
+    check_least("overlap", overlap, 0)
+    check_least("workers", workers, 1)
+    kind = rig_kind(rig)
+    return PreprocessSettings(
+        odometry=changed(OdometryConfig(), content.get(SECTION, {})),
+        recording=changed(RecordingConfig(), content.get(RECORDING, {})),
+        agents=agents,
+        overlap=overlap,
+        rig=None if kind is None else kind.value,
+        dataset=dataset,
+        readers=tuple(readers),
+        model=descriptor,
+        provider=provider,
+        vocabulary=None if vocabulary is None else Path(vocabulary),
+        workers=workers,
+        overwrite=overwrite,
+        positions=positions,
+        reading=changed(ReadingConfig(), content.get(READING, {})),
+    )

@@ -8,10 +8,7 @@ from typing import Any
 
 from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
-from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
-from maslam.frontend.datasets.reading_config import ReadingConfig
-from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas import simulation
 from maslam.mas.config import MasConfig
 from maslam.mas.kernels import agent_kernels
@@ -21,22 +18,14 @@ from maslam.mas.policies.presets import check_policy
 from maslam.mas.policies.presets import preset as preset_named
 from maslam.mas.transport.choice import TransportLike, check_transport
 from maslam.tools.common.compiling import compile_for
-from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.common.writing import writing
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
-from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M, PositionSettings
+from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M
 from maslam.tools.pipeline.predecessor import sequences_for
-from maslam.tools.pipeline.preprocess_options import (
-    DEFAULT_OVERLAP,
-    READING,
-    RECORDING,
-    SECTION,
-    SECTIONS,
-    PreprocessSettings,
-)
+from maslam.tools.pipeline.preprocess_options import DEFAULT_OVERLAP, SECTIONS
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
 from .common import (
@@ -44,11 +33,10 @@ from .common import (
     ProgressCallback,
     Settings,
     changed,
-    check_least,
     nested,
     on_one_thread,
     positions_of,
-    rig_kind,
+    preprocess_settings,
 )
 from .results import Run, Sequences
 
@@ -105,7 +93,7 @@ def preprocess(
     """
     content = nested(settings)
     positions = positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m)
-    told = _preprocess_settings(
+    told = preprocess_settings(
         content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite, positions
     )
     images.preprocess(Path(source), Path(out), told, CallbackProgress(progress))
@@ -205,51 +193,12 @@ def slam(
     config = _config(preset, seed, {k: v for k, v in content.items() if k not in SECTIONS}, policy, transport)
     own = {key: content[key] for key in SECTIONS if key in content}
     positions = positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m)
-    told = _preprocess_settings(
+    told = preprocess_settings(
         own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite, positions
     )
     shown = CallbackProgress(progress)
     chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
     return Run.load(out)
-
-
-def _preprocess_settings(
-    content: dict[str, Any],
-    agents: int | None,
-    overlap: int,
-    rig: RigKind | str | None,
-    dataset: str | None,
-    readers: Sequence[ReaderLike],
-    descriptor: DescriptorLike | str | Path,
-    provider: str,
-    vocabulary: PathLike | None,
-    workers: int,
-    overwrite: bool,
-    positions: PositionSettings,
-) -> PreprocessSettings:
-    strange = sorted(set(content) - set(SECTIONS))
-    if strange:
-        known = " and ".join(f"'{name}.…'" for name in SECTIONS)
-        raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows {known}")
-    check_least("overlap", overlap, 0)
-    check_least("workers", workers, 1)
-    kind = rig_kind(rig)
-    return PreprocessSettings(
-        odometry=changed(OdometryConfig(), content.get(SECTION, {})),
-        recording=changed(RecordingConfig(), content.get(RECORDING, {})),
-        agents=agents,
-        overlap=overlap,
-        rig=None if kind is None else kind.value,
-        dataset=dataset,
-        readers=tuple(readers),
-        model=descriptor,
-        provider=provider,
-        vocabulary=None if vocabulary is None else Path(vocabulary),
-        workers=workers,
-        overwrite=overwrite,
-        positions=positions,
-        reading=changed(ReadingConfig(), content.get(READING, {})),
-    )
 
 
 def _config(

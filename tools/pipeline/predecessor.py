@@ -24,8 +24,11 @@ from maslam.frontend.files.trajectory import Trajectory, stamp_ns_from_s
 from maslam.frontend.files.vo_files import read_tracks
 
 from ..common.errors import ToolError, UsageError
-from ..common.folders import check_apart, making
+from ..common.folders import check_apart
 from ..common.progress import Progress
+from ..common.writing import writing
+from .earlier_result import check_same_sequences
+from .sequences_folder import begun, check_free
 from .tracking import Tracked
 
 if TYPE_CHECKING:
@@ -99,7 +102,7 @@ def sequences_for(folder: Path, out: Path, progress: Progress) -> tuple[Manifest
 
     if (folder / MANIFEST).is_file() or not is_predecessor(folder):
         return load_sequences(folder)
-    import_folder(folder, out / SEQUENCES, progress)
+    import_folder(folder, out / SEQUENCES, progress, overwrite=True)  # the run's own folder is checked by the run
     return load_sequences(out / SEQUENCES)
 
 
@@ -110,16 +113,19 @@ def import_folder(
     scale: Literal["metric", "arbitrary"] = "metric",
     agents: int | None = None,
     overlap: int = 0,
+    overwrite: bool = False,
 ) -> Manifest:
     """Make the SEQS folder ``out`` from the predecessor's ``folder``; errors name file and line.
 
-    ``scale``: the unit of its poses; ``agents``: cut one sequence for so many, which share ``overlap`` key-frames.
+    ``scale``: the unit of its poses; ``agents``: cut one sequence for so many, which share ``overlap`` key-frames;
+    ``overwrite``: replace what ``out`` holds of another folder or with other settings.
     """
     from maslam.mas.sequence import SplitEntry
 
     from .agent_folder import plan_agents, write_sequences
 
     check_apart(folder, out)
+    check_free(out)
     folders = _folders(folder)
     if not folders:
         raise ToolError(
@@ -135,8 +141,13 @@ def import_folder(
     split = SplitEntry(agents=agents, overlap=overlap) if agents else None
     dataset = Dataset("predecessor's five files", folder, [one.sequence for one in read])
     plans = plan_agents([(one.sequence, one.tracked) for one in read], split)
-    with making(out):
-        return write_sequences(out, dataset, plans, model, split, {"scale": scale}, (), scale)
+    settings = {"scale": scale}
+    cut = None if split is None else split.model_dump(mode="json")
+    made_of = {"source": str(folder.resolve()), "split": cut, "settings": settings}
+    if not overwrite:
+        check_same_sequences(out, made_of)
+    with writing(out), begun(out, made_of):
+        return write_sequences(out, dataset, plans, model, split, settings, (), scale)
 
 
 def _folders(folder: Path) -> list[Path]:
