@@ -112,7 +112,7 @@ class GivenPoseMapper:
     def insert(self, frame: Frame, T_W_C: Array) -> None:
         """Make ``frame``, seen from the given ``T_W_C``, a key-frame."""
         features, T_C_W = self.config.features, se3_inverse(T_W_C)
-        pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
+        pyramid = Pyramid(frame.image, features.levels, features.scale_factor, frame.used)
         uv, level, _ = self._detector.detect(pyramid, features.tracks + features.landmarks, np.zeros((0, 2)))
         every = describe(pyramid, uv, level)
         rows = np.flatnonzero(np.isfinite(every.angle_deg))
