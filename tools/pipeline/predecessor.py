@@ -29,7 +29,7 @@ from ..common.progress import Progress
 from ..common.writing import writing
 from .earlier_result import check_same_sequences
 from .sequences_folder import begun, check_free
-from .tracking import Tracked
+from .tracking import Gap, Tracked
 
 if TYPE_CHECKING:
     from maslam.mas.sequence import AgentSequence, Manifest
@@ -42,6 +42,7 @@ _MATCH_DISTANCE = 0.1
 """Of the first 128 numbers as they stand in the file: the predecessor's squared distance of 0.01."""
 _CANDIDATES = 1.5
 """Geometry verifies what is up to so many times as far apart."""
+_NO_POSE = "no key-frame: the five files have no pose of it"
 _KITTI = PinholeCamera(1241, 376, 718.856, 718.856, 607.1928, 185.2157)
 """The camera of the predecessor's own data; where another one is not given only tolerances of angles depend on it."""
 
@@ -203,13 +204,20 @@ def _read(folder: Path, rig: Rig) -> _Sequence:
         trajectories=tuple(Trajectory(images[k], track.poses) for k, track in zip(of, tracks, strict=True)),
         vectors=vectors.vectors,
         textured=vectors.textured,
-        lost=(),
+        lost=_between(len(images), nearest),
         unreadable=(),
         stats={},
     )
     every = np.memmap(folder / FEATURES, dtype="<f4", mode="r").reshape(-1, PREDECESSOR_DIM)
     lengths = np.linalg.norm(np.asarray(every[order[nearest], :_DIM], dtype=np.float64), axis=1)
     return _Sequence(sequence, tracked, vectors, lengths)
+
+
+def _between(images: int, keyframes: NDArray[np.int64]) -> tuple[Gap, ...]:
+    """The images between key-frames, whose poses the files do not have."""
+    rest = np.setdiff1d(np.arange(images), keyframes)
+    runs = np.split(rest, np.flatnonzero(np.diff(rest) > 1) + 1) if len(rest) else []
+    return tuple(Gap(int(run[0]), int(run[-1]), _NO_POSE, ((_NO_POSE, len(run)),)) for run in runs)
 
 
 def _image_times(folder: Path, keyframes_ns: NDArray[np.int64]) -> NDArray[np.int64]:
