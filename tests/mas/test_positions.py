@@ -172,7 +172,8 @@ def test_a_frame_is_laid_on_positions_whatever_its_unit() -> None:
 
 
 def test_positions_on_a_line_do_not_tell_how_the_map_is_turned() -> None:
-    points = np.arange(40.0)[:, None] * [0.0, 0.0, 1.0]
+    # Far from the origin each turn moves them a lot, but a shift undoes that.
+    points = np.arange(40.0)[:, None] * [0.0, 0.0, 1.0] + np.array([300.0, -200.0, 0.0])
     for aside, known in ((0.0, False), (10.0, True)):
         bent = points + np.where(np.arange(40) > 20, aside, 0.0)[:, None] * [1.0, 0.0, 0.0]
         turn = fit_frame(bent, bent @ so3_exp([0.0, 0.0, 1.0]).T, np.full((40, 3), 0.5), False)[2]
