@@ -126,7 +126,7 @@ def _made(
     from ..pipeline.track_sequences import track_all
     from ..pipeline.tracking_plan import notes_of, plan_tracking
     from .given_job import track_given_job
-    from .given_tracks import told_of
+    from .given_tracks import agreement_lines
 
     workers = settings.images.workers or core_count()
     dataset, problems = refine_guessed(dataset, out / FRONTEND, progress, workers)
@@ -152,7 +152,7 @@ def _made(
     plans = all_agents(tracked, split, len(before))
     notes, problems = notes_of(dataset), done.problems
     for sequence, one in done.tracked:
-        found, warnings = told_of(sequence.name, one.stats)
+        found, warnings = agreement_lines(sequence.name, one.stats)
         notes, problems = notes + found, problems + warnings
     for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in problems)):
         progress.say(line)

@@ -54,7 +54,7 @@ def track_given(
 ) -> Tracked:
     """Key-frames, points and place vectors of ``sequence`` at the poses ``placed`` (of its rectified camera).
 
-    ``points``: what measures depth where images have none. :func:`told_of` says what a user should know of the result.
+    ``points``: what measures depth where images have none. :func:`agreement_lines` says what a user should know of it.
     :class:`ToolError` where the images contradict the poses, or nothing could be made.
     """
     rig = sequence.rig
@@ -185,7 +185,7 @@ def _depth_text(stats: Mapping[str, float]) -> str:
     return f"only {100 * stats['same_depth']:.0f} % of the depths measured are those of the images' rays"
 
 
-def told_of(name: str, stats: Mapping[str, float]) -> tuple[list[str], list[str]]:
+def agreement_lines(name: str, stats: Mapping[str, float]) -> tuple[list[str], list[str]]:
     """What was found in the images of a sequence, for people, and what its user should know."""
     error_px = stats.get("error_px", 0.0)
     off = f"seen {error_px:.2f} px from where the poses put them (median)"

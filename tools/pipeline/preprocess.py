@@ -178,6 +178,7 @@ def all_agents(
 
 
 def split_of(settings: PreprocessSettings) -> SplitEntry | None:
+    """How one sequence is cut into agents; None: not at all."""
     from maslam.mas.sequence import SplitEntry
 
     return SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents is not None else None
