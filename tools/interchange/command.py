@@ -95,7 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="PATH",
         help="3-D points that measure depth for one camera: a cloud or a table of points and images that see them in "
-        "the poses' frame, a COLMAP text model, or a folder of scans; a folder with one for each agent",
+        "the poses' frame, a COLMAP text model, or a folder of scans; a folder with one for each agent "
+        "(default: rays place points)",
     )
     parser.add_argument("--topic", metavar="NAME", help="topic of the poses in a bag (default: the only one)")
     parser.add_argument(
