@@ -21,6 +21,7 @@ from .agent import Agent
 from .config import AUTO_CODE, MasConfig
 from .contracts.effects import Effects, Event
 from .errors import MasError
+from .evaluation.georeference import datum_of, georeferences, position_figures
 from .evaluation.ground_truth import GroundTruthEvaluator, groups_of
 from .evaluation.summarise import FinishedRun, summarise
 from .evaluation.summary import Summary, Timing
@@ -175,12 +176,15 @@ def run(
         recorder.settings(config, manifest)
         recorder.events(environment.events)
         recorder.matches(agents, errors)
+        on_earth, datum = georeferences(agents), datum_of(manifest)
+        places = {me: one.T_E_F for one in on_earth for me in one.figures.agents}
         for me in range(len(agents)):
             recorder.agent(me, agents, sequences)
+            recorder.georeferenced(me, agents, sequences, places.get(me), datum)
         finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps, manifest.left_out)
         summary = summarise(finished, evaluator, errors)
         duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
-        summary = replaced(summary, duration_s=duration)
+        summary = replaced(summary, duration_s=duration, positions=position_figures(on_earth, datum, config))
         recorder.summary(summary)
         wall = time.perf_counter() - started - compilations.seconds
         recorder.timing(Timing(wall_s=wall, realtime_factor=duration / wall))

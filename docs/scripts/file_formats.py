@@ -91,6 +91,10 @@ TRAJECTORIES = {
     "trajectory.tum": "every frame that has a place: `time tx ty tz qx qy qz qw`, `T_W_C`; times are the images' own "
     "(`--times agent`: from the agent's start)",
     "trajectory_keyframes.tum": "the same, key-frames only",
+    "trajectory_enu.tum": "the same as `trajectory.tum`, metres east, north and up of the datum in `summary.json` "
+    "(`positions`); only with positions (GPS) that tell where the map lies",
+    "trajectory_geodetic.csv": "`time_s,latitude_deg,longitude_deg,altitude_m` of every frame in it (WGS 84, above the "
+    "ellipsoid); only where positions were given in degrees",
     "groundtruth.tum": "the same, ground truth where it is known",
     "graph.g2o": "the agent's pose graph: its poses, its odometry, its matches; node ids name agent and key-frame",
     "map.ply": "own map and all copies merged: `x y z`, colour by owner, `agent`",

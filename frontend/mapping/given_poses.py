@@ -45,7 +45,8 @@ class GivenMap:
 
     ``frames`` ``(K,)`` frame indices, ``stamps_ns`` ``(K,)``, ``poses`` ``(K, 4, 4)`` ``T_W_C`` as given, ``points``
     ``(P, 3)``, ``views`` with ``descriptors`` ``(N, 32)`` in their order. ``error_px``: median distance of a point from
-    where it was seen; ``agreement``: of each key-frame with the one before, where they could be compared.
+    where it was seen; ``agreement``: of each key-frame with the one before, where they could be compared; ``measured``:
+    points whose depth was measured.
     """
 
     frames: Ints
@@ -56,6 +57,7 @@ class GivenMap:
     descriptors: NDArray[np.uint8]
     error_px: float
     agreement: tuple[PairAgreement, ...]
+    measured: int
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -110,7 +112,7 @@ class GivenPoseMapper:
     def insert(self, frame: Frame, T_W_C: Array) -> None:
         """Make ``frame``, seen from the given ``T_W_C``, a key-frame."""
         features, T_C_W = self.config.features, se3_inverse(T_W_C)
-        pyramid = Pyramid(frame.image, features.levels, features.scale_factor)
+        pyramid = Pyramid(frame.image, features.levels, features.scale_factor, frame.used)
         uv, level, _ = self._detector.detect(pyramid, features.tracks + features.landmarks, np.zeros((0, 2)))
         every = describe(pyramid, uv, level)
         rows = np.flatnonzero(np.isfinite(every.angle_deg))
@@ -176,6 +178,7 @@ class GivenPoseMapper:
             descriptors=descriptors,
             error_px=error_px,
             agreement=tuple(self.agreement),
+            measured=int(self.map.metric[ids[used]].sum()),
         )
 
     def _inside(self, uv: Array, depth: Array) -> NDArray[np.bool_]:

@@ -20,19 +20,24 @@ _LEAST_MATCHES, _LEAST_CLEAR = 30, 8
 _RATIO, _DISTANCE = 0.8, 50
 _SURE_PARALLAX_RAD = 0.02
 """Parallax from which a depth by two rays is compared with a measured one."""
+_SAME = 1.25
+"""Ratio of the two up to which they are the same."""
 
 
 @dataclass(frozen=True)
 class PairAgreement:
     """Of ``matches`` between two key-frames the share ``near`` (0 to 1) on the epipolar lines of their poses; of those
     the number ``clear`` with parallax, and how many of them lie ``ahead`` of both cameras; ``unit``: median ratio of
-    depth by the poses to depth measured, NaN where too few were measured."""
+    depth by the poses to depth measured, NaN where too few were measured; ``compared`` of them, ``same`` of these
+    within a quarter."""
 
     matches: int
     near: float
     clear: int
     ahead: int
     unit: float
+    compared: int
+    same: int
 
 
 def agreeing(pairs: Sequence[PairAgreement]) -> float:
@@ -69,8 +74,11 @@ def pair_agreement(first: PosedView, second: PosedView, fx: float, width: int) -
     clear = near & (parallax > limit)
     measured = first.depth[pairs[:, 0]]
     known = near & (z > 0) & np.isfinite(measured) & (parallax > _SURE_PARALLAX_RAD)
-    unit = float(np.median(z[known] / measured[known])) if known.sum() >= _LEAST_MATCHES // 2 else float("nan")
-    return PairAgreement(len(pairs), float(near.mean()), int(clear.sum()), int((z[clear] > 0).sum()), unit)
+    ratio = z[known] / measured[known]
+    unit = float(np.median(ratio)) if len(ratio) >= _LEAST_MATCHES // 2 else float("nan")
+    same = int((np.abs(np.log(ratio)) < np.log(_SAME)).sum())
+    counts = int(clear.sum()), int((z[clear] > 0).sum())
+    return PairAgreement(len(pairs), float(near.mean()), *counts, unit, len(ratio), same)
 
 
 def relative(T_A_W: Array, T_B_W: Array) -> tuple[Array, Array]:

@@ -135,6 +135,39 @@ class GraphFigures(_Figures):
     worst: list[MisfitFigures]
 
 
+class DatumFigures(_Figures):
+    """The place that metres east, north and up count from: degrees, metres above the ellipsoid (WGS 84)."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+class GeoreferenceFigures(_Figures):
+    """How the map of one group of ``agents`` lies on the positions measured from outside (GPS): their number, those
+    ``far_off`` by more than three standard deviations, the others' root mean square distances; ``scale``: metres in
+    one unit of the map; ``rotation_sigma_deg``: how well its rotation is known. ``reason``: why it has no place there;
+    empty where it has."""
+
+    agents: list[int]
+    positions: int
+    far_off: int = 0
+    rms_horizontal_m: float | None = None
+    rms_vertical_m: float | None = None
+    scale: float | None = None
+    rotation_sigma_deg: float | None = None
+    reason: str = ""
+
+
+class PositionFigures(_Figures):
+    """Positions measured from outside (GPS). ``datum``: None where they were given in metres; ``used``: whether the
+    solver took them as priors; ``groups``: of agents in one frame, where each lies."""
+
+    datum: DatumFigures | None
+    used: bool
+    groups: list[GeoreferenceFigures]
+
+
 class MapCopyFigures(_Figures):
     """One map copy: errors under its holder's alignment; ``points_off_m``: median distance of its points from where
     their owner has them at the end (null: in other coordinates, or in a unit that nothing relates to metres)."""
@@ -222,6 +255,7 @@ class Summary(_Figures):
     optimisations: OptimisationFigures
     graphs: list[GraphFigures] = Field(default=[], description="of each group; empty: a run before they were checked")
     map_copies: list[MapCopyFigures]
+    positions: PositionFigures | None = Field(default=None, description="None: no agent had any")
     refused_messages: int
     reputation: list[ReputationFigures] = Field(
         default=[], validation_alias=AliasChoices("reputation", "standing"), description="of each agent with the others"

@@ -19,6 +19,7 @@ from typing import IO, Any
 import numpy as np
 import yaml
 
+from maslam.backend.geometry import Sim3
 from maslam.backend.pose_graph.g2o import write_g2o
 from maslam.frontend.files.trajectory import Trajectory, write_tum
 
@@ -27,7 +28,7 @@ from ..config import MasConfig
 from ..contracts.effects import Event
 from ..errors import MasError
 from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError, of_same_image
-from ..evaluation.summary import Summary, Timing
+from ..evaluation.summary import DatumFigures, Summary, Timing
 from ..map_exchange.full_map import own_map
 from ..protocol.accounting import Traffic
 from ..protocol.ids import MatchId
@@ -38,6 +39,7 @@ from ..state.trajectories import frame_trajectory, keyframe_trajectory
 from ..transport.transport import Sent
 from .colmap import write_colmap
 from .fused_map import fused, write_map, write_ply
+from .georeferenced import write_georeferenced
 from .sightings import MapOwner, map_owner
 
 SUMMARY = "summary.json"
@@ -222,6 +224,20 @@ class Recorder:
             write_tum(folder / "maps" / f"agent_{owner:02d}.tum", Trajectory(stamps, copy.poses))
             points = copy.points()
             write_ply(folder / "maps" / f"agent_{owner:02d}.ply", points, np.full(len(points), owner))
+
+    def georeferenced(
+        self,
+        me: int,
+        agents: Sequence[Agent],
+        sequences: Sequence[AgentSequence],
+        T_E_F: Sim3 | None,
+        datum: DatumFigures | None,
+    ) -> None:
+        """The trajectory of agent ``me`` in the frame of the positions (GPS), where that is known."""
+        if T_E_F is not None:
+            start_ns = sequences[me].start_ns if self._of_images else 0
+            trajectory = later(frame_trajectory(agents[me].state, sequences[me]), start_ns)
+            write_georeferenced(self.folder / f"agent_{me:02d}", trajectory, T_E_F, datum)
 
     def summary(self, summary: Summary) -> None:
         """``summary.json``."""

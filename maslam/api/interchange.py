@@ -11,18 +11,24 @@ from numpy.typing import ArrayLike
 
 from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
-from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress
 from maslam.tools.interchange.export_folder import export_run
 from maslam.tools.interchange.export_request import Exported, ExportRequest, Frames, Groups, Program
 from maslam.tools.interchange.given import ImportSettings, import_given
-from maslam.tools.pipeline.positions import PositionSettings
+from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M
 from maslam.tools.pipeline.predecessor import import_folder
-from maslam.tools.pipeline.preprocess_options import SECTION
 
-from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
+from .common import (
+    PathLike,
+    ProgressCallback,
+    Settings,
+    nested,
+    on_one_thread,
+    positions_of,
+    preprocess_settings,
+)
 from .results import Run, Sequences
 
 
@@ -91,21 +97,26 @@ def import_sequence(
     T_body_camera: ArrayLike | PathLike | None = None,
     times: PathLike | None = None,
     clock_offset_s: float = 0.0,
+    bridge_s: float = 0.5,
+    gap_s: float = 5.0,
     topic: str | None = None,
+    points: PathLike | None = None,
     gps: PathLike | None = None,
     gps_offset_s: float = 0.0,
-    gps_sigma_m: float = 2.0,
+    gps_sigma_m: float = DEFAULT_SIGMA_M,
     gps_antenna_m: tuple[float, float, float] | None = None,
     add: bool = False,
-    overwrite: bool = False,
     agents: int | None = None,
     overlap: int = 0,
     rig: RigKind | str | None = None,
     dataset: str | None = None,
+    readers: Sequence[ReaderLike] = (),
     descriptor: DescriptorLike | str | Path = "default",
     provider: str = "CPU",
     vocabulary: PathLike | None = None,
     settings: Settings | None = None,
+    workers: int = 1,
+    overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Sequences:
     """Turn another system's trajectory and its images into agent sequences; the poses stay as they are.
@@ -119,47 +130,54 @@ def import_sequence(
         T_body_camera: ``(4, 4)`` or a file: the camera's pose on the body whose poses are given.
         times: a file with a time for each pose, where ``poses`` has none.
         clock_offset_s: seconds to add to the trajectory's times to get the images'.
+        bridge_s: longest time between two poses that an image's is interpolated over.
+        gap_s: a longer time without a pose begins a new track.
         topic: of the poses in a bag.
+        points: 3-D points that measure depth for one camera: a cloud or a table with the images that see each, in the
+            poses' frame, a COLMAP text model, or a folder of scans in the body's axes.
         gps, gps_offset_s, gps_sigma_m, gps_antenna_m: a file of positions (or a folder with one for each agent), what
             to add to its times, its noise where the file has none, and the antenna's place in the camera's frame.
         add: keep the agents that ``out`` holds.
-        overwrite: replace agent sequences of another source or with other settings in ``out``.
-        agents, overlap, rig, dataset, descriptor, provider, vocabulary, settings, progress: as in
-            :func:`maslam.preprocess`.
+        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, settings, workers, overwrite,
+            progress: as in :func:`maslam.preprocess`.
 
     Raises:
-        MaslamError: nothing that can be used, images that contradict the poses, a folder with other files in it.
+        MaslamError: nothing that can be used, images that contradict the poses, a folder with other files in it or
+            with agents of something else.
     """
-    content = nested(settings)
-    strange = sorted(set(content) - {SECTION})
-    if strange:
-        raise ToolError(f"settings: unknown setting '{strange[0]}'; an import knows '{SECTION}.…'")
-    check_least("overlap", overlap, 0)
     if scale not in ("metric", "arbitrary"):
         raise ToolError(f"scale: {scale!r}: metric or arbitrary is meant")
+    positions = positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m)
+    own = preprocess_settings(
+        nested(settings),
+        agents,
+        overlap,
+        rig,
+        dataset,
+        readers,
+        descriptor,
+        provider,
+        vocabulary,
+        workers,
+        overwrite,
+        positions,
+    )
     shown = CallbackProgress(progress)
     if images is None:
         import_folder(Path(poses), Path(out), shown, scale, agents, overlap, overwrite)
         return Sequences.load(out)
-    kind = rig_kind(rig)
     on_body = T_body_camera
     told = ImportSettings(
-        odometry=changed(OdometryConfig(), content.get(SECTION, {})),
+        images=own,
         scale=scale,
         T_body_camera=str(on_body) if isinstance(on_body, str | Path) else _numbers(on_body),
         times=None if times is None else Path(times),
         clock_offset_s=clock_offset_s,
+        bridge_s=bridge_s,
+        gap_s=gap_s,
         topic=topic,
-        agents=agents,
-        overlap=overlap,
-        rig=None if kind is None else kind.value,
-        dataset=dataset,
-        model=descriptor,
-        provider=provider,
-        vocabulary=None if vocabulary is None else Path(vocabulary),
+        points=None if points is None else Path(points),
         add=add,
-        overwrite=overwrite,
-        positions=PositionSettings(None if gps is None else Path(gps), gps_offset_s, gps_sigma_m, gps_antenna_m),
     )
     import_given(Path(poses), Path(images), Path(out), told, shown)
     return Sequences.load(out)

@@ -8,10 +8,7 @@ from typing import Any
 
 from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
-from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
-from maslam.frontend.datasets.reading_config import ReadingConfig
-from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas import simulation
 from maslam.mas.config import MasConfig
 from maslam.mas.kernels import agent_kernels
@@ -21,24 +18,26 @@ from maslam.mas.policies.presets import check_policy
 from maslam.mas.policies.presets import preset as preset_named
 from maslam.mas.transport.choice import TransportLike, check_transport
 from maslam.tools.common.compiling import compile_for
-from maslam.tools.common.errors import ToolError
 from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.common.writing import writing
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
+from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M
 from maslam.tools.pipeline.predecessor import sequences_for
-from maslam.tools.pipeline.preprocess_options import (
-    DEFAULT_OVERLAP,
-    READING,
-    RECORDING,
-    SECTION,
-    SECTIONS,
-    PreprocessSettings,
-)
+from maslam.tools.pipeline.preprocess_options import DEFAULT_OVERLAP, SECTIONS
 from maslam.tools.pipeline.run import DEFAULT_PRESET
 
-from .common import PathLike, ProgressCallback, Settings, changed, check_least, nested, on_one_thread, rig_kind
+from .common import (
+    PathLike,
+    ProgressCallback,
+    Settings,
+    changed,
+    nested,
+    on_one_thread,
+    positions_of,
+    preprocess_settings,
+)
 from .results import Run, Sequences
 
 
@@ -55,6 +54,10 @@ def preprocess(
     descriptor: DescriptorLike | str | Path = "default",
     provider: str = "CPU",
     vocabulary: PathLike | None = None,
+    gps: PathLike | None = None,
+    gps_offset_s: float = 0.0,
+    gps_sigma_m: float = DEFAULT_SIGMA_M,
+    gps_antenna_m: tuple[float, float, float] | None = None,
     settings: Settings | None = None,
     workers: int = 1,
     overwrite: bool = False,
@@ -76,6 +79,9 @@ def preprocess(
             ``maslam.descriptors``, or your own (:class:`maslam.Descriptor`).
         provider: where onnxruntime runs it.
         vocabulary: file of ORB words; None takes the one shipped.
+        gps, gps_offset_s, gps_sigma_m, gps_antenna_m: a file of positions (or a folder with one for each agent; None:
+            ``gps.csv`` or ``gps.nmea`` beside the images), what to add to its times, its noise where the file has none,
+            and the antenna's place in the camera's frame.
         settings: of the odometry, ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``,
             and how, ``{"images.masks": "masks"}``.
         workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.
@@ -86,8 +92,9 @@ def preprocess(
         MaslamError: nothing that can be used, an unknown setting, a folder with other files in it.
     """
     content = nested(settings)
-    told = _preprocess_settings(
-        content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite
+    positions = positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m)
+    told = preprocess_settings(
+        content, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite, positions
     )
     images.preprocess(Path(source), Path(out), told, CallbackProgress(progress))
     return Sequences.load(out)
@@ -129,7 +136,7 @@ def run(
     check_out(Path(out))
     tasks = CallbackProgress(progress)
     folder = sequences.folder if isinstance(sequences, Sequences) else Path(sequences)
-    manifest, loaded = sequences_for(folder, Path(out), tasks, overwrite)
+    manifest, loaded = sequences_for(folder, Path(out), tasks)
     if not overwrite:
         check_same_run(Path(out), config, of_manifest(manifest))
     compile_for(agent_kernels(len(loaded)), tasks)
@@ -152,6 +159,10 @@ def slam(
     descriptor: DescriptorLike | str | Path = "default",
     provider: str = "CPU",
     vocabulary: PathLike | None = None,
+    gps: PathLike | None = None,
+    gps_offset_s: float = 0.0,
+    gps_sigma_m: float = DEFAULT_SIGMA_M,
+    gps_antenna_m: tuple[float, float, float] | None = None,
     preset: str | MasConfig = DEFAULT_PRESET,
     seed: int | None = None,
     settings: Settings | None = None,
@@ -167,8 +178,8 @@ def slam(
     Args:
         source: a folder of images or a recording, as :func:`maslam.open_dataset` reads it.
         out: folder for the results; ``out/sequences`` holds the agent sequences.
-        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite: as in
-            :func:`maslam.preprocess`.
+        agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, gps, gps_offset_s, gps_sigma_m,
+            gps_antenna_m, workers, overwrite: as in :func:`maslam.preprocess`.
         preset, seed, policy, transport: as in :func:`maslam.run`.
         settings: of the agents, ``{"places.threshold": 0.8}``, of the odometry,
             ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``, and how,
@@ -181,49 +192,13 @@ def slam(
     content = nested(settings)
     config = _config(preset, seed, {k: v for k, v in content.items() if k not in SECTIONS}, policy, transport)
     own = {key: content[key] for key in SECTIONS if key in content}
-    told = _preprocess_settings(
-        own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite
+    positions = positions_of(gps, gps_offset_s, gps_sigma_m, gps_antenna_m)
+    told = preprocess_settings(
+        own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite, positions
     )
     shown = CallbackProgress(progress)
     chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
     return Run.load(out)
-
-
-def _preprocess_settings(
-    content: dict[str, Any],
-    agents: int | None,
-    overlap: int,
-    rig: RigKind | str | None,
-    dataset: str | None,
-    readers: Sequence[ReaderLike],
-    descriptor: DescriptorLike | str | Path,
-    provider: str,
-    vocabulary: PathLike | None,
-    workers: int,
-    overwrite: bool,
-) -> PreprocessSettings:
-    strange = sorted(set(content) - set(SECTIONS))
-    if strange:
-        known = " and ".join(f"'{name}.…'" for name in SECTIONS)
-        raise ToolError(f"settings: unknown setting '{strange[0]}'; preprocessing knows {known}")
-    check_least("overlap", overlap, 0)
-    check_least("workers", workers, 1)
-    kind = rig_kind(rig)
-    return PreprocessSettings(
-        odometry=changed(OdometryConfig(), content.get(SECTION, {})),
-        recording=changed(RecordingConfig(), content.get(RECORDING, {})),
-        agents=agents,
-        overlap=overlap,
-        rig=None if kind is None else kind.value,
-        dataset=dataset,
-        readers=tuple(readers),
-        model=descriptor,
-        provider=provider,
-        vocabulary=None if vocabulary is None else Path(vocabulary),
-        workers=workers,
-        overwrite=overwrite,
-        reading=changed(ReadingConfig(), content.get(READING, {})),
-    )
 
 
 def _config(

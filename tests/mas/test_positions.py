@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from factory import DIM, MODEL, SHA256, World, _track, manifest_of
 
-from maslam.backend.geometry import se3, se3_inverse, so3_exp, transform_points
+from maslam.backend.geometry import rotation_angle_deg, se3, se3_inverse, so3_exp, transform_points
 from maslam.descriptors.container import PlaceVectors
+from maslam.frontend.files.geodesy import enu_of
 from maslam.frontend.files.positions import PositionFixes
-from maslam.frontend.files.trajectory import Trajectory
+from maslam.frontend.files.trajectory import Trajectory, read_tum
+from maslam.mas.evaluation.georeference import fit_frame
 from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
@@ -94,10 +97,27 @@ def from_start_m(track: np.ndarray) -> float:
     return float(np.sqrt(((track[:, :3, 3] - TRUTH[:, :3, 3]) ** 2).sum(axis=1).mean()))
 
 
-def played(sequences: list[AgentSequence], folder: Path, **changes: object) -> Summary:
+DATUM = [48.0, 11.0, 500.0]
+
+
+def played(
+    sequences: list[AgentSequence], folder: Path, datum: list[float] | None = None, **changes: object
+) -> Summary:
     config = preset("maslam")
     config = config.model_copy(update={"optimisation": config.optimisation.model_copy(update=changes)})
-    return run(manifest_of(sequences), sequences, config, folder)
+    manifest = manifest_of(sequences)
+    if datum is not None:
+        manifest = manifest.model_copy(update={"settings": {"gps": {"origin": datum}}})
+    return run(manifest, sequences, config, folder)
+
+
+def assert_on_earth(folder: Path) -> None:
+    """Positions within a metre, and turned right within a degree, of the truth in the frame of the positions."""
+    there = read_tum(folder / "trajectory_enu.tum")
+    truth = T_ENU_W @ TRUTH
+    assert len(there) == COUNT
+    assert np.sqrt(((there.centres - truth[:, :3, 3]) ** 2).sum(axis=1).mean()) < 1.0
+    assert rotation_angle_deg(np.swapaxes(truth[:, :3, :3], 1, 2) @ there.poses[:, :3, :3]).max() < 1.0
 
 
 def test_one_agent_alone_loses_its_drift(tmp_path: Path) -> None:
@@ -106,14 +126,55 @@ def test_one_agent_alone_loses_its_drift(tmp_path: Path) -> None:
     assert before > 10.0
     summary = played([alone], tmp_path / "run")
     assert summary.ate_rmse_m.agents[0] < 0.1 * before
+    assert_on_earth(tmp_path / "run" / "agent_00")
+    assert not (tmp_path / "run" / "agent_00" / "trajectory_geodetic.csv").exists()
+    assert summary.positions is not None and summary.positions.used
+    assert summary.positions.datum is None
+    (group,) = summary.positions.groups
+    # One in twenty is 80 m off in each axis; the others have 2 m in each, of two and of one.
+    assert group.positions == COUNT // 2 and 3 <= group.far_off <= 20
+    assert group.rms_horizontal_m == pytest.approx(2.0 * np.sqrt(2.0), rel=0.2)
+    assert group.rms_vertical_m == pytest.approx(2.0, rel=0.2)
     # Without them it stays as it was.
     ignored = played([alone], tmp_path / "without", positions=False)
+    assert ignored.positions is not None and not ignored.positions.used
     assert ignored.ate_rmse_m.agents[0] > 4.0 * summary.ate_rmse_m.agents[0]
 
 
 def test_an_agent_without_positions_gains_by_its_matches(tmp_path: Path) -> None:
     team = [sequence(0, 0.02, True, 1), sequence(1, 0.015, False, 2)]
     before = [from_start_m(one.tracks[0].poses) for one in team]
-    summary = played(team, tmp_path / "run")
+    summary = played(team, tmp_path / "run", DATUM)
     assert summary.matches.accepted > 10
+    for name in ("agent_00", "agent_01"):
+        assert_on_earth(tmp_path / "run" / name)
+        table = np.loadtxt(tmp_path / "run" / name / "trajectory_geodetic.csv", delimiter=",", skiprows=1)
+        there = read_tum(tmp_path / "run" / name / "trajectory_enu.tum")
+        np.testing.assert_allclose(enu_of(table[:, 1:], np.array(DATUM)), there.centres, atol=1e-3)
+    assert summary.positions is not None and summary.positions.datum is not None
+    assert summary.positions.datum.altitude_m == 500.0
     assert max(a / b for a, b in zip(summary.ate_rmse_m.agents, before, strict=True)) < 0.1
+
+
+def test_a_frame_is_laid_on_positions_whatever_its_unit() -> None:
+    """Against the transform that made them; each axis counts by its own noise, and one in ten positions is wrong."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-50, 50, (300, 3)) * [1.0, 0.2, 1.0]
+    R, t = so3_exp([0.4, -1.2, 0.3]), np.array([400.0, -20.0, 7.0])
+    sigma = np.tile([0.5, 0.5, 20.0], (300, 1))
+    enu = 2.5 * points @ R.T + t + sigma * rng.standard_normal((300, 3))
+    enu[::10] += [60.0, -60.0, 0.0]
+    T, distance, turn = fit_frame(points, enu, sigma, True)
+    np.testing.assert_allclose(T.scale, 2.5, rtol=0.005)
+    assert rotation_angle_deg(R.T @ T.rotation) < 3.0 * np.degrees(turn)
+    np.testing.assert_allclose((T.translation - t)[:2], 0.0, atol=0.3)
+    assert distance[::10].min() > 10.0 > np.delete(distance, np.s_[::10]).max()
+
+
+def test_positions_on_a_line_do_not_tell_how_the_map_is_turned() -> None:
+    # Far from the origin each turn moves them a lot, but a shift undoes that.
+    points = np.arange(40.0)[:, None] * [0.0, 0.0, 1.0] + np.array([300.0, -200.0, 0.0])
+    for aside, known in ((0.0, False), (10.0, True)):
+        bent = points + np.where(np.arange(40) > 20, aside, 0.0)[:, None] * [1.0, 0.0, 0.0]
+        turn = fit_frame(bent, bent @ so3_exp([0.0, 0.0, 1.0]).T, np.full((40, 3), 0.5), False)[2]
+        assert bool(np.degrees(turn) < 5.0) is known

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -337,33 +338,75 @@ def test_a_trajectory_that_is_missing_is_named(
     assert "no trajectory for agent_01" in capsys.readouterr().err
 
 
-def test_bags_are_read_where_their_reader_is_installed(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    from rosbags.rosbag2 import Writer
+KINDS = ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Path")
+
+
+def write_bag(path: Path, kind: str, ros1: bool) -> Path:
+    """The moments as messages of a kind on /pose, with a path's last message holding all of them."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_typestore
 
-    from maslam.tools.interchange.bag_poses import read_bag_poses
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    types, extra = store.types, {"seq": 0} if ros1 else {}
     stamps, poses = moments()
-    q = quat_wxyz_from_rotation(poses[:, :3, :3])
-    with Writer(tmp_path / "bag", version=9) as writer:
-        kind = "geometry_msgs/msg/PoseStamped"
-        connection = writer.add_connection("/odom", kind, typestore=store)
-        for t, T, (w, x, y, z) in zip(stamps.tolist(), poses, q.tolist(), strict=True):
-            header = types["std_msgs/msg/Header"](
-                stamp=types["builtin_interfaces/msg/Time"](sec=t // 10**9, nanosec=t % 10**9), frame_id="map"
-            )
-            point = types["geometry_msgs/msg/Point"](*T[:3, 3].tolist())
-            turn = types["geometry_msgs/msg/Quaternion"](x, y, z, w)
-            message = types[kind](header=header, pose=types["geometry_msgs/msg/Pose"](position=point, orientation=turn))
-            writer.write(connection, t, store.serialize_cdr(message, kind))
-    read = read_bag_poses(tmp_path / "bag", None)
+
+    def header(t: int) -> Any:
+        time = types["builtin_interfaces/msg/Time"](sec=t // 10**9, nanosec=t % 10**9)
+        return types["std_msgs/msg/Header"](stamp=time, frame_id="map", **extra)
+
+    def pose(T: np.ndarray) -> Any:
+        w, x, y, z = quat_wxyz_from_rotation(T[None, :3, :3])[0].tolist()
+        turn = types["geometry_msgs/msg/Quaternion"](x, y, z, w)
+        return types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](*T[:3, 3].tolist()), turn)
+
+    def message(k: int) -> Any:
+        named, at, zero = types[name], header(int(stamps[k])), np.zeros(36)
+        one = pose(poses[k])
+        if kind == "PoseStamped":
+            return named(at, one)
+        if kind == "Path":
+            stamped = types["geometry_msgs/msg/PoseStamped"]
+            return named(at, [stamped(header(int(stamps[j])), pose(poses[j])) for j in range(k + 1)])
+        if kind == "TransformStamped":
+            vector = types["geometry_msgs/msg/Vector3"](*poses[k, :3, 3].tolist())
+            return named(at, "body", types["geometry_msgs/msg/Transform"](vector, one.orientation))
+        uncertain = types["geometry_msgs/msg/PoseWithCovariance"](one, zero)
+        if kind == "PoseWithCovarianceStamped":
+            return named(at, uncertain)
+        vector = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+        twist = types["geometry_msgs/msg/Twist"](vector, vector)
+        return named(at, "body", uncertain, types["geometry_msgs/msg/TwistWithCovariance"](twist, zero))
+
+    name = f"{'nav_msgs' if kind in ('Odometry', 'Path') else 'geometry_msgs'}/msg/{kind}"
+    out = path.with_suffix(".bag") if ros1 else path
+    with Writer1(out) if ros1 else Writer2(out, version=9) as writer:
+        connection = writer.add_connection("/pose", name, typestore=store)
+        for k in range(len(poses)):
+            pack = store.serialize_ros1 if ros1 else store.serialize_cdr
+            writer.write(connection, int(stamps[k]) + 5_000_000, pack(message(k), name))  # written later
+    return out
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_of_pose_in_a_bag_is_read(kind: str, ros1: bool, tmp_path: Path) -> None:
+    """Those that evo takes for trajectories, and paths."""
+    pytest.importorskip("rosbags")
+    from maslam.tools.interchange.bag_poses import read_bag_poses
+    from maslam.tools.interchange.given_files import trajectory_files
+
+    out = write_bag(tmp_path / "agent_00", kind, ros1)
+    read = read_bag_poses(out, None)
+    stamps, poses = moments()
     np.testing.assert_array_equal(read.trajectory.stamps_ns, stamps)
     np.testing.assert_allclose(read.trajectory.poses, poses, atol=1e-9)
-    with pytest.raises(ToolError, match=r"topics with poses: /odom; --topic"):
-        read_bag_poses(tmp_path / "bag", "/other")
+    with pytest.raises(ToolError, match=r"topics with poses: /pose; --topic"):
+        read_bag_poses(out, "/other")
+    # Also as one of a folder of trajectories: a ROS 2 bag is a folder itself.
+    write(tmp_path / "agent_01.txt", "tum")
+    found = trajectory_files(tmp_path, ["agent_00", "agent_01"])
+    assert found == {"agent_00": out, "agent_01": tmp_path / "agent_01.txt"}
 
 
 def test_positions_go_with_the_sequences_they_belong_to(

@@ -53,6 +53,9 @@ def test_a_run_takes_the_folder_as_it_is(folder: Path, tmp_path: Path) -> None:
     assert summary["agents"] == 2
     assert summary["keyframes"] == 2 * IMAGES // EVERY
     assert summary["matches"]["accepted"] > 0
+    # What lies between key-frames was not lost for want of an image.
+    kinds = [entry["kinds"] for entry in summary["coverage"][0]["lost"]]
+    assert kinds == [{"no key-frame: the five files have no pose of it": EVERY - 1}] * (IMAGES // EVERY)
     _, sequences = load_sequences(tmp_path / "run" / "sequences")
     assert all(one.metric for one in sequences)
 
@@ -82,3 +85,13 @@ def test_what_does_not_belong_together_is_named(spoil, said: str, folder: Path, 
     spoil(folder / "first")
     assert cli.main(["import", str(folder), str(tmp_path / "seqs"), "--quiet"]) == 1
     assert said in capsys.readouterr().err
+
+
+def test_an_import_of_other_files_needs_to_be_told_to_overwrite(folder: Path, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+    out = str(tmp_path / "seqs")
+    assert cli.main(["import", str(folder), out, "--quiet"]) == 0
+    assert cli.main(["import", str(folder), out, "--quiet"]) == 0
+    assert cli.main(["import", str(folder / "first"), out, "--quiet"]) == 1
+    assert "--overwrite" in capsys.readouterr().err
+    assert cli.main(["import", str(folder / "first"), out, "--overwrite", "--quiet"]) == 0
+    assert len(load_sequences(tmp_path / "seqs")[1]) == 1

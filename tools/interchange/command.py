@@ -7,20 +7,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.errors import UsageError
-from ..common.options import add_model_options, build, read_settings
-from ..common.parser import at_least_one
+from ..common.options import read_settings
 from ..common.progress import progress_on
-from ..pipeline.positions import add_position_options, positions_from
+from ..pipeline.preprocess_options import SECTIONS, add_preprocess_arguments
+from ..pipeline.preprocess_options import settings_from as of_preprocess
 
 if TYPE_CHECKING:
     from .given import ImportSettings
 
-SECTION = "odometry"
 _MORE = """\
 trajectories
   TUM, KITTI (12 columns: as many rows as images, or --times; 13: with times), EuRoC csv, 4x4 matrices, .npy of
   matrices, bags and MCAP with odometry or poses (needs rosbags). Poses map the camera, or with --T-body-camera the
   body that carries it, to the world, and stay as they are.
+points
+  One camera's images get depth by --points: PLY, PCD, NPY, BIN, XYZ of the whole map; csv x,y,z,image (or time), a
+  line for each image that sees a point; points3D.txt with images.txt; or a folder of scans named by their times, in
+  the axes of the body whose poses are given.
 several agents
   IMAGES with a folder for each agent (agent_00, agent_01, ...) and POSES with a file of that name for each; or one
   import after the other into the same OUT with --add.
@@ -32,8 +35,6 @@ predecessor
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``POSES IMAGES OUT``, or ``FOLDER OUT``, and everything that can be set."""
-    from maslam.frontend.config import OdometryConfig
-
     parser.epilog = _MORE
     parser.add_argument(
         "source", metavar="POSES", type=Path, help="trajectory file, a folder of them, or the predecessor's FOLDER"
@@ -45,12 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "out",
         metavar="OUT",
         type=Path,
-        help="for the agent sequences: a new folder, or an earlier one of the same, which is made anew; with --add any",
+        help="for the agent sequences: a new folder, or an earlier import of the same, which is gone on with "
+        "or made anew",
     )
     parser.add_argument("--add", action="store_true", help="keep the agents that OUT holds and add these")
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace agent sequences of another source or with other settings"
-    )
     parser.add_argument(
         "--scale",
         choices=["metric", "arbitrary"],
@@ -91,47 +90,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="a longer time without a pose begins a new track, seconds (default: %(default)s)",
     )
+    parser.add_argument(
+        "--points",
+        type=Path,
+        metavar="PATH",
+        help="3-D points that measure depth for one camera: a cloud or a table of points and images that see them in "
+        "the poses' frame, a COLMAP text model, or a folder of scans; a folder with one for each agent "
+        "(default: rays place points)",
+    )
     parser.add_argument("--topic", metavar="NAME", help="topic of the poses in a bag (default: the only one)")
-    _add_image_options(parser)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="YAML with settings, `odometry: {...}`, `images: {...}`"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print what was made, OUT/manifest.json, as one object")
-    add_position_options(parser)
-    add_model_options(parser, OdometryConfig(), SECTION)
-
-
-def _add_image_options(parser: argparse.ArgumentParser) -> None:
-    """As of ``maslam preprocess``."""
-    parser.add_argument(
-        "--agents", type=at_least_one, metavar="N", help="cut one sequence into blocks for N agents (default: one)"
-    )
-    parser.add_argument(
-        "--overlap", type=int, default=0, metavar="K", help="key-frames that neighbours share (default: 0)"
-    )
-    parser.add_argument(
-        "--rig", choices=["mono", "stereo", "rgbd"], help="use only this much of the sensors (default: all)"
-    )
-    parser.add_argument("--dataset", metavar="KIND", help="read IMAGES as this kind (default: what recognises it)")
-    parser.add_argument(
-        "--model", default="default", metavar="NAME|FILE", help="place descriptor (default: the shipped one)"
-    )
-    parser.add_argument("--provider", default="CPU", metavar="NAME", help="where it runs (default: CPU)")
-    parser.add_argument(
-        "--vocabulary", type=Path, metavar="FILE", help="vocabulary of ORB words (default: the shipped one)"
-    )
+    add_preprocess_arguments(parser)
 
 
 def settings_from(arguments: argparse.Namespace) -> ImportSettings:
     """The settings of one command line."""
-    from maslam.frontend.config import OdometryConfig
-
     from .given import ImportSettings
 
-    content = read_settings(arguments.config, [SECTION])
-    if arguments.overlap < 0:
-        raise UsageError(f"--overlap {arguments.overlap}: a number of key-frames is meant")
     return ImportSettings(
-        odometry=build(OdometryConfig(), arguments, content.get(SECTION), arguments.config, SECTION),
+        images=of_preprocess(arguments, read_settings(arguments.config, SECTIONS)),
         scale=arguments.scale,
         T_body_camera=arguments.T_body_camera,
         times=arguments.times,
@@ -139,16 +120,8 @@ def settings_from(arguments: argparse.Namespace) -> ImportSettings:
         bridge_s=arguments.bridge,
         gap_s=arguments.gap,
         topic=arguments.topic,
-        agents=arguments.agents,
-        overlap=arguments.overlap,
-        rig=arguments.rig,
-        dataset=arguments.dataset,
-        model=arguments.model,
-        provider=arguments.provider,
-        vocabulary=arguments.vocabulary,
+        points=arguments.points,
         add=arguments.add,
-        overwrite=arguments.overwrite,
-        positions=positions_from(arguments),
     )
 
 
@@ -164,10 +137,8 @@ def main(arguments: argparse.Namespace) -> None:
 
             if settings.add or settings.T_body_camera is not None or settings.times is not None:
                 raise UsageError("--add, --T-body-camera and --times go with POSES IMAGES OUT, not with the five files")
-            split = settings.agents, settings.overlap
-            manifest = import_folder(
-                arguments.source, arguments.out, progress, settings.scale, *split, settings.overwrite
-            )
+            split = settings.images.agents, settings.images.overlap, settings.images.overwrite
+            manifest = import_folder(arguments.source, arguments.out, progress, settings.scale, *split)
         else:
             manifest = import_given(arguments.source, arguments.images, arguments.out, settings, progress)
     print(manifest.model_dump_json(indent=2) if arguments.json else summary_line(manifest, arguments.out))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -16,23 +15,23 @@ from ..common.errors import ToolError, UsageError
 from ..common.folders import check_apart
 from ..common.progress import Progress
 from ..common.writing import writing
-from ..pipeline.earlier_result import begun, check_same_sequences, check_sequences_free, sequences_made_of
-from ..pipeline.positions import NO_POSITIONS, PositionSettings, with_positions
+from ..pipeline.earlier_result import check_same_sequences
+from ..pipeline.positions import with_positions
+from ..pipeline.preprocess import all_agents, as_set, open_source, split_of
+from ..pipeline.preprocess_options import PreprocessSettings
+from ..pipeline.sequences_folder import FRONTEND, begun, check_free, sequences_made_of
+from .given_files import read_given, trajectory_files
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
-    from maslam.descriptors.choice import DescriptorLike
-    from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.base import Dataset, ImageSequence
-    from maslam.frontend.datasets.readers import ReaderLike
     from maslam.frontend.files.other_trajectories import OtherTrajectory
-    from maslam.mas.sequence import AgentEntry, LeftOutEntry, Manifest, SplitEntry
+    from maslam.mas.sequence import AgentEntry, Manifest
 
-    from ..pipeline.tracking import Tracked
+    from .given_job import GivenJob
+    from .given_points import GivenPoints
     from .placed_images import PlacingRules
 
-BAGS = (".bag", ".mcap", ".db3")
-_FILES = (".txt", ".tum", ".csv", ".kitti", ".npy", *BAGS)
 _IMPORTS = "imports"
 """In the manifest's settings: what was imported, one entry for each command."""
 _LONGEST_S = 1e6
@@ -40,9 +39,9 @@ _LONGEST_S = 1e6
 
 @dataclass(frozen=True)
 class ImportSettings:
-    """Settings of ``maslam import``: the options of the command line."""
+    """Settings of ``maslam import``: ``images``: as of preprocessing them; the rest says how poses go with them."""
 
-    odometry: OdometryConfig
+    images: PreprocessSettings
     scale: Literal["metric", "arbitrary"] = "metric"
     T_body_camera: str | None = None
     times: Path | None = None
@@ -50,17 +49,8 @@ class ImportSettings:
     bridge_s: float = 0.5
     gap_s: float = 5.0
     topic: str | None = None
-    agents: int | None = None
-    overlap: int = 0
-    rig: str | None = None
-    dataset: str | None = None
-    readers: tuple[ReaderLike, ...] = ()
-    model: DescriptorLike | str | Path = "default"
-    provider: str = "CPU"
-    vocabulary: Path | None = None
+    points: Path | None = None
     add: bool = False
-    overwrite: bool = False
-    positions: PositionSettings = NO_POSITIONS
 
     def rules(self) -> PlacingRules:
         """How poses are given to images; :class:`UsageError` for times that make no sense."""
@@ -79,37 +69,41 @@ def import_given(poses: Path, images: Path, out: Path, settings: ImportSettings,
     """Make the SEQS folder ``out`` from the trajectories in ``poses`` and the images in ``images``.
 
     A sequence that cannot be used is reported, noted in the manifest and left out; :class:`ToolError` where none is
-    left.
+    left, and where ``out`` holds something else.
     """
-    from maslam.descriptors.choice import load_descriptor
-    from maslam.frontend.cameras.models import RigKind
-    from maslam.frontend.datasets import open_dataset
-    from maslam.mas.sequence import SplitEntry
-
-    rules = settings.rules()
+    settings.rules()  # before any work
     check_apart(images, out)
     if not poses.exists():
         raise ToolError(f"{poses}: no such file or folder")
+    check_free(out)
     earlier = _earlier(out, images, settings)
-    model = load_descriptor(settings.model, settings.provider)
+    model, dataset = open_source(images, settings.images)
     _check_model(earlier, model, out)
-    rig = RigKind(settings.rig) if settings.rig else None
-    dataset = open_dataset(images, rig, strict=False, readers=settings.readers, kind=settings.dataset)
-    if settings.agents is not None and len(dataset.sequences) > 1:
-        raise UsageError(f"--agents splits one sequence, but {images} holds {len(dataset.sequences)}; leave it out")
     files = trajectory_files(poses, [sequence.name for sequence in dataset.sequences])
     before = earlier.settings.get("gps", {}).get("origin") if earlier else None
-    dataset, positions, lines = with_positions(dataset, settings.positions, settings.scale == "metric", before)
+    metric = settings.scale == "metric"
+    dataset, positions, lines = with_positions(dataset, settings.images.positions, metric, before)
     for line in lines:
         progress.say(line)
+    made_of = _made_of(dataset, files, settings, earlier, positions)
+    if not settings.images.overwrite and earlier is None:
+        check_same_sequences(out, made_of)
+    # An import that adds leaves the manifest of what was there until it is through.
+    with writing(out), begun(out, made_of) if earlier is None else nullcontext():
+        return _made(dataset, files, out, settings, model, earlier, progress, made_of["settings"])
+
+
+def _made_of(
+    dataset: Dataset,
+    files: dict[str, Path],
+    settings: ImportSettings,
+    earlier: Manifest | None,
+    positions: dict[str, Any],
+) -> dict[str, Any]:
+    """Source and settings, as the manifest has them."""
     noted: dict[str, Any] = {_IMPORTS: [*_imports(earlier), _as_set(files, dataset.root, settings)]}
     noted |= {"gps": positions} if positions else {}
-    split = SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents else None
-    made_of = sequences_made_of(dataset.root, split, noted)
-    if not settings.add and not settings.overwrite:
-        check_same_sequences(out, made_of)
-    with writing(out), nullcontext() if earlier else begun(out, made_of):
-        return _made(dataset, files, out, settings, rules, model, earlier, progress, split, noted)
+    return sequences_made_of(dataset.root, split_of(settings.images), {**as_set(settings.images), **noted})
 
 
 def _made(
@@ -117,72 +111,73 @@ def _made(
     files: dict[str, Path],
     out: Path,
     settings: ImportSettings,
-    rules: PlacingRules,
     model: PlaceDescriptor,
     earlier: Manifest | None,
     progress: Progress,
-    split: SplitEntry | None,
     noted: dict[str, Any],
 ) -> Manifest:
-    from maslam.frontend.datasets.base import Severity
-    from maslam.frontend.vocabulary.vocabulary import Vocabulary
-    from maslam.mas.sequence import LeftOutEntry
+    from maslam.frontend.datasets.base import Problem, Severity
 
-    from ..pipeline.agent_folder import plan_agents, write_sequences
+    from ..common.parallel import core_count
+    from ..pipeline.agent_folder import write_sequences
+    from ..pipeline.focal_length import refine_guessed
+    from ..pipeline.track_sequences import track_all
+    from ..pipeline.tracking_plan import notes_of, plan_tracking
+    from .given_job import track_given_job
+    from .given_tracks import agreement_lines
 
-    vocabulary = Vocabulary.load(settings.vocabulary)
-    problems = [problem.message for problem in dataset.problems]
-    tracked: list[tuple[ImageSequence, Tracked]] = []
-    left_out: list[LeftOutEntry] = []
-    errors: list[Exception] = []
+    workers = settings.images.workers or core_count()
+    dataset, problems = refine_guessed(dataset, out / FRONTEND, progress, workers)
     taken = {entry.sequence for entry in earlier.agents} if earlier else set()
+    names = {sequence.name: _free_name(sequence, dataset.root, taken) for sequence in dataset.sequences}
+    jobs: dict[str, GivenJob] = {}
+    sequences = []
     for sequence in dataset.sequences:
-        problems += [f"{sequence.name}: {problem.message}" for problem in sequence.problems]
-        fatal = [problem.message for problem in sequence.problems if problem.severity is Severity.ERROR]
         try:
-            if fatal:
-                raise ToolError("; ".join(fatal))
-            done = _import_one(sequence, files[sequence.name], settings, rules, vocabulary, model, progress)
+            jobs[sequence.name], said = _job(sequence, files[sequence.name], settings, out, names, progress)
+            problems += said
+            sequences.append(sequence)
         except ToolError as error:
-            errors.append(error)
-            left_out.append(LeftOutEntry(sequence=sequence.name, frames=len(sequence), reason=str(error)))
-            continue
-        problems += done[1]
-        tracked.append((replace(sequence, name=_free_name(sequence, dataset.root, taken)), done[0]))
-    if not tracked:
-        raise ToolError(str(errors[0]) if errors else f"{dataset.root}: no images that can be used") from None
-    problems += [entry.reason for entry in left_out]
-    for problem in problems:
-        progress.say(f"warning: {problem}")
+            fault = Problem(Severity.ERROR, str(error).removeprefix(f"{sequence.name}: "))
+            sequences.append(replace(sequence, problems=(*sequence.problems, fault)))
+    dataset = replace(dataset, sequences=sequences)
+    plan = plan_tracking(dataset, lambda sequence: jobs[sequence.name])
+    plan = replace(plan, problems=[*plan.problems, *problems])
+    done = track_all(dataset, plan, track_given_job, workers, progress)
+    split = split_of(settings.images)
     before: Sequence[AgentEntry] = earlier.agents if earlier else ()
-    plans = plan_agents(tracked, split, len(before))
-    left = (*(earlier.left_out if earlier else ()), *left_out)
-    manifest = write_sequences(
-        out, dataset, plans, model, split, {**noted, "problems": problems}, left, settings.scale, before
-    )
-    return manifest
+    tracked = [(replace(sequence, name=names[sequence.name]), one) for sequence, one in done.tracked]
+    plans = all_agents(tracked, split, len(before))
+    notes, problems = notes_of(dataset), done.problems
+    for sequence, one in done.tracked:
+        found, warnings = agreement_lines(sequence.name, one.stats)
+        notes, problems = notes + found, problems + warnings
+    for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in problems)):
+        progress.say(line)
+    left = (*(earlier.left_out if earlier else ()), *done.left_out)
+    noted = {**noted, "problems": problems, "notes": notes}
+    return write_sequences(out, dataset, plans, model, split, noted, left, settings.scale, before)
 
 
-def _import_one(
+def _job(
     sequence: ImageSequence,
     file: Path,
     settings: ImportSettings,
-    rules: PlacingRules,
-    vocabulary: Any,
-    model: PlaceDescriptor,
+    out: Path,
+    names: dict[str, str],
     progress: Progress,
-) -> tuple[Tracked, list[str]]:
-    """One sequence with its trajectory, and what its user should know."""
-    from functools import partial
-
+) -> tuple[GivenJob, list[str]]:
+    """What is to be done for one sequence with its trajectory, and what its user should know of that."""
     from maslam.frontend.errors import FrontendError
     from maslam.frontend.files.extrinsic import read_extrinsic
 
-    from .given_tracks import track_given
+    from ..pipeline.tracking_cache import make_job
+    from .given_job import given_job
     from .placed_images import camera_poses, place_images
 
+    own = settings.images
     try:
-        given = read_poses(file, settings)
+        given = read_given(file, settings.times, settings.topic)
         T_B_C = np.eye(4) if settings.T_body_camera is None else read_extrinsic(settings.T_body_camera)
     except FrontendError as error:
         raise ToolError(str(error)) from error
@@ -191,70 +186,49 @@ def _import_one(
             f"{sequence.name}: --scale arbitrary with {sequence.rig.kind} images, whose depth is in metres: --rig mono "
             "leaves it out"
         )
-    placed = place_images(sequence.name, given, sequence.stamps_ns, rules)
+    placed = place_images(sequence.name, given, sequence.stamps_ns, settings.rules())
     placed = replace(placed, poses=camera_poses(placed.poses, T_B_C, sequence.R_rectified_left))
     progress.say(f"{sequence.name}: {file.name}: {given.form}, {len(given.trajectory)} poses; {placed.text()}")
-    task = progress.start(sequence.name, len(sequence))
-    done = track_given(sequence, placed, settings.odometry, vocabulary, model, partial(progress.advance, task))
-    progress.advance(task, len(sequence))
-    for note in done.notes:
-        progress.say(note)
+    points = None if settings.points is None else _points(settings, sequence, given, len(names) == 1)
+    if points is not None:
+        progress.say(f"{sequence.name}: {points.text}")
+    job = make_job(sequence, own.odometry, own.model, own.vocabulary, out / FRONTEND, own.provider)
     repeated = [f"{file}: {given.repeated} poses of a time given before are left out"] * bool(given.repeated)
-    return done.tracked, [*repeated, *placed.jumps, *done.warnings, *done.tracked.unreadable]
+    return given_job(job, placed, points, names[sequence.name]), [*repeated, *placed.jumps]
 
 
-def read_poses(file: Path, settings: ImportSettings) -> OtherTrajectory:
-    """The trajectory in a text file, an array or a bag."""
-    if file.suffix in BAGS or (file.is_dir() and (file / "metadata.yaml").is_file()):
-        from .bag_poses import read_bag_poses
+def _points(settings: ImportSettings, sequence: ImageSequence, given: OtherTrajectory, single: bool) -> GivenPoints:
+    """The given points of a sequence, each scan with its own pose."""
+    from .given_points import GivenPoints, points_file, read_points, scans_of
+    from .placed_images import place_images
 
-        return read_bag_poses(file, settings.topic)
-    from maslam.frontend.files.other_trajectories import read_other_trajectory
-
-    return read_other_trajectory(file, settings.times)
-
-
-def trajectory_files(poses: Path, names: Sequence[str]) -> dict[str, Path]:
-    """The trajectory of each sequence: ``poses`` itself for a single one, else the file in that folder named after it.
-
-    :class:`ToolError` where one has none, or several.
-    """
-    if poses.is_file() or (poses / "metadata.yaml").is_file():
-        if len(names) != 1:
-            raise ToolError(
-                f"{poses}: one trajectory for {len(names)} sequences ({', '.join(names[:4])}); name a folder with one "
-                "for each"
-            )
-        return {names[0]: poses}
-    found = sorted(p for p in poses.rglob("*") if p.is_file() and p.suffix in _FILES)
-    if len(names) == 1 and len(found) == 1:
-        return {names[0]: found[0]}
-    return {name: _file_of(poses, name, found) for name in names}
-
-
-def _file_of(poses: Path, name: str, found: Sequence[Path]) -> Path:
-    word = re.compile(rf"(?<![0-9a-zA-Z]){re.escape(name)}(?![0-9a-zA-Z])")
-    exact = [p for p in found if p.stem == name]
-    hits = exact or [p for p in found if word.search(p.relative_to(poses).as_posix())]
-    if len(hits) == 1:
-        return hits[0]
-    if hits:
-        raise ToolError(f"{poses}: several trajectories for {name}: {', '.join(p.name for p in hits[:4])}; leave one")
-    raise ToolError(f"{poses}: no trajectory for {name}; name it {name}.txt")
+    assert settings.points is not None
+    if sequence.rig.metric:
+        raise ToolError(
+            f"--points with {sequence.rig.kind} images, whose depth is measured: --rig mono takes points instead"
+        )
+    path = points_file(settings.points, sequence.name, single)
+    scans = scans_of(path)
+    if scans is None:
+        return read_points(path, sequence)
+    files, stamps = scans
+    placed = place_images(f"scans in {path}", given, stamps, settings.rules())
+    text = f"{path.name}: {len(placed.rows)} of {len(files)} scans with a pose"
+    used = tuple(files[k] for k in placed.rows)
+    return GivenPoints(text, np.zeros((0, 3)), None, used, placed.poses, stamps[placed.rows])
 
 
 def _earlier(out: Path, images: Path, settings: ImportSettings) -> Manifest | None:
-    """The agents that ``out`` holds and keeps; refuses somebody else's files."""
+    """The agents that ``out`` holds and keeps."""
     from maslam.mas.sequence import MANIFEST, read_manifest
 
-    check_sequences_free(out)
     if not settings.add or not (out / MANIFEST).is_file():
         return None
     earlier = read_manifest(out)
-    if earlier.split is not None or settings.agents is not None:
+    if earlier.split is not None or settings.images.agents is not None:
         raise UsageError("--add: agents cut from one sequence (--agents) and others cannot be in one folder")
     if any(one.get("images") == str(images.resolve()) for one in _imports(earlier)):
-        raise ToolError(f"{out}: holds the agents of {images} already; leave out --add to make it anew")
+        raise ToolError(f"{out}: holds the agents of {images} already; --overwrite without --add makes it anew")
     return earlier
 
 
@@ -293,6 +267,6 @@ def _as_set(files: dict[str, Path], root: Path, settings: ImportSettings) -> dic
         "clock_offset_s": settings.clock_offset_s,
         "bridge_s": settings.bridge_s,
         "gap_s": settings.gap_s,
-        "rig": settings.rig,
-        "odometry": settings.odometry.model_dump(mode="json"),
+        "points": None if settings.points is None else str(settings.points),
+        "settings": as_set(settings.images),
     }

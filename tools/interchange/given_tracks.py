@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from maslam._replaced import replaced
 from maslam.descriptors.base import PlaceDescriptor
+from maslam.frontend.cameras.models import Rig, RigKind
 from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.base import ImageSequence
 from maslam.frontend.errors import FrontendError
@@ -21,6 +22,7 @@ from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
 from ..common.errors import ToolError
 from ..pipeline.tracking import UNREADABLE_SHARE, Gap, Tracked, runs_of
+from .given_points import GivenPoints
 from .placed_images import PlacedImages
 
 NO_POSE, TOO_SHORT = "no pose is given at its time", "the track is too short: fewer than 2 key-frames"
@@ -30,19 +32,15 @@ have 0.85 and more."""
 _UNIT_WARN, _UNIT_REFUSE = 0.1, 0.5
 """How far the unit of the poses may be off that of depth: share of it."""
 _ERROR_WARN_PX = 3.0
+_REFUSE_DEPTH, _WARN_DEPTH, _COMPARED = 0.5, 0.75, 10
+"""Share of depths that are the same by points and by rays; rendered points have 0.8 and more. Fewer tell nothing."""
+_POINTS_ASKED = "are the points in the frame and the unit of the poses?"
+_ANY_DEPTH = 1e4
+"""Given points count however far away they are, in their unit."""
 _CURE = (
     "are they the camera's (--T-body-camera FILE for a body's or LiDAR's), on its clock (--clock-offset), and do they "
     "map camera to world?"
 )
-
-
-@dataclass(frozen=True)
-class GivenTracks:
-    """``tracked``: as odometry's; ``notes``: what was found, for people; ``warnings``: what its user should know."""
-
-    tracked: Tracked
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
 
 
 def track_given(
@@ -52,11 +50,17 @@ def track_given(
     vocabulary: Vocabulary,
     model: PlaceDescriptor,
     advance: Callable[[int], None],
-) -> GivenTracks:
+    points: GivenPoints | None = None,
+) -> Tracked:
     """Key-frames, points and place vectors of ``sequence`` at the poses ``placed`` (of its rectified camera).
 
+    ``points``: what measures depth where images have none. :func:`agreement_lines` says what a user should know of it.
     :class:`ToolError` where the images contradict the poses, or nothing could be made.
     """
+    rig = sequence.rig
+    if points is not None:
+        rig = Rig(RigKind.RGBD, rig.camera)
+        config = replaced(config, stereo=replaced(config.stereo, max_depth_m=_ANY_DEPTH))
     unreadable: list[str] = []
     vectors: list[NDArray[np.float32]] = []
     textured: list[bool] = []
@@ -64,11 +68,14 @@ def track_given(
     kept: list[NDArray[np.int64]] = []
     for number in range(int(placed.track[-1]) + 1):
         rows = np.flatnonzero(placed.track == number)
-        mapper, described = GivenPoseMapper(sequence.rig, config), []
+        mapper, described = GivenPoseMapper(rig, config), []
         for k in rows.tolist():
             index, T_W_C = int(placed.rows[k]), placed.poses[k]
             frame = _wanted(mapper, sequence, index, T_W_C, unreadable)
             if frame is not None:
+                if points is not None:
+                    depth = points.depth(index, frame.stamp_ns, T_W_C, rig.camera)
+                    frame = Frame(index, frame.stamp_ns, frame.image, None, depth, frame.name, frame.used)
                 mapper.insert(frame, T_W_C)
                 seen = sequence.read_colour(index) if model.colour else frame.image
                 described.append(model.look([seen]))
@@ -80,12 +87,13 @@ def track_given(
         vectors += [vector[0] for vector, _ in described]
         textured += [bool(flag[0]) for _, flag in described]
     if not maps:
-        raise ToolError(
-            f"{sequence.name}: no key-frames: the camera hardly moves in its {len(placed.rows)} posed images"
-        )
-    notes, warnings = _agreement(sequence, maps)
+        raise ToolError(f"no key-frames: the camera hardly moves in its {len(placed.rows)} posed images")
+    stats = _agreement(maps)
+    if points is not None:
+        _refuse_points(stats)
+    _refuse_contradiction(stats)
     posed = [placed.rows[rows] for rows in kept]
-    tracked = Tracked(
+    return Tracked(
         tracks=tuple(_vo_track(one, vocabulary) for one in maps),
         views=tuple(one.views for one in maps),
         keyframes=tuple(one.frames for one in maps),
@@ -94,9 +102,8 @@ def track_given(
         textured=np.array(textured, dtype=bool),
         lost=_lost(len(sequence), placed.rows, np.concatenate(posed)),
         unreadable=tuple(unreadable),
-        stats={"error_px": float(np.median([one.error_px for one in maps]))},
+        stats=stats,
     )
-    return GivenTracks(tracked, notes, warnings)
 
 
 def _wanted(
@@ -124,40 +131,80 @@ def _vo_track(one: GivenMap, vocabulary: Vocabulary) -> VoTrack:
     )
 
 
-def _agreement(sequence: ImageSequence, maps: list[GivenMap]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What the images say of the poses; :class:`ToolError` where they contradict them."""
+def _agreement(maps: list[GivenMap]) -> dict[str, float]:
+    """What the images say of the poses: ``error_px``, how far points are seen from where the poses put them;
+    ``agreeing`` share of what looks alike, in ``pairs`` of key-frames; ``unit``: lengths of the poses over those of
+    depth; ``same_depth``: share of depths that rays confirm."""
     pairs = [pair for one in maps for pair in one.agreement]
-    points, keyframes = sum(len(one.points) for one in maps), sum(len(one) for one in maps)
-    error_px = float(np.median([one.error_px for one in maps]))
-    name = sequence.name
+    stats = {
+        "keyframes": float(sum(len(one) for one in maps)),
+        "points": float(sum(len(one.points) for one in maps)),
+        "measured": float(sum(one.measured for one in maps)),
+        "pairs": float(len(pairs)),
+    }
+    errors = np.array([one.error_px for one in maps])
+    stats |= {"error_px": float(np.median(errors[np.isfinite(errors)]))} if np.isfinite(errors).any() else {}
+    stats |= {"agreeing": float(agreeing(pairs))} if pairs else {}
+    units = np.array([pair.unit for pair in pairs])
+    compared = sum(pair.compared for pair in pairs)
+    stats |= {"same_depth": sum(pair.same for pair in pairs) / compared} if compared >= _COMPARED else {}
+    return stats | ({"unit": float(np.median(units[np.isfinite(units)]))} if np.isfinite(units).any() else {})
+
+
+def _share_text(stats: Mapping[str, float]) -> str:
+    share, pairs = 100 * stats["agreeing"], int(stats["pairs"])
+    return f"{share:.0f} % of the key-points that look alike agree with the poses (median of {pairs} pairs)"
+
+
+def _unit_text(stats: Mapping[str, float]) -> str:
+    return f"lengths of the poses are {stats['unit']:.3g} times those of the measured depth"
+
+
+def _refuse_contradiction(stats: Mapping[str, float]) -> None:
+    """:class:`ToolError` where the images contradict the poses."""
+    if stats.get("agreeing", 1.0) < _REFUSE_BELOW:
+        raise ToolError(f"images and poses contradict each other: only {_share_text(stats)}; {_CURE}")
+    if abs(np.log(stats.get("unit", 1.0))) > np.log1p(_UNIT_REFUSE):
+        raise ToolError(
+            f"{_unit_text(stats)}: they are not in metres, or the baseline or depth unit is wrong; "
+            "--rig mono --scale arbitrary takes them as they are"
+        )
+    if not stats["points"]:
+        raise ToolError("no point could be placed by the poses given")
+
+
+def _refuse_points(stats: Mapping[str, float]) -> None:
+    """:class:`ToolError` where given points measure nothing, or contradict the images."""
+    if not stats["measured"]:
+        raise ToolError(f"no given point is where an image has a key-point: {_POINTS_ASKED}")
+    if stats.get("same_depth", 1.0) < _REFUSE_DEPTH:
+        raise ToolError(f"{_depth_text(stats)}; {_POINTS_ASKED}")
+
+
+def _depth_text(stats: Mapping[str, float]) -> str:
+    return f"only {100 * stats['same_depth']:.0f} % of the depths measured are those of the images' rays"
+
+
+def agreement_lines(name: str, stats: Mapping[str, float]) -> tuple[list[str], list[str]]:
+    """What was found in the images of a sequence, for people, and what its user should know."""
+    error_px = stats.get("error_px", 0.0)
     off = f"seen {error_px:.2f} px from where the poses put them (median)"
-    notes = [f"{name}: {keyframes} key-frames, {points} points, {off}"]
+    measured = f", {stats['measured']:.0f} with measured depth" if stats["measured"] else ""
+    notes = [f"{name}: {stats['keyframes']:.0f} key-frames, {stats['points']:.0f} points{measured}, {off}"]
+    if not stats["pairs"]:
+        return notes, [f"{name}: too few matches between key-frames to check the poses by the images"]
     warnings = []
-    if not pairs:
-        return tuple(notes), (f"{name}: too few matches between key-frames to check the poses by the images",)
-    share = agreeing(pairs)
-    said = f"{100 * share:.0f} % of the key-points that look alike agree with the poses (median of {len(pairs)} pairs)"
-    if share < _REFUSE_BELOW:
-        raise ToolError(f"{name}: images and poses contradict each other: only {said}; {_CURE}")
-    if share < _WARN_BELOW:
-        warnings.append(f"{name}: only {said}; {_CURE}")
+    if stats["agreeing"] < _WARN_BELOW:
+        warnings.append(f"{name}: only {_share_text(stats)}; {_CURE}")
     if error_px > _ERROR_WARN_PX:
         warnings.append(f"{name}: points are seen {error_px:.1f} px from where the poses put them (median); {_CURE}")
-    units = np.array([pair.unit for pair in pairs])
-    units = units[np.isfinite(units)]
-    if len(units):
-        unit = float(np.median(units))
-        text = f"{name}: lengths of the poses are {unit:.3g} times those of the measured depth"
-        if abs(np.log(unit)) > np.log1p(_UNIT_REFUSE):
-            raise ToolError(
-                f"{text}: they are not in metres, or the baseline or depth unit is wrong; --rig mono --scale arbitrary "
-                "takes them as they are"
-            )
-        if abs(np.log(unit)) > np.log1p(_UNIT_WARN):
-            warnings.append(text)
-    if not points:
-        raise ToolError(f"{name}: no point could be placed by the poses given")
-    return tuple(notes), tuple(warnings)
+    if abs(np.log(stats.get("unit", 1.0))) > np.log1p(_UNIT_WARN):
+        warnings.append(f"{name}: {_unit_text(stats)}")
+    if stats.get("same_depth", 1.0) < _WARN_DEPTH:
+        warnings.append(
+            f"{name}: {_depth_text(stats)}; are depth, or given points, in the frame and unit of the poses?"
+        )
+    return notes, warnings
 
 
 def _lost(frames: int, with_pose: NDArray[np.int64], used: NDArray[np.int64]) -> tuple[Gap, ...]:

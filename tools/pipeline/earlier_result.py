@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from maslam._atomic import write_atomically
 from maslam._bounded import Unreadable, load_json, load_yaml, read_text
 
 from ..common.errors import ToolError
 
 if TYPE_CHECKING:
     from maslam.mas.config import MasConfig
-    from maslam.mas.sequence import Manifest, SplitEntry
+    from maslam.mas.sequence import Manifest
 
 BEGUN = "unfinished.json"  # in a SEQS folder that is being made: its source and settings
-FRONTEND = "frontend"  # in a SEQS folder: what was tracked, which is not tracked again
 _SHOWN = 4
 _CURE = "choose another folder, or replace it with --overwrite (overwrite=True)"
 
@@ -39,36 +35,6 @@ def check_same_sequences(out: Path, made_of: Mapping[str, Any]) -> None:
     earlier = _read(out / BEGUN) or _read(out / "manifest.json")
     if earlier is not None:
         _refuse_other(out, "agent sequences", earlier, made_of)
-
-
-def check_sequences_free(out: Path) -> None:
-    """:class:`ToolError` for a folder with somebody else's files in it."""
-    from maslam.mas.sequence import MANIFEST
-
-    ours = (out / FRONTEND).is_dir() or (out / MANIFEST).is_file() or (out / BEGUN).is_file()
-    if out.is_dir() and any(out.iterdir()) and not ours:
-        raise ToolError(f"{out}: not empty, and no folder of agent sequences")
-
-
-@contextmanager
-def begun(out: Path, made_of: Mapping[str, Any]) -> Iterator[None]:
-    """Until the block ends without an exception, a file in ``out`` says what is being made there."""
-    mark = out / BEGUN
-    write_atomically(mark, json.dumps(made_of, indent=2) + "\n")
-    try:
-        yield
-    except BaseException:
-        store = out / FRONTEND
-        if {path.name for path in out.iterdir()} <= {BEGUN, FRONTEND} and not (store.is_dir() and any(store.iterdir())):
-            mark.unlink(missing_ok=True)  # nothing came of it
-        raise
-    mark.unlink(missing_ok=True)
-
-
-def sequences_made_of(source: Path, split: SplitEntry | None, settings: dict[str, Any]) -> dict[str, Any]:
-    """Source and settings of a SEQS folder that is to be made, as its manifest will have them."""
-    cut = None if split is None else split.model_dump(mode="json")
-    return {"source": str(source.resolve()), "split": cut, "settings": settings}
 
 
 def of_manifest(manifest: Manifest) -> dict[str, Any]:

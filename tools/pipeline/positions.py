@@ -17,17 +17,19 @@ from ..common.text_table import counted
 if TYPE_CHECKING:
     from maslam.frontend.datasets.base import Dataset, ImageSequence
 
-_SIGMA_M = 2.0
+DEFAULT_SIGMA_M = 2.0
+LONGEST_S = 9e9  # of 64 bits of nanoseconds
 
 
 @dataclass(frozen=True)
 class PositionSettings:
-    """``file``: of a single sequence, or a folder with one named after each; None: ``gps.csv`` beside the images.
-    ``sigma_m``: where a file has none; ``antenna_m``: in the camera's frame; ``offset_s``: added to its times."""
+    """``file``: of a single sequence, or a folder with one named after each; None: ``gps.csv`` or ``gps.nmea`` beside
+    the images. ``sigma_m``: where a file has none; ``antenna_m``: in the camera's frame; ``offset_s``: added to its
+    times."""
 
     file: Path | None = None
     offset_s: float = 0.0
-    sigma_m: float = _SIGMA_M
+    sigma_m: float = DEFAULT_SIGMA_M
     antenna_m: tuple[float, float, float] | None = None
 
 
@@ -42,8 +44,8 @@ def add_position_options(parser: argparse.ArgumentParser) -> None:
         "--gps",
         type=Path,
         metavar="FILE",
-        help="positions: csv with a header (time lat lon alt, or time east north up, and sigma) or TUM lines; a folder "
-        "with one for each agent (default: gps.csv beside the images, if there)",
+        help="positions: NMEA log, csv with a header (time lat lon alt, or time east north up; sigma or covariance of "
+        "each axis) or TUM lines; a folder with one for each agent (default: gps.csv or gps.nmea beside the images)",
     )
     group.add_argument(
         "--gps-offset", type=float, default=0.0, metavar="S", help="seconds to add to their times (default: 0)"
@@ -51,9 +53,9 @@ def add_position_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--gps-sigma",
         type=float,
-        default=_SIGMA_M,
+        default=DEFAULT_SIGMA_M,
         metavar="M",
-        help="standard deviation of each axis where the file has none, metres (default: %(default)s)",
+        help="standard deviation of each axis where the file has none, at HDOP 1, metres (default: %(default)s)",
     )
     group.add_argument(
         "--gps-antenna", metavar="X,Y,Z", help="the antenna's place in the camera's frame, metres (default: 0,0,0)"
@@ -73,7 +75,7 @@ def positions_from(arguments: argparse.Namespace) -> PositionSettings:
         antenna = (numbers[0], numbers[1], numbers[2])
     if not (math.isfinite(arguments.gps_sigma) and arguments.gps_sigma > 0):
         raise UsageError(f"--gps-sigma {arguments.gps_sigma}: metres above 0 are meant")
-    if not (math.isfinite(arguments.gps_offset) and abs(arguments.gps_offset) < 9e9):
+    if not (math.isfinite(arguments.gps_offset) and abs(arguments.gps_offset) < LONGEST_S):
         raise UsageError(f"--gps-offset {arguments.gps_offset}: seconds are meant")
     return PositionSettings(arguments.gps, arguments.gps_offset, arguments.gps_sigma, antenna)
 
@@ -87,13 +89,13 @@ def with_positions(
     ``earlier`` (latitude, longitude, altitude), or the first fix. :class:`ToolError` for a file that cannot be used.
     """
     from maslam.frontend.errors import FrontendError
-    from maslam.frontend.files.positions import POSITIONS, read_positions
+    from maslam.frontend.files.positions import NMEA, POSITIONS, read_positions
 
     found, lines, sequences = {}, [], []
     origin = None if earlier is None else np.array(earlier, dtype=np.float64)
     kinds = set()
     for sequence in dataset.sequences:
-        file = _file_of(dataset, sequence, settings, POSITIONS)
+        file = _file_of(dataset, sequence, settings, (POSITIONS, NMEA))
         if file is None:
             sequences.append(sequence)
             continue
@@ -116,6 +118,7 @@ def with_positions(
             spans = [f"{t[0] / 1e9:.3f} to {t[-1] / 1e9:.3f} s" for t in (fixes.stamps_ns, sequence.stamps_ns)]
             raise ToolError(f"{file}: positions {spans[0]}, but images {spans[1]}; --gps-offset shifts the positions")
         lines.append(f"{sequence.name}: {during} of {counted(len(fixes), 'position')} in {file.name} while images are")
+        lines += [f"{sequence.name}: {file.name}: {note}" for note in fixes.notes]
         found[sequence.name] = str(file)
         sequences.append(replace(sequence, positions=fixes))
     if len(kinds) > 1:
@@ -124,14 +127,17 @@ def with_positions(
     return replace(dataset, sequences=sequences), noted, lines
 
 
-def _file_of(dataset: Dataset, sequence: ImageSequence, settings: PositionSettings, usual: str) -> Path | None:
+def _file_of(
+    dataset: Dataset, sequence: ImageSequence, settings: PositionSettings, usual: tuple[str, ...]
+) -> Path | None:
     single = len(dataset.sequences) == 1
     given = settings.file
     if given is None:
-        beside = [dataset.root / sequence.name / usual, *([dataset.root / usual] if single else [])]
+        folders = [dataset.root / sequence.name, *([dataset.root] if single else [])]
+        beside = [folder / name for folder in folders for name in usual]
         return next((path for path in beside if path.is_file()), None)
     if given.is_dir():
-        hits = [given / f"{sequence.name}{suffix}" for suffix in (".csv", ".txt", ".tum")]
+        hits = [given / f"{sequence.name}{suffix}" for suffix in (".csv", ".nmea", ".log", ".txt", ".tum")]
         return next((path for path in hits if path.is_file()), None)
     if not given.is_file():
         raise ToolError(f"{given}: no such file")

@@ -27,8 +27,9 @@ from ..common.errors import ToolError, UsageError
 from ..common.folders import check_apart
 from ..common.progress import Progress
 from ..common.writing import writing
-from .earlier_result import begun, check_same_sequences, check_sequences_free, sequences_made_of
-from .tracking import Tracked
+from .earlier_result import check_same_sequences
+from .sequences_folder import begun, check_free, sequences_made_of
+from .tracking import Gap, Tracked
 
 if TYPE_CHECKING:
     from maslam.mas.sequence import AgentSequence, Manifest
@@ -41,6 +42,7 @@ _MATCH_DISTANCE = 0.1
 """Of the first 128 numbers as they stand in the file: the predecessor's squared distance of 0.01."""
 _CANDIDATES = 1.5
 """Geometry verifies what is up to so many times as far apart."""
+_NO_POSE = "no key-frame: the five files have no pose of it"
 _KITTI = PinholeCamera(1241, 376, 718.856, 718.856, 607.1928, 185.2157)
 """The camera of the predecessor's own data; where another one is not given only tolerances of angles depend on it."""
 
@@ -94,16 +96,14 @@ def is_predecessor(folder: Path) -> bool:
     return bool(_folders(folder))
 
 
-def sequences_for(
-    folder: Path, out: Path, progress: Progress, overwrite: bool = False
-) -> tuple[Manifest, list[AgentSequence]]:
+def sequences_for(folder: Path, out: Path, progress: Progress) -> tuple[Manifest, list[AgentSequence]]:
     """What a run on ``folder`` plays: the agent sequences in it, or those made from the predecessor's files into
     ``out/sequences``."""
     from maslam.mas.sequence import MANIFEST, load_sequences
 
     if (folder / MANIFEST).is_file() or not is_predecessor(folder):
         return load_sequences(folder)
-    import_folder(folder, out / SEQUENCES, progress, overwrite=overwrite)
+    import_folder(folder, out / SEQUENCES, progress, overwrite=True)  # the run's own folder is checked by the run
     return load_sequences(out / SEQUENCES)
 
 
@@ -118,14 +118,15 @@ def import_folder(
 ) -> Manifest:
     """Make the SEQS folder ``out`` from the predecessor's ``folder``; errors name file and line.
 
-    ``scale``: the unit of its poses; ``agents``: cut one sequence for so many, which share ``overlap`` key-frames.
+    ``scale``: the unit of its poses; ``agents``: cut one sequence for so many, which share ``overlap`` key-frames;
+    ``overwrite``: replace what ``out`` holds of another folder or with other settings.
     """
     from maslam.mas.sequence import SplitEntry
 
     from .agent_folder import plan_agents, write_sequences
 
     check_apart(folder, out)
-    check_sequences_free(out)
+    check_free(out)
     folders = _folders(folder)
     if not folders:
         raise ToolError(
@@ -141,11 +142,12 @@ def import_folder(
     split = SplitEntry(agents=agents, overlap=overlap) if agents else None
     dataset = Dataset("predecessor's five files", folder, [one.sequence for one in read])
     plans = plan_agents([(one.sequence, one.tracked) for one in read], split)
-    made_of = sequences_made_of(folder, split, {"scale": scale})
+    settings = {"scale": scale}
+    made_of = sequences_made_of(folder, split, settings)
     if not overwrite:
         check_same_sequences(out, made_of)
     with writing(out), begun(out, made_of):
-        return write_sequences(out, dataset, plans, model, split, {"scale": scale}, (), scale)
+        return write_sequences(out, dataset, plans, model, split, settings, (), scale)
 
 
 def _folders(folder: Path) -> list[Path]:
@@ -201,13 +203,20 @@ def _read(folder: Path, rig: Rig) -> _Sequence:
         trajectories=tuple(Trajectory(images[k], track.poses) for k, track in zip(of, tracks, strict=True)),
         vectors=vectors.vectors,
         textured=vectors.textured,
-        lost=(),
+        lost=_between(len(images), nearest),
         unreadable=(),
         stats={},
     )
     every = np.memmap(folder / FEATURES, dtype="<f4", mode="r").reshape(-1, PREDECESSOR_DIM)
     lengths = np.linalg.norm(np.asarray(every[order[nearest], :_DIM], dtype=np.float64), axis=1)
     return _Sequence(sequence, tracked, vectors, lengths)
+
+
+def _between(images: int, keyframes: NDArray[np.int64]) -> tuple[Gap, ...]:
+    """The images between key-frames, whose poses the files do not have."""
+    rest = np.setdiff1d(np.arange(images), keyframes)
+    runs = np.split(rest, np.flatnonzero(np.diff(rest) > 1) + 1) if len(rest) else []
+    return tuple(Gap(int(run[0]), int(run[-1]), _NO_POSE, ((_NO_POSE, len(run)),)) for run in runs)
 
 
 def _image_times(folder: Path, keyframes_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -8,18 +8,20 @@ complete.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from maslam.extensions import name_of
 
-from ..common.errors import ToolError, UsageError, describe
+from ..common.errors import ToolError, UsageError
 from ..common.folders import check_apart
 from ..common.options import read_settings
 from ..common.progress import Progress, progress_on
 from ..common.text_table import counted
 from ..common.writing import writing
-from .earlier_result import FRONTEND, begun, check_same_sequences, check_sequences_free, sequences_made_of
+from .earlier_result import check_same_sequences
 from .positions import with_positions
 from .preprocess_options import (
     READING,
@@ -30,12 +32,16 @@ from .preprocess_options import (
     add_preprocess_arguments,
     settings_from,
 )
+from .sequences_folder import FRONTEND, begun, check_free, sequences_made_of
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
     from maslam.descriptors.choice import DescriptorLike
-    from maslam.frontend.datasets.base import Dataset
+    from maslam.frontend.datasets.base import Dataset, ImageSequence
     from maslam.mas.sequence import Manifest, SplitEntry
+
+    from .agent_folder import SharePlan
+    from .tracking import Tracked
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,15 +84,29 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
 
     Sequences that cannot be used are reported, noted in the manifest and left out; ``ToolError`` where none is left.
     """
+    check_apart(source, out)
+    check_free(out)
+    model, dataset = open_source(source, settings)
+    dataset, positions, lines = with_positions(dataset, settings.positions, None)
+    for line in lines:
+        progress.say(line)
+    made_of = sequences_made_of(dataset.root, split_of(settings), as_set(settings))
+    made_of["settings"] |= {"gps": positions} if positions else {}
+    if not settings.overwrite:
+        check_same_sequences(out, made_of)
+    with writing(out), begun(out, made_of):
+        return _made(dataset, out, settings, model, progress, positions)
+
+
+def open_source(source: Path, settings: PreprocessSettings) -> tuple[PlaceDescriptor, Dataset]:
+    """The place descriptor, loaded before work that would be in vain, and the images, which can be shared out."""
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.cameras.models import RigKind
     from maslam.frontend.datasets import ReadingConfig, open_dataset
 
     from .split import check_shares
 
-    check_apart(source, out)
-    check_sequences_free(out)
-    model = load_descriptor(settings.model, settings.provider)  # before the work that would be in vain
+    model = load_descriptor(settings.model, settings.provider)
     rig = RigKind(settings.rig) if settings.rig else None
     readers, kind, reading = settings.readers, settings.dataset, settings.reading or ReadingConfig()
     dataset = open_dataset(source, rig, False, readers, kind, settings.recording, reading)
@@ -95,15 +115,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
         raise UsageError(f"--agents splits one sequence, but {source} holds {count}, one for each agent; leave it out")
     if settings.agents is not None and dataset.sequences:
         check_shares(len(dataset.sequences[0]), settings.agents)
-    dataset, positions, lines = with_positions(dataset, settings.positions, None)
-    for line in lines:
-        progress.say(line)
-    made_of = sequences_made_of(dataset.root, _split(settings), _as_set(settings))
-    made_of["settings"] |= {"gps": positions} if positions else {}
-    if not settings.overwrite:
-        check_same_sequences(out, made_of)
-    with writing(out), begun(out, made_of):
-        return _made(dataset, out, settings, model, progress, positions)
+    return model, dataset
 
 
 def _made(
@@ -115,58 +127,48 @@ def _made(
     positions: dict[str, Any],
 ) -> Manifest:
     """Track the sequences of ``dataset`` that can be used, and write them as agents."""
-    from maslam.frontend.kernels import odometry_kernels
-    from maslam.mas.sequence import LeftOutEntry
-
-    from ..common.compiling import compile_for
-    from ..common.parallel import core_count, run_jobs
-    from .agent_folder import plan_agents, stand_in, write_sequences
-    from .calibration_notes import corrected
+    from ..common.parallel import core_count
+    from .agent_folder import write_sequences
     from .focal_length import refine_guessed
-    from .tracking_cache import is_tracked, make_job, take_tracked, track_job
+    from .track_sequences import track_all
+    from .tracking_cache import make_job, track_job
     from .tracking_plan import notes_of, plan_tracking
 
     store, workers = settings.store or out / FRONTEND, settings.workers or core_count()
     dataset, refined = refine_guessed(dataset, store, progress, workers)
     of = (settings.odometry, settings.model, settings.vocabulary, store, settings.provider)
     plan = plan_tracking(dataset, lambda sequence: make_job(sequence, *of))
-    jobs, problems, left_out = plan.jobs, [*plan.problems, *refined], plan.left_out
-    refused = [problem.message for problem in dataset.problems] + [f"{e.sequence}: {e.reason}" for e in left_out]
-    compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
-    named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
-    outcomes = run_jobs(track_job, named, workers, progress)
-    errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
-    untracked = ["; ".join(filter(None, (f"{n}: {describe(error)}", plan.off.get(n)))) for n, error in errors.items()]
-    problems += [f"{name}: {describe(error)}" for name, error in errors.items()]
-    left_out += [LeftOutEntry(sequence=n, frames=named[n][1], reason=describe(e)) for n, e in errors.items()]
-    tracked = [(job.sequence, take_tracked(job)) for job in jobs if job.sequence.name not in errors]
-    problems += [f"{sequence.name}: {line}" for sequence, one in tracked for line in one.unreadable]
-    problems += [f"{sequence.name}: {line}" for sequence, _ in tracked if (line := stand_in(sequence))]
-    corrections = [(sequence.name, corrected(one.stats, sequence.rig)) for sequence, one in tracked]
-    problems += [f"{name}: {correction}" for name, correction in corrections if correction]
-    if not tracked:
-        why, count = [*refused, *untracked], len(dataset.sequences)
-        said = why[0] if len(why) == 1 else f"{dataset.root}: none of {count} sequences can be used: {why[0]}"
-        raise ToolError(said) from next(iter(errors.values()), None)
-    split = _split(settings)
-    plans = plan_agents(tracked, split)
-    if split is not None and len(plans) < split.agents:
-        frames = sum(len(sequence) for sequence, _ in tracked)
-        made = counted(len(plans), "agent")
-        raise ToolError(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame; ask for fewer")
+    done = track_all(dataset, replace(plan, problems=[*plan.problems, *refined]), track_job, workers, progress)
+    problems, split = done.problems, split_of(settings)
+    plans = all_agents(done.tracked, split)
     notes = notes_of(dataset)
     for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in problems)):
         progress.say(line)
     noted = {
-        **_as_set(settings),
+        **as_set(settings),
         "problems": problems,
         "notes": notes,
         **({"gps": positions} if positions else {}),
     }
-    return write_sequences(out, dataset, plans, model, split, noted, tuple(left_out))
+    return write_sequences(out, dataset, plans, model, split, noted, tuple(done.left_out))
 
 
-def _split(settings: PreprocessSettings) -> SplitEntry | None:
+def all_agents(
+    tracked: Sequence[tuple[ImageSequence, Tracked]], split: SplitEntry | None, first: int = 0
+) -> list[SharePlan]:
+    """The agents to be, numbered from ``first``. :class:`ToolError` where they are fewer than asked for."""
+    from .agent_folder import plan_agents
+
+    plans = plan_agents(tracked, split, first)
+    if split is not None and len(plans) < split.agents:
+        frames = sum(len(sequence) for sequence, _ in tracked)
+        made = counted(len(plans), "agent")
+        raise ToolError(f"{frames} frames make {made}, not {split.agents}: the others have no key-frame; ask for fewer")
+    return plans
+
+
+def split_of(settings: PreprocessSettings) -> SplitEntry | None:
+    """How one sequence is cut into agents; None: not at all."""
     from maslam.mas.sequence import SplitEntry
 
     return SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents is not None else None
@@ -177,7 +179,7 @@ def _named(model: DescriptorLike | str | Path) -> str:
     return str(model) if isinstance(model, str | Path) else name_of(model)
 
 
-def _as_set(settings: PreprocessSettings) -> dict[str, Any]:
+def as_set(settings: PreprocessSettings) -> dict[str, Any]:
     """For the manifest."""
     return {
         SECTION: settings.odometry.model_dump(mode="json"),

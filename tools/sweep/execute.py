@@ -77,9 +77,9 @@ def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
     from maslam.frontend.config import OdometryConfig
 
     from ..common.compiling import COMPILING
-    from ..pipeline.earlier_result import FRONTEND
     from ..pipeline.preprocess import preprocess
     from ..pipeline.preprocess_options import PreprocessSettings
+    from ..pipeline.sequences_folder import FRONTEND
     from ..worlds.dataset import render_dataset
 
     for cell in _materials(plan):

@@ -1,0 +1,208 @@
+"""Tables of positions with a heading: which column is what, and rows that hold no position."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FrontendError
+from .text_tables import read_bytes
+from .time_units import TimeUnit, date_ns, is_date, unit_of_heading
+from .timestamps import NS_PER_S, decimal_ns
+
+_AXES = {"east": "e|east|x|lon", "north": "n|north|y|lat", "up": "u|up|z|alt"}
+_CELLS = {"east": "0|00|xx|ee|e|east|x", "north": "4|11|yy|nn|n|north|y", "up": "8|22|zz|uu|u|up|z"}
+_NAMES = {
+    # A message's own time goes before the one at which it was written down.
+    "stamp": r"header_stamp(_(ns|time))?",
+    "stamp_s": r"header_stamp_(sec|secs)",
+    "stamp_ns": r"header_stamp_(nsec|nsecs|nanosec)",
+    "time": r"(t|time|timestamp|stamp|sec|seconds|utc|date|datetime)(_\w*)?",
+    "lat": r"lat(itude)?(_\w*)?",
+    "lon": r"(lon|lng|longitude)(_\w*)?",
+    "alt": r"(alt|altitude|height|ele|elevation)(_\w*)?",
+    "east": r"(e|east|x|easting)(_m)?",
+    "north": r"(n|north|y|northing)(_m)?",
+    "up": r"(u|up|z)(_m)?",
+    **{f"sigma_{axis}": rf"(sigma|std)_({word})(_m)?" for axis, word in _AXES.items()},
+    **{f"variance_{axis}": rf"(position_)?(cov|covariance|var|variance)_?({w})(_m2)?" for axis, w in _CELLS.items()},
+    "sigma_flat": r"(sigma|std)_h(orizontal)?(_m)?|horizontal_?accuracy(_m)?|h_?acc(_m)?|eph",
+    "sigma_height": r"(sigma|std)_v(ertical)?(_m)?|vertical_?accuracy(_m)?|v_?acc(_m)?|epv",
+    "sigma": r"(sigma|std|accuracy)(_m)?",
+    "hdop": r"hdop",
+    "known": r"position_covariance_type|covariance_type",
+    "status": r"(status_)?status|fix_status",
+    "quality": r"(fix_)?quality|fix_type",
+    "antenna_x": r"antenna_x(_m)?",
+    "antenna_y": r"antenna_y(_m)?",
+    "antenna_z": r"antenna_z(_m)?",
+}
+MEANT = "columns with a header: time, then lat lon alt (degrees, metres) or east north up (metres), and sigma if known"
+_UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6))
+"""Sizes from which a time of today's clock is in nano-, micro- or milliseconds, and nanoseconds a unit."""
+_TIMES = ("time", "stamp", "stamp_s", "stamp_ns")
+_UP = 2.0
+"""Noise of an altitude over that of each horizontal axis, where only that is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class PositionTable:
+    """N rows: ``stamps_ns`` ``(N,)``, the numbers of each known column by its name, the ``lines`` they stand on;
+    ``notes``: what was left out."""
+
+    stamps_ns: NDArray[np.int64]
+    column: dict[str, NDArray[np.float64]]
+    lines: list[int]
+    notes: tuple[str, ...]
+
+    def sigma(self, path: Path, sigma_m: float) -> NDArray[np.float64]:
+        """Standard deviations ``(N, 3)`` of east, north and up, metres: from variances, else deviations of each axis,
+        of the plane and the height, of all axes, or ``sigma_m`` times HDOP. :class:`FrontendError` with the line where
+        one is not above 0."""
+        one = self.column
+        plain = np.full(len(self.lines), sigma_m) * one.get("hdop", np.ones(len(self.lines)))
+        flat = one.get("sigma_flat", one.get("sigma", plain))
+        doubled = "sigma_height" not in one and ("hdop" in one or "sigma_flat" in one) and "sigma" not in one
+        high = one.get("sigma_height", _UP * flat if doubled else one.get("sigma", plain))
+        out = np.column_stack([one.get(f"sigma_{a}", d) for a, d in (("east", flat), ("north", flat), ("up", high))])
+        given = [one.get(f"variance_{axis}") for axis in _AXES]
+        if all(variance is not None for variance in given):
+            variance = np.column_stack([v for v in given if v is not None])
+            known = one.get("known", (variance != 0).any(axis=1)) != 0
+            self._check(path, "variance", "m2", np.where(known[:, None], variance, 1.0))
+            out = np.where(known[:, None], np.sqrt(np.where(known[:, None], variance, 1.0)), out)
+        self._check(path, "standard deviation", "m", out)
+        return np.asarray(out)
+
+    def _check(self, path: Path, what: str, unit: str, values: NDArray[np.float64]) -> None:
+        for row in np.flatnonzero(~((values > 0) & np.isfinite(values)).all(axis=1))[:1]:
+            raise FrontendError(
+                f"{path}:{self.lines[row]}: a {what} of {values[row].min():g} {unit}; above 0 {unit} is meant"
+            )
+
+
+def read_position_table(path: Path) -> PositionTable:
+    """The rows of a table with a heading, or of TUM lines. :class:`FrontendError` with file and line for what is no
+    such table."""
+    names, units, rows, lines = _rows(path)
+    if not names or not set(_TIMES) & set(names) or not _has_place(names):
+        raise FrontendError(f"{path}: no positions: {MEANT}")
+    kept, left_out = [], Counter[str]()
+    for row, line in zip(rows, lines, strict=True):
+        why = _without_position(path, dict(zip(names, row, strict=True)), line)
+        left_out[why] += bool(why)
+        kept += [] if why else [(row, line)]
+    if not kept:
+        raise FrontendError(f"{path}: no positions in this file")
+    chosen, lines = [row for row, _ in kept], [line for _, line in kept]
+    columns = {name: [row[k] for row in chosen] for k, name in enumerate(names) if name}
+    stamps = _stamps(path, columns, dict(zip(names, units, strict=True)), lines)
+    numbers = {name: np.array([float(text) for text in texts]) for name, texts in columns.items() if name not in _TIMES}
+    notes = tuple(f"{count} row{'s' * (count > 1)} {why} left out" for why, count in sorted(left_out.items()) if count)
+    return PositionTable(stamps, numbers, lines, notes)
+
+
+def _has_place(names: list[str]) -> bool:
+    return {"lat", "lon"} <= set(names) or {"east", "north"} <= set(names)
+
+
+def _rows(path: Path) -> tuple[list[str], list[TimeUnit | None], list[list[str]], list[int]]:
+    """Names of the columns ("" where not known), units that they name, the fields of each row, and line numbers."""
+    names: list[str] = []
+    units: list[TimeUnit | None] = []
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    text = read_bytes(path).removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    for number, line in enumerate(text.splitlines(), 1):
+        fields = [f.strip().strip("\"'") for f in re.split(r"[,;]", line)] if re.search("[,;]", line) else line.split()
+        if not any(fields):
+            continue
+        if not rows and not _is_number(fields[0]) and not is_date(fields[0]):
+            headings = fields if fields[0] not in ("#", "%") else fields[1:]
+            found = _named(path, number, headings)
+            if set(_TIMES) & set(found):
+                names, units = found, [unit_of_heading(heading) for heading in headings]
+            continue
+        if not names and len(fields) == 8:
+            names = ["time", "east", "north", "up", "", "", "", ""]
+            units = [None] * 8
+        if not names:
+            raise FrontendError(f"{path}:{number}: no header that names the columns; {MEANT}")
+        if len(fields) != len(names):
+            raise FrontendError(f"{path}:{number}: not {len(names)} numbers: {line.strip()[:60]!r}")
+        rows.append(fields)
+        lines.append(number)
+    return names, units, rows, lines
+
+
+def _named(path: Path, line: int, headings: list[str]) -> list[str]:
+    """What each column is, "" where that is not known or another one says it better."""
+    names = [_name_of(heading) for heading in headings]
+    if "stamp" in names or {"stamp_s", "stamp_ns"} <= set(names):
+        names = ["" if name == "time" else name for name in names]
+    for name in filter(None, names):
+        if names.count(name) > 1 and name != "time":
+            same = [heading for heading, one in zip(headings, names, strict=True) if one == name]
+            raise FrontendError(f"{path}:{line}: columns {' and '.join(same)} both say {name}; leave one")
+    if names.count("time") > 1:  # "time" goes before "date", "sec" before "utc", and so on: the first one counts
+        first = names.index("time")
+        names = ["" if name == "time" and k != first else name for k, name in enumerate(names)]
+    return names
+
+
+def _name_of(heading: str) -> str:
+    plain = heading.lower().removeprefix("%").removeprefix("#").removeprefix("field.").strip()
+    plain = re.split(r"\s*[(\[](?!\d)", plain)[0]  # units, but not the number of a cell
+    plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
+    return next((name for name, pattern in _NAMES.items() if re.fullmatch(pattern, plain)), "")
+
+
+def _without_position(path: Path, row: dict[str, str], line: int) -> str:
+    """Why a row holds no position, empty where it holds one; :class:`FrontendError` for what is no number."""
+    for name, text in row.items():
+        if name and not (_is_number(text) or (name == "time" and is_date(text)) or text.lower() in ("nan", "")):
+            raise FrontendError(f"{path}:{line}: not {len(row)} numbers: {name} is {text[:40]!r}")
+    status, quality = row.get("status", ""), row.get("quality", "")
+    if (_is_number(status) and float(status) < 0) or (_is_number(quality) and float(quality) == 0):
+        return "without a fix"
+    if any(not _is_number(row[name]) for name in ("lat", "lon", "alt", "east", "north", "up") if name in row):
+        return "without a position"
+    for name, text in row.items():
+        if name and not _is_number(text) and not is_date(text) and name not in ("status", "quality"):
+            raise FrontendError(f"{path}:{line}: not {len(row)} numbers: {name} is {text[:40]!r}")
+    return ""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+def _stamps(
+    path: Path, columns: dict[str, list[str]], units: dict[str, TimeUnit | None], lines: list[int]
+) -> NDArray[np.int64]:
+    try:
+        if "stamp" not in columns and {"stamp_s", "stamp_ns"} <= set(columns):
+            parts = zip(columns["stamp_s"], columns["stamp_ns"], strict=True)
+            return np.array([int(s) * NS_PER_S + int(ns) for s, ns in parts], dtype=np.int64)
+        name = next(name for name in ("stamp", "time", "stamp_s") if name in columns)
+        texts = columns[name]
+        if is_date(texts[0]):
+            return np.array([date_ns(text) for text in texts], dtype=np.int64)
+        unit: float | None = next((ns for size, ns in _UNITS if abs(float(texts[0])) >= size), None)
+        named = units.get(name)
+        unit = float(named.ns) if unit is None and named is not None and named.ns != NS_PER_S else unit
+        if unit is None:
+            return np.array([decimal_ns(text) for text in texts], dtype=np.int64)
+        return np.array([round(int(text) * unit) if text.isdigit() else round(float(text) * unit) for text in texts])
+    except (ValueError, OverflowError):
+        shown = next(iter(chain.from_iterable(columns[name][:1] for name in _TIMES if name in columns)), "")
+        raise FrontendError(f"{path}:{lines[0]}: times that are no seconds: {shown[:40]!r}") from None

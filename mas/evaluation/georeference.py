@@ -1,0 +1,131 @@
+"""Where a group's frame lies in the frame of the positions measured from outside (GPS): one rigid transform, with one
+camera's unit of length a similarity, that lays all antennas of the group on their positions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Array, Sim3, skew, so3_exp, umeyama
+
+from ..agent import Agent
+from ..config import MasConfig
+from ..sequence import Manifest
+from .ground_truth import groups_of
+from .summary import DatumFigures, GeoreferenceFigures, PositionFigures
+
+_LEAST_FIXES = 3
+_MOST_TURN_DEG = 5.0
+"""A frame whose rotation is known no better than this has no place: its positions lie on a line, or too near."""
+_ROUNDS, _SETTLED = 60, 1e-10
+_FAR_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Georeference:
+    """``T_E_F``: the group's frame in metres east, north and up; None where positions do not tell it. ``figures``: of
+    the fit."""
+
+    T_E_F: Sim3 | None
+    figures: GeoreferenceFigures
+
+
+def georeferences(agents: Sequence[Agent]) -> list[Georeference]:
+    """Of each group of agents that has any positions."""
+    found = []
+    for group in groups_of(agents):
+        points, enu, sigma = _fixes([agents[i] for i in group])
+        if len(points):
+            metric = all(p.metric for i in group for p in agents[i].state.pieces if p.frame == agents[i].state.frame)
+            found.append(_of_group(group, points, enu, sigma, not metric))
+    return found
+
+
+def datum_of(manifest: Manifest) -> DatumFigures | None:
+    """The place that the agents' positions count from; None where they were given in metres."""
+    origin = manifest.settings.get("gps", {}).get("origin")
+    if origin is None:
+        return None
+    latitude, longitude, altitude = (float(value) for value in origin)
+    return DatumFigures(latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)
+
+
+def position_figures(
+    groups: Sequence[Georeference], datum: DatumFigures | None, config: MasConfig
+) -> PositionFigures | None:
+    """For ``summary.json``; None where no agent had positions."""
+    if not groups:
+        return None
+    used = config.optimisation.solver.method == "elected" and config.optimisation.positions
+    return PositionFigures(datum=datum, used=used, groups=[one.figures for one in groups])
+
+
+def fit_frame(points: Array, enu: Array, sigma: Array, with_scale: bool) -> tuple[Sim3, Array, float]:
+    """``T_E_F`` that lays ``points`` ``(n, 3)`` on ``enu``, each axis by its own ``sigma`` ``(n, 3)``, those far off
+    counted less and less; each one's distance in standard deviations ``(n,)``; the standard deviation of the rotation
+    about its worst axis, radians. n >= 1."""
+    T = umeyama(enu, points, with_scale)
+    size = 7 if with_scale else 6
+    information = np.zeros((size, size))
+    for _ in range(_ROUNDS):
+        turned = T.scale * points @ T.rotation.T
+        off = (enu - turned - T.translation) / sigma
+        weight = 1.0 / (1.0 + ((off**2).sum(axis=1) / 3.0 / _FAR_SIGMAS**2))
+        J = np.zeros((len(points), 3, size))
+        J[:, :, :3] = np.eye(3)
+        J[:, :, 3:6] = -skew(turned)
+        if with_scale:
+            J[:, :, 6] = turned
+        J /= sigma[:, :, None]
+        information = np.einsum("n,nai,naj->ij", weight, J, J)
+        step = np.linalg.lstsq(information, np.einsum("n,nai,na->i", weight, J, off), rcond=1e-12)[0]
+        growth = float(np.exp(np.clip(step[6], -1.0, 1.0))) if with_scale else 1.0
+        T = Sim3(so3_exp(step[3:6]) @ T.rotation, T.translation + step[:3], T.scale * growth)
+        if np.abs(step).max() < _SETTLED:
+            break
+    rest = [k for k in range(size) if k not in (3, 4, 5)]
+    across = information[np.ix_([3, 4, 5], rest)]
+    turns = information[3:6, 3:6] - across @ np.linalg.pinv(information[np.ix_(rest, rest)]) @ across.T
+    least = float(np.linalg.eigvalsh(0.5 * (turns + turns.T))[0])
+    off = (enu - T @ points) / sigma
+    return T, np.sqrt((off**2).sum(axis=1) / 3.0), 1.0 / np.sqrt(max(least, 1e-12))
+
+
+def _fixes(agents: Sequence[Agent]) -> tuple[Array, Array, Array]:
+    """Antennas ``(n, 3)`` in the group's frame, where they were measured, and the noise."""
+    rows: list[tuple[NDArray[np.float64], ...]] = []
+    for state in (agent.state for agent in agents):
+        for index in state.placed():
+            for fix in state.keyframes[index].fixes:
+                rows.append((state.pose(index) @ fix.lever, fix.enu, fix.sigma))
+    points, enu, sigma = (np.array([row[k] for row in rows]).reshape(-1, 3) for k in range(3))
+    return points, enu, sigma
+
+
+def _of_group(group: list[int], points: Array, enu: Array, sigma: Array, with_scale: bool) -> Georeference:
+    count = len(points)
+    if count < _LEAST_FIXES:
+        why = f"{count} positions while frames have a place; {_LEAST_FIXES} are the fewest"
+        return Georeference(None, GeoreferenceFigures(agents=group, positions=count, reason=why))
+    T, distance, turn = fit_frame(points, enu, sigma, with_scale)
+    near = distance <= _FAR_SIGMAS
+    square = (enu - T @ points)[near] ** 2
+    reason = ""
+    if not near.any():
+        reason = "no position is within three standard deviations of the map"
+    elif np.degrees(turn) > _MOST_TURN_DEG:
+        reason = "positions on a line, or too near to each other, do not tell how the map is turned"
+    figures = GeoreferenceFigures(
+        agents=group,
+        positions=count,
+        far_off=int(count - near.sum()),
+        rms_horizontal_m=float(np.sqrt(square[:, :2].sum(axis=1).mean())) if near.any() else None,
+        rms_vertical_m=float(np.sqrt(square[:, 2].mean())) if near.any() else None,
+        scale=float(T.scale),
+        rotation_sigma_deg=float(min(np.degrees(turn), 180.0)),
+        reason=reason,
+    )
+    return Georeference(None if reason else T, figures)
