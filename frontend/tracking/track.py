@@ -124,7 +124,8 @@ class Segment:
     def jumps(self) -> list[tuple[int, Reason]]:
         """Time stamp, nanoseconds, and doubt of each frame whose step is a jump."""
         trajectory = self.trajectory()
-        found = jumps(trajectory.stamps_ns, trajectory.centres, self._depths())
+        unit = "m" if self.tracker.ranging.rig.metric else "(unit of the track)"
+        found = jumps(trajectory.stamps_ns, trajectory.centres, self._depths(), unit)
         return [(int(trajectory.stamps_ns[k]), doubt) for k, doubt in found]
 
     def _depths(self) -> Array:
