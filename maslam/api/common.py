@@ -11,7 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 from pydantic import BaseModel
 
 from maslam.frontend.cameras.models import RigKind
-from maslam.tools.common.errors import ToolError
+from maslam.tools.common.errors import EarlierResultError, ToolError
 from maslam.tools.common.options import build
 from maslam.tools.common.parallel import one_blas_thread
 
@@ -27,12 +27,16 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def on_one_thread(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """``function`` with BLAS on one thread, as on the command line: the same files on every machine."""
+    """``function`` with BLAS on one thread, as on the command line: the same files on every machine; errors name
+    arguments, not options."""
 
     @wraps(function)
     def inside(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
         with one_blas_thread():
-            return function(*args, **kwargs)
+            try:
+                return function(*args, **kwargs)
+            except EarlierResultError as error:
+                raise error.in_python() from None
 
     return inside
 
