@@ -18,7 +18,7 @@ from .pairing import with_partners
 from .second_images import SortedImages, has_images, sort_images
 from .shared_camera import find_shared_camera
 from .truth import find_truth
-from .unnamed_depth import UnnamedDepth, find_unnamed_depth
+from .unnamed_depth import UnnamedDepth, find_unnamed_depth, floating_point_beside
 
 
 class FolderReader(Reader):
@@ -58,6 +58,8 @@ class FolderReader(Reader):
         depth: tuple[Path, ...] = ()
         if unnamed.look is not None:
             found = _with_depth_if_known(folder, unnamed, images, raw, source, rig, problems)
+        elif not found.depth and not found.right and rig is None:
+            _say_floating_point(folder, found, problems)
         kind = choose_rig(_rigs(folder, found, raw, source, rig, problems), rig, folder)
         if kind is RigKind.STEREO:
             images, right = with_partners(folder, images, found.right, "right image", problems)
@@ -133,6 +135,15 @@ def _with_depth_if_known(
         return without
     problems.warning(f"{says}, taken as the images' depth; call the folder depth to be sure")
     return unnamed.found
+
+
+def _say_floating_point(folder: Path, found: SortedImages, problems: Problems) -> None:
+    place = floating_point_beside(folder, found)
+    if place is not None:
+        problems.warning(
+            f"{place}: pictures of floating-point numbers beside the images, which are not used: "
+            "call the folder depth if they are depth in metres"
+        )
 
 
 def _say_unused(source: Path, folder: Path, raw: RawRig, rig: RigKind | None, problems: Problems) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..errors import FrontendError
+from .depth_files import FLOAT_SUFFIXES, list_depth
 from .depth_look import DepthLook, DepthVerdict, look_for_depth
-from .images import header_of, list_images, read_grey
+from .images import header_of, list_images, read_grey, read_numbers
 from .second_images import SortedImages
 
 _SAMPLES = 5
@@ -49,7 +50,7 @@ def find_unnamed_depth(folder: Path, found: SortedImages) -> UnnamedDepth:
                 files = tuple(path for path in found.files if path not in set(depth))
                 where = f"{depth[0].parent}: {depth[0].name} and {len(depth) - 1} more"
                 return UnnamedDepth(replace(found, files=files, depth=depth), where, look)
-    if _is_wide(found.files[0]):
+    if _is_wide(found.files[0]) and _verdict(found.files) is not DepthVerdict.CAMERA:
         return UnnamedDepth(found)
     if found.right:
         look = _look(found.right)
@@ -69,12 +70,25 @@ def one_channel_of_16_bits(files: Sequence[Path]) -> list[NDArray[Any]]:
     return [one for path in files if _is_wide(path) and (one := _decoded(path)) is not None]
 
 
+def floating_point_beside(folder: Path, found: SortedImages) -> Path | None:
+    """The first folder beside the images that holds pictures of floating-point numbers, which no camera takes."""
+    for place in _others(folder, found):
+        files = list_depth(place)
+        if files and (files[0].suffix.lower() in FLOAT_SUFFIXES or _is_real(files[0])):
+            return place
+    return None
+
+
 def _look(files: Sequence[Path]) -> DepthLook | None:
     """The look of pictures that are depth, else None."""
     if not files or not _is_wide(files[0]):
         return None
     look = look_for_depth(one_channel_of_16_bits(_sample(files)))
     return look if look.verdict is DepthVerdict.DEPTH else None
+
+
+def _verdict(files: Sequence[Path]) -> DepthVerdict:
+    return look_for_depth(one_channel_of_16_bits(_sample(files))).verdict
 
 
 def _sample(files: Sequence[Path]) -> list[Path]:
@@ -96,6 +110,13 @@ def _is_wide(path: Path) -> bool:
     except FrontendError:
         return False
     return header.bits == 16 and header.channels == 1
+
+
+def _is_real(path: Path) -> bool:
+    try:
+        return path.suffix.lower() in (".tif", ".tiff") and read_numbers(path).dtype.kind == "f"
+    except FrontendError:
+        return False
 
 
 def _by_kind_of_name(files: Sequence[Path]) -> dict[str, list[Path]]:

@@ -184,3 +184,20 @@ def test_two_columns_in_an_open_unit_are_refused_with_the_cure(tmp_path: Path) -
     text = "".join(f"1700000000 {20000 * i}\n" for i in range(COUNT))
     with pytest.raises(FrontendError, match=r"timestamps.txt:1: seconds, and .* head the columns: sec nsec"):
         folder_with(tmp_path, text)
+
+
+def test_times_without_names_in_reverse_are_refused_with_the_cure(tmp_path: Path) -> None:
+    text = "".join(reversed(lines("{s}").splitlines(keepends=True)))
+    with pytest.raises(FrontendError, match="all are in reverse: list each image's name beside its time"):
+        folder_with(tmp_path, text)
+
+
+def test_associations_in_reverse_order_are_sorted(tmp_path: Path) -> None:
+    write_images(tmp_path / "rgb", NAMES, make_scene().images)
+    (tmp_path / "camera.yaml").write_text(own_camera())
+    rows = lines("{s} rgb/{name} {s} 0 0 0 0 0 0 1").splitlines(keepends=True)
+    (tmp_path / "associations.txt").write_text("".join(reversed(rows)))
+    [sequence] = open_dataset(tmp_path).sequences
+    np.testing.assert_array_equal(sequence.stamps_ns, STAMPS)
+    assert [path.name for path in sequence.left] == NAMES and sequence.groundtruth is not None
+    assert "its rows are in reverse order of time: sorted" in sequence.problems[0].message

@@ -221,3 +221,32 @@ def test_small_textures_of_8_bits_are_looked_at_as_before(tmp_path: Path) -> Non
     write_images(tmp_path, numbered(), [texture(rng) for _ in range(COUNT)])  # type: ignore[arg-type]
     (tmp_path / "camera.yaml").write_text(own_camera("rate_hz: 20.0\n"))
     assert not opened(tmp_path).problems
+
+
+def test_depth_beside_a_camera_of_16_bits_is_its_depth(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    write_images(tmp_path / "left", numbered(), [grey12(rng) for _ in range(COUNT)])  # type: ignore[arg-type]
+    write(tmp_path / "z16", numbered(), kinect)
+    (tmp_path / "camera.yaml").write_text(CAMERA + UNIT)
+    assert opened(tmp_path).rig.kind is RigKind.RGBD
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".tiff"])
+def test_floating_point_pictures_beside_the_images_are_named(tmp_path: Path, suffix: str) -> None:
+    write(tmp_path / "rgb", numbered(), None)
+    (tmp_path / "z").mkdir()
+    for i in range(COUNT):
+        file, depth = tmp_path / "z" / f"{i:06d}{suffix}", room(0.1 * i).astype(np.float32)
+        assert suffix == ".npy" or cv2.imwrite(str(file), depth)
+        if suffix == ".npy":
+            np.save(file, depth)
+    (tmp_path / "camera.yaml").write_text(CAMERA + UNIT)
+    [warning] = said(opened(tmp_path))
+    assert warning == (
+        f"{tmp_path / 'z'}: pictures of floating-point numbers beside the images, which are not used: "
+        "call the folder depth if they are depth in metres"
+    )
+    (tmp_path / "z").rename(tmp_path / "depth")
+    sequence = opened(tmp_path)
+    assert sequence.rig.kind is RigKind.RGBD
+    np.testing.assert_allclose(sequence.read(1).depth_m, room(0.1), rtol=1e-6)
