@@ -250,3 +250,25 @@ def test_floating_point_pictures_beside_the_images_are_named(tmp_path: Path, suf
     sequence = opened(tmp_path)
     assert sequence.rig.kind is RigKind.RGBD
     np.testing.assert_allclose(sequence.read(1).depth_m, room(0.1), rtol=1e-6)
+
+
+def test_depth_in_a_topic_that_is_not_called_so_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="the extra `bags` is not installed")
+    from recording_makers import Channel, image_message, write_ros1
+
+    rng = np.random.default_rng(1)
+    stamps = [10**18 + 50_000_000 * i for i in range(COUNT)]
+    for name, pictures in (("range", [kinect(rng, 0.1 * i) for i in range(COUNT)]), ("ir", [thermal(rng)] * COUNT)):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "camera.yaml").write_text(CAMERA)
+        channel = Channel(
+            f"/cam/{name}",
+            "sensor_msgs/msg/Image",
+            stamps,
+            lambda store, i, pictures=pictures: image_message(store, stamps[i], pictures[i], "16UC1"),  # type: ignore[misc]
+        )
+        write_ros1(folder / "run.bag", [channel])
+    with pytest.raises(FrontendError, match=r"run.bag: the images are depth pictures by their content"):
+        open_dataset(tmp_path / "range")
+    assert len(open_dataset(tmp_path / "ir").sequences[0]) == COUNT
