@@ -26,12 +26,12 @@ from .reason import NO_REASON, Reason
 from .stopwatch import Stopwatch, TimedStage
 from .tracking.darkness import doubt_dark, unless_dark
 from .tracking.export import export_track
+from .tracking.followed_points import TrackedFrame
 from .tracking.initialisation import WITHOUT_SECOND, make_starter
 from .tracking.keyframe_policy import wants_keyframe
 from .tracking.pose_log import DoubtfulInterval, LostInterval, MomentLog
 from .tracking.relocalisation import Relocaliser
 from .tracking.track import Segment
-from .tracking.tracker import TrackedFrame
 from .vocabulary.lookup import WordLookup
 
 log = logging.getLogger(__name__)

@@ -19,10 +19,11 @@ from ..mapping.range_sensor import Ranging
 from ..reason import Reason
 from ..stopwatch import Stopwatch
 from .doubt import jumps
+from .followed_points import TrackedFrame
 from .keyframe_policy import SinceKeyframe
 from .light import AmbientLight
 from .pose_log import PoseLog
-from .tracker import TrackedFrame, Tracker
+from .tracker import Tracker
 
 Array = NDArray[np.float64]
 

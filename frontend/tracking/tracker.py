@@ -15,12 +15,13 @@ from ..estimation.absolute_pose import absolute_pose
 from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..frames import Frame
 from ..image.optical_flow import follow, follow_both_ways
-from ..image.patch_alignment import Patches, align, cut_patches, half_sized
+from ..image.patch_alignment import align, half_sized
 from ..image.used_pixels import are_used
-from ..mapping.map import FrameObservations, Ints, Map
+from ..mapping.map import FrameObservations, Map
 from ..mapping.range_sensor import Ranging
-from ..reason import NO_REASON, Reason
+from ..reason import Reason
 from .doubt import PointsFound, doubt
+from .followed_points import FollowedPoints, TrackedFrame
 from .standing import StandingCamera, doubt_held
 
 Array = NDArray[np.float64]
@@ -38,52 +39,6 @@ exact than those that flow finds."""
 _LOOK_AGAIN_PX = 3.0
 """A prediction this wrong (median) has misled the search: what was not found is looked for again from the pose
 found."""
-
-
-@dataclass(frozen=True)
-class TrackedFrame:
-    """Result of tracking a frame: ``T_C_W`` ``(4, 4)``, None where tracking failed, and then its ``refusal``.
-    ``inliers``: map points that agree with the pose; ``doubt``: why it may be wrong nevertheless."""
-
-    T_C_W: Array | None
-    inliers: int
-    refusal: Reason = NO_REASON
-    doubt: Reason = NO_REASON
-
-    @property
-    def reason(self) -> str:
-        """Why there is no pose, with figures."""
-        return self.refusal.text
-
-
-@dataclass(frozen=True)
-class FollowedPoints:
-    """n map points that are followed from the last key-frame.
-
-    ``point`` ``(n,)``: their numbers; ``anchor_uv`` ``(n, 2)``: pixels in the key-frame; ``patches``: what they look
-    like there; ``uv`` ``(n, 2)``: pixels where each was last found; ``found`` ``(n,)``: in the last frame.
-    """
-
-    point: Ints
-    anchor_uv: Array
-    patches: Patches
-    uv: Array
-    found: NDArray[np.bool_]
-
-    @classmethod
-    def at_keyframe(cls, seen: FrameObservations, image: list[NDArray[np.uint8]]) -> FollowedPoints:
-        """Begin with ``seen`` in the key-frame's ``image`` and its halvings."""
-        return cls(seen.point, seen.uv, cut_patches(image, seen.uv), seen.uv, np.ones(len(seen.point), dtype=bool))
-
-    def take(self, rows: NDArray[np.bool_]) -> FollowedPoints:
-        """The points of ``rows``, a mask."""
-        parts = self.point[rows], self.anchor_uv[rows], self.patches.take(rows), self.uv[rows], self.found[rows]
-        return FollowedPoints(*parts)
-
-    @property
-    def seen(self) -> FrameObservations:
-        """Those found in the last frame."""
-        return FrameObservations(self.point[self.found], self.uv[self.found])
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult
 from maslam.frontend.reason import NO_REASON, Reason
 from maslam.frontend.tracking import doubt as rules
 from maslam.frontend.tracking.doubt import PointsFound, doubt, jumps, stands, weak_support
+from maslam.frontend.tracking.followed_points import TrackedFrame
 from maslam.frontend.tracking.pose_log import DoubtfulInterval, MomentLog
-from maslam.frontend.tracking.tracker import TrackedFrame
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
 CONFIG = OdometryConfig()
