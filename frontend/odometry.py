@@ -26,12 +26,12 @@ from .reason import NO_REASON, Reason
 from .stopwatch import Stopwatch, TimedStage
 from .tracking.darkness import doubt_dark, unless_dark
 from .tracking.export import export_track
+from .tracking.followed_points import TrackedFrame
 from .tracking.initialisation import WITHOUT_SECOND, make_starter
 from .tracking.keyframe_policy import wants_keyframe
 from .tracking.pose_log import DoubtfulInterval, LostInterval, MomentLog
 from .tracking.relocalisation import Relocaliser
 from .tracking.track import Segment
-from .tracking.tracker import TrackedFrame
 from .vocabulary.lookup import WordLookup
 
 log = logging.getLogger(__name__)
@@ -146,7 +146,7 @@ class Odometry:
         # A view that brings something new stays, and the map around it is refined.
         since = segment.since_keyframe(frame, self.ranging.rig)
         wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
-        allowed = not segment.tracker.held and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
+        allowed = not segment.tracker.standing.held and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
         is_keyframe = found_again or (wanted and allowed)
         if is_keyframe:
             frame.prepare()
@@ -285,8 +285,11 @@ class Odometry:
 
     def _too_short(self) -> Reason:
         need = self.config.min_track_keyframes
-        text = f"the track is too short: fewer key-frames than the {need} that it needs to be written"
-        return Reason("the track is too short", text)
+        segments = [*self._forgotten, *self._finished, *([self._segment] if self._segment else [])]
+        short = [one for one in segments if len(one.map.keyframes) < need]
+        stood = bool(short) and all(one.tracker.standing.rested for one in short)
+        kind = "the camera stands still, the track is too short" if stood else "the track is too short"
+        return Reason(kind, f"{kind}: fewer key-frames than the {need} that it needs to be written")
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:
         return {

@@ -193,3 +193,12 @@ def test_doctor_names_the_folder_and_the_cure() -> None:
 
     check = kernel_cache_check()
     assert "NUMBA_CACHE_DIR" in check.detail and not check.needed
+
+
+def test_doctor_calls_a_fallback_that_works_no_absence(monkeypatch: pytest.MonkeyPatch) -> None:
+    from maslam.tools.inspection.doctor import kernel_cache_check
+
+    note = "kernels are kept in /somewhere/else"
+    monkeypatch.setattr("maslam._kernel_cache.take_notes", lambda: [note])
+    check = kernel_cache_check()
+    assert check.works and check.detail == note

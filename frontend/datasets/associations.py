@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,9 @@ class AssociationsReader(Reader):
         if len(lists) > 1:
             problems.warning(f"{lists[0]}: read, and {', '.join(p.name for p in lists[1:])} beside it is not")
         lines = _read(lists[0])
+        if len(lines) > 1 and all(after.stamp_ns < before.stamp_ns for before, after in pairwise(lines)):
+            problems.warning(f"{lists[0]}: its rows are in reverse order of time: sorted")
+            lines.reverse()
         stamps = np.array([line.stamp_ns for line in lines], dtype=np.int64)
         icl = icl_nuim.poses_file(folder) if _are_numbers(stamps) else None
         if _are_numbers(stamps):

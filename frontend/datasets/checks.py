@@ -58,10 +58,12 @@ def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Pat
         return
     for i in np.flatnonzero(intervals <= 0)[:1]:
         how = "goes back" if intervals[i] < 0 else "stands still"
+        reverse = "; all are in reverse: list each image's name beside its time" if (intervals < 0).all() else ""
         problems.error(
             f"{source}: time {how} at frame {i + 1} ({names[i + 1]}): "
             f"{seconds_text(stamps_ns[i])} s, then {seconds_text(stamps_ns[i + 1])} s"
             + _more(int((intervals <= 0).sum()) - 1)
+            + (reverse if len(intervals) > 1 else "")
         )
         return
     median_s = float(np.median(intervals)) / NS_PER_S

@@ -14,6 +14,7 @@ from ..cameras.calibration_files import kalibr, load_fields
 from ..cameras.models import RigKind
 from ..cameras.rectification import stereo_rotations
 from ..errors import FrontendError
+from .above import folder_above
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .image_times import TimedImages, known_times
@@ -57,7 +58,7 @@ class EurocReader(Reader):
             images, right_images = paired_in_time(images, seconds, "right image", problems)
         found = FoundSequence(
             kind=self.kind,
-            folder=mav.resolve().parent,
+            folder=folder_above(mav),
             raw=raw,
             calibration=mav / "cam0" / "sensor.yaml",
             images=images.files,
@@ -103,7 +104,7 @@ def _groundtruth(
     if state.is_file():
         body = read_truth(state, images, problems, wxyz=True)
         return None if body is None else body.moved(T_body_left)
-    beside = find_truth(mav.resolve().parent, images, problems)
+    beside = find_truth(folder_above(mav), images, problems)
     if beside is None or raw.T_left_right is None:
         return beside
     R_rectified_left, _, _ = stereo_rotations(raw.T_left_right)

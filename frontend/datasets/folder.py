@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ..cameras.calibration import RawRig
@@ -12,11 +13,12 @@ from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file, numbers_files
 from .depth_unit import unit_of_depth
 from .guessed_camera import guess_camera, guess_text
-from .image_times import timed_images
+from .image_times import TimedImages, timed_images
 from .pairing import with_partners
 from .second_images import SortedImages, has_images, sort_images
 from .shared_camera import find_shared_camera
 from .truth import find_truth
+from .unnamed_depth import UnnamedDepth, find_unnamed_depth, floating_point_beside
 
 
 class FolderReader(Reader):
@@ -36,9 +38,11 @@ class FolderReader(Reader):
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         """See :meth:`Reader.open`."""
         problems = Problems()
-        found = sort_images(folder)
-        if found is None:
+        named = sort_images(folder)
+        if named is None:
             raise FrontendError(f"{folder}: no images of a camera")
+        unnamed = find_unnamed_depth(folder, named)
+        found = unnamed.found
         calibration = (
             find_camera_file(folder) or find_camera_file(folder / found.inside) or find_shared_camera(folder, problems)
         )
@@ -49,10 +53,14 @@ class FolderReader(Reader):
             problems.warning(guess_text(folder, raw, guess) + _unread(folder))
         else:
             raw, source = calibration
-        kind = choose_rig(_rigs(folder, found, raw, source, rig, problems), rig, folder)
         images = timed_images(folder, found.files, raw.rate_hz, problems)
         right: tuple[Path, ...] = ()
         depth: tuple[Path, ...] = ()
+        if unnamed.look is not None:
+            found = _with_depth_if_known(folder, unnamed, images, raw, source, rig, problems)
+        elif not found.depth and not found.right and rig is None:
+            _say_floating_point(folder, found, problems)
+        kind = choose_rig(_rigs(folder, found, raw, source, rig, problems), rig, folder)
         if kind is RigKind.STEREO:
             images, right = with_partners(folder, images, found.right, "right image", problems)
         if kind is RigKind.RGBD:
@@ -97,6 +105,45 @@ def _rigs(
     elif raw.right is not None and not stereo and not depth:  # of RGB-D, Camera.bf is the projector's
         problems.warning(f"{source}: a calibrated pair, but {folder} has no right images: read as mono")
     return available_rigs(stereo, depth)
+
+
+def _with_depth_if_known(
+    folder: Path,
+    unnamed: UnnamedDepth,
+    images: TimedImages,
+    raw: RawRig,
+    source: Path,
+    rig: RigKind | None,
+    problems: Problems,
+) -> SortedImages:
+    """The images with their depth where it is known which picture belongs to which image, and in which unit; else
+    without, which is said."""
+    assert unnamed.look is not None
+    says = f"{unnamed.where}: depth pictures by their content ({unnamed.look.text()})"
+    without = replace(unnamed.found, depth=())
+    if rig not in (None, RigKind.RGBD):
+        return without
+    if raw.depth_unit_m is None and rig is None:
+        problems.warning(f"{says}, which are not used: add depth_unit_m (metres a step) to {source}")
+        return without
+    try:
+        with_partners(folder, images, unnamed.found.depth, "depth image", Problems())
+    except FrontendError as error:
+        if rig is not None:
+            raise
+        problems.warning(f"{says}, which are not used: {error}")
+        return without
+    problems.warning(f"{says}, taken as the images' depth; call the folder depth to be sure")
+    return unnamed.found
+
+
+def _say_floating_point(folder: Path, found: SortedImages, problems: Problems) -> None:
+    place = floating_point_beside(folder, found)
+    if place is not None:
+        problems.warning(
+            f"{place}: pictures of floating-point numbers beside the images, which are not used: "
+            "call the folder depth if they are depth in metres"
+        )
 
 
 def _say_unused(source: Path, folder: Path, raw: RawRig, rig: RigKind | None, problems: Problems) -> None:

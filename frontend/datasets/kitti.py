@@ -13,6 +13,7 @@ from ..cameras.calibration import RawCamera, RawRig
 from ..cameras.models import RigKind
 from ..errors import FrontendError
 from ..files import text_tables
+from .above import folder_above
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .image_times import TimedImages, by_list
@@ -128,8 +129,7 @@ def _times(folder: Path, files: tuple[Path, ...], problems: Problems) -> TimedIm
 
 
 def _groundtruth(folder: Path, images: TimedImages, P_left: Array, problems: Problems) -> Truth | None:
-    resolved = folder.resolve()
-    published = resolved.parent.parent / "poses" / f"{resolved.name}.txt"
+    published = folder_above(folder_above(folder)) / "poses" / f"{folder.resolve().name}.txt"
     if (folder / "poses.txt").is_file() or not published.is_file():
         truth = find_truth(folder, images, problems)
     else:

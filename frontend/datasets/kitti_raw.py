@@ -13,6 +13,7 @@ from ..cameras.calibration import Distortion, RawCamera, RawRig
 from ..cameras.models import RigKind
 from ..errors import FrontendError
 from ..files import text_tables
+from .above import folder_above
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .image_times import by_list
@@ -73,11 +74,11 @@ class KittiRawReader(Reader):
 
 
 def _calibration(folder: Path) -> tuple[Lists, Path]:
-    resolved = folder.resolve()
-    for place in (folder, resolved.parent):
+    above = folder_above(folder)
+    for place in (folder, above):
         if (place / _CALIBRATION).is_file():
             return read_lists(place / _CALIBRATION), place / _CALIBRATION
-    raise FrontendError(f"{resolved.parent / _CALIBRATION}: missing; the calibration of the day lies beside its drives")
+    raise FrontendError(f"{above / _CALIBRATION}: missing; the calibration of the day lies beside its drives")
 
 
 def read_lists(path: Path) -> Lists:

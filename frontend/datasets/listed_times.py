@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,30 @@ from numpy.typing import NDArray
 
 from ..errors import FrontendError
 from ..files.headed_table import HeadedTable, is_number, read_headed_table
-from ..files.time_units import NotATime, is_date, parse_times, unit_of_heading
+from ..files.time_units import (
+    SECONDS,
+    UNITS,
+    NotATime,
+    TimeUnit,
+    is_date,
+    is_unix_s,
+    parse_times,
+    unit_of_heading,
+)
 from ..files.timestamps import NS_PER_S
-from .images import IMAGE_SUFFIXES
+from .images import IMAGE_SUFFIXES, natural_key
 
 _TIME_WORDS = ("time", "stamp")
 _NAME_WORDS = ("file", "image", "name", "path")
-_SECOND_PART = re.compile(r"(nsec|nsecs|nanosec|nanosecs|nanoseconds)\b")
 _FIRST_PART = re.compile(r"(sec|secs|seconds)\b")
+_PART_OF_ONE = re.compile(r"(nano|micro|milli|[num])\s?s(ec|econd)")
+_SECOND_PARTS = {
+    UNITS[3]: re.compile(r"(nsecs?|nanosecs?|nanoseconds)\b"),
+    UNITS[2]: re.compile(r"(usecs?|microsecs?|microseconds)\b"),
+    UNITS[1]: re.compile(r"(msecs?|millisecs?|milliseconds)\b"),
+}
+_EVEN = 0.5
+"""Share of the unevenness of its steps that another unit of the second column leaves: the right one leaves far less."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +63,80 @@ def read_listed_times(path: Path) -> ListedTimes:
         return ListedTimes(np.zeros(0, dtype=np.int64))
     name = _name_column(table)
     names = tuple(cells[name] for cells in table.rows) if name is not None else ()
-    first = table.column(lambda h: _FIRST_PART.search(h) is not None and "nano" not in h and "nsec" not in h)
-    second = table.column(lambda h: _SECOND_PART.search(h) is not None)
-    if first is not None and second is not None:
-        return ListedTimes(_in_two_parts(path, table, _column(table, first), _column(table, second)), names)
+    whole, rest, unit = _two_columns(path, table)
+    if whole is not None and rest is not None:
+        stamps = _in_two_parts(path, table, _column(table, whole), _column(table, rest), unit)
+        return in_order(ListedTimes(stamps, names))
     column = _time_column(path, table, name)
-    unit = unit_of_heading(table.headings[column]) if table.headings else None
+    heading = unit_of_heading(table.headings[column]) if table.headings else None
     try:
-        times = parse_times(_column(table, column), unit)
+        times = parse_times(_column(table, column), heading)
     except NotATime as error:
         raise _no_time(path, table, error.index) from None
-    return ListedTimes(times.stamps_ns, names, times.doubt)
+    return in_order(ListedTimes(times.stamps_ns, names, times.doubt))
+
+
+def in_order(listed: ListedTimes) -> ListedTimes:
+    """Rows with names in order of time where all come in reverse, or where the names count in that order too; others
+    as they are: whether time really goes back, only their owner knows."""
+    stamps = listed.stamps_ns
+    order = np.argsort(stamps, kind="stable")
+    if not listed.names or (np.diff(stamps) >= 0).all() or len(set(stamps.tolist())) < len(stamps):
+        return listed
+    names = tuple(listed.names[i] for i in order)
+    keys = [natural_key(Path(name).name) for name in names]
+    if (np.diff(stamps) < 0).all():
+        how = "its rows are in reverse order of time: sorted"
+    elif keys == sorted(keys):
+        how = f"{int((np.diff(stamps) < 0).sum())} of its {len(stamps)} rows are out of order by their times: sorted"
+    else:
+        return listed
+    return ListedTimes(stamps[order], names, f"{listed.doubt}; {how}" if listed.doubt else how)
+
+
+def _two_columns(path: Path, table: HeadedTable) -> tuple[int | None, int | None, TimeUnit]:
+    """The columns of whole seconds and of what is beyond them, and the unit of that: by their headings; without any,
+    by what makes the steps even, where the first two whole numbers of a row can be nothing else."""
+    if table.headings:
+        first = table.column(lambda h: _FIRST_PART.search(h) is not None and _PART_OF_ONE.search(h) is None)
+        for unit, words in _SECOND_PARTS.items():
+            second = table.column(lambda h, words=words: words.search(h) is not None)  # type: ignore[misc]
+            if first is not None and second is not None:
+                return first, second, unit
+        return None, None, SECONDS
+    whole = [i for i in range(len(table.rows[0])) if all(row[i].isdecimal() for row in table.rows)]
+    for first, second in pairwise(whole):
+        if second == first + 1 and (beyond := _unit_beyond(path, table, first, second)) is not None:
+            return first, second, beyond
+    return None, None, SECONDS
+
+
+def _unit_beyond(path: Path, table: HeadedTable, first: int, second: int) -> TimeUnit | None:
+    """The unit of the second column where both together are a time; :class:`FrontendError` where that is so and the
+    unit stays open."""
+    seconds = np.array([int(cell) for cell in _column(table, first)], dtype=object)
+    beyond = np.array([int(cell) for cell in _column(table, second)], dtype=object)
+    steps = np.diff(seconds)
+    if not len(steps) or (steps == 0).sum() * 4 < len(steps) or max(beyond) >= NS_PER_S or len(set(beyond)) < 3:
+        return None  # a second in which no two images were taken, or a column that only counts
+    if not is_unix_s(float(seconds[0])) and (steps < 0).any():
+        return None
+    known = {}
+    for unit in UNITS[1:]:
+        if max(beyond) * unit.ns < NS_PER_S:
+            apart = np.sort(((seconds - seconds[0]) * NS_PER_S + beyond * unit.ns).astype(np.float64))
+            gaps = np.diff(apart)
+            known[unit] = float(np.abs(gaps - np.median(gaps)).mean() / max(float(np.median(gaps)), 1.0))
+    best = sorted(known, key=lambda unit: known[unit])
+    sure = len(best) == 1 or (best and known[best[0]] < _EVEN * known[best[1]])
+    if sure and known[best[0]] < 1.0:
+        return best[0]
+    if not is_unix_s(float(seconds[0])):
+        return None
+    raise FrontendError(
+        f"{path}:{table.lines[0]}: seconds, and in the next column a part of one in a unit that its numbers leave "
+        "open; head the columns: sec nsec (or sec usec, or sec msec)"
+    )
 
 
 def _no_time(path: Path, table: HeadedTable, row: int) -> FrontendError:
@@ -68,13 +148,15 @@ def _column(table: HeadedTable, column: int) -> list[str]:
     return [cells[column] for cells in table.rows]
 
 
-def _in_two_parts(path: Path, table: HeadedTable, seconds: list[str], rest: list[str]) -> NDArray[np.int64]:
-    """Whole seconds and nanoseconds in columns of their own, as ROS writes a time."""
+def _in_two_parts(
+    path: Path, table: HeadedTable, seconds: list[str], rest: list[str], unit: TimeUnit
+) -> NDArray[np.int64]:
+    """Whole seconds, and in a column of their own nanoseconds, as ROS writes a time, or another ``unit``."""
     stamps = []
     for row, (one, two) in enumerate(zip(seconds, rest, strict=True)):
-        if not (one.isdecimal() and two.isdecimal() and int(one) < 2**33 and int(two) < NS_PER_S):
+        if not (one.isdecimal() and two.isdecimal() and int(one) < 2**33 and int(two) * unit.ns < NS_PER_S):
             raise _no_time(path, table, row)
-        stamps.append(int(one) * NS_PER_S + int(two))
+        stamps.append(int(one) * NS_PER_S + int(two) * unit.ns)
     return np.array(stamps, dtype=np.int64)
 
 

@@ -21,6 +21,10 @@ class ReadingConfig(BaseModel):
     mosaic: Literal["auto", "yes", "no"] = Field(
         default="auto", description="whether images of one channel are a Bayer mosaic (auto: by their content)"
     )
+    depth_by_content: bool = Field(
+        default=True,
+        description="refuse images of 16 bits that are depth pictures by their content as a camera's; false takes them",
+    )
     robots: bool = Field(
         default=False,
         description="take every sub-folder that holds images as a robot, whatever its name; false takes those whose "

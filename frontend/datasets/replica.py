@@ -14,6 +14,7 @@ from ..cameras.models import RigKind
 from ..errors import FrontendError
 from ..files import text_tables
 from ..files.timestamps import NS_PER_S
+from .above import folder_above
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file
@@ -57,7 +58,7 @@ class ReplicaReader(Reader):
         depth = tuple(depth_of.get(n, inside / f"depth{n:06d}.png") for n in numbers.tolist())
         found = FoundSequence(
             kind=self.kind,
-            folder=inside.resolve().parent if inside.name == "results" else folder,
+            folder=folder_above(inside) if inside.name == "results" else folder,
             raw=raw,
             calibration=source,
             images=timed.files,
@@ -74,7 +75,7 @@ def _inside(folder: Path) -> Path | None:
     for place in (folder / "results", folder):
         names = [path.stem for path in list_images(place)]
         both = any(map(_DEPTH.fullmatch, names)) and any(map(_IMAGE.fullmatch, names))
-        above = place.resolve().parent
+        above = folder_above(place)
         if both and any((at / name).is_file() for at in (place, above) for name in (_POSES, _PARAMETERS)):
             return place
     return None
@@ -86,8 +87,8 @@ def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
 
 
 def _camera(inside: Path, problems: Problems) -> tuple[RawRig, Path]:
-    above = inside.resolve().parent
-    for place in (inside, above, above.parent):
+    above = folder_above(inside)
+    for place in (inside, above, folder_above(above)):
         path = place / _PARAMETERS
         if path.is_file():
             return _parameters(path), path
@@ -113,5 +114,5 @@ def _parameters(path: Path) -> RawRig:
 
 def _truth(inside: Path, images: TimedImages, problems: Problems) -> Truth | None:
     """A row for each number, from 0 on; or one for each image."""
-    path = next((p for p in (inside / _POSES, inside.resolve().parent / _POSES) if p.is_file()), None)
+    path = next((p for p in (inside / _POSES, folder_above(inside) / _POSES) if p.is_file()), None)
     return None if path is None else read_truth(path, images, problems)

@@ -10,14 +10,16 @@ from pathlib import Path
 from .depth_files import FLOAT_SUFFIXES, list_depth
 from .images import holds_images, is_image, list_images
 
-LEFT_FOLDERS = (
-    "image_0", "left", "images", "image", "rgb", "color", "colour", "cam0", "image_left", "left_images",
-    "left_camera", "infra1", ".",
-)  # fmt: skip
 _RIGHT_OF = {
     "image_0": "image_1", "left": "right", "cam0": "cam1", "image_left": "image_right", "left_images": "right_images",
-    "left_camera": "right_camera", "infra1": "infra2",
+    "left_camera": "right_camera", "infra1": "infra2", "image_2": "image_3", "image_00": "image_01",
+    "image_02": "image_03", "cam_0": "cam_1", "camera0": "camera1", "camera_0": "camera_1", "cam_left": "cam_right",
+    "camera_left": "camera_right",
 }  # fmt: skip
+LEFT_FOLDERS = (
+    "image_0", "left", "images", "image", "rgb", "color", "colour",
+    *(name for name in _RIGHT_OF if name not in ("image_0", "left")), ".",
+)  # fmt: skip
 _DEPTH_FOLDERS = ("depth_0", "depth", "depth_images", "depths")
 _DEPTH = re.compile(r"(?:^|[^a-z])(?:depth|depthmap)(?![a-z])")
 _RIGHT, _LEFT = (re.compile(rf"(?:^|[^a-z]){side}(?![a-z])") for side in ("right", "left"))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ..cameras.calibration import RawRig
 from ..cameras.calibration_files import read_calibration
+from .above import folder_above
 from .base import Problems
 
 _SUFFIXES = (".yaml", ".yml", ".json")
@@ -16,12 +17,12 @@ _OF_ALL = ("camera", "calibration", "camera_info", "camchain", "calib")
 def find_shared_camera(folder: Path, problems: Problems) -> tuple[RawRig, Path] | None:
     """The calibration beside ``folder`` that has its name, else one for all (``camera.yaml`` …), directly there or in
     ``calibration``; None without. Taking it is said."""
-    resolved = folder.resolve()
-    beside = [path for name in _FOLDERS for path in _files(resolved.parent / name)]
-    for stem in (resolved.name.lower(), *_OF_ALL):
+    above, name_of = folder_above(folder), folder.resolve().name
+    beside = [path for name in _FOLDERS for path in _files(above / name)]
+    for stem in (name_of.lower(), *_OF_ALL):
         for path in beside:
             if path.stem.lower() == stem:
-                problems.warning(f"{path}: taken as the calibration of {resolved.name}, which has none of its own")
+                problems.warning(f"{path}: taken as the calibration of {name_of}, which has none of its own")
                 return read_calibration(path), path
     return None
 

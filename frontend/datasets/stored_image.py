@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,11 @@ class StoredImage(ABC):
     def read_depth(self, unit_m: float) -> NDArray[np.float32]:
         """``(H, W)`` float32 metres, ``unit_m`` metres per step where it is stored in steps; 0 = unknown. Errors as
         :meth:`read_grey`'s, and for an image that is no depth."""
+
+    def read_numbers(self) -> NDArray[Any] | None:
+        """The image's own numbers where it may have more than 8 bits of them, else None; errors as
+        :meth:`read_grey`'s."""
+        return None
 
 
 ImageRef = Path | StoredImage

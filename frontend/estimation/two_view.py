@@ -86,8 +86,10 @@ def solve_two_views(pairs: PointPairs, config: MonoConfig) -> TwoViews:
     """Motion and points; pure rotation and two-fold planar motion are refused with the reason."""
     rest = residual_after_rotation(pairs)
     if rest < _ROTATION_PX:
-        text = f"pure rotation: but for the turn the points move by {rest:.2f} px (median), need {_ROTATION_PX} px"
-        return _refused(pairs, Reason("pure rotation", text, rest / _ROTATION_PX))
+        text = (
+            f"turned without moving: but for the turn the points move by {rest:.2f} px (median), need {_ROTATION_PX} px"
+        )
+        return _refused(pairs, Reason("turned without moving", text, rest / _ROTATION_PX))
     models = _models(pairs)
     if models is None:
         return _refused(pairs, Reason("no motion fits the points", "no essential matrix fits the points"))

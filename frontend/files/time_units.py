@@ -128,7 +128,9 @@ def _bounded(stamps_ns: list[int]) -> NDArray[np.int64]:
 
 
 def _unit_of(numbers: list[int]) -> tuple[TimeUnit, str]:
-    """The unit of times given as numbers of 10^-9, and what makes it doubtful."""
+    """The unit of times given as numbers of 10^-9, and what makes it doubtful. Rows may be out of order."""
+    if sum(after < before for before, after in pairwise(numbers)) * 4 > len(numbers):
+        numbers = sorted(numbers)
     steps = [after - before for before, after in pairwise(numbers) if after > before]
     step = median(steps) / NS_PER_S if steps else 0.0
     rates = {unit: NS_PER_S / (step * unit.ns) if step else 0.0 for unit in UNITS}

@@ -135,9 +135,11 @@ def _second_motion(points: PointsFound, ranging: Ranging, sigma_px: float) -> Re
     return Reason("two motions in the image", text, second / n)
 
 
-def jumps(stamps_ns: NDArray[np.int64], centres: Array, depth: Array) -> list[tuple[int, Reason]]:
+def jumps(
+    stamps_ns: NDArray[np.int64], centres: Array, depth: Array, unit: str = "(unit of the track)"
+) -> list[tuple[int, Reason]]:
     """Frames ``k`` of a trajectory whose step from ``k - 1`` is a jump, with the doubt. ``centres`` ``(N, 3)``;
-    ``depth`` ``(N,)`` median depth that each frame sees, both in the track's unit."""
+    ``depth`` ``(N,)`` median depth that each frame sees, both in the track's ``unit``."""
     n = len(centres) - 1
     if n < _NEIGHBOURS + 1:
         return []
@@ -150,7 +152,7 @@ def jumps(stamps_ns: NDArray[np.int64], centres: Array, depth: Array) -> list[tu
     bound = _away(stamps_ns) * (_STEP_SPREADS * spread + _STEP_SHARE * depth[1:])
     out = []
     for k in np.flatnonzero(beyond > bound).tolist():
-        text = f"a step {beyond[k]:.3g} beyond its neighbours', bound {bound[k]:.3g} (unit of the track)"
+        text = f"a step {beyond[k]:.3g} beyond its neighbours', bound {bound[k]:.3g} {unit}"
         out.append((k + 1, Reason("a jump in the trajectory", text, float(beyond[k] / max(bound[k], 1e-12)))))
     return out
 

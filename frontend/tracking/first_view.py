@@ -22,6 +22,9 @@ _PATIENCE, _LEFT = 3, 0.6
 """Share of the points followed that must agree in all views."""
 _STILL, _STILL_SIGMAS = 0.25, 4.0
 """Share of points that may have moved by less than so many standard deviations when most have moved far."""
+_STILL_RESTED, _FEWEST, _WIDE = 0.01, 4, 0.5
+"""The same share where the camera stood just before, of so many points that are spread over this part of the image's
+width or height: something has come before it, and it does not leave in the same moment."""
 _STANDING = 0.9
 """Share of the points that have moved by no more than that where the camera is said to stand."""
 STATIC, MOVED_LITTLE = "the camera stands still", "moved too little to start"
@@ -32,10 +35,10 @@ _WAITING = Reason("waiting for a third view", "waiting for a third view to confi
 
 class FirstView:
     """Corners of ``frame`` that are followed: ``first_uv`` ``(n, 2)`` pixels there, ``uv`` ``(n, 2)`` in the latest
-    frame."""
+    frame. ``rested``: whether the camera was seen to stand, by these or by those before, and has not moved since."""
 
-    def __init__(self, frame: Frame, uv: Array, ranging: Ranging, config: OdometryConfig) -> None:
-        self.frame, self.first_uv, self.uv = frame, uv, uv
+    def __init__(self, frame: Frame, uv: Array, ranging: Ranging, config: OdometryConfig, rested: bool = False) -> None:
+        self.frame, self.first_uv, self.uv, self.rested = frame, uv, uv, rested
         self.ranging, self.config = ranging, config
         self._between: list[Array] = []
         self._begun, self._frames = len(uv), 0
@@ -104,25 +107,36 @@ class FirstView:
         flow, least_px = self.flow_px, mono.several_views * need_px
         if flow < least_px:
             kind = STATIC if self._standing() else MOVED_LITTLE
+            self.rested = self.rested or kind == STATIC
             text = f"{kind}: the points have moved by {flow:.2f} px (median), need {least_px:.1f} px"
             return Reason(kind, text, flow / least_px)
         still = self._still(flow)
-        if still > _STILL:
-            what = f"{100 * still:.0f} % of the points stand still"
-            text = f"{what}, {100 * _STILL:.0f} % at most: something moves, not the camera"
-            return Reason("a part of the image stands still", text, _STILL / still)
+        bound = _STILL_RESTED if self.rested and self._wide(still) else _STILL
+        share = float(still.mean())
+        if share > bound:
+            what = f"{100 * share:.0f} % of the points stand still"
+            text = f"{what}, {100 * bound:.0f} % at most: something moves, not the camera"
+            return Reason("a part of the image stands still", text, bound / share)
+        self.rested = False
         return None
+
+    def _wide(self, still: NDArray[np.bool_]) -> bool:
+        """Whether points lie all around: what a camera moves towards stands still, too, but in one place."""
+        camera = self.ranging.rig.camera
+        if still.sum() < _FEWEST:
+            return False
+        return bool((np.ptp(self.uv[still], axis=0) > _WIDE * np.array([camera.width, camera.height])).any())
 
     def _standing(self) -> bool:
         """Whether the points are where they were, within their noise."""
         moved = np.linalg.norm(self.uv - self.first_uv, axis=1)
         return float((moved < _STILL_SIGMAS * self.config.pose.pixel_sigma_px).mean()) >= _STANDING
 
-    def _still(self, flow_px: float) -> float:
-        """Share of points that never left their place: what a standing camera sees behind something that moves."""
+    def _still(self, flow_px: float) -> NDArray[np.bool_]:
+        """Points that never left their place: what a standing camera sees behind something that moves."""
         bound = min(_STILL_SIGMAS * self.config.pose.pixel_sigma_px, 0.25 * flow_px)
         moved = np.linalg.norm(np.stack([*self._between, self.uv]) - self.first_uv, axis=2)
-        return float((np.median(moved, axis=0) < bound).mean())
+        return np.asarray(np.median(moved, axis=0) < bound)
 
 
 def least_matches(mono: MonoConfig) -> int:

@@ -106,6 +106,7 @@ class MonoStarter:
         self.ranging, self.config, self.watch = ranging, config, watch
         self._views: list[FirstView] = []
         self._last: Frame | None = None
+        self._rested = False
 
     def offer(self, frame: Frame) -> Start:
         """Refuses views by a camera that stands or only turns, and views that leave two motions open."""
@@ -117,6 +118,7 @@ class MonoStarter:
             if started.segment is not None:
                 return started
             refusals.append(started.refusal)
+        self._rested = any(view.rested for view in self._views) if self._views else self._rested
         kept = [k for k, refusal in enumerate(refusals) if not self._spent(self._views[k], frame, refusal)]
         self._views = [self._views[k] for k in kept]
         # The reason is that of the oldest view that goes on; of one that ends here where none does.
@@ -149,7 +151,7 @@ class MonoStarter:
         uv, _, _ = Detector(features).detect(pyramid, 2 * features.tracks, np.zeros((0, 2)))
         chosen = spread_cells(uv, np.zeros((0, 2)), frame.image.shape[1], frame.image.shape[0], 2 * features.tracks)
         if len(chosen) >= least:
-            view = FirstView(frame, uv[chosen], self.ranging, self.config)
+            view = FirstView(frame, uv[chosen], self.ranging, self.config, self._rested)
             # The oldest has the most parallax, the newest the most points.
             self._views = [*self._views[:1], *self._views[1:][2 - _FIRST_VIEWS :], view]
             return refusal or Reason("first view of a start", "first view taken, waiting for a second")

@@ -26,8 +26,8 @@ from ..mapping.range_sensor import Ranging
 from ..reason import Reason
 from ..vocabulary.lookup import WordLookup
 from ..vocabulary.vocabulary import WordIndex
+from .followed_points import TrackedFrame
 from .track import Segment
-from .tracker import TrackedFrame
 
 _ORB_SIGMA_PX = 1.0
 """Standard deviation of an ORB key-point on level 0."""

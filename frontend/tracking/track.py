@@ -19,10 +19,11 @@ from ..mapping.range_sensor import Ranging
 from ..reason import Reason
 from ..stopwatch import Stopwatch
 from .doubt import jumps
+from .followed_points import TrackedFrame
 from .keyframe_policy import SinceKeyframe
 from .light import AmbientLight
 from .pose_log import PoseLog
-from .tracker import TrackedFrame, Tracker
+from .tracker import Tracker
 
 Array = NDArray[np.float64]
 
@@ -124,7 +125,8 @@ class Segment:
     def jumps(self) -> list[tuple[int, Reason]]:
         """Time stamp, nanoseconds, and doubt of each frame whose step is a jump."""
         trajectory = self.trajectory()
-        found = jumps(trajectory.stamps_ns, trajectory.centres, self._depths())
+        unit = "m" if self.tracker.ranging.rig.metric else "(unit of the track)"
+        found = jumps(trajectory.stamps_ns, trajectory.centres, self._depths(), unit)
         return [(int(trajectory.stamps_ns[k]), doubt) for k, doubt in found]
 
     def _depths(self) -> Array:

@@ -15,12 +15,14 @@ from ..estimation.absolute_pose import absolute_pose
 from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..frames import Frame
 from ..image.optical_flow import follow, follow_both_ways
-from ..image.patch_alignment import Patches, align, cut_patches, half_sized
+from ..image.patch_alignment import align, half_sized
 from ..image.used_pixels import are_used
-from ..mapping.map import FrameObservations, Ints, Map
+from ..mapping.map import FrameObservations, Map
 from ..mapping.range_sensor import Ranging
-from ..reason import NO_REASON, Reason
-from .doubt import PointsFound, doubt, stands
+from ..reason import Reason
+from .doubt import PointsFound, doubt
+from .followed_points import FollowedPoints, TrackedFrame
+from .standing import StandingCamera, doubt_held
 
 Array = NDArray[np.float64]
 _EPIPOLAR_PX = 2.0
@@ -37,52 +39,6 @@ exact than those that flow finds."""
 _LOOK_AGAIN_PX = 3.0
 """A prediction this wrong (median) has misled the search: what was not found is looked for again from the pose
 found."""
-
-
-@dataclass(frozen=True)
-class TrackedFrame:
-    """Result of tracking a frame: ``T_C_W`` ``(4, 4)``, None where tracking failed, and then its ``refusal``.
-    ``inliers``: map points that agree with the pose; ``doubt``: why it may be wrong nevertheless."""
-
-    T_C_W: Array | None
-    inliers: int
-    refusal: Reason = NO_REASON
-    doubt: Reason = NO_REASON
-
-    @property
-    def reason(self) -> str:
-        """Why there is no pose, with figures."""
-        return self.refusal.text
-
-
-@dataclass(frozen=True)
-class FollowedPoints:
-    """n map points that are followed from the last key-frame.
-
-    ``point`` ``(n,)``: their numbers; ``anchor_uv`` ``(n, 2)``: pixels in the key-frame; ``patches``: what they look
-    like there; ``uv`` ``(n, 2)``: pixels where each was last found; ``found`` ``(n,)``: in the last frame.
-    """
-
-    point: Ints
-    anchor_uv: Array
-    patches: Patches
-    uv: Array
-    found: NDArray[np.bool_]
-
-    @classmethod
-    def at_keyframe(cls, seen: FrameObservations, image: list[NDArray[np.uint8]]) -> FollowedPoints:
-        """Begin with ``seen`` in the key-frame's ``image`` and its halvings."""
-        return cls(seen.point, seen.uv, cut_patches(image, seen.uv), seen.uv, np.ones(len(seen.point), dtype=bool))
-
-    def take(self, rows: NDArray[np.bool_]) -> FollowedPoints:
-        """The points of ``rows``, a mask."""
-        parts = self.point[rows], self.anchor_uv[rows], self.patches.take(rows), self.uv[rows], self.found[rows]
-        return FollowedPoints(*parts)
-
-    @property
-    def seen(self) -> FrameObservations:
-        """Those found in the last frame."""
-        return FrameObservations(self.point[self.found], self.uv[self.found])
 
 
 @dataclass(frozen=True)
@@ -118,10 +74,7 @@ class Tracker:
         self.followed = FollowedPoints.at_keyframe(nothing, [])
         self.anchor_T: Array = np.eye(4)
         self.T_C_W: Array = np.eye(4)
-        self.stands = True
-        """Whether the camera stands, as far as known ..."""
-        self.held = False
-        """... and was held in the last frame although something moves: that makes no key-frame."""
+        self.standing = StandingCamera()
         self.motion: Array | None = None
         """``T_C1_C0`` of the last step ..."""
         self.step_s = 0.0
@@ -151,13 +104,16 @@ class Tracker:
             again = None if rough is None else self._fit_from(search, rough)
             if again is not None and again.result.inliers > fit.result.inliers:
                 fit = again
-        if fit.result.T_C_W is None:
-            return fit.result
         fit = self._stand(search, self._look_again(search, fit))
         T_C_W = fit.result.T_C_W
-        assert T_C_W is not None
+        if T_C_W is None:
+            return fit.result
         points = self._points_found(search, fit)
-        result = replace(fit.result, doubt=doubt(T_C_W, points, self.ranging, self.config.pose.pixel_sigma_px))
+        if self.standing.held:
+            why = doubt_held(points, len(fit.found))
+        else:
+            why = doubt(T_C_W, points, self.ranging, self.config.pose.pixel_sigma_px)
+        result = replace(fit.result, doubt=why)
         uv, found = self._follow_unknown(search, fit, T_C_W)
         self.motion, self.step_s = product(T_C_W, se3_inverse(self.T_C_W)), dt
         self.image, self.stamp_ns, self.T_C_W = image, frame.stamp_ns, T_C_W
@@ -172,16 +128,37 @@ class Tracker:
         return PointsFound(search.xyz[at], fit.uv[at], before[at], fit.inlier[at])
 
     def _stand(self, search: _Search, fit: _Fit) -> _Fit:
-        """Where a part of a standing camera's points stands on, the pose is theirs, not that of what moves."""
+        """Where a part of a standing camera's points stands on, the pose is theirs, not that of what moves, and where
+        they are too few, the last one."""
         points = self._points_found(search, fit)
-        self.stands = stands(points, self.stands)
-        self.held = self.stands and points.divided
-        if not self.held:
+        if fit.result.T_C_W is None:
+            left = self.standing.left_alone(points)
+            if left is None:
+                return fit
+            self.standing = left
+        else:
+            at = search.xyz[fit.found]
+            away = self.ranging.project(fit.result.T_C_W, at)[0] - self.ranging.project(self.T_C_W, at)[0]
+            self.standing = self.standing.after(points, np.nan_to_num(np.hypot(*away.T)), len(fit.found))
+        if not self.standing.held:
             return fit
-        found = np.zeros(len(fit.found), dtype=bool)
-        found[np.flatnonzero(fit.found)[points.still]] = True
-        standing = self._fit(search, self.T_C_W, fit.uv, found)
-        return fit if standing.result.T_C_W is None else replace(standing, found=fit.found)
+        still = np.zeros(len(fit.found), dtype=bool)
+        still[np.flatnonzero(fit.found)[points.still]] = True
+        standing = self._fit(search, self.T_C_W, fit.uv, still)
+        T_C_W = standing.result.T_C_W
+        if T_C_W is None and not self.standing.certain:
+            return fit
+        inlier = self._agreeing(search, fit, self.T_C_W if T_C_W is None else T_C_W)
+        kept = TrackedFrame(self.T_C_W if T_C_W is None else T_C_W, int(inlier.sum()))
+        return replace(fit, result=kept, inlier=inlier)
+
+    def _agreeing(self, search: _Search, fit: _Fit, T_C_W: Array) -> NDArray[np.bool_]:
+        """Points ``(n,)`` found where this pose sees them, those that come out from behind something among them."""
+        at, inlier = np.flatnonzero(fit.found), np.zeros(len(fit.found), dtype=bool)
+        seen, _ = self.ranging.project(T_C_W, search.xyz[at])
+        bound_px = self.config.pose.outlier_sigmas * self.config.pose.pixel_sigma_px
+        inlier[at] = np.nan_to_num(np.hypot(*(seen - fit.uv[at]).T), nan=np.inf) < bound_px
+        return inlier
 
     def predict(self, frame: Frame) -> Array:
         """``T_C_W`` of ``frame`` by the last step, where that is of use; else the last pose."""
@@ -223,7 +200,8 @@ class Tracker:
 
     def _look_again(self, search: _Search, fit: _Fit) -> _Fit:
         """Where the prediction was wrong, look from the pose found for the points that do not agree with it."""
-        assert fit.result.T_C_W is not None
+        if fit.result.T_C_W is None:
+            return fit
         before, _ = self.ranging.project(fit.predicted, search.xyz[fit.inlier])
         after, _ = self.ranging.project(fit.result.T_C_W, search.xyz[fit.inlier])
         if np.median(np.linalg.norm(after - before, axis=1)) < _LOOK_AGAIN_PX:

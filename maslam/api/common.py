@@ -17,7 +17,7 @@ from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets.readers import ReaderLike
 from maslam.frontend.datasets.reading_config import ReadingConfig
 from maslam.frontend.recording_config import RecordingConfig
-from maslam.tools.common.errors import ToolError
+from maslam.tools.common.errors import EarlierResultError, ToolError
 from maslam.tools.common.options import build
 from maslam.tools.common.parallel import one_blas_thread
 from maslam.tools.pipeline.positions import LONGEST_S, PositionSettings
@@ -35,12 +35,16 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def on_one_thread(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """``function`` with BLAS on one thread, as on the command line: the same files on every machine."""
+    """``function`` with BLAS on one thread, as on the command line: the same files on every machine; errors name
+    arguments, not options."""
 
     @wraps(function)
     def inside(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
         with one_blas_thread():
-            return function(*args, **kwargs)
+            try:
+                return function(*args, **kwargs)
+            except EarlierResultError as error:
+                raise error.in_python() from None
 
     return inside
 

@@ -136,7 +136,7 @@ def run(
     check_out(Path(out))
     tasks = CallbackProgress(progress)
     folder = sequences.folder if isinstance(sequences, Sequences) else Path(sequences)
-    manifest, loaded = sequences_for(folder, Path(out), tasks)
+    manifest, loaded = sequences_for(folder, Path(out), tasks, overwrite)
     if not overwrite:
         check_same_run(Path(out), config, of_manifest(manifest))
     compile_for(agent_kernels(len(loaded)), tasks)

@@ -19,8 +19,8 @@ from maslam.frontend.odometry import FrameResult, Odometry, OdometryResult
 from maslam.frontend.reason import NO_REASON, Reason
 from maslam.frontend.tracking import doubt as rules
 from maslam.frontend.tracking.doubt import PointsFound, doubt, jumps, stands, weak_support
+from maslam.frontend.tracking.followed_points import TrackedFrame
 from maslam.frontend.tracking.pose_log import DoubtfulInterval, MomentLog
-from maslam.frontend.tracking.tracker import TrackedFrame
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
 
 CONFIG = OdometryConfig()
@@ -96,6 +96,8 @@ def test_a_step_beyond_its_neighbours_is_a_jump() -> None:
     broken[25:] += [0.0, 0.2, 0.0]
     ((frame, found),) = jumps(stamps, broken, depth)
     assert frame == 25 and found.kind == "a jump in the trajectory" and found.reached > 1.0
+    assert found.text.endswith(" (unit of the track)")
+    assert jumps(stamps, broken, depth, "m")[0][1].text.endswith(" m")
     assert jumps(stamps, broken, np.full(40, 60.0)) == []  # far from everything it is no more than the noise
     stamps[25:] += 4 * 10**8
     waited = centres.copy()
@@ -146,33 +148,53 @@ def test_doubts_are_joined_over_short_gaps_and_only_of_frames_with_a_pose() -> N
     ]
 
 
-def passing(kind: RigKind, width: int, stand: int = 24) -> tuple[OdometryResult, list[FrameResult], np.ndarray]:
-    """A walk of 20 frames, then the camera stands while something ``width`` pixels wide moves on before it."""
-    scene, poses = room.Room(3), room.walk(20)
+def passing(
+    kind: RigKind,
+    width: int,
+    stand: int = 24,
+    walk: int = 20,
+    top: int = 0,
+    height: int = 240,
+    x: float = 0.0,
+    near_m: float = 1.3,
+) -> tuple[OdometryResult, list[FrameResult], np.ndarray]:
+    """A walk, then the camera stands while something ``width`` pixels wide at ``near_m`` moves on before it, which
+    appears at once at column ``x`` after three frames, or six where it stands from the beginning."""
+    scene, poses = room.Room(3), room.walk(walk)
     poses = np.concatenate([poses, np.tile(poses[-1:], (stand, 1, 1))])
     texture = cv2.resize(
-        np.random.default_rng(9).uniform(0, 255, (60, width // 4)), (width, 240), interpolation=cv2.INTER_CUBIC
+        np.random.default_rng(9).uniform(0, 255, (height // 4, width // 4)),
+        (width, height),
+        interpolation=cv2.INTER_CUBIC,
     )
     odometry, results = Odometry(room.rig(kind), CONFIG, Vocabulary.load()), []
+    comes = max(walk + 3, 7)
     for i, pose in enumerate(poses):
         frame = scene.frame(i, pose, kind)
-        if i >= 23:
-            near = room.CAMERA.fx * room.BASELINE_M / 1.3
+        if i >= comes:
+            near, at = room.CAMERA.fx * room.BASELINE_M / near_m, x + 5.0 * (i - comes)
             image, right = (
-                None if picture is None else pasted(picture, texture, 5.0 * (i - 23) - shift)
+                None if picture is None else pasted(picture, texture, at - shift, top)
                 for picture, shift in ((frame.image, 0.0), (frame.right, near))
             )
+            depth = None if frame.depth_m is None else covered(frame.depth_m, texture, at, top, near_m)
             assert image is not None
-            frame = replace(frame, image=image, right=right)
+            frame = replace(frame, image=image, right=right, depth_m=depth)
         results.append(odometry.process(frame))
     return odometry.finish(), results, poses
 
 
-def pasted(picture: np.ndarray, texture: np.ndarray, x: float) -> np.ndarray:
-    shift = np.array([[1.0, 0.0, x], [0.0, 1.0, 0.0]])
+def pasted(picture: np.ndarray, texture: np.ndarray, x: float, y: float = 0.0) -> np.ndarray:
+    shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
     size = picture.shape[::-1]
     there = cv2.warpAffine(np.ones_like(texture), shift, size) > 0.5
     return np.where(there, np.clip(cv2.warpAffine(texture, shift, size), 0, 255), picture).astype(np.uint8)
+
+
+def covered(depth: np.ndarray, texture: np.ndarray, x: float, y: float, near_m: float) -> np.ndarray:
+    shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
+    there = cv2.warpAffine(np.ones_like(texture), shift, depth.shape[::-1]) > 0.5
+    return np.where(there, np.float32(near_m), depth)
 
 
 def test_a_standing_camera_is_not_carried_along_by_half_of_the_image() -> None:
@@ -194,3 +216,40 @@ def test_a_walk_leaves_no_doubt() -> None:
     odometry, scene = Odometry(room.rig(RigKind.STEREO), CONFIG, Vocabulary.load()), room.Room(3)
     results = [odometry.process(scene.frame(i, pose, RigKind.STEREO)) for i, pose in enumerate(room.walk(40))]
     assert odometry.finish().doubtful == [] and not any(result.doubt for result in results)
+
+
+@pytest.mark.parametrize("kind", [RigKind.STEREO, RigKind.RGBD, RigKind.MONO])
+def test_a_standing_camera_is_not_carried_along_by_what_fills_most_of_the_image(kind: RigKind) -> None:
+    result, frames, poses = passing(kind, 540, top=30, height=180, x=-236.0, near_m=0.7)
+    assert len(result.trajectories) == 1
+    trajectory = result.trajectories[0]
+    standing = trajectory.stamps_ns >= 20 * 10**8
+    assert standing.sum() == len(poses) - 20
+    path_m = np.linalg.norm(poses[19, :3, 3] - poses[0, :3, 3])
+    own = np.linalg.norm(trajectory.centres[~standing][-1] - trajectory.centres[0])
+    moved = np.linalg.norm(trajectory.centres[standing] - trajectory.centres[standing][0], axis=1) * path_m / own
+    # What passes moves by 0.6 m or more.
+    assert moved.max() < 0.05
+    assert not any(frame.is_keyframe for frame in frames[24:])
+
+
+def test_one_camera_that_stood_does_not_start_by_what_comes_before_it() -> None:
+    result, _, _ = passing(RigKind.MONO, 540, walk=1, top=30, height=180, x=-236.0)
+    assert not result.tracks
+    assert any("a part of the image stands still" in kind for one in result.lost for kind, _ in one.kinds)
+
+
+def test_a_pair_that_stands_all_the_time_says_so() -> None:
+    result, _, _ = passing(RigKind.STEREO, 540, walk=1, top=30, height=180, x=-236.0)
+    [lost] = result.lost
+    assert not result.tracks and lost.kind == "the camera stands still, the track is too short"
+
+
+def test_a_camera_that_stood_and_drives_off_is_followed_at_once() -> None:
+    scene, poses = room.Room(3), room.walk(16, step_m=0.12)
+    poses = np.concatenate([np.tile(poses[:1], (8, 1, 1)), poses])
+    odometry = Odometry(room.rig(RigKind.STEREO), CONFIG, Vocabulary.load())
+    results = [odometry.process(scene.frame(i, pose, RigKind.STEREO)) for i, pose in enumerate(poses)]
+    assert not any(result.doubt for result in results)
+    error = np.linalg.norm(np.stack([r.T_W_C for r in results])[:, :3, 3] - poses[:, :3, 3] + poses[0, :3, 3], axis=1)  # type: ignore[misc]
+    assert error.max() < 0.05

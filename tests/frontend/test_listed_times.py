@@ -131,3 +131,73 @@ def test_names_with_nanoseconds_without_zeros_are_named(tmp_path: Path) -> None:
     np.testing.assert_array_equal(sequence.stamps_ns, stamps)
     [problem] = sequence.problems
     assert "seconds and nanoseconds without leading zeros (1700000000." in problem.message
+
+
+@pytest.mark.parametrize("form", ["{s},{name}", "{ms},{name}", "{sec} {nsec} {name}"])
+def test_rows_in_reverse_order_are_sorted_by_their_times(tmp_path: Path, form: str) -> None:
+    text = "".join(reversed(lines(form).splitlines(keepends=True)))
+    sequence = folder_with(tmp_path, text, "times.csv")
+    np.testing.assert_array_equal(sequence.stamps_ns, STAMPS)
+    assert [path.name for path in sequence.left] == NAMES
+    [problem] = sequence.problems
+    assert problem.message == f"{tmp_path / 'times.csv'}: its rows are in reverse order of time: sorted"
+
+
+def test_small_times_in_reverse_order_keep_their_unit(tmp_path: Path) -> None:
+    text = "".join(f"{50 * i},{NAMES[i]}\n" for i in reversed(range(COUNT)))
+    np.testing.assert_array_equal(folder_with(tmp_path, text).stamps_ns, 50_000_000 * np.arange(COUNT))
+
+
+def test_rows_out_of_order_are_sorted_only_where_the_names_agree(tmp_path: Path) -> None:
+    rows = lines("{s},{name}").splitlines(keepends=True)
+    rows[2], rows[4] = rows[4], rows[2]
+    np.testing.assert_array_equal(folder_with(tmp_path / "a", "".join(rows)).stamps_ns, STAMPS)
+    swapped = [NAMES[i] for i in (0, 1, 4, 3, 2, 5)]
+    rows = lines("{s},{name}", swapped).splitlines(keepends=True)
+    rows[1], rows[3] = rows[3], rows[1]
+    with pytest.raises(FrontendError, match="time goes back"):
+        folder_with(tmp_path / "b", "".join(rows))
+
+
+@pytest.mark.parametrize("form", ["{sec} {nsec:09d}", "{sec},{nsec}", "{i} {sec} {nsec}", "{sec} {nsec} {name}"])
+@pytest.mark.parametrize("rate_hz", [3, 30])
+def test_seconds_and_nanoseconds_in_two_columns(tmp_path: Path, form: str, rate_hz: int) -> None:
+    stamps = START_NS + 10**9 * np.arange(COUNT) // rate_hz
+    text = "".join(
+        form.format(i=i, sec=t // 10**9, nsec=t % 10**9, name=NAMES[i]) + "\n" for i, t in enumerate(stamps.tolist())
+    )
+    sequence = folder_with(tmp_path, text)
+    np.testing.assert_array_equal(sequence.stamps_ns, stamps)
+    assert not sequence.problems
+
+
+def test_seconds_and_microseconds_in_two_columns(tmp_path: Path) -> None:
+    stamps = START_NS + 700_000_000 + 100_000_000 * np.arange(COUNT)
+    rows = [(t // 10**9, t % 10**9 // 1000) for t in stamps.tolist()]
+    plain = folder_with(tmp_path / "a", "".join(f"{a} {b}\n" for a, b in rows))
+    headed = folder_with(tmp_path / "b", "tv_sec tv_usec\n" + "".join(f"{a} {b}\n" for a, b in rows))
+    np.testing.assert_array_equal(plain.stamps_ns, stamps)
+    np.testing.assert_array_equal(headed.stamps_ns, stamps)
+
+
+def test_two_columns_in_an_open_unit_are_refused_with_the_cure(tmp_path: Path) -> None:
+    text = "".join(f"1700000000 {20000 * i}\n" for i in range(COUNT))
+    with pytest.raises(FrontendError, match=r"timestamps.txt:1: seconds, and .* head the columns: sec nsec"):
+        folder_with(tmp_path, text)
+
+
+def test_times_without_names_in_reverse_are_refused_with_the_cure(tmp_path: Path) -> None:
+    text = "".join(reversed(lines("{s}").splitlines(keepends=True)))
+    with pytest.raises(FrontendError, match="all are in reverse: list each image's name beside its time"):
+        folder_with(tmp_path, text)
+
+
+def test_associations_in_reverse_order_are_sorted(tmp_path: Path) -> None:
+    write_images(tmp_path / "rgb", NAMES, make_scene().images)
+    (tmp_path / "camera.yaml").write_text(own_camera())
+    rows = lines("{s} rgb/{name} {s} 0 0 0 0 0 0 1").splitlines(keepends=True)
+    (tmp_path / "associations.txt").write_text("".join(reversed(rows)))
+    [sequence] = open_dataset(tmp_path).sequences
+    np.testing.assert_array_equal(sequence.stamps_ns, STAMPS)
+    assert [path.name for path in sequence.left] == NAMES and sequence.groundtruth is not None
+    assert "its rows are in reverse order of time: sorted" in sequence.problems[0].message

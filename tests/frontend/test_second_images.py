@@ -271,3 +271,19 @@ def test_depth_files_that_are_none(tmp_path: Path, suffix: str) -> None:
     with pytest.raises(FrontendError, match=rf"000001\{suffix}: ") as error:
         sequence.read(1)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("left", "right"), [("image_2", "image_3"), ("image_02", "image_03"), ("cam_0", "cam_1")])
+def test_numbered_cameras_are_a_pair_whose_missing_baseline_is_named(tmp_path: Path, left: str, right: str) -> None:
+    scene = make_scene()
+    write_images(tmp_path / left, numbered(), scene.images)
+    write_images(tmp_path / right, numbered(), scene.rights)
+    (tmp_path / "camera.yaml").write_text(own_camera("rate_hz: 20.0\n"))
+    sequence = opened(tmp_path)
+    assert sequence.rig.kind is RigKind.MONO
+    [warning] = said(sequence)
+    assert f"right images in {tmp_path / right} are not used" in warning and "add baseline_m" in warning
+    (tmp_path / "camera.yaml").write_text(own_camera(STEREO))
+    sequence = opened(tmp_path)
+    assert sequence.rig.kind is RigKind.STEREO and not sequence.problems
+    np.testing.assert_array_equal(sequence.read(3).right, scene.rights[3])

@@ -20,7 +20,7 @@ NOISES = [0.1, 0.3, 0.5]
 def test_pure_rotation_never_starts(noise_px: float) -> None:
     for seed in range(3):
         _, motion = drive([cloud(seed)] * 12, path(12, [0.002, 0.02, 0.003], [0, 0, 0]), noise_px, seed)
-        assert motion.T_2_1 is None and motion.refusal.kind == "pure rotation"
+        assert motion.T_2_1 is None and motion.refusal.kind == "turned without moving"
 
 
 @pytest.mark.parametrize("noise_px", NOISES)
@@ -93,7 +93,7 @@ def test_a_flat_and_narrow_scene_is_refused_as_what_it_is() -> None:
     points = np.random.default_rng(0).uniform([-0.6, -0.45, 9.8], [0.6, 0.45, 10.2], (200, 3))
     _, motion = drive([points] * 12, path(12, [0, 0.0, 0.01], [0.06, 0.0, 0.0]), 0.2, 0)
     assert motion.T_2_1 is None
-    kinds = ("turn and step cannot be distinguished", "two motions fit the points", "pure rotation")
+    kinds = ("turn and step cannot be distinguished", "two motions fit the points", "turned without moving")
     assert motion.refusal.kind in kinds
 
 

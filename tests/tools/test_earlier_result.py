@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import maslam
+from maslam import MaslamError
 from maslam._atomic import replacing
 from maslam.tools import cli
 from maslam.tools.common.writing import writing
@@ -93,10 +95,14 @@ def test_a_run_of_another_source_or_other_settings_is_not_replaced(drives, tmp_p
     assert before == ((out / "summary.json").read_bytes(), (out / "sequences" / "manifest.json").read_bytes())
     assert "holds a run with other settings (seed); choose another folder" in said(capsys, [*slam, "--seed", "3"])
     line = said(capsys, ["slam", two, out, "--workers", "1"])
-    assert f"holds agent sequences of {one.resolve()}, not of {two.resolve()}" in line and "--overwrite" in line
+    assert f"holds agent sequences of {one.resolve()}, not of {two.resolve()}" in line and line.endswith(
+        "or replace it with --overwrite\n"
+    )
     assert "other settings (odometry.features.tracks)" in said(capsys, [*slam, "--odometry.features.tracks", "300"])
     assert "other settings (split)" in said(capsys, [*slam, "--agents", "2"])
     assert before == ((out / "summary.json").read_bytes(), (out / "sequences" / "manifest.json").read_bytes())
+    with pytest.raises(MaslamError, match=r"or replace it with overwrite=True$"):  # what who calls it can write
+        maslam.slam(two, out, workers=1)
     sequences = tmp_path / "sequences"
     said(capsys, ["preprocess", two, sequences, "--workers", "1"], 0)
     assert "holds a run of" in said(capsys, ["run", sequences, out])

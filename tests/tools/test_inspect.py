@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "frontend"))
-from dataset_makers import make_scene, write_euroc, write_kitti, write_rendered
+from dataset_makers import make_scene, own_camera, write_euroc, write_kitti, write_rendered
 
 from maslam.tools.cli import main
 from maslam.tools.inspection.command import inspect_dataset
@@ -78,3 +79,36 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["inspect", str(tmp_path / "empty")]) == 1
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1 and "no images" in printed.err
+
+
+def test_depth_of_another_size_is_one_line_with_the_count(tmp_path: Path) -> None:
+    scene = make_scene()
+    write_rendered(tmp_path, scene, "rgbd")
+    for path in (tmp_path / "depth_0").iterdir():
+        assert cv2.imwrite(str(path), scene.depth_mm[0, ::2, ::2])
+    [sequence] = inspect_dataset(tmp_path).sequences
+    [line] = [problem.message for problem in sequence.problems if problem.severity == "error"]
+    assert line == (
+        f"{tmp_path / 'depth_0' / '000000.png'}: 48x32 pixels, but this sequence has 96x64 (and 5 more of 6 looked at)"
+    )
+
+
+def test_paths_are_named_as_the_user_wrote_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("Alice", "Bob"):
+        write_rendered(tmp_path / "team" / name, make_scene(), "stereo")
+        (tmp_path / "team" / name / "camera.yaml").unlink()
+    (tmp_path / "team" / "camera.yaml").write_text(own_camera("rate_hz: 20.0\nbaseline_m: 0.25\n"))
+    write_euroc(tmp_path / "drone", make_scene())
+    (tmp_path / "drone/mav0/state_groundtruth_estimate0/data.csv").unlink()
+    (tmp_path / "drone/groundtruth.tum").write_text("nothing\n")
+    monkeypatch.chdir(tmp_path)
+    for source, file in (("team", "team/camera.yaml: taken"), ("drone", "drone/groundtruth.tum:")):
+        main(["inspect", source])
+        said = capsys.readouterr().out
+        assert file in said and str(tmp_path) not in said
+    monkeypatch.chdir(tmp_path / "team/Alice")
+    main(["inspect", "."])
+    said = capsys.readouterr().out
+    assert "../camera.yaml: taken as the calibration of Alice" in said and str(tmp_path) not in said

@@ -194,3 +194,14 @@ def test_depth_of_other_moments_is_named(walk: Path) -> None:
     for k, path in enumerate(paths):
         path.write_bytes(data[(k + len(paths) // 2) % len(paths)])
     assert any("edges of the depth" in message for message in messages(walk))
+
+
+@pytest.mark.parametrize(("turn_deg", "pairs"), [(1.5, True), (37.0, False)])
+def test_a_turn_that_no_rig_has_is_not_laid_to_the_calibration(turn_deg: float, pairs: bool) -> None:
+    from maslam.frontend.datasets.pair_check import PairFit
+    from maslam.tools.checks.sensor_checks import turned_lines
+
+    turn = np.array([0.0, turn_deg, 0.0])
+    _, said, _ = turned_lines([], PairFit(90, 200, turn, np.full(3, 0.1), 3.0, 8.0, 0.5))
+    assert ("calibrate the pair anew" in said) == pairs
+    assert ("of other moments" in said) != pairs

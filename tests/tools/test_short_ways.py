@@ -40,3 +40,13 @@ def test_another_way_under_the_same_name_is_not_taken_for_the_first(tmp_path, ca
     way(tmp_path / "way.txt", 3.0, 4)
     assert rendered(tmp_path, "out") == 1
     assert "other settings (poses_sha256)" in capsys.readouterr().err
+
+
+def test_fewer_poses_than_frames_are_said(tmp_path, capsys):
+    way(tmp_path / "way.txt", 2.0, 3)
+    assert rendered(tmp_path, "out") == 0
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'way.txt'}: 3 poses, fewer than --frames 4: 3 frames are rendered" in said
+    assert len(list((tmp_path / "out" / "agent_00" / "image_0").iterdir())) == 3
+    way(tmp_path / "way.txt", 2.0, 4)
+    assert rendered(tmp_path, "enough") == 0 and "fewer" not in capsys.readouterr().err

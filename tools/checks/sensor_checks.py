@@ -24,6 +24,8 @@ _WRONG_WAY = 0.25
 """Share of points that may lie right of their place in the left image: mismatches; far points do so by rounding."""
 _YAW_DEG = 0.5
 """A turn of the right camera about y that moves all disparities, as cameras in each other's place do."""
+_NO_CALIBRATION_DEG = 15.0
+"""A right camera turned farther is no rig's: the images are no pairs."""
 _DEPTH_M = (0.1, 30.0)
 _DEPTH_KNOWN = 0.05
 
@@ -141,7 +143,10 @@ def turned_lines(checks: Sequence[RowCheck], fit: PairFit | None) -> tuple[str, 
     if fit is None or not fit.off:
         return line, "", problems
     errors = [one for one in problems if one.severity is Severity.ERROR and abs(fit.turn_deg[1]) < _YAW_DEG]
-    off = f"the calibration is off, or the pair is not rectified: {fit.text()}; calibrate the pair anew"
+    if float(np.abs(fit.turn_deg).max()) > _NO_CALIBRATION_DEG:
+        off = f"are the right images of other moments than the left ones, or of another rig? {fit.text()}"
+    else:
+        off = f"the calibration is off, or the pair is not rectified: {fit.text()}; calibrate the pair anew"
     return line, off, [*errors, Problem(Severity.WARNING, off)]
 
 

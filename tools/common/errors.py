@@ -11,6 +11,15 @@ class ToolError(MaslamError):
     """A folder, file or option that a command cannot use; the message says which and why in one line."""
 
 
+class EarlierResultError(ToolError):
+    """A result of something else stands where a new one is to be written; the message names ``--overwrite``, which
+    Python calls ``overwrite=True``."""
+
+    def in_python(self) -> EarlierResultError:
+        """The same for who calls a function."""
+        return EarlierResultError(str(self).replace("--overwrite", "overwrite=True"))
+
+
 class UsageError(ToolError):
     """Options that do not fit together: exit code 2 instead of 1."""
 

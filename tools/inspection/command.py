@@ -115,7 +115,8 @@ def _decode(
 
     known = any("missing" in problem.message for problem in sequence.problems)
     looked_at = set(samples_of(len(sequence)))
-    problems, frames = [], []
+    refused: list[str] = []
+    frames = []
     task = progress.start(f"decoding {sequence.name}", len(chosen)) if progress is not None else 0
     for done, i in enumerate(chosen, 1):
         files = [file_of(images[i]) for images in (sequence.left, sequence.right, sequence.depth) if images]
@@ -125,10 +126,22 @@ def _decode(
                 if i in looked_at:
                     frames.append(frame)
             except FrontendError as error:
-                problems.append(Problem(Severity.ERROR, str(error)))
+                refused.append(str(error))
         if progress is not None:
             progress.advance(task, done)
+    problems = [Problem(Severity.ERROR, line) for line in _counted(refused, len(chosen))]
     return problems, look_at(sequence, frames)
+
+
+def _counted(refused: list[str], looked_at: int) -> list[str]:
+    """Lines of which several differ in the file alone as one, with the first file and their number."""
+    alike: dict[str, list[str]] = {}
+    for line in refused:
+        alike.setdefault(line.partition(": ")[2], []).append(line)
+    return [
+        lines[0] if len(lines) == 1 else f"{lines[0]} (and {len(lines) - 1} more of {looked_at} looked at)"
+        for lines in alike.values()
+    ]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

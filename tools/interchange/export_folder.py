@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..common.errors import ToolError, UsageError
+from ..common.errors import EarlierResultError, ToolError, UsageError
 from ..common.progress import Progress
 from ..common.text_table import counted
 from ..common.writing import writing_whole
@@ -93,4 +93,4 @@ def _check_out(out: Path, run: Path, source: Path, request: ExportRequest) -> No
     if not (out / RECORD).is_file():
         raise ToolError(f"{out}: holds other files; choose a new folder")
     if not request.overwrite:
-        raise ToolError(f"{out}: holds an earlier export; --overwrite replaces it")
+        raise EarlierResultError(f"{out}: holds an earlier export; --overwrite replaces it")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from maslam._bounded import Unreadable, load_json, load_yaml, read_text
 
-from ..common.errors import ToolError
+from ..common.errors import EarlierResultError
 
 if TYPE_CHECKING:
     from maslam.mas.config import MasConfig
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 BEGUN = "unfinished.json"  # in a SEQS folder that is being made: its source and settings
 _SHOWN = 4
-_CURE = "choose another folder, or replace it with --overwrite (overwrite=True)"
+_CURE = "choose another folder, or replace it with --overwrite"
 
 
 def check_same_run(out: Path, config: MasConfig, made_of: Mapping[str, Any] | None = None) -> None:
-    """:class:`ToolError` where ``out`` holds a run of another source or with other settings than ``config``;
+    """:class:`EarlierResultError` where ``out`` holds a run of another source or with other settings than ``config``;
     ``made_of``: what is known of the sequences, as :func:`of_manifest` gives it, None before they are there."""
     settings = _read(out / "config.yaml")
     if settings is None:
@@ -31,7 +31,8 @@ def check_same_run(out: Path, config: MasConfig, made_of: Mapping[str, Any] | No
 
 
 def check_same_sequences(out: Path, made_of: Mapping[str, Any]) -> None:
-    """:class:`ToolError` where ``out`` holds agent sequences, whole or begun, of something else than ``made_of``."""
+    """:class:`EarlierResultError` where ``out`` holds agent sequences, whole or begun, of something else than
+    ``made_of``."""
     earlier = _read(out / BEGUN) or _read(out / "manifest.json")
     if earlier is not None:
         _refuse_other(out, "agent sequences", earlier, made_of)
@@ -47,7 +48,7 @@ def of_manifest(manifest: Manifest) -> dict[str, Any]:
 def _refuse_other(out: Path, what: str, earlier: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     there, wanted = earlier.get("source"), now["source"]
     if there != wanted:
-        raise ToolError(f"{out}: holds {what} of {there}, not of {wanted}; {_CURE}")
+        raise EarlierResultError(f"{out}: holds {what} of {there}, not of {wanted}; {_CURE}")
     _refuse_changed(out, what, {"split": earlier.get("split"), **(earlier.get("settings") or {})}, _flat(now))
 
 
@@ -59,7 +60,9 @@ def _refuse_changed(out: Path, what: str, earlier: Mapping[str, Any], now: Mappi
     changed = _changed(earlier, now)
     if changed:
         more = f" and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
-        raise ToolError(f"{out}: holds {what} with other settings ({', '.join(changed[:_SHOWN])}{more}); {_CURE}")
+        raise EarlierResultError(
+            f"{out}: holds {what} with other settings ({', '.join(changed[:_SHOWN])}{more}); {_CURE}"
+        )
 
 
 def _changed(earlier: Mapping[str, Any], now: Mapping[str, Any], before: str = "") -> list[str]:

@@ -96,14 +96,16 @@ def is_predecessor(folder: Path) -> bool:
     return bool(_folders(folder))
 
 
-def sequences_for(folder: Path, out: Path, progress: Progress) -> tuple[Manifest, list[AgentSequence]]:
+def sequences_for(
+    folder: Path, out: Path, progress: Progress, overwrite: bool = False
+) -> tuple[Manifest, list[AgentSequence]]:
     """What a run on ``folder`` plays: the agent sequences in it, or those made from the predecessor's files into
     ``out/sequences``."""
     from maslam.mas.sequence import MANIFEST, load_sequences
 
     if (folder / MANIFEST).is_file() or not is_predecessor(folder):
         return load_sequences(folder)
-    import_folder(folder, out / SEQUENCES, progress, overwrite=True)  # the run's own folder is checked by the run
+    import_folder(folder, out / SEQUENCES, progress, overwrite=overwrite)
     return load_sequences(out / SEQUENCES)
 
 

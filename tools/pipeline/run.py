@@ -88,7 +88,7 @@ def main(arguments: argparse.Namespace) -> None:
     config = config_from(arguments, read_settings(arguments.config))
     check_out(arguments.out)
     with progress_on(quiet=arguments.quiet) as progress, writing(arguments.out):
-        manifest, sequences = sequences_for(arguments.sequences, arguments.out, progress)
+        manifest, sequences = sequences_for(arguments.sequences, arguments.out, progress, arguments.overwrite)
         if not arguments.overwrite:
             check_same_run(arguments.out, config, of_manifest(manifest))
         compile_for(agent_kernels(len(sequences)), progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,6 +19,7 @@ from .scene.world import World
 from .town.routes import lane_line, plan_routes
 from .town.streets import Network
 
+log = logging.getLogger(__name__)
 Poses = NDArray[np.float64]
 POSES_OVERLAP = 10
 """Frames that neighbouring agents share where a pose file is cut into one piece for each agent."""
@@ -153,6 +155,16 @@ def _along(config: RenderConfig) -> tuple[World, list[Poses]]:
     _, poses = read_kitti_poses(config.poses_file)
     poses = poses[:: config.poses_step][: config.frames]
     _check_path(poses, config)
+    if len(poses) < config.frames:
+        every = f" (every {config.poses_step}th is used)" if config.poses_step > 1 else ""
+        log.warning(
+            "%s: %d poses%s, fewer than --frames %d: %d frames are rendered",
+            config.poses_file,
+            len(poses),
+            every,
+            config.frames,
+            len(poses),
+        )
     world = build_along(config.seed, poses, **_quality(config))  # type: ignore[arg-type]
     cuts = np.linspace(0, len(poses), config.agents + 1).astype(int)
     overlap = POSES_OVERLAP if config.agents > 1 else 0

@@ -86,6 +86,10 @@ class BagImage(StoredImage):
         """See :meth:`StoredImage.read_depth`."""
         return depth_metres(self.pixels(), unit_m, self)
 
+    def read_numbers(self) -> NDArray[Any]:
+        """See :meth:`StoredImage.read_numbers`."""
+        return self.pixels()
+
     def _levels(self, pixels: NDArray[Any]) -> NDArray[np.uint8]:
         if pixels.dtype == np.uint8:
             return pixels
