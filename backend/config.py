@@ -184,7 +184,7 @@ class SolverConfig(Settings):
         default=1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
     )
     elected_fineness: float = Field(
-        default=512.0,
+        default=256.0,
         gt=0,
         description="elected: resolution of transmitted numbers, steps per standard deviation of the residuals",
     )

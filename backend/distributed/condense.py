@@ -22,6 +22,9 @@ from ..geometry import Array, se3_inverse
 from ..pose_graph.graph import NodeId
 from .share import Share
 
+# A chain of more edges than this is sent more finely: one loop that others close has all of its rounding to bear.
+_IN_A_CHAIN = 10.0
+
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
@@ -69,17 +72,17 @@ class OwnGraph:
         poses, log_units = self.poses[rows], self.log_units[rows].tolist()
         return Known(dict(zip(nodes, poses, strict=True)), dict(zip(nodes, log_units, strict=True)))
 
-    def noise(self) -> float:
-        """The residuals' standard deviation over the stated one, at the optimum of the own edges; 1 where these close
-        no loop.
+    def exactness(self) -> float:
+        """How many times finer than the stated standard deviations measurements are to be sent: as the residuals are at
+        the optimum of the own edges; where these close no loop as many edges' rounding must add up to little.
         """
         edges = self.edges.only(self.edges.kappa > 0)
         held = first_of_parts(edges.ends, len(self.poses))
         freedom = freedom_of(edges.ends, self.fixed, held)
         if freedom <= 0:
-            return 1.0
+            return float(np.sqrt(max(1.0, len(edges.ends) / _IN_A_CHAIN)))
         found = near_minimum(edges, self.poses, self.log_units, held, self._kept(held), steps=2)
-        return noise_of(float(edges.costs(found.poses, found.log_units).sum()), freedom)
+        return 1.0 / noise_of(float(edges.costs(found.poses, found.log_units).sum()), freedom)
 
     def _kept(self, held: Sequence[int]) -> NDArray[np.bool_]:
         kept = self.fixed.copy()

@@ -17,7 +17,7 @@ from ..geometry import Array
 from ..pose_graph.graph import NodeId
 from .compact import CompactReader, CompactWriter, numbers_of, poses_of
 from .condense import Condensed, Known, OwnGraph
-from .place_steps import place_from_steps, place_to_steps, sizes_of
+from .place_steps import measured_sizes, place_from_steps, place_to_steps
 from .prior_bytes import read_priors, write_priors
 from .share import Share
 
@@ -115,7 +115,9 @@ def encode(c: Contribution) -> bytes:
     known = {weights: k for k, weights in enumerate(table)}
     pairs = [w[: c.width - 4] for w in rounded]
     edges = len(c.graph.edges.ends)
-    steps = place_to_steps(both.measured, both.log_scale, _NOTHING, sizes_of(rounded, fineness))[:, : c.width].tolist()
+    steps = place_to_steps(both.measured, both.log_scale, _NOTHING, measured_sizes(rounded, fineness))[
+        :, : c.width
+    ].tolist()
     out.count(edges)
     last = 0
     for (i, j), weights, moved in zip(c.graph.edges.ends.tolist(), pairs[:edges], steps[:edges], strict=True):
@@ -171,7 +173,7 @@ def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
     if not scaled:
         numbers = np.concatenate([numbers, np.ones((len(numbers), 1))], axis=1)
     moved = np.array(steps, dtype=np.float64).reshape(-1, width)
-    measured, log_scale = place_from_steps(moved, _NOTHING, sizes_of(numbers, fineness))
+    measured, log_scale = place_from_steps(moved, _NOTHING, measured_sizes(numbers, fineness))
     edges = len(ends)
     own = np.arange(len(weights)) < edges
     at = np.concatenate([np.array(ends, dtype=np.intp).reshape(-1, 2), _in_pairs(len(others))])

@@ -46,7 +46,7 @@ class ElectedNode:
         self.outcome: SolverOutcome | None = None
         self._config = config
         self._own = OwnGraph(share)
-        self._fineness = config.elected_fineness / self._own.noise()
+        self._fineness = config.elected_fineness * self._own.exactness()
         self._sizes = {share.robot: len(parcel.encode(self._mine(None)))}
         self._order: list[int] = []
         self._term = self._silent = 0
@@ -226,7 +226,7 @@ class ElectedNode:
         me = self.share.robot
         given = {r: self._contributions[r] for r in self._members()}
         self._gathered = solve(given, self.share.arbitrary_scale)
-        fineness = self._config.elected_fineness / self._gathered.noise
+        fineness = self._config.elected_fineness * self._gathered.exactness
         self._known = Known()
         out = []
         for robot, c in given.items():
@@ -235,7 +235,8 @@ class ElectedNode:
                 self._known = self._known.also(places)
                 self._costs[me] = self._complete(places)
                 continue
-            body, known = encode_solution(c.graph, places, fineness, self.share.scaled)
+            finer = fineness * self._gathered.stiffer(c)
+            body, known = encode_solution(c.graph, places, finer, self.share.scaled)
             self._known = self._known.also(known)
             out += self._to([robot], Kind.SOLUTION, body)
         self._say(out)

@@ -15,24 +15,36 @@ from .condense import Known, freedom_of, noise_of
 from .contribution import Between, Contribution
 from .share import anchor_of
 
+_EDGES_A_LOOP = 5.0
+
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
     """The group's solution: ``places`` of the nodes that are joined to the anchor; ``iterations`` of the solver;
-    ``between``: edges between members, as each sent them; ``noise``: the residuals' standard deviation over the stated
-    one; ``priors``: those that were used.
+    ``between``: edges between members, as each sent them; ``exactness``: how many times finer than the deviations
+    stated poses are to be sent; ``priors``: those that were used.
     """
 
     places: Known
     iterations: int
     between: tuple[Between, ...]
-    noise: float
+    exactness: float
     priors: OriginPriors = NO_PRIORS
 
     def of(self, nodes: Sequence[NodeId]) -> Known:
         """Those of a member's nodes that have a place."""
         reached = [n for n in nodes if n in self.places.poses]
         return Known({n: self.places.poses[n] for n in reached}, {n: self.places.log_units[n] for n in reached})
+
+    def stiffer(self, c: Contribution) -> float:
+        """How many times as exact as its own edges a member's poses must be for its edges to others; 1 at least."""
+        own, most = c.graph.edges, 1.0
+        for between in self.between:
+            mine = np.array([c.robot in (i.robot, j.robot) for i, j in between.nodes], dtype=bool)
+            for outer, inner in ((between.edges.kappa[mine], own.kappa), (between.edges.tau[mine], own.tau)):
+                if len(outer) and len(inner):
+                    most = max(most, float(outer.max() / max(inner.max(), 1e-12)))
+        return float(np.sqrt(most))
 
 
 def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[int] = frozenset()) -> Gathered:
@@ -65,6 +77,9 @@ def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[
     kept[held] = True
     found = minimum(edges, poses, log_units, sorted(held.tolist()), kept)
     noise = noise_of(float(edges.costs(found.poses, found.log_units).sum()), freedom)
+    # The rounding of all edges adds up, and is compared with what the loops alone cost.
+    chains = 6.0 * len(edges.ends) / (_EDGES_A_LOOP * max(freedom, 1))
+    exactness = float(np.sqrt(max(1.0, chains))) / noise
     solved, log_units, steps, joined = found.poses, found.log_units, found.steps, label == label[anchored]
     priors = priors_of(contributions, row)
     better = with_origin(edges, solved, log_units, anchored, fixed, priors, row) if len(priors) else None
@@ -72,7 +87,7 @@ def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[
         solved, log_units, steps, joined = better.poses, better.log_units, steps + better.steps, better.joined
     reached = [(n, k) for n, k in row.items() if joined[k]]
     places = Known({n: solved[k] for n, k in reached}, {n: float(log_units[k]) for n, k in reached})
-    return Gathered(places, steps, between, noise, priors if better is not None else NO_PRIORS)
+    return Gathered(places, steps, between, exactness, priors if better is not None else NO_PRIORS)
 
 
 def priors_of(contributions: Mapping[int, Contribution], row: Mapping[NodeId, int]) -> OriginPriors:

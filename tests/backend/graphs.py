@@ -161,3 +161,29 @@ def spoiled(rng, wrong=10, **kwargs):
     right = np.arange(len(edges)) < len(graph.edges)
     order = rng.permutation(len(edges))
     return replace(graph, edges=tuple(edges[k] for k in order)), right[order], truth
+
+
+def ring(robots, poses, seed, backwards=False):
+    """Robots one after the other on a circle, a metre a step; each meets the next once, and the last the first."""
+    rng = np.random.default_rng(seed)
+    total = robots * poses
+    radius = total / (2 * np.pi)
+    turns = 2 * np.pi * np.arange(total) / total
+    truth = {
+        NodeId(*divmod(k, poses)): se3(so3_exp([0, 0, a]), [radius * np.sin(a), radius * (1 - np.cos(a)), 0])
+        for k, a in enumerate(turns)
+    }
+
+    sigma = np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002])
+
+    def edge(i, j, kind):
+        return measured(truth, i, j, kind, sigma, np.diag(sigma**-2.0), rng)
+
+    edges = [edge(NodeId(r, k), NodeId(r, k + 1), EdgeKind.ODOMETRY) for r in range(robots) for k in range(poses - 1)]
+    ends = [(NodeId(r, poses - 1), NodeId((r + 1) % robots, 0)) for r in range(robots)]
+    edges += [edge(*(pair[::-1] if backwards else pair), EdgeKind.SEPARATOR) for pair in ends]
+    start = {}
+    for r in range(robots):
+        own = [e for e in edges if e.kind is EdgeKind.ODOMETRY and e.i.robot == r]
+        start |= spread_poses({NodeId(r, 0): np.eye(4)}, own)
+    return PoseGraph(start, tuple(edges))

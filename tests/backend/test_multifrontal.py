@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from graphs import grid, loops
+from graphs import grid, loops, ring
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -27,36 +27,10 @@ from maslam.backend.distributed.multifrontal.shared_poses import LocalCoordinate
 from maslam.backend.distributed.places import Places
 from maslam.backend.distributed.share import shares
 from maslam.backend.errors import BackendError
-from maslam.backend.geometry import se3, se3_exp, se3_inverse, so3_exp
-from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from maslam.backend.geometry import se3, se3_inverse, so3_exp
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId
 
 EXACT = SolverConfig(method="multifrontal")
-SIGMA = np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002])
-
-
-def ring(robots, poses, seed, backwards=False):
-    """Robots one after the other on a circle, a metre a step; each meets the next once, and the last the first."""
-    rng = np.random.default_rng(seed)
-    total = robots * poses
-    radius = total / (2 * np.pi)
-    turns = 2 * np.pi * np.arange(total) / total
-    truth = {
-        NodeId(*divmod(k, poses)): se3(so3_exp([0, 0, a]), [radius * np.sin(a), radius * (1 - np.cos(a)), 0])
-        for k, a in enumerate(turns)
-    }
-
-    def edge(i, j, kind):
-        T = se3_inverse(truth[i]) @ truth[j] @ se3_exp(SIGMA * rng.standard_normal(6))
-        return Edge(i, j, T, np.diag(SIGMA**-2.0), kind)
-
-    edges = [edge(NodeId(r, k), NodeId(r, k + 1), EdgeKind.ODOMETRY) for r in range(robots) for k in range(poses - 1)]
-    ends = [(NodeId(r, poses - 1), NodeId((r + 1) % robots, 0)) for r in range(robots)]
-    edges += [edge(*(pair[::-1] if backwards else pair), EdgeKind.SEPARATOR) for pair in ends]
-    start = {}
-    for r in range(robots):
-        own = [e for e in edges if e.kind is EdgeKind.ODOMETRY and e.i.robot == r]
-        start |= spread_poses({NodeId(r, 0): np.eye(4)}, own)
-    return PoseGraph(start, tuple(edges))
 
 
 def excess(graph, result):
