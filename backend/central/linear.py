@@ -18,6 +18,8 @@ from ..geometry import Array, skew
 
 # d/d(delta_k) of [delta]_x: the generators of SO(3), (3, 3, 3).
 _GENERATORS = skew(np.eye(3))
+# Edges whose derivatives are in memory at a time.
+_EDGES = 4096
 # Eigenvalues below this share of the largest are rounding (files hold about 6 digits, conditions of 1e11 occur).
 _ROUNDING = 1e-12
 
@@ -95,6 +97,15 @@ def pose_blocks(R_i: Array, R_j: Array, T_ij: Array, kappa: Array, tau: Array) -
     Unknown of a node: its translation (absolute: F is linear in it) and its turn ``delta``, ``R exp([delta])``.
     """
     m = len(R_i)
+    hessian, rhs = np.empty((m, 12, 12)), np.empty((m, 12, 1))
+    for at in range(0, m, _EDGES):
+        part = slice(at, at + _EDGES)
+        hessian[part], rhs[part] = _pose_blocks(R_i[part], R_j[part], T_ij[part], kappa[part], tau[part])
+    return hessian, rhs
+
+
+def _pose_blocks(R_i: Array, R_j: Array, T_ij: Array, kappa: Array, tau: Array) -> tuple[Array, Array]:
+    m = len(R_i)
     R_ij, t_ij = T_ij[:, :3, :3], T_ij[:, :3, 3]
     jacobian = np.zeros((m, 12, 12))
     jacobian[:, :3, :3], jacobian[:, :3, 6:9] = -np.eye(3), np.eye(3)
@@ -167,23 +178,21 @@ class BlockSystem:
         for side in range(2):
             mine = own[:, side] >= 0
             np.add.at(self._constant, own[mine, side], rhs[mine, side * width : (side + 1) * width])
-        self._matrix, self._factor = self._assemble(own, hessian, size)
+        self._factor = self._assemble(own, hessian, size)
         self._couplings = self._collect_couplings(ends, own, hessian)
 
-    def _assemble(self, own: np.ndarray, hessian: Array, size: int) -> tuple[csc_array, object]:
-        w, offsets = self.width, np.arange(self.width)
-        rows, columns, entries = [], [], []
+    def _assemble(self, own: np.ndarray, hessian: Array, size: int) -> object:
+        w, offsets = self.width, np.arange(self.width, dtype=np.int32)
+        matrix = csc_array((size, size))
+        # A quarter of the blocks at a time: of large graphs these indices are most of the memory.
         for a in range(2):
             for b in range(2):
                 both = (own[:, a] >= 0) & (own[:, b] >= 0)
-                r = own[both, a][:, None, None] * w + offsets[None, :, None]
-                c = own[both, b][:, None, None] * w + offsets[None, None, :]
+                ends = own[both].astype(np.int32) * w
                 block = hessian[both, a * w : (a + 1) * w, b * w : (b + 1) * w]
-                rows.append(np.broadcast_to(r, block.shape).ravel())
-                columns.append(np.broadcast_to(c, block.shape).ravel())
-                entries.append(block.ravel())
-        where = (np.concatenate(rows), np.concatenate(columns))
-        matrix = coo_array((np.concatenate(entries), where), shape=(size, size)).tocsc()
+                r = np.broadcast_to(ends[:, a, None, None] + offsets[None, :, None], block.shape)
+                c = np.broadcast_to(ends[:, b, None, None] + offsets[None, None, :], block.shape)
+                matrix = matrix + coo_array((block.ravel(), (r.ravel(), c.ravel())), shape=(size, size)).tocsc()
         try:
             factor = (
                 splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -194,7 +203,7 @@ class BlockSystem:
             raise BackendError(
                 f"the {size} equations of this graph are singular: a pose has no weight to hold it"
             ) from error
-        return matrix, factor
+        return factor
 
     def _collect_couplings(self, ends: np.ndarray, own: np.ndarray, hessian: Array) -> tuple[np.ndarray, ...]:
         """Edges from a solved to a given node: rows of both, and the off-diagonal block."""
