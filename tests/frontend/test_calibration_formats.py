@@ -58,6 +58,8 @@ ONE_CAMERA = {
     "ROS 1 message": (ECHO.format(model="equidistant", d=list(K4), **UPPER), D.EQUIDISTANT, K4),
     "ROS 2 message without distortion": (ECHO.format(model="plumb_bob", d="\n- 0.0\n- 0.0", **LOWER), D.NONE, ()),
     "OpenCV, fisheye_model": (OPENCV.format(more="fisheye_model: 1\n"), D.EQUIDISTANT, K4),
+    "OpenCV, fisheye": (OPENCV.format(more="fisheye: 1\n"), D.EQUIDISTANT, K4),
+    "OpenCV, fisheye of no": (OPENCV.format(more="fisheye: false\n"), D.RADIAL_TANGENTIAL, K4),
     "OpenCV, no fisheye_model": (OPENCV.format(more="fisheye_model: 0\n"), D.RADIAL_TANGENTIAL, K4),
     "OpenCV, omnidir": (OPENCV.format(more="xi: 1.7\n"), D.OMNIDIRECTIONAL, (1.7, *K4)),
     "RTAB-Map, fisheye": (

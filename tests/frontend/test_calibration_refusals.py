@@ -24,6 +24,7 @@ from calibration_texts import (
 )
 
 from maslam.frontend.cameras.calibration_files import read_calibration
+from maslam.frontend.cameras.calibration_files.loading import load_fields
 from maslam.frontend.errors import FrontendError
 
 OWN = "width: 752\nheight: 480\nfx: 400\nfy: 401\ncx: 360\ncy: 240\n"
@@ -31,6 +32,9 @@ K_LINE = "camera_matrix: {data: [400, 0, 360, 0, 401, 240, 0, 0, 1]}\n"
 REFUSED = [
     (stella("equirectangular", ""), "Camera.model: perspective or fisheye .* found 'equirectangular'"),
     (stella("radial_division", ""), "found 'radial_division'"),
+    (stella("nonsense", ""), "found 'nonsense'"),
+    (ECHO.format(model="nothing_known", d="[0, 0, 0, 0, 0]", **LOWER), "nothing_known"),
+    (OWN + "baseline_m: nan\n", "baseline_m"),
     (stella("fisheye", FISHEYE.replace("Camera.k4: -0.001\n", "")), "Camera.k4: a number expected, found None"),
     (stella("perspective", "").replace("monocular", "panoramic"), "Camera.setup: monocular, stereo or RGBD expected"),
     (vins("SCARAMUZZA", MIDDLE, {}), "model_type: PINHOLE, KANNALA_BRANDT or MEI .* found 'SCARAMUZZA'"),
@@ -107,3 +111,10 @@ def test_byte_order_marks_and_line_ends_of_other_systems(tmp_path: Path, encodin
         assert read_calibration(tmp_path / "camera.yaml").left.coefficients == K4
     (tmp_path / "transforms.json").write_bytes(nerfstudio(camera_model="PINHOLE").encode(encoding))
     assert read_calibration(tmp_path / "transforms.json").left.fx == 400.0
+
+
+@pytest.mark.parametrize("word", ["north", "night.db3", "nan", "no", "Nora", "nullified", "~x"])
+def test_words_that_begin_as_null_are_words(tmp_path, word):
+    (tmp_path / "a.yaml").write_text(f"a: {word}\nb: [{word}, null, ~]\nc: null\nd:\n")
+    found = load_fields(tmp_path / "a.yaml").data
+    assert found == {"a": word, "b": [word, None, None], "c": None, "d": None}

@@ -16,6 +16,7 @@ from ...errors import FrontendError
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?\.?(inf|nan|infinity)", re.IGNORECASE)
 _TRUE = ("1", "true", "yes", "on")
+_FISHEYE_FLAGS = ("fisheye_model", "fisheye", "is_fisheye")
 _MAX_SIZE = 1_000_000  # pixels along a side: no image is so large
 
 
@@ -68,6 +69,12 @@ class Fields:
     def flag(self, key: str) -> bool:
         """Whether the value at ``key`` says yes; no where the key is absent."""
         return self.text(key).lower() in _TRUE
+
+    @property
+    def says_fisheye(self) -> bool:
+        """Whether one of the flags that programs write beside a matrix names OpenCV's fisheye."""
+        flags = (key for key in _FISHEYE_FLAGS if isinstance(self.data.get(key), str | int | float | bool))
+        return any(self.flag(key) for key in flags)
 
     def inner(self, key: str) -> Fields:
         """The group of keys at ``key``."""

@@ -51,7 +51,7 @@ def _model(data: Fields, coefficients: tuple[float, ...]) -> tuple[str, tuple[fl
         xi = data.numbers("xi", 1)[0] if isinstance(data.data["xi"], list | dict) else data.number("xi")
         return "mei", (xi, *(coefficients or (0.0,) * 4))
     named = data.text(data.first("distortion_model", "camera_model"))
-    if not data.flag("fisheye_model"):
+    if not data.says_fisheye:
         if named.lower() == "fisheye" and len(coefficients) == _RTABMAP_FISHEYE and not any(coefficients[2:4]):
             return named, (*coefficients[:2], *coefficients[4:])
         return named, coefficients

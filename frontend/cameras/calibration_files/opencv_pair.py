@@ -56,7 +56,7 @@ def _numbered(data: Fields, number: int) -> RawCamera:
     xi = f"xi{number}"
     if xi in data:
         return camera(data, camera_matrix(data, matrix), _size(data), "mei", (data.number(xi), *coefficients))
-    model = "fisheye" if data.flag("fisheye_model") else ""
+    model = "fisheye" if data.says_fisheye else ""
     return camera(data, camera_matrix(data, matrix), _size(data), model, coefficients)
 
 
