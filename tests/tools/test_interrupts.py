@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from maslam import __main__ as entry
 from maslam.tools.common.interrupts import Terminated, held_back, interrupts
 from maslam.tools.common.writing import remove_parts
 
@@ -183,3 +184,16 @@ def _started(done):
         time.sleep(1.2)  # the alarm too
         done.append("whole")
     pytest.fail("went on after the signal")
+
+
+def test_an_interrupt_while_the_command_is_loaded_is_one_line(monkeypatch, capsys):
+    class Interrupted:
+        @staticmethod
+        def find_spec(name, path=None, target=None):
+            if name == "maslam.tools.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "maslam.tools.cli", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
+    assert entry.main() == 130
+    assert capsys.readouterr().err == "maslam: interrupted before it began\n"
