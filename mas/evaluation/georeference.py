@@ -25,6 +25,26 @@ _FAR_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
+class MeasuredPoints:
+    """n antennas: ``points`` ``(n, 3)`` in a group's frame, where they were measured, ``enu`` ``(n, 3)``, and the noise
+    of each axis there, ``sigma`` ``(n, 3)``."""
+
+    points: Array
+    enu: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FittedFrame:
+    """``T_E_F``: the frame in that of the positions; ``distance`` ``(n,)`` of each position from it, standard
+    deviations; ``rotation_sigma``: of the rotation about its worst axis, radians."""
+
+    T_E_F: Sim3
+    distance: Array
+    rotation_sigma: float
+
+
+@dataclass(frozen=True, eq=False)
 class Georeference:
     """``T_E_F``: the group's frame in metres east, north and up; None where positions do not tell it. ``figures``: of
     the fit."""
@@ -37,10 +57,10 @@ def georeferences(agents: Sequence[Agent]) -> list[Georeference]:
     """Of each group of agents that has any positions."""
     found = []
     for group in groups_of(agents):
-        points, enu, sigma = _fixes([agents[i] for i in group])
-        if len(points):
+        measured = _fixes([agents[i] for i in group])
+        if len(measured.points):
             metric = all(p.metric for i in group for p in agents[i].state.pieces if p.frame == agents[i].state.frame)
-            found.append(_of_group(group, points, enu, sigma, not metric))
+            found.append(_of_group(group, measured, not metric))
     return found
 
 
@@ -63,10 +83,10 @@ def position_figures(
     return PositionFigures(datum=datum, used=used, groups=[one.figures for one in groups])
 
 
-def fit_frame(points: Array, enu: Array, sigma: Array, with_scale: bool) -> tuple[Sim3, Array, float]:
-    """``T_E_F`` that lays ``points`` ``(n, 3)`` on ``enu``, each axis by its own ``sigma`` ``(n, 3)``, those far off
-    counted less and less; each one's distance in standard deviations ``(n,)``; the standard deviation of the rotation
-    about its worst axis, radians. n >= 1."""
+def fit_frame(measured: MeasuredPoints, with_scale: bool) -> FittedFrame:
+    """The frame that lays points on their positions, each axis by its own noise, those far off counted less and less;
+    one at least."""
+    points, enu, sigma = measured.points, measured.enu, measured.sigma
     T = umeyama(enu, points, with_scale)
     size = 7 if with_scale else 6
     information = np.zeros((size, size))
@@ -91,28 +111,26 @@ def fit_frame(points: Array, enu: Array, sigma: Array, with_scale: bool) -> tupl
     turns = information[3:6, 3:6] - across @ np.linalg.pinv(information[np.ix_(rest, rest)]) @ across.T
     least = float(np.linalg.eigvalsh(0.5 * (turns + turns.T))[0])
     off = (enu - T @ points) / sigma
-    return T, np.sqrt((off**2).sum(axis=1) / 3.0), 1.0 / np.sqrt(max(least, 1e-12))
+    return FittedFrame(T, np.sqrt((off**2).sum(axis=1) / 3.0), float(1.0 / np.sqrt(max(least, 1e-12))))
 
 
-def _fixes(agents: Sequence[Agent]) -> tuple[Array, Array, Array]:
-    """Antennas ``(n, 3)`` in the group's frame, where they were measured, and the noise."""
+def _fixes(agents: Sequence[Agent]) -> MeasuredPoints:
     rows: list[tuple[NDArray[np.float64], ...]] = []
     for state in (agent.state for agent in agents):
         for index in state.placed():
             for fix in state.keyframes[index].fixes:
                 rows.append((state.pose(index) @ fix.lever, fix.enu, fix.sigma))
-    points, enu, sigma = (np.array([row[k] for row in rows]).reshape(-1, 3) for k in range(3))
-    return points, enu, sigma
+    return MeasuredPoints(*(np.array([row[k] for row in rows]).reshape(-1, 3) for k in range(3)))
 
 
-def _of_group(group: list[int], points: Array, enu: Array, sigma: Array, with_scale: bool) -> Georeference:
-    count = len(points)
+def _of_group(group: list[int], measured: MeasuredPoints, with_scale: bool) -> Georeference:
+    count = len(measured.points)
     if count < _LEAST_FIXES:
         why = f"{count} positions while frames have a place; {_LEAST_FIXES} are the fewest"
         return Georeference(None, GeoreferenceFigures(agents=group, positions=count, reason=why))
-    T, distance, turn = fit_frame(points, enu, sigma, with_scale)
-    near = distance <= _FAR_SIGMAS
-    square = (enu - T @ points)[near] ** 2
+    fit = fit_frame(measured, with_scale)
+    T, turn, near = fit.T_E_F, fit.rotation_sigma, fit.distance <= _FAR_SIGMAS
+    square = (measured.enu - T @ measured.points)[near] ** 2
     reason = ""
     if not near.any():
         reason = "no position is within three standard deviations of the map"

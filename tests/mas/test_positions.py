@@ -13,7 +13,7 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.files.geodesy import enu_of
 from maslam.frontend.files.positions import PositionFixes
 from maslam.frontend.files.trajectory import Trajectory, read_tum
-from maslam.mas.evaluation.georeference import fit_frame
+from maslam.mas.evaluation.georeference import MeasuredPoints, fit_frame
 from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
@@ -164,7 +164,8 @@ def test_a_frame_is_laid_on_positions_whatever_its_unit() -> None:
     sigma = np.tile([0.5, 0.5, 20.0], (300, 1))
     enu = 2.5 * points @ R.T + t + sigma * rng.standard_normal((300, 3))
     enu[::10] += [60.0, -60.0, 0.0]
-    T, distance, turn = fit_frame(points, enu, sigma, True)
+    fit = fit_frame(MeasuredPoints(points, enu, sigma), True)
+    T, distance, turn = fit.T_E_F, fit.distance, fit.rotation_sigma
     np.testing.assert_allclose(T.scale, 2.5, rtol=0.005)
     assert rotation_angle_deg(R.T @ T.rotation) < 3.0 * np.degrees(turn)
     np.testing.assert_allclose((T.translation - t)[:2], 0.0, atol=0.3)
@@ -176,5 +177,6 @@ def test_positions_on_a_line_do_not_tell_how_the_map_is_turned() -> None:
     points = np.arange(40.0)[:, None] * [0.0, 0.0, 1.0] + np.array([300.0, -200.0, 0.0])
     for aside, known in ((0.0, False), (10.0, True)):
         bent = points + np.where(np.arange(40) > 20, aside, 0.0)[:, None] * [1.0, 0.0, 0.0]
-        turn = fit_frame(bent, bent @ so3_exp([0.0, 0.0, 1.0]).T, np.full((40, 3), 0.5), False)[2]
+        turned = bent @ so3_exp([0.0, 0.0, 1.0]).T
+        turn = fit_frame(MeasuredPoints(bent, turned, np.full((40, 3), 0.5)), False).rotation_sigma
         assert bool(np.degrees(turn) < 5.0) is known

@@ -79,11 +79,16 @@ def test_both_names_at_once_are_an_error() -> None:
 
 
 def test_the_config_of_a_run_of_0_1_is_read() -> None:
-    """All its values arrive: each is the preset's own, so the result is that preset, without what came later."""
+    """All its values arrive: each is that of the preset then, which the result is, without what came later."""
     from maslam.mas.policies.presets import preset
 
     content, today = read_settings(OF_0_1 / "config.yaml"), preset("maslam")
-    then = replaced(today, places=replaced(today.places, widen_keyframes=None))
+    then = replaced(
+        today,
+        places=replaced(today.places, widen_keyframes=None),
+        relpose=replaced(today.relpose, max_scale=20.0),
+        optimisation=replaced(today.optimisation, solver=replaced(today.optimisation.solver, elected_fineness=512.0)),
+    )
     assert build(MasConfig(), argparse.Namespace(), content, OF_0_1 / "config.yaml") == then
     assert content["preset"] == "maslam"
 

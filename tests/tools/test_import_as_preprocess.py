@@ -125,7 +125,7 @@ def test_workers_change_nothing_and_python_takes_the_same(town_stereo: Path, pos
     assert digests(tmp_path / "one") == digests(tmp_path / "two")
     made = maslam.import_sequence(poses, town_stereo, tmp_path / "one", rig="mono")
     assert [entry.name for entry in made.manifest.agents] == list(TEAM)
-    with pytest.raises(MaslamError, match="--overwrite"):
+    with pytest.raises(MaslamError, match="overwrite=True"):
         maslam.import_sequence(poses, town_stereo, tmp_path / "one", rig="mono", gap_s=0.2)
     maslam.import_sequence(poses, town_stereo, tmp_path / "one", rig="mono", gap_s=0.2, overwrite=True)
     assert json.loads((tmp_path / "one" / "manifest.json").read_text())["settings"]["imports"][0]["gap_s"] == 0.2
