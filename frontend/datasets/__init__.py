@@ -17,7 +17,7 @@ from .content import look_into
 from .image_headers import UNREAD, not_read
 from .readers import ReaderLike, choose_readers
 from .reading_config import ReadingConfig
-from .robots import SubFolders, agent_folders, only_sequence, sub_folders
+from .robots import SubFolders, agent_folders, only_sequence, sub_folders, without_images
 from .selection import select
 
 __all__ = ["Dataset", "ImageSequence", "Problem", "Reader", "ReadingConfig", "Severity", "open_dataset"]
@@ -132,14 +132,27 @@ def _open_robots(path: Path, how: _How) -> Dataset:
     found, only = sub_folders(path, readers), None if robots else only_sequence(path, readers)
     if only is not None:
         dataset = _opened(path, {only.name: partial(_open_agent, only, how)}, how.strict, False)
-        return replace(dataset, notes=(f"{only} is the only sequence in it",))
+        left_out = _left_out(path, [only], readers) if only in found.robots else []
+        return replace(dataset, notes=(f"{only} is the only sequence in it",), problems=tuple(left_out))
     taken = found.all if robots else found.robots
     if not taken or (not robots and (len(taken) < 2 or found.cameras)):
         raise FrontendError(f"{path}: {_why_unknown(path, found, readers)}")
     others = [p.name for p in found.all if p not in taken]
     note = f"a robot for each of {len(taken)} folders: {_names([p.name for p in taken])}"
     note += f"; not {_names(others)}, which by the name is no robot (--images.robots true takes all)" if others else ""
-    return replace(_open_folders(path, taken, how), notes=(note,))
+    dataset = _open_folders(path, taken, how)
+    return replace(dataset, notes=(note,), problems=(*dataset.problems, *_left_out(path, taken, readers)))
+
+
+def _left_out(path: Path, taken: Sequence[Path], readers: Sequence[Reader]) -> list[Problem]:
+    """A warning for each folder that seems to be a robot's and holds no images beside those ``taken``."""
+    return [
+        Problem(
+            Severity.WARNING,
+            f"{p}: no robot, left out: {_foreign(p) or 'no images of a known layout directly in it'}",
+        )
+        for p in without_images(path, taken, readers)
+    ]
 
 
 def _reader(path: Path, readers: Sequence[Reader]) -> Reader:

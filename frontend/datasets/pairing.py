@@ -14,6 +14,7 @@ from ..files.timestamps import span_text
 from .base import Problems
 from .image_times import TimedImages, find_list, known_times
 from .numbering import numbers_of
+from .sides import sides_of
 
 _APART = 0.1  # usual intervals: pairs farther apart in time (median) are not of one moment for a camera that moves
 _FAR = 0.3  # the same of the farthest pair
@@ -80,8 +81,9 @@ def with_partners(
 ) -> tuple[TimedImages, tuple[Path, ...]]:
     """The frames of ``first`` that have an image of the second camera among ``files``, and those images.
 
-    By name, whatever the suffix; by time where both cameras' images have times of their own and names differ; else by
-    the numbers in the names. A partner that is missing by name or number is named as the path that it would have.
+    By name, whatever the suffix; by time where both cameras' images have times of their own and names differ; else, in
+    one folder, by the names but for the side, or by the numbers in the names. A partner that is missing by name or
+    number is named as the path that it would have.
     :class:`FrontendError` where nothing brings them together.
     """
     by_stem = {path.stem: path for path in files}
@@ -94,6 +96,11 @@ def with_partners(
     if common >= _SAME * len(stems):
         _warn_unused(files, len(files) - common, what, problems)
         return first, tuple(by_stem.get(path.stem, files[0].parent / path.name) for path in first.files)
+    sides = sides_of([*first.files, *files]) if files[0].parent == first.files[0].parent else None
+    if sides is not None and len(sides.left.keys() & sides.right.keys()) >= _SAME * len(sides.left):
+        _warn_unused(files, len(sides.right.keys() - sides.left.keys()), what, problems)
+        folder = files[0].parent
+        return first, tuple(sides.right.get(rest, folder / sides.names[rest]) for rest in sides.left)
     numbers, others = numbers_of(stems), numbers_of([path.stem for path in files])
     if numbers is not None and others is not None and len(np.intersect1d(numbers, others)) >= _SAME * len(stems):
         by_number = dict(zip(others.tolist(), files, strict=True))

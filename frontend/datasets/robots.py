@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .base import Reader
+from .image_headers import UNREAD
 from .images import natural_key
 
 _AGENT = re.compile(r"agent_\d+")
@@ -24,8 +25,15 @@ _NUMBERED = (
 _RECORDING = re.compile(
     rf"({_NUMBERED})?[-_ ]*\d+([-_ ].*)?|rgbd_dataset_.*|\d{{4}}[-_]\d\d[-_]\d\d.*|train(ing)?|test(ing)?|val(idation)?"
 )
-
-
+_ASIDE = re.compile(
+    "configs?|configuration|params?|parameters|ground_?truth|gt|maps?|meta|docs?|notes?|scripts?|tools?|logs?|out|"
+    "outputs?|eval(uation)?|plots?|figures?|tmp|cache"
+)
+"""Folders beside robots that nobody takes for one."""
+_OF_A_SEQUENCE = frozenset(
+    ("camera", "calibration", "camera_info", "camchain", "calib", "intrinsics", "times", "timestamps", "timestamp")
+)
+"""Files, without suffix, that lie with the images of one sequence."""
 _DEEPEST, _MOST = 2, 1000
 """Levels of folders, and folders of one, in which a sequence is looked for."""
 
@@ -61,6 +69,35 @@ def sub_folders(folder: Path, readers: Sequence[Reader]) -> SubFolders:
     recordings = [p for p in usable if p not in cameras and _RECORDING.fullmatch(p.name.lower())]
     robots = [p for p in usable if p not in cameras and p not in recordings]
     return SubFolders(tuple(robots), tuple(recordings), tuple(cameras))
+
+
+def without_images(folder: Path, taken: Sequence[Path], readers: Sequence[Reader]) -> list[Path]:
+    """The sub-folders of ``folder`` that none of ``readers`` recognises and that seem to be meant as robots all the
+    same, beside the ``taken`` ones: they are called like these but for a number, are empty, hold folders of cameras,
+    a calibration, times, or a sequence farther down."""
+    alike = {_numberless(p) for p in taken if _numberless(p) != p.name.lower()}
+    found = []
+    for p in _folders_in(folder):
+        if p in taken or any(reader.recognises(p) for reader in readers):
+            continue
+        name = p.name.lower()
+        usual = _ASIDE.fullmatch(name) or _CAMERA.search(name) or _RECORDING.fullmatch(name)
+        if _numberless(p) in alike or (not usual and (_is_bare(p) or only_sequence(p, readers) is not None)):
+            found.append(p)
+    return found
+
+
+def _numberless(folder: Path) -> str:
+    return re.sub(r"\d+", "#", folder.name.lower())
+
+
+def _is_bare(folder: Path) -> bool:
+    """Whether a folder is empty, or holds what belongs to a sequence."""
+    inside = list(folder.iterdir())
+    return not inside or any(
+        _CAMERA.search(p.name.lower()) if p.is_dir() else p.stem.lower() in _OF_A_SEQUENCE or p.suffix.lower() in UNREAD
+        for p in inside
+    )
 
 
 def only_sequence(folder: Path, readers: Sequence[Reader]) -> Path | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from .depth_files import FLOAT_SUFFIXES, list_depth
 from .images import holds_images, is_image, list_images
+from .sides import pairs_of_names
 
 _RIGHT_OF = {
     "image_0": "image_1", "left": "right", "cam0": "cam1", "image_left": "image_right", "left_images": "right_images",
@@ -76,6 +77,9 @@ def _by_names(every: Sequence[Path]) -> tuple[list[Path], list[Path], list[Path]
     left = [path for path in others if _is_called("left", _LEFT, path)] if right else []
     if left and right and len(left) + len(right) == len(others):
         return left, right, depth
+    sides = pairs_of_names(others)
+    if sides is not None:
+        return list(sides.left.values()), list(sides.right.values()), depth
     return others, [], depth
 
 

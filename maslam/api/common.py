@@ -18,9 +18,10 @@ from maslam.frontend.datasets.readers import ReaderLike
 from maslam.frontend.datasets.reading_config import ReadingConfig
 from maslam.frontend.recording_config import RecordingConfig
 from maslam.tools.common.errors import EarlierResultError, ToolError
+from maslam.tools.common.found_positions import PositionSettings
 from maslam.tools.common.options import build
 from maslam.tools.common.parallel import one_blas_thread
-from maslam.tools.pipeline.positions import LONGEST_S, PositionSettings
+from maslam.tools.pipeline.positions import LONGEST_S
 from maslam.tools.pipeline.preprocess_options import READING, RECORDING, SECTION, SECTIONS, PreprocessSettings
 
 PathLike = str | Path

@@ -13,11 +13,11 @@ from maslam.descriptors.choice import DescriptorLike
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.datasets.readers import ReaderLike
 from maslam.tools.common.errors import ToolError
+from maslam.tools.common.found_positions import DEFAULT_SIGMA_M
 from maslam.tools.common.progress import CallbackProgress
 from maslam.tools.interchange.export_folder import export_run
 from maslam.tools.interchange.export_request import Exported, ExportRequest, Frames, Groups, Program
 from maslam.tools.interchange.given import ImportSettings, import_given
-from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M
 from maslam.tools.pipeline.predecessor import import_folder
 
 from .common import (

@@ -18,12 +18,12 @@ from maslam.mas.policies.presets import check_policy
 from maslam.mas.policies.presets import preset as preset_named
 from maslam.mas.transport.choice import TransportLike, check_transport
 from maslam.tools.common.compiling import compile_for
+from maslam.tools.common.found_positions import DEFAULT_SIGMA_M
 from maslam.tools.common.progress import CallbackProgress, counter
 from maslam.tools.common.writing import writing
 from maslam.tools.pipeline import preprocess as images
 from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
-from maslam.tools.pipeline.positions import DEFAULT_SIGMA_M
 from maslam.tools.pipeline.predecessor import sequences_for
 from maslam.tools.pipeline.preprocess_options import DEFAULT_OVERLAP, SECTIONS
 from maslam.tools.pipeline.run import DEFAULT_PRESET

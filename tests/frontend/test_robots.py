@@ -16,7 +16,7 @@ from dataset_makers import (
     write_rendered,
 )
 
-from maslam.frontend.datasets import ReadingConfig, open_dataset
+from maslam.frontend.datasets import ReadingConfig, Severity, open_dataset
 from maslam.frontend.errors import FrontendError
 
 SCENE = make_scene()
@@ -195,3 +195,49 @@ def test_robots_with_cameras_called_left_and_right(tmp_path: Path) -> None:
         (tmp_path / f"{name.lower()}.yaml").write_text(own_camera("baseline_m: 0.25\nrate_hz: 10\n"))
     dataset = open_dataset(tmp_path)
     assert [(s.name, s.rig.kind.value) for s in dataset.sequences] == [(n, "stereo") for n in ("Alice", "Bob", "Carol")]
+
+
+@pytest.mark.parametrize("inside", ["", "images/", "mav0/cam0/data/", "camera.yaml", "times.txt", "shot.heic"])
+def test_a_robot_without_images_is_left_out_with_a_warning(tmp_path: Path, inside: str) -> None:
+    written(tmp_path, ["Alice", "Bob"])
+    place = tmp_path / "Carol" / inside
+    if inside and not inside.endswith("/"):
+        place.parent.mkdir()
+        place.write_text("fx: 1\n")
+    else:
+        place.mkdir(parents=True)
+    dataset = open_dataset(tmp_path)
+    assert [sequence.name for sequence in dataset.sequences] == ["Alice", "Bob"]
+    [problem] = dataset.problems
+    assert problem.severity is Severity.WARNING
+    assert problem.message.startswith(f"{tmp_path / 'Carol'}: no robot, left out: ")
+    assert ("HEIC" in problem.message) == (inside == "shot.heic")
+
+
+def test_a_robot_whose_images_lie_deeper_than_the_others_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    written(tmp_path, ["Alice", "Bob", "Carol/forward"])
+    [problem] = open_dataset(tmp_path).problems
+    assert f"{tmp_path / 'Carol'}: no robot, left out" in problem.message
+
+
+def test_one_robot_beside_one_without_images_is_read_with_a_warning(tmp_path: Path) -> None:
+    written(tmp_path, ["Alice"])
+    (tmp_path / "Carol" / "images").mkdir(parents=True)
+    dataset = open_dataset(tmp_path)
+    assert len(dataset.sequences) == 1 and f"{tmp_path / 'Carol'}: no robot, left out" in dataset.problems[0].message
+
+
+def test_a_recording_called_like_the_others_that_are_robots_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    written(tmp_path, ["run_1", "run_2"])
+    (tmp_path / "run_3").mkdir()
+    (tmp_path / "run_3" / "notes.txt").write_text("the camera failed\n")
+    [problem] = open_dataset(tmp_path, reading=ReadingConfig(robots=True)).problems
+    assert f"{tmp_path / 'run_3'}: no robot, left out" in problem.message
+
+
+@pytest.mark.parametrize("name", ["notes", "calibration", "ground_truth", "results", "plots", "weather"])
+def test_folders_beside_robots_that_are_none_cause_no_warning(tmp_path: Path, name: str) -> None:
+    written(tmp_path, ["Alice", "Bob"])
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "readings.csv").write_text("1,2\n")
+    assert open_dataset(tmp_path).problems == ()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from ..checks.findings import ImageFindings, look_at, samples_of
 from ..common.folders import check_file
 from ..common.options import add_model_options, build
+from .positions_check import PositionsCheck, check_positions, unlike
 from .record import record
 from .report import InspectReport, SequenceReport
 
@@ -42,10 +43,14 @@ def inspect_dataset(
     from maslam.frontend.datasets import ReadingConfig, open_dataset
 
     dataset = open_dataset(path, rig, strict=False, recording=recording, reading=reading or ReadingConfig())
-    reports = tuple(_inspect_sequence(sequence, decode_all, progress, focal) for sequence in dataset.sequences)
+    positions = [check_positions(dataset, sequence) for sequence in dataset.sequences]
+    reports = tuple(
+        _inspect_sequence(sequence, found, decode_all, progress, focal)
+        for sequence, found in zip(dataset.sequences, positions, strict=True)
+    )
     if png is not None:
         _write_picture(dataset.sequences, png)
-    return InspectReport(Path(path), dataset.kind, reports, dataset.problems, dataset.notes)
+    return InspectReport(Path(path), dataset.kind, reports, (*dataset.problems, *unlike(positions)), dataset.notes)
 
 
 def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
@@ -60,7 +65,7 @@ def _write_picture(sequences: list[ImageSequence], path: Path) -> None:
 
 
 def _inspect_sequence(
-    sequence: ImageSequence, decode_all: bool, progress: Progress | None, focal: bool
+    sequence: ImageSequence, positions: PositionsCheck, decode_all: bool, progress: Progress | None, focal: bool
 ) -> SequenceReport:
     import numpy as np
 
@@ -92,7 +97,7 @@ def _inspect_sequence(
         groundtruth_frames=0 if truth is None else frames_covered(truth, sequence.stamps_ns),
         path_length_m=None if steps is None else float(steps.sum()),
         decoded=len(chosen),
-        problems=(*sequence.problems, *damaged, *sensors.problems, *focal_problems),
+        problems=(*sequence.problems, *positions.problems, *damaged, *sensors.problems, *focal_problems),
         focal=focal_line,
         images=sensors.images,
         rows=sensors.rows,
@@ -100,7 +105,8 @@ def _inspect_sequence(
         missing=sequence.missing,
         understood=sequence.understood,
         origin=sequence.origin,
-        notes=sequence.notes,
+        notes=(*sequence.notes, *positions.notes),
+        positions=positions.line,
     )
 
 

@@ -55,6 +55,7 @@ def _sequence(one: SequenceReport) -> dict[str, Any]:
         "groundtruth_poses": one.groundtruth_poses,
         "groundtruth_frames": one.groundtruth_frames,
         "path_length_m": one.path_length_m,
+        "positions": one.positions,
         "decoded": one.decoded,
         "images": one.images,
         "rows": one.rows,

@@ -22,7 +22,8 @@ class SequenceReport:
     pose at the time of ``groundtruth_frames``; ``decoded`` frames were tried; ``images``, ``rows`` (stereo) and
     ``depth`` (RGB-D): what the images themselves say; ``focal``: what they say of the focal length, where that was
     asked for; ``missing``: images that the names' numbers lack; ``understood``: each camera as its calibration file
-    describes it; ``origin``: what of a recording is read; ``notes``: how its files were understood."""
+    describes it; ``origin``: what of a recording is read; ``notes``: how its files were understood; ``positions``:
+    those measured from outside (GPS) that a run would take."""
 
     name: str
     kind: str
@@ -46,6 +47,7 @@ class SequenceReport:
     understood: tuple[UnderstoodCamera, ...] = ()
     origin: str = ""
     notes: tuple[str, ...] = ()
+    positions: str = ""
 
     def lines(self) -> list[str]:
         """The report of this sequence, a line each."""
@@ -66,6 +68,7 @@ class SequenceReport:
             f"cx {camera.cx:.2f} cy {camera.cy:.2f} px, {how}",
             *(f"  {_LABEL[one.side]:13} {one.sentence()}" for one in self.understood),
             f"  ground truth  {truth}",
+            *([f"  positions     {self.positions}"] if self.positions else []),
             f"  decoded       {self.decoded} of {self.frames} frames",
             *([f"  images        {self.images}"] if self.images else []),
             *([f"  rows          {self.rows}"] if self.rows else []),

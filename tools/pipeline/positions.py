@@ -5,36 +5,19 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..common.errors import ToolError, UsageError
-from ..common.text_table import counted
+from ..common.found_positions import DEFAULT_SIGMA_M, UNLIKE, PositionSettings, found_positions
 
 if TYPE_CHECKING:
-    from maslam.frontend.datasets.base import Dataset, ImageSequence
+    from maslam.frontend.datasets.base import Dataset
 
-DEFAULT_SIGMA_M = 2.0
 LONGEST_S = 9e9  # of 64 bits of nanoseconds
-
-
-@dataclass(frozen=True)
-class PositionSettings:
-    """``file``: of a single sequence, or a folder with one named after each; None: ``gps.csv`` or ``gps.nmea`` beside
-    the images. ``sigma_m``: where a file has none; ``antenna_m``: in the camera's frame; ``offset_s``: added to its
-    times."""
-
-    file: Path | None = None
-    offset_s: float = 0.0
-    sigma_m: float = DEFAULT_SIGMA_M
-    antenna_m: tuple[float, float, float] | None = None
-
-
-NO_POSITIONS = PositionSettings()
-"""Those beside the images only."""
 
 
 def add_position_options(parser: argparse.ArgumentParser) -> None:
@@ -88,59 +71,24 @@ def with_positions(
     ``metric``: whether lengths are metres, None: by the rig. All agents' positions are metres around one place:
     ``earlier`` (latitude, longitude, altitude), or the first fix. :class:`ToolError` for a file that cannot be used.
     """
-    from maslam.frontend.errors import FrontendError
-    from maslam.frontend.files.positions import NMEA, POSITIONS, read_positions
-
     found, lines, sequences = {}, [], []
     origin = None if earlier is None else np.array(earlier, dtype=np.float64)
     kinds = set()
     for sequence in dataset.sequences:
-        file = _file_of(dataset, sequence, settings, (POSITIONS, NMEA))
-        if file is None:
+        one = found_positions(dataset, sequence, settings, metric)
+        if one is None:
             sequences.append(sequence)
             continue
-        antenna = None if settings.antenna_m is None else np.array(settings.antenna_m)
-        try:
-            fixes = read_positions(file, settings.sigma_m, antenna, settings.offset_s)
-        except FrontendError as error:
-            raise ToolError(str(error)) from error
+        fixes = one.fixes
         kinds.add(fixes.geodetic is not None)
         if fixes.geodetic is not None:
             origin = fixes.geodetic[0] if origin is None else origin
             fixes = fixes.around(origin)
-        if fixes.antenna.any() and not (sequence.rig.metric if metric is None else metric):
-            raise ToolError(f"{file}: an antenna's place in metres, but {sequence.name} has a unit of its own")
-        if sequence.R_rectified_left is not None:
-            fixes = replace(fixes, antenna=sequence.R_rectified_left @ fixes.antenna)
-        first, last = int(sequence.stamps_ns[0]), int(sequence.stamps_ns[-1])
-        during = len(fixes.between(first, last))
-        if not during:
-            spans = [f"{t[0] / 1e9:.3f} to {t[-1] / 1e9:.3f} s" for t in (fixes.stamps_ns, sequence.stamps_ns)]
-            raise ToolError(f"{file}: positions {spans[0]}, but images {spans[1]}; --gps-offset shifts the positions")
-        lines.append(f"{sequence.name}: {during} of {counted(len(fixes), 'position')} in {file.name} while images are")
-        lines += [f"{sequence.name}: {file.name}: {note}" for note in fixes.notes]
-        found[sequence.name] = str(file)
+        lines.append(f"{sequence.name}: {one.line()}")
+        lines += [f"{sequence.name}: {note}" for note in one.notes()]
+        found[sequence.name] = str(one.file)
         sequences.append(replace(sequence, positions=fixes))
     if len(kinds) > 1:
-        raise ToolError("positions in degrees and in metres: agents need one frame for them")
+        raise ToolError(UNLIKE)
     noted = {"files": found, "origin": None if origin is None else origin.tolist()} if found else {}
     return replace(dataset, sequences=sequences), noted, lines
-
-
-def _file_of(
-    dataset: Dataset, sequence: ImageSequence, settings: PositionSettings, usual: tuple[str, ...]
-) -> Path | None:
-    single = len(dataset.sequences) == 1
-    given = settings.file
-    if given is None:
-        folders = [dataset.root / sequence.name, *([dataset.root] if single else [])]
-        beside = [folder / name for folder in folders for name in usual]
-        return next((path for path in beside if path.is_file()), None)
-    if given.is_dir():
-        hits = [given / f"{sequence.name}{suffix}" for suffix in (".csv", ".nmea", ".log", ".txt", ".tum")]
-        return next((path for path in hits if path.is_file()), None)
-    if not given.is_file():
-        raise ToolError(f"{given}: no such file")
-    if not single:
-        raise ToolError(f"{given}: one file for {len(dataset.sequences)} sequences; name a folder with one for each")
-    return given

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import UsageError
+from ..common.found_positions import NO_POSITIONS, PositionSettings
 from ..common.names import check_name
 from ..common.options import add_model_options, build
 from ..common.parser import at_least_one
-from .positions import NO_POSITIONS, PositionSettings, add_position_options, positions_from
+from .positions import add_position_options, positions_from
 
 if TYPE_CHECKING:
     from maslam.descriptors.choice import DescriptorLike
