@@ -20,8 +20,7 @@ _ASTRAY = (
     1.0 / 3.0
 )  # ATE over that distance: 0.1 where odometry drifts badly, near 1 where paths have nothing in common
 _INVERTED = "the poses may be T_C_W, which map the world to the camera: T_W_C is meant"
-_UNITS = ((1e3, "the positions may be in millimetres"), (1e2, "the positions may be in centimetres"))
-_UNITS += ((1e-3, "the positions may be in kilometres"),)
+_UNITS = {1e3: "millimetres", 1e2: "centimetres", 1e-3: "kilometres"}
 _OTHER = "it may be of another recording or clock, or odometry went astray"
 
 
@@ -77,9 +76,9 @@ def _fits(estimate: Array, truth: Array, metric: bool) -> bool:
 def _cause(estimate: Array, poses: Array, metric: bool) -> str:
     """The first change of the truth under which it fits, in words."""
     if metric:
-        for factor, words in _UNITS:
+        for factor, unit in _UNITS.items():
             if _fits(estimate, poses[:, :3, 3] / factor, metric):
-                return words
+                return f"the positions may be in {unit}: metres are meant"
     return _INVERTED if _fits(estimate, se3_inverse(poses)[:, :3, 3], metric) else _OTHER
 
 
