@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import run
+from maslam.tools.report.summary_table import table_of
 
 STEP_M, COUNT, SIGMA_M, ANTENNA = 5.0, 400, 2.0, np.array([0.5, -1.5, -0.4])
 T_ENU_W = se3(so3_exp([0.0, 0.0, 2.2]) @ so3_exp([1.5707963, 0.0, 0.0]), [1000.0, 200.0, 40.0])
@@ -178,3 +180,20 @@ def test_positions_on_a_line_do_not_tell_how_the_map_is_turned() -> None:
         bent = points + np.where(np.arange(40) > 20, aside, 0.0)[:, None] * [1.0, 0.0, 0.0]
         turn = fit_frame(bent, bent @ so3_exp([0.0, 0.0, 1.0]).T, np.full((40, 3), 0.5), False)[2]
         assert bool(np.degrees(turn) < 5.0) is known
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e3, "millimetres"), (1e2, "centimetres"), (1e-3, "kilometres"), (1.0, ""), (0.0, "")]
+)
+def test_positions_that_cannot_be_metres_are_named_with_their_unit(factor: float, unit: str, tmp_path: Path) -> None:
+    """Factor 0: they stay in one place, whose noise has no unit to tell."""
+    one = sequence(0, 0.0, True, 7)
+    assert one.positions is not None
+    enu = (
+        one.positions.enu * factor if factor else np.random.default_rng(1).normal(0.0, SIGMA_M, one.positions.enu.shape)
+    )
+    summary = played([replace(one, positions=replace(one.positions, enu=enu))], tmp_path / "run", positions=False)
+    assert summary.positions is not None
+    (group,) = summary.positions.groups
+    assert (f"in {unit}? metres are meant" in group.reason) is bool(unit)
+    assert ("times as far apart as the map" in table_of(tmp_path / "run")) is bool(unit)
