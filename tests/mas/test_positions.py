@@ -183,16 +183,24 @@ def test_positions_on_a_line_do_not_tell_how_the_map_is_turned() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1e3, "millimetres"), (1e2, "centimetres"), (1e-3, "kilometres"), (1.0, ""), (0.0, "")]
+    ("factor", "sigma_m", "unit"),
+    [
+        (1e3, SIGMA_M, "millimetres"),
+        (1e2, SIGMA_M, "centimetres"),
+        (1e-3, SIGMA_M, "kilometres"),
+        (1.0, SIGMA_M, ""),
+        (1e3, 1e6, ""),
+    ],
 )
-def test_positions_that_cannot_be_metres_are_named_with_their_unit(factor: float, unit: str, tmp_path: Path) -> None:
-    """Factor 0: they stay in one place, whose noise has no unit to tell."""
+def test_positions_that_cannot_be_metres_are_named_with_their_unit(
+    factor: float, sigma_m: float, unit: str, tmp_path: Path
+) -> None:
+    """Noise above the size of the map has no unit to tell."""
     one = sequence(0, 0.0, True, 7)
-    assert one.positions is not None
-    enu = (
-        one.positions.enu * factor if factor else np.random.default_rng(1).normal(0.0, SIGMA_M, one.positions.enu.shape)
-    )
-    summary = played([replace(one, positions=replace(one.positions, enu=enu))], tmp_path / "run", positions=False)
+    fixed = one.positions
+    assert fixed is not None
+    fixed = replace(fixed, enu=fixed.enu * factor, sigma=np.full_like(fixed.sigma, sigma_m))
+    summary = played([replace(one, positions=fixed)], tmp_path / "run", positions=False)
     assert summary.positions is not None
     (group,) = summary.positions.groups
     assert (f"in {unit}? metres are meant" in group.reason) is bool(unit)
