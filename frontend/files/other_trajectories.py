@@ -1,11 +1,12 @@
 """Trajectories as other programs write them, in whatever form: TUM, KITTI with or without times, EuRoC, 4x4 matrices.
 
-What a file holds is found from its columns, the unit of its times from their size; both are said in ``form``.
+What a file holds is found from its columns, the unit of its times as that of ground truth; both are said in ``form``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,24 +16,27 @@ from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
 from .text_tables import read_bytes
-from .timestamps import NS_PER_S, decimal_ns, seconds_text
+from .time_units import NotATime, Times, parse_times, unit_of_heading
+from .timestamps import NS_PER_S, seconds_text
 from .trajectory import Trajectory, rigid_rotations
 
 _QUATERNION_TOLERANCE = 0.05
-_UNITS = ((1e17, "nanoseconds", 9), (1e14, "microseconds", 6), (1e11, "milliseconds", 3), (0.0, "seconds", 0))
-"""From this size on, a time of today's clock is in that unit, which has so many digits less than a second."""
+_TUM = 8  # numbers a row: time, position, quaternion
 _COLUMNS = "8 (TUM: time x y z qx qy qz qw; EuRoC), 12 or 13 (KITTI, with a time), 16 or 17 (4x4 matrix, with a time)"
 
 
 @dataclass(frozen=True)
 class OtherTrajectory:
-    """``trajectory``: poses as given, of whatever frame; where the file has no times its stamps are 0, 1, 2 … and
-    ``timed`` is False. ``form``: what was read, for people; ``repeated``: rows of a time given before, left out."""
+    """``trajectory``: poses as given, of whatever frame; where the file has no times its stamps are its rows 0, 1, 2 …
+    and ``timed`` is False. ``form``: what was read, for people; ``repeated``: rows of a time given before, left out;
+    ``lost``: rows without a pose (NaN, a quaternion of zeros), likewise; ``notes``: what to know of the times."""
 
     trajectory: Trajectory
     form: str
     timed: bool
     repeated: int = 0
+    lost: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def read_other_trajectory(path: Path, times: Path | None = None) -> OtherTrajectory:
@@ -45,19 +49,39 @@ def read_other_trajectory(path: Path, times: Path | None = None) -> OtherTraject
         stamps_text: list[str] = []
     else:
         stamps_text, values, lines, header = _read_rows(path)
-    width = values.shape[1]
+    width, count = values.shape[1], len(values)
+    known = _known(values)
+    if not known.any():
+        raise FrontendError(f"{path}: no poses in this file")
+    doubt = ""
     if width in (12, 16):
         timed = times is not None
         form = "KITTI" if width == 12 else "4x4 matrices"
         form += " without times" if times is None else f", times of {times.name}"
-        stamps = np.arange(len(values)) if times is None else _times_of(times, len(values))
+        stamps = np.arange(len(values)) if times is None else _times_of(times, count)
+        stamps = stamps[known]
     else:
-        unit, stamps = _stamps(path, stamps_text, lines)
+        rows = np.flatnonzero(known)
+        read = _stamps(path, [stamps_text[i] for i in rows], [lines[i] for i in rows], header)
+        unit = "dates" if read.unit is None else read.unit.name
+        stamps, doubt = read.stamps_ns, read.doubt
         form, timed = f"{_name_of(width, header, values)}, times in {unit}", True
         if times is not None:
             raise FrontendError(f"{path}: has times of its own; leave out {times}")
-    poses = _poses(path, values, lines, _scalar_first(width, header))
-    return _in_order(path, stamps.astype(np.int64), poses, lines, form, timed)
+    if len(lines) == count:
+        lines = [lines[i] for i in np.flatnonzero(known)]
+    poses = _poses(path, values[known], lines, _scalar_first(width, header))
+    found = _in_order(path, stamps.astype(np.int64), poses, lines, form, timed)
+    return replace(found, lost=int((~known).sum()), notes=(f"{path}: {doubt}",) if doubt else ())
+
+
+def _known(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Rows ``(N,)`` that hold a pose, as of ground truth: no NaN, no quaternion of zeros."""
+    pose = values[:, values.shape[1] % 4 == 1 :] if values.shape[1] != _TUM else values[:, 1:]
+    known = np.isfinite(pose).all(axis=1)
+    if values.shape[1] == _TUM:
+        known &= np.abs(values[:, 4:]).max(axis=1) > 0
+    return np.asarray(known)
 
 
 def _in_order(
@@ -97,8 +121,6 @@ def _read_rows(path: Path) -> tuple[list[str], NDArray[np.float64], list[int], s
             raise FrontendError(f"{path}:{number}: not a pose: {line.strip()[:60]!r}") from None
         if rows and len(values) != len(rows[0]):
             raise FrontendError(f"{path}:{number}: {len(values)} numbers, but {len(rows[0])} in line {lines[0]}")
-        if not all(np.isfinite(values)):
-            raise FrontendError(f"{path}:{number}: NaN or infinity in the line")
         rows.append(values)
         first.append(fields[0])
         lines.append(number)
@@ -152,26 +174,14 @@ def _name_of(width: int, header: str, values: NDArray[np.float64]) -> str:
     return "KITTI with times" if width == 13 else "4x4 matrices with times"
 
 
-def _stamps(path: Path, texts: list[str], lines: list[int]) -> tuple[str, NDArray[np.int64]]:
-    """The unit that the first time is in, and all in nanoseconds."""
-    size = abs(float(texts[0]))
-    _, unit, digits = next(entry for entry in _UNITS if size >= entry[0])
-    stamps = []
-    for number, text in zip(lines, texts, strict=True):
-        try:
-            stamps.append(_shifted_ns(text, digits))
-        except ValueError as error:
-            raise FrontendError(f"{path}:{number}: not a time in {unit}: {text[:40]!r} ({error})") from None
-    return unit, np.array(stamps, dtype=np.int64)
-
-
-def _shifted_ns(text: str, digits: int) -> int:
-    """Nanoseconds of a number in 10^-digits seconds, exactly where it is written without an exponent."""
-    whole, point, fraction = text.partition(".")
-    if digits and whole.lstrip("+-").isdigit() and (not point or fraction.isdigit() or not fraction):
-        sign, magnitude = ("-" if whole.startswith("-") else ""), whole.lstrip("+-").rjust(digits + 1, "0")
-        return decimal_ns(f"{sign}{magnitude[:-digits]}.{magnitude[-digits:]}{fraction}")
-    return decimal_ns(text) if not digits else decimal_ns(repr(float(text) / 10.0**digits))
+def _stamps(path: Path, texts: Sequence[str], lines: Sequence[int], header: str = "") -> Times:
+    """Times in the unit that the header or their size or rate tells."""
+    named = header.removeprefix("csv ")
+    heading = (named.split(",") if "," in named else named.split() or [""])[0]
+    try:
+        return parse_times(texts, unit_of_heading(heading))
+    except NotATime as error:
+        raise FrontendError(f"{path}:{lines[error.index]}: not a time: {texts[error.index][:40]!r}") from None
 
 
 def _times_of(path: Path, count: int) -> NDArray[np.int64]:
@@ -185,7 +195,7 @@ def _times_of(path: Path, count: int) -> NDArray[np.int64]:
                 raise FrontendError(f"{path}:{number}: not a time: {line.strip()[:60]!r}")
     if len(texts) != count:
         raise FrontendError(f"{path}: {len(texts)} times for {count} poses")
-    return _stamps(path, texts, lines)[1]
+    return _stamps(path, texts, lines).stamps_ns
 
 
 def _poses(path: Path, values: NDArray[np.float64], lines: list[int], scalar_first: bool) -> NDArray[np.float64]:

@@ -47,6 +47,8 @@ MEANT = "columns with a header: time, then lat lon alt (degrees, metres) or east
 _UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6))
 """Sizes from which a time of today's clock is in nano-, micro- or milliseconds, and nanoseconds a unit."""
 _TIMES = ("time", "stamp", "stamp_s", "stamp_ns")
+_DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$", re.ASCII)
+_HEAD = 2000  # characters in which a file says what it is
 _UP = 2.0
 """Noise of an altitude over that of each horizontal axis, where only that is known."""
 
@@ -118,11 +120,16 @@ def _rows(path: Path) -> tuple[list[str], list[TimeUnit | None], list[list[str]]
     units: list[TimeUnit | None] = []
     rows: list[list[str]] = []
     lines: list[int] = []
+    mark: str | None = None  # by the first line
     text = read_bytes(path).removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    if text.lstrip().startswith("<"):
+        form = next((name for name in ("GPX", "KML") if f"<{name.lower()}" in text[:_HEAD].lower()), "XML")
+        raise FrontendError(f"{path}: a {form} file, which is not read; write its points as a table: {MEANT}")
     for number, line in enumerate(text.splitlines(), 1):
-        fields = [f.strip().strip("\"'") for f in re.split(r"[,;]", line)] if re.search("[,;]", line) else line.split()
-        if not any(fields):
+        if not line.strip(" \t,;"):
             continue
+        mark = _mark(line) if mark is None else mark
+        fields = _fields(line, mark)
         if not rows and not _is_number(fields[0]) and not is_date(fields[0]):
             headings = fields if fields[0] not in ("#", "%") else fields[1:]
             found = _named(path, number, headings)
@@ -139,6 +146,18 @@ def _rows(path: Path) -> tuple[list[str], list[TimeUnit | None], list[list[str]]
         rows.append(fields)
         lines.append(number)
     return names, units, rows, lines
+
+
+def _mark(heading: str) -> str:
+    """What alone separates fields, where commas are decimal ones: in a heading they then separate nothing; else ""."""
+    return next((mark for mark in (";", "\t") if mark in heading and "," not in heading), "")
+
+
+def _fields(line: str, mark: str) -> list[str]:
+    if mark:
+        fields = [field.strip().strip("\"'") for field in line.split(mark)]
+        return [_DECIMAL_COMMA.sub(r"\1.\2", field) for field in fields]
+    return [f.strip().strip("\"'") for f in re.split(r"[,;]", line)] if re.search("[,;]", line) else line.split()
 
 
 def _named(path: Path, line: int, headings: list[str]) -> list[str]:

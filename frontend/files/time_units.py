@@ -54,10 +54,12 @@ class NotATime(ValueError):
 
 @dataclass(frozen=True)
 class Times:
-    """``stamps_ns`` ``(N,)`` int64; ``doubt``: how the unit was taken where it is not certain, else empty."""
+    """``stamps_ns`` ``(N,)`` int64; ``doubt``: how the unit was taken where it is not certain, else empty; ``unit``:
+    None of dates."""
 
     stamps_ns: NDArray[np.int64]
     doubt: str = ""
+    unit: TimeUnit | None = None
 
 
 def parse_times(texts: Sequence[str], unit: TimeUnit | None = None) -> Times:
@@ -74,7 +76,7 @@ def parse_times(texts: Sequence[str], unit: TimeUnit | None = None) -> Times:
     doubt = ""
     if unit is None:
         unit, doubt = _unit_of(numbers)
-    return Times(_bounded([number * unit.ns // NS_PER_S for number in numbers]), doubt)
+    return Times(_bounded([number * unit.ns // NS_PER_S for number in numbers]), doubt, unit)
 
 
 def date_ns(text: str, index: int = 0) -> int:

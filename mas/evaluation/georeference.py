@@ -22,6 +22,8 @@ _MOST_TURN_DEG = 5.0
 """A frame whose rotation is known no better than this has no place: its positions lie on a line, or too near."""
 _ROUNDS, _SETTLED = 60, 1e-10
 _FAR_SIGMAS = 3.0
+_UNITS = {1e3: "millimetres", 1e2: "centimetres", 1e-3: "kilometres"}
+_ALIKE = (0.7, 1.4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,10 +133,10 @@ def _of_group(group: list[int], measured: MeasuredPoints, with_scale: bool) -> G
     fit = fit_frame(measured, with_scale)
     T, turn, near = fit.T_E_F, fit.rotation_sigma, fit.distance <= _FAR_SIGMAS
     square = (measured.enu - T @ measured.points)[near] ** 2
-    reason = ""
-    if not near.any():
+    reason = "" if with_scale else _other_unit(measured)
+    if not reason and not near.any():
         reason = "no position is within three standard deviations of the map"
-    elif np.degrees(turn) > _MOST_TURN_DEG:
+    elif not reason and np.degrees(turn) > _MOST_TURN_DEG:
         reason = "positions on a line, or too near to each other, do not tell how the map is turned"
     figures = GeoreferenceFigures(
         agents=group,
@@ -147,3 +149,13 @@ def _of_group(group: list[int], measured: MeasuredPoints, with_scale: bool) -> G
         reason=reason,
     )
     return Georeference(None if reason else T, figures)
+
+
+def _other_unit(measured: MeasuredPoints) -> str:
+    """Why positions cannot be metres, where they lie a unit's factor farther apart than the map; else empty. Medians:
+    a few wild fixes do not count. A map that spreads less than the noise tells nothing."""
+    both = (measured.points, measured.enu)
+    mine, theirs = (float(np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1))) for p in both)
+    ratio = theirs / mine if mine > float(np.median(measured.sigma)) else 0.0
+    unit = next((name for factor, name in _UNITS.items() if _ALIKE[0] < ratio / factor < _ALIKE[1]), "")
+    return f"they lie {ratio:.4g} times as far apart as the map: in {unit}? metres are meant" if unit else ""

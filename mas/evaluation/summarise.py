@@ -34,6 +34,7 @@ from .summary import (
     Summary,
     TrafficFigures,
 )
+from .truth_fit import truth_figures
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences), transport),
         optimisations=_optimisations(run.events),
         graphs=graph_figures(agents),
+        truths=truth_figures(sequences),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
         refused_messages=len(transport.refused) + sum(e.kind == "refused" for e in run.events),
         reputation=reputations(agents),

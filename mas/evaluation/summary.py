@@ -135,6 +135,23 @@ class GraphFigures(_Figures):
     worst: list[MisfitFigures]
 
 
+class TruthFigures(_Figures):
+    """Whether the ground truth of ``agent`` can be of its images, on the ``frames`` of its longest track that have one:
+    the lengths of odometry's path and the true one, odometry's RMSE against it, and ``spread_m``: root mean square
+    distance of the true positions from their mean. ``metric``: lengths are compared, not only shapes. ``cause``: what
+    may be wrong where it does not fit, else empty."""
+
+    agent: int
+    metric: bool
+    frames: int
+    odometry_m: float
+    truth_m: float
+    rmse_m: float
+    spread_m: float
+    fits: bool
+    cause: str = ""
+
+
 class DatumFigures(_Figures):
     """The place that metres east, north and up count from: degrees, metres above the ellipsoid (WGS 84)."""
 
@@ -254,6 +271,7 @@ class Summary(_Figures):
     matches: MatchFigures
     optimisations: OptimisationFigures
     graphs: list[GraphFigures] = Field(default=[], description="of each group; empty: a run before they were checked")
+    truths: list[TruthFigures] = Field(default=[], description="of each agent with ground truth that tells")
     map_copies: list[MapCopyFigures]
     positions: PositionFigures | None = Field(default=None, description="None: no agent had any")
     refused_messages: int

@@ -188,3 +188,29 @@ def test_what_is_no_position_is_named(text: str, said: str, tmp_path: Path) -> N
     (tmp_path / "gps.csv").write_text(text)
     with pytest.raises(FrontendError, match=said):
         read_positions(tmp_path / "gps.csv")
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_decimal_commas_are_read_where_something_else_separates(mark: str, tmp_path: Path) -> None:
+    path = tmp_path / "gps.csv"
+    rows = ["time lat lon alt", "0,5 47,0008248 8,0017955 401,686", "1 47,0008334 -8,5 401,5"]
+    path.write_text("".join(row.replace(" ", mark) + "\n" for row in rows))
+    fixes = read_positions(path)
+    assert fixes.stamps_ns.tolist() == [500_000_000, 1_000_000_000] and fixes.geodetic is not None
+    assert fixes.geodetic.tolist() == [[47.0008248, 8.0017955, 401.686], [47.0008334, -8.5, 401.5]]
+
+
+def test_semicolons_with_points_and_commas_alone_stay_as_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "gps.csv"
+    for mark in (";", ","):
+        path.write_text("time lat lon alt\n0.5 47 8 401\n".replace(" ", mark))
+        geodetic = read_positions(path).geodetic
+        assert geodetic is not None and geodetic.tolist() == [[47.0, 8.0, 401.0]]
+
+
+@pytest.mark.parametrize("form", ["gpx", "kml"])
+def test_a_track_in_xml_is_refused_by_its_name_with_the_cure(form: str, tmp_path: Path) -> None:
+    path = tmp_path / f"track.{form}"
+    path.write_text(f"<?xml version='1.0'?>\n<{form}><trkpt lat='47' lon='8'/></{form}>\n")
+    with pytest.raises(FrontendError, match=f"a {form.upper()} file, which is not read; write .* table: .*lat lon alt"):
+        read_positions(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import run
+from maslam.tools.report.summary_table import table_of
 
 STEP_M, COUNT, SIGMA_M, ANTENNA = 5.0, 400, 2.0, np.array([0.5, -1.5, -0.4])
 T_ENU_W = se3(so3_exp([0.0, 0.0, 2.2]) @ so3_exp([1.5707963, 0.0, 0.0]), [1000.0, 200.0, 40.0])
@@ -180,3 +182,28 @@ def test_positions_on_a_line_do_not_tell_how_the_map_is_turned() -> None:
         turned = bent @ so3_exp([0.0, 0.0, 1.0]).T
         turn = fit_frame(MeasuredPoints(bent, turned, np.full((40, 3), 0.5)), False).rotation_sigma
         assert bool(np.degrees(turn) < 5.0) is known
+
+
+@pytest.mark.parametrize(
+    ("factor", "sigma_m", "unit"),
+    [
+        (1e3, SIGMA_M, "millimetres"),
+        (1e2, SIGMA_M, "centimetres"),
+        (1e-3, SIGMA_M, "kilometres"),
+        (1.0, SIGMA_M, ""),
+        (1e3, 1e6, ""),
+    ],
+)
+def test_positions_that_cannot_be_metres_are_named_with_their_unit(
+    factor: float, sigma_m: float, unit: str, tmp_path: Path
+) -> None:
+    """Noise above the size of the map has no unit to tell."""
+    one = sequence(0, 0.0, True, 7)
+    fixed = one.positions
+    assert fixed is not None
+    fixed = replace(fixed, enu=fixed.enu * factor, sigma=np.full_like(fixed.sigma, sigma_m))
+    summary = played([replace(one, positions=fixed)], tmp_path / "run", positions=False)
+    assert summary.positions is not None
+    (group,) = summary.positions.groups
+    assert (f"in {unit}? metres are meant" in group.reason) is bool(unit)
+    assert ("times as far apart as the map" in table_of(tmp_path / "run")) is bool(unit)

@@ -90,7 +90,8 @@ def test_poses_without_times_take_those_of_a_file(tmp_path: Path) -> None:
     [
         ("1 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n", ":3: time goes back from 3.000000000 s to 2.0"),
         ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 2\n", ":2: the quaternion's length is 2.000"),
-        ("1 0 0 0 0 0 0 1\n2 0 0 nan 0 0 0 1\n", ":2: NaN"),
+        ("1 0 0 0 0 0 0 1\nnan 0 0 0 0 0 0 1\n", ":2: not a time: 'nan'"),
+        ("1 0 0 nan 0 0 0 1\n2 0 0 0 0 0 0 0\n", "no poses"),
         ("1 0 0 0 0 0 0 1\n2 0 0 x 0 0 0 1\n", ":2: not a pose"),
         ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n", ":2: 7 numbers, but 8 in line 1"),
         ("1 2 3\n", ":1: 3 numbers a row are no pose"),
@@ -102,6 +103,34 @@ def test_what_is_no_trajectory_is_refused_with_its_line(text: str, said: str, tm
     (tmp_path / "poses.txt").write_text(text)
     with pytest.raises(FrontendError, match=said):
         read_other_trajectory(tmp_path / "poses.txt")
+
+
+@pytest.mark.parametrize("unit_ns", [1, 1_000, 1_000_000, 1_000_000_000])
+def test_times_from_zero_tell_their_unit_by_their_rate(unit_ns: int, tmp_path: Path) -> None:
+    """Ten poses a second; as those of ground truth, and what is taken is said."""
+    times = [f"{k * 100_000_000 / unit_ns:.1f}" for k in range(6)]
+    (tmp_path / "p.txt").write_text("".join(f"{time} {k} 0 0 0 0 0 1\n" for k, time in enumerate(times)))
+    read = read_other_trajectory(tmp_path / "p.txt")
+    assert read.trajectory.stamps_ns.tolist() == [k * 100_000_000 for k in range(6)]
+    assert all("10 images per second" in note for note in read.notes) and len(read.notes) == int(unit_ns < 1e9)
+
+
+@pytest.mark.parametrize("row", ["nan nan nan 0 0 0 1", "2 0 0 nan nan nan nan", "0 0 0 0 0 0 0", "inf 0 0 0 0 0 1"])
+def test_a_row_without_a_pose_is_a_moment_without_one(row: str, tmp_path: Path) -> None:
+    rows = ["0 0 0 0 0 0 1", "1 0 0 0 0 0 1", row, "3 0 0 0 0 0 1"]
+    (tmp_path / "p.txt").write_text("".join(f"{k}.5 {one}\n" for k, one in enumerate(rows)))
+    read = read_other_trajectory(tmp_path / "p.txt")
+    assert (read.lost, read.trajectory.centres[:, 0].tolist()) == (1, [0.0, 1.0, 3.0])
+    assert read.trajectory.stamps_ns.tolist() == [500_000_000, 1_500_000_000, 3_500_000_000]
+
+
+def test_rows_without_times_stay_with_their_images_where_one_has_no_pose(tmp_path: Path) -> None:
+    rows = [f"1 0 0 {k if k != 1 else 'nan'} 0 1 0 0 0 0 1 0\n" for k in range(4)]
+    (tmp_path / "p.txt").write_text("".join(rows))
+    read = read_other_trajectory(tmp_path / "p.txt")
+    images = place_images("drive", read, np.arange(4) * 100_000_000, PlacingRules())
+    assert read.lost == 1 and images.rows.tolist() == [0, 2, 3]
+    assert images.poses[:, 0, 3].tolist() == [0.0, 2.0, 3.0]
 
 
 def test_a_time_given_twice_counts_once(tmp_path: Path) -> None:

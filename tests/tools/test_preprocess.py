@@ -144,6 +144,22 @@ def test_one_sequence_is_one_agent(tmp_path: Path) -> None:
     assert all((tmp_path / "drive" / name).is_file() for name in agent.places.images)
 
 
+def test_ground_truth_of_other_images_is_said_and_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Odometry goes straight ahead, the file to and fro."""
+    folder = write_agent(tmp_path / "drive")
+    assert preprocess(folder, tmp_path / "right") == 0
+    assert "warning" not in capsys.readouterr().err
+    write_kitti_poses(folder / "poses.txt", np.vstack([TRUTH[: FRAMES // 2], TRUTH[: FRAMES // 2][::-1]]))
+    assert preprocess(folder, tmp_path / "wrong") == 0
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if "the ground truth has" in line)
+    assert (
+        line.startswith("warning: ")
+        and "drive: the ground truth has a path of another shape" in line
+        and "another recording" in line
+    )
+    assert line.removeprefix("warning: ") in load_sequences(tmp_path / "wrong")[0].settings["problems"]
+
+
 def test_agents_with_one_camera_and_with_depth_make_one_team(tmp_path: Path) -> None:
     """A multi-agent folder in which one has depth maps: it alone is metric, and the manifest says so of each."""
     write_agent(tmp_path / "team" / "agent_00")

@@ -194,7 +194,9 @@ def _job(
         progress.say(f"{sequence.name}: {points.text}")
     job = make_job(sequence, own.odometry, own.model, own.vocabulary, out / FRONTEND, own.provider)
     repeated = [f"{file}: {given.repeated} poses of a time given before are left out"] * bool(given.repeated)
-    return given_job(job, placed, points, names[sequence.name]), [*repeated, *placed.jumps]
+    rows = len(given.trajectory) + given.repeated + given.lost
+    lost = [f"{file}: {given.lost} of {rows} rows hold no pose (NaN or zeros)"] * bool(given.lost)
+    return given_job(job, placed, points, names[sequence.name]), [*repeated, *lost, *given.notes, *placed.jumps]
 
 
 def _points(settings: ImportSettings, sequence: ImageSequence, given: OtherTrajectory, single: bool) -> GivenPoints:

@@ -64,11 +64,13 @@ def place_images(name: str, given: OtherTrajectory, stamps_ns: NDArray[np.int64]
     """
     path = given.trajectory
     if not given.timed:
-        if len(path) != len(stamps_ns):
+        count = len(path) + given.lost
+        if count != len(stamps_ns):
             raise ToolError(
-                f"{name}: {len(path)} poses without times for {len(stamps_ns)} images; --times FILE says when they are"
+                f"{name}: {count} poses without times for {len(stamps_ns)} images; --times FILE says when they are"
             )
-        return _tracked(name, np.arange(len(path)), path.poses, stamps_ns, np.zeros(len(path), bool), stamps_ns, rules)
+        rows = path.stamps_ns  # without times they are numbers of images
+        return _tracked(name, rows, path.poses, stamps_ns[rows], np.zeros(len(path), bool), stamps_ns, rules)
     times = path.stamps_ns + rules.offset_ns
     right = np.clip(np.searchsorted(times, stamps_ns), 1, max(len(times) - 1, 1))
     right = np.minimum(right, len(times) - 1)

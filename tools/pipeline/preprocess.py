@@ -139,7 +139,7 @@ def _made(
     of = (settings.odometry, settings.model, settings.vocabulary, store, settings.provider)
     plan = plan_tracking(dataset, lambda sequence: make_job(sequence, *of))
     done = track_all(dataset, replace(plan, problems=[*plan.problems, *refined]), track_job, workers, progress)
-    problems, split = done.problems, split_of(settings)
+    problems, split = [*done.problems, *truth_problems(done.tracked)], split_of(settings)
     plans = all_agents(done.tracked, split)
     notes = notes_of(dataset)
     for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in problems)):
@@ -151,6 +151,20 @@ def _made(
         **({"gps": positions} if positions else {}),
     }
     return write_sequences(out, dataset, plans, model, split, noted, tuple(done.left_out))
+
+
+def truth_problems(tracked: Sequence[tuple[ImageSequence, Tracked]]) -> list[str]:
+    """A line for each sequence whose ground truth odometry contradicts: it cannot be of these images."""
+    from maslam.mas.evaluation.truth_fit import compare
+
+    from ..report.truth_warnings import misfit_text
+
+    lines = []
+    for sequence, one in tracked:
+        found = compare(0, one.trajectories, sequence.groundtruth, sequence.rig.metric)
+        if found is not None and not found.fits:
+            lines.append(f"{sequence.name}: {misfit_text(found.model_dump())}")
+    return lines
 
 
 def all_agents(

@@ -31,6 +31,7 @@ from .match_images import sample_images
 from .measured import frames_read, measured_on, table_note
 from .run_data import AgentData, RunData
 from .summary_table import who_decided, why_text
+from .truth_warnings import truth_sections
 
 MAX_MATCH_ROWS = 400
 
@@ -94,6 +95,7 @@ def _placed_tile(run: RunData) -> list[Tile]:
 def sections(run: RunData) -> list[Section]:
     """The whole report."""
     return [
+        *truth_sections(run.summary),
         *warning_sections(run.summary),
         *_map(run),
         *coverage_sections(run.summary),

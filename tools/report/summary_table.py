@@ -16,6 +16,7 @@ from .coverage_table import HEAD, coverage_rows, in_one_frame, lost_lines, perce
 from .graph_warnings import graph_lines
 from .measured import keyframes_measured_on, measured_on, odometry_measured_on
 from .position_lines import position_lines
+from .truth_warnings import truth_lines
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -90,7 +91,8 @@ def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
     agents, keyframes = counted(summary["agents"], "agent"), counted(summary["keyframes"], "key-frame")
     head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {keyframes}"
-    last = [*_matches(summary), *position_lines(summary), *graph_lines(summary), _time(timing)]
+    warnings = [*truth_lines(summary), *graph_lines(summary)]
+    last = [*_matches(summary), *position_lines(summary), *warnings, _time(timing)]
     parts = [[head], _errors(summary), _coverage(summary), _traffic(summary), last]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
