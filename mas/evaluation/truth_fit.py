@@ -16,9 +16,8 @@ from .summary import TruthFigures
 _LEAST = 5  # frames with a truth: fewer align with anything
 _ALIKE = (0.7, 1.4)  # truth's length over odometry's, and of spreads: good odometry is within a few percent
 _STANDS_M = 0.1  # RMS distance from the mean position: below it, noise alone makes the path
-_ASTRAY = (
-    1.0 / 3.0
-)  # ATE over that distance: 0.1 where odometry drifts badly, near 1 where paths have nothing in common
+# ATE over that distance: 0.1 where odometry drifts badly, near 1 where paths have nothing in common.
+_ASTRAY = 1.0 / 3.0
 _INVERTED = "the poses may be T_C_W, which map the world to the camera: T_W_C is meant"
 _UNITS = {1e3: "millimetres", 1e2: "centimetres", 1e-3: "kilometres"}
 _OTHER = "it may be of another recording or clock, or odometry went astray"
