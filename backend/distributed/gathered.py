@@ -15,6 +15,7 @@ from .condense import Known, freedom_of, noise_of
 from .contribution import Between, Contribution
 from .share import anchor_of
 
+# Edges for each that closes a loop beyond which poses are sent more finely.
 _EDGES_A_LOOP = 5.0
 
 

@@ -113,7 +113,8 @@ class SolverOutcome:
     with robust selection each judged edge counts up to its bound only.
     ``unreached``: own nodes that no chain of edges joins to the anchor. ``judged``: every edge of its share that robust
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
-    ``positions``: whether priors of members had a say.
+    ``positions``: whether priors of members had a say. ``capped``: it ended because no more passes are allowed (method
+    multifrontal).
     """
 
     robot: int
@@ -128,6 +129,7 @@ class SolverOutcome:
     unreached: tuple[NodeId, ...]
     judged: tuple[JudgedEdge, ...] = field(default=(), repr=False)
     positions: bool = False
+    capped: bool = False
 
 
 def anchor_of(members: Iterable[int], arbitrary_scale: frozenset[int]) -> int:

@@ -17,12 +17,13 @@ from maslam.backend.config import CentralConfig, SolverConfig
 from maslam.backend.distributed.compact import CompactReader, CompactWriter
 from maslam.backend.distributed.exchange import optimise_distributed, solve_group
 from maslam.backend.distributed.methods import node_for
+from maslam.backend.distributed.multifrontal import schedule
 from maslam.backend.distributed.multifrontal.elimination import Elimination
-from maslam.backend.distributed.multifrontal.equations import Unknowns
+from maslam.backend.distributed.multifrontal.equations import Matrices, StepFrom, Unknowns
 from maslam.backend.distributed.multifrontal.frontal_messages import FrontalKind, FrontalMessage
 from maslam.backend.distributed.multifrontal.memory import best_weights
 from maslam.backend.distributed.multifrontal.ordering import elimination_order, smallest_cover
-from maslam.backend.distributed.multifrontal.reports import Update
+from maslam.backend.distributed.multifrontal.reports import Step, Update
 from maslam.backend.distributed.multifrontal.shared_poses import LocalCoordinates, read_function, write_function
 from maslam.backend.distributed.places import Places
 from maslam.backend.distributed.share import shares
@@ -133,6 +134,24 @@ def test_shares_that_do_not_fit_together_are_an_error_and_the_message_is_forgott
     taller = replace(group[0], edges=(*group[0].edges, strange))
     with pytest.raises(BackendError, match=r"nobody has|wait for messages|too early"):
         solve_group({0: taller, 1: group[1]}, EXACT)
+
+
+def test_who_ends_without_being_there_says_so(monkeypatch):
+    graph = ring(4, 10, 3)
+    assert not any(o.capped for o in optimise_distributed(graph, EXACT).outcomes.values())
+    monkeypatch.setattr(schedule, "_MOST_PASSES", 1)
+    assert all(o.capped for o in optimise_distributed(graph, EXACT).outcomes.values())
+
+
+def test_steps_of_no_kind_and_too_long_ones_are_refused():
+    step = Step(None, Matrices.OLD, StepFrom.BEST, 1.0, 2.0, None, (1.0, 1.0), np.ones(0, bool), np.zeros((0, 0)))
+    data = step.encode(Unknowns.POSE)
+    assert Step.decode(data, Unknowns.POSE, 0, False).cost == 1.0
+    with pytest.raises(BackendError, match="longer than what it says"):
+        Step.decode(data + b"\0", Unknowns.POSE, 0, False)
+    for code in (7, 3 << 3):
+        with pytest.raises(BackendError, match="of no kind"):
+            Step.decode(bytes([code]) + data[1:], Unknowns.POSE, 0, False)
 
 
 # -- the parts ---------------------------------------------------------------------------------------------------------

@@ -67,6 +67,7 @@ class Solution:
     units: Mapping[NodeId, float] = field(default_factory=dict)
     refused: str | None = None
     cost_before: float | None = None
+    capped: bool = False
 
 
 def default_method(robust: str) -> str:
@@ -124,6 +125,8 @@ def caps_reached(request: Request, found: Solution) -> list[str]:
             cap = (solver.descent_sweeps, "sweeps", "--solver.descent-sweeps")
     elif request.method in TWO_STAGE and (found.pose_sweeps or 0) >= solver.pose_sweeps * solver.newton_steps:
         cap = (solver.pose_sweeps, "sweeps of a step", "--solver.pose-sweeps")
+    if found.capped:
+        return ["the most passes allowed were made: the cost may still fall; elected ends at the optimum"]
     if cap is None:
         return []
     better = "" if request.method == CENTRAL else "; elected and multifrontal end at the optimum"
@@ -208,6 +211,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
         refused=_refused(result.outcomes),
+        capped=any(o.capped for o in outcomes),
         cost_before=_largest([o.cost_before for o in outcomes]),
     )
 

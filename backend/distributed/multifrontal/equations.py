@@ -94,8 +94,9 @@ class Equations:
         """Their sums ``(n, w, c)`` over the ``count`` nodes."""
         width, columns = shape_of(problem, self._scaled)
         out = np.zeros((count, width, columns))
+        rhs = self.blocks(problem, places)[1]
         for side in range(2):
-            np.add.at(out, self.edges.ends[:, side], self.blocks(problem, places)[1][:, side * width :][:, :width])
+            np.add.at(out, self.edges.ends[:, side], rhs[:, side * width : (side + 1) * width])
         return out
 
     def cost(self, places: Places) -> float:

@@ -30,6 +30,7 @@ from .reports import Boundary, Step, Sums, Update
 from .results import cost_aside, finished, refused
 from .schedule import Schedule
 
+# Whole steps that are one standard deviation of the residuals: what their rounding costs is 1e-7 of F.
 _FINENESS = 2048.0
 # Bytes of an update and a step beside their numbers.
 _ENVELOPES = 100
@@ -136,9 +137,10 @@ class FrontalNode:
         """Do everything that can be done with what was received."""
         out: list[FrontalMessage] = []
         while self.outcome is None:
-            found = (
-                self._try_order() if self._order is None else self._try_up() if not self._went_up else self._try_down()
-            )
+            if self._order is None:
+                found = self._try_order()
+            else:
+                found = self._try_down() if self._went_up else self._try_up()
             if found is None:
                 break
             out += found
@@ -275,6 +277,7 @@ class FrontalNode:
             known=np.ones(0, dtype=bool),
             numbers=np.zeros((0, 0)),
             weights=decided.weights,
+            capped=decided.capped,
         )
 
     def _go_down(self, step: Step) -> list[FrontalMessage]:

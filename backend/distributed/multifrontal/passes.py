@@ -18,6 +18,7 @@ from .memory import Memory
 from .reports import Boundary, Step, Sums, Update, put_sent, sent
 from .shared_poses import LocalCoordinates
 
+# Share of Gauss-Newton's step that is taken from a mix.
 _DAMPED = 0.5
 
 

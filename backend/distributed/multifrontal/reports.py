@@ -165,7 +165,9 @@ class Update:
                 places[node] = source.array(7, "<f8")
             carried = np.ones(len(boundary.nodes) * width, dtype=bool)
         b = source.array(len(carried) * columns, "<f4").reshape(len(carried), columns)
-        return cls(sums, read_function(source, carried) if fresh else None, b, carried, boundary, places)
+        hessian = read_function(source, carried) if fresh else None
+        _whole(source)
+        return cls(sums, hessian, b, carried, boundary, places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +177,7 @@ class Step:
     ``next_problem``: None at the end. ``matrices``: which are passed on in it. ``place``: where it begins. ``cost``,
     ``cost_before`` and ``origin``, the anchor's own pose and log unit, come at the end. ``known`` ``(k,)``: poses that
     are tied to the anchor. ``grid``: sizes of whole steps, which begin at the mix of earlier passes by ``weights``.
+    ``capped``: it ends because no more passes are allowed.
     """
 
     next_problem: Unknowns | None
@@ -187,6 +190,7 @@ class Step:
     known: NDArray[np.bool_]
     numbers: Array
     weights: tuple[float, ...] = ()
+    capped: bool = False
 
     def encode(self, problem: Unknowns) -> bytes:
         """Its bytes; ``problem``: of the pass that it ends."""
@@ -196,6 +200,7 @@ class Step:
         if self.next_problem is None:
             out.number(self.cost)
             out.number(self.cost_before)
+            out.count(self.capped)
         if self.origin is not None:
             out.array(self.origin, "<f8")
         if self.next_problem is None or not self.place.moves:
@@ -219,9 +224,13 @@ class Step:
         """Inverse of :meth:`encode`; ``count``: poses on the boundary."""
         source = CompactReader(data)
         code = source.count()
-        next_problem = None if not code & 7 else Unknowns(min((code & 7) - 1, 4))
-        matrices, place, sent = Matrices(min(code >> 3 & 3, 2)), StepFrom(code >> 5 & 3), bool(code >> 7 & 1)
-        cost, before = (source.number(), source.number()) if next_problem is None else (0.0, 0.0)
+        if code >> 8 or code & 7 > 1 + max(Unknowns) or code >> 3 & 3 > max(Matrices):
+            raise BackendError(f"an eliminating robot was sent a step of no kind: {code}")
+        next_problem = None if not code & 7 else Unknowns((code & 7) - 1)
+        matrices, place, sent = Matrices(code >> 3 & 3), StepFrom(code >> 5 & 3), bool(code >> 7 & 1)
+        cost, before, capped = 0.0, 0.0, False
+        if next_problem is None:
+            cost, before, capped = source.number(), source.number(), bool(source.count())
         origin = source.array(7, "<f8") if sent else None
         known = np.ones(count, dtype=bool)
         numbers, grid, weights = np.zeros((0, 0)), (1.0, 1.0), np.zeros(0)
@@ -238,7 +247,9 @@ class Step:
             else:
                 numbers = source.array(int(known.sum()) * width, "<f8" if problem is Unknowns.KNOWN else "<f4")
                 numbers = numbers.reshape(-1, width)
-        return cls(next_problem, matrices, place, cost, before, origin, grid, known, numbers, tuple(weights.tolist()))
+        _whole(source)
+        mix = tuple(weights.tolist())
+        return cls(next_problem, matrices, place, cost, before, origin, grid, known, numbers, mix, capped)
 
 
 def columns_of(problem: Unknowns, scaled: bool) -> int:
@@ -280,6 +291,11 @@ def put_sent(problem: Unknowns, places: Places, rows: NDArray[np.intp], numbers:
         case _:
             places.poses[rows] = poses_of(numbers[:, :6])
             places.log_units[rows] = numbers[:, 6]
+
+
+def _whole(source: CompactReader) -> None:
+    if not source.empty:
+        raise BackendError("a message of an eliminating robot is longer than what it says")
 
 
 def _bounded(count: int) -> int:

@@ -37,6 +37,7 @@ def finished(share: Share, passes: Passes, step: Step, count: int) -> SolverOutc
         cost_after=step.cost if accepted else step.cost_before,
         rotation_sweeps=0,
         pose_sweeps=count,
+        capped=step.capped,
         unreached=tuple(n for n, r in zip(own, reached.tolist(), strict=True) if not r),
     )
 

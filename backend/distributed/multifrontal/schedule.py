@@ -34,6 +34,7 @@ class Decided:
     matrices: Matrices = Matrices.GAUSS_NEWTON
     place: StepFrom = StepFrom.FURTHER
     weights: tuple[float, ...] = ()
+    capped: bool = False
 
 
 class Schedule:
@@ -70,8 +71,9 @@ class Schedule:
             return self._raised_to(sums, weights, sums.cost - gained)
         self.best = sums.cost
         self._raised = self._halvings = 0
-        if sums.gain <= self._tolerance * sums.cost + _NOTHING or self._passes >= _MOST_PASSES:
-            return Decided(None, place=StepFrom.BEST_AND_FURTHER)
+        near = sums.gain <= self._tolerance * sums.cost + _NOTHING
+        if near or self._passes >= _MOST_PASSES:
+            return Decided(None, place=StepFrom.BEST_AND_FURTHER, capped=not near)
         self._gains.append(sums.gain)
         if sums.gain > _VERY_FAR * sums.cost or self._worth_a_matrix(sums):
             return Decided(Unknowns.POSE, self._anew(sums), StepFrom.BEST_AND_FURTHER, weights)
@@ -82,7 +84,7 @@ class Schedule:
         self._raised += 1
         near = sums.gain <= self._tolerance * sums.cost and sums.cost <= self.best * (1.0 + self._tolerance)
         if near or self._passes >= _MOST_PASSES or self._returns >= _MOST_RETURNS:
-            return Decided(None, place=StepFrom.BEST)
+            return Decided(None, place=StepFrom.BEST, capped=not near)
         if weights and self._raised == 1 and mixed < self.best:
             return Decided(Unknowns.POSE, Matrices.OLD, StepFrom.FURTHER, weights)
         if not sums.products and self._halvings < _MOST_HALVINGS:
