@@ -21,8 +21,8 @@ from .reports import Boundary
 class Front:
     """``nodes``: own ones first, then guests; rows count in these.
 
-    ``edges``: those that this robot answers for. Rows that are eliminated here (``inner``), passed on (``outer``), or that
-    robots before passed on (``brought``, by robot); ``shared`` ``(n,)``: rows of which others need to know.
+    ``edges``: those that this robot answers for. Rows that are eliminated here (``inner``), passed on (``outer``), or
+    passed on by robots before (``brought``); ``shared`` ``(n,)``: rows of which others need to know.
     ``reached`` ``(n,)``: rows that are, or may yet be, tied to the anchor.
     """
 
