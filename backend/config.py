@@ -102,10 +102,11 @@ class RelPoseConfig(Settings):
 class SolverConfig(Settings):
     """Pose-graph optimisation, central and distributed (thesis section 3.6)."""
 
-    method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "multifrontal", "elected"] = Field(
+    method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "multifrontal", "two-level", "elected"] = Field(
         default="sor",
         description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, "
-        "exact elimination along an agreed order (multifrontal), or one elected robot that solves for all",
+        "exact elimination along an agreed order (multifrontal), sweeps with a coarse level (two-level), or one elected "
+        "robot that solves for all",
     )
     relaxation: float = Field(
         default=1.75,
@@ -180,6 +181,13 @@ class SolverConfig(Settings):
         gt=0,
         description="multifrontal: most that one pass may send, MB as estimated; above it the robots do not begin",
     )
+    two_level_spacing: int = Field(
+        default=4, ge=1, description="two-level: shared poses for each knot of the coarse level"
+    )
+    two_level_tolerance: float = Field(
+        default=3e-4, gt=0, description="two-level: share of the cost that is expected to be left at the end"
+    )
+    two_level_sweeps: int = Field(default=60, ge=1, description="two-level: sweeps at most")
     elected_longest: int = Field(
         default=1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
     )

@@ -127,6 +127,10 @@ class CompactReader:
         """See :meth:`CompactWriter.steps`."""
         return [self.signed() for _ in range(count)]
 
+    def rest(self) -> bytes:
+        """All that was not read yet."""
+        return self._take(len(self._data) - self._at)
+
     def _take(self, size: int) -> bytes:
         part = self._data[self._at : self._at + size]
         if len(part) != size:

@@ -11,6 +11,7 @@ from .messages import (
     STANDING,
     USED,
     WIDTH,
+    Coded,
     Decision,
     Deltas,
     NodeMessage,
@@ -36,7 +37,7 @@ _SCALED = 0x40
 def encode(message: NodeMessage) -> bytes:
     """The message as bytes, little endian: a header of 10, then its numbers."""
     r = message.round
-    kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
+    kind = (Values, Report, Decision, Deltas, SeparatorState, Status, Coded).index(type(message))
     if _columns(message) > WIDTH[r.stage]:
         kind |= _SCALED
     head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
@@ -54,6 +55,8 @@ def encode(message: NodeMessage) -> bytes:
             return head + USED.pack(message.version, message.used) + numbers
         case Status():
             return head + b"".join(_pack_standing(s) for s in message.standings)
+        case Coded():
+            return head + message.body
 
 
 def decode(data: bytes) -> NodeMessage:
@@ -82,6 +85,8 @@ def decode(data: bytes) -> NodeMessage:
             return SeparatorState(sender, receiver, round_, version, used, values.astype(np.float64))
         if kind == 5:
             return Status(sender, receiver, round_, _unpack_standings(body))
+        if kind == 6:
+            return Coded(sender, receiver, round_, body)
     except (struct.error, ValueError) as error:
         raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
     raise BackendError(f"not a solver message: unknown kind {kind}")

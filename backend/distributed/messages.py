@@ -29,7 +29,8 @@ class SolverStage(IntEnum):
     POSE = 3
     FREE = 4
     DESCENT = 5
-    COST = 6
+    TWO_LEVEL = 6
+    COST = 7
 
 
 # Numbers that one separator pose costs each sweep.
@@ -40,6 +41,7 @@ WIDTH = {
     SolverStage.POSE: 6,
     SolverStage.DESCENT: 6,
     SolverStage.FREE: 6,
+    SolverStage.TWO_LEVEL: 0,
     SolverStage.COST: 0,
 }
 
@@ -150,6 +152,23 @@ class Deltas(_SolverMessage):
             raise BackendError("a scale of steps is not finite")
         if len(self.scales) != self.steps.shape[1] - 4:
             raise BackendError(f"{len(self.scales)} scales of {self.steps.shape[1]} steps")
+
+
+@dataclass(frozen=True)
+class Coded(_SolverMessage):
+    """Numbers of one round as its method codes them; the receiver knows how many there are, and checks that."""
+
+    sender: int
+    receiver: int
+    round: Round
+    body: bytes
+
+    @property
+    def payload_bytes(self) -> int:
+        return len(self.body)
+
+    def check(self) -> None:
+        """Bodies are checked when they are read."""
 
 
 @dataclass(frozen=True)
@@ -282,7 +301,7 @@ class Status(_SolverMessage):
             raise BackendError("standings without rounds, of a round")
 
 
-NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status
+NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status | Coded
 
 
 def number_type(stage: SolverStage) -> str:

@@ -13,6 +13,7 @@ from .free_node import FreeNode
 from .multifrontal.frontal_node import FrontalNode
 from .node import Node
 from .share import Share, SolverOutcome
+from .two_level.two_level_node import TwoLevelNode
 
 
 class SolverNode(Protocol):
@@ -46,6 +47,8 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
             return DescentNode(share, config)
         case "rbcd-async":
             return FreeNode(share, config)
+        case "two-level":
+            return TwoLevelNode(share, config)
         case "multifrontal":
             return FrontalNode(share, config)
         case "elected":

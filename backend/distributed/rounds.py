@@ -12,10 +12,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from ..errors import BackendError
-from .messages import Decision, Deltas, NodeMessage, Report, Round, Values, width_of
+from .messages import Coded, Decision, Deltas, NodeMessage, Report, Round, Values, width_of
 from .share import Share, SolverOutcome
 
-Separators = Values | Deltas
+Separators = Values | Deltas | Coded
 
 
 class Rounds(ABC):
@@ -75,6 +75,14 @@ class Rounds(ABC):
     def _stay(self, decision: Decision) -> None:  # noqa: B027  # most stages have nothing to do
         """Act on a decision that goes on with the stage."""
 
+    def _by_tree(self) -> bool:
+        """Whether members agree on what follows; else each knows it by itself."""
+        return True
+
+    def _alone(self) -> Decision:
+        """What follows a round without agreement."""
+        return Decision(self.share.robot, self.share.robot, self._round, True, 0.0)
+
     def _waits_for_lower(self) -> bool:
         """Whether the work needs this round's values of lower neighbours."""
         return False
@@ -103,7 +111,7 @@ class Rounds(ABC):
         if self.outcome is not None or message.round < self._round:
             return []
         match message:
-            case Values() | Deltas():
+            case Values() | Deltas() | Coded():
                 self._check(message)
                 self._received.setdefault(message.round, {})[message.sender] = message
             case Report():
@@ -138,6 +146,8 @@ class Rounds(ABC):
                 f"robot {self.share.robot} shares no edge with robot {message.sender}, which sent it poses"
             )
         stage, rows = message.round.stage, self._expected[message.sender]
+        if isinstance(message, Coded):
+            raise BackendError(f"robot {message.sender} sent coded numbers, which this method has none of")
         values = message.values if isinstance(message, Values) else message.steps
         expected = (rows, width_of(stage, self.share.scaled))
         if values.shape != expected and len(values):
@@ -189,12 +199,16 @@ class Rounds(ABC):
         received, below = self._received.get(self._round, {}), self._reports.get(self._round, {})
         if not self._solved or self._reported:
             return None
-        if any(n not in received for n in self._awaited()) or any(c not in below for c in self._children):
+        children = self._children if self._by_tree() else []
+        if any(n not in received for n in self._awaited()) or any(c not in below for c in children):
             return None
         for neighbour in self._awaited():
             if not (self._waits_for_lower() and neighbour < self.share.robot):
                 self._receive(neighbour, received[neighbour])
         self._reported = True
+        if not self._by_tree():
+            self._decisions[self._round] = self._alone()
+            return []
         cost, numbers = self._found()
         reports = [below[c] for c in self._children]
         change = max([self._change, *(r.change for r in reports)])
@@ -214,7 +228,8 @@ class Rounds(ABC):
             return None
         me = self.share.robot
         passed = (decision.round, decision.go_on, decision.cost, decision.numbers)
-        out = self._emit([Decision(me, c, *passed) for c in self._children])
+        children = self._children if self._by_tree() else []
+        out = self._emit([Decision(me, c, *passed) for c in children])
         if decision.go_on:
             self._stay(decision)
             self._round = Round(self._round.stage, self._round.step, self._round.sweep + 1)

@@ -1,0 +1,1 @@
+"""Two levels: each robot's own poses, and a coarse level of knots along all robots' tracks."""

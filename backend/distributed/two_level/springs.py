@@ -1,0 +1,139 @@
+"""What a robot tells of its part of the coarse level: its knots, the track between them, and edges that tie them to
+others.
+
+Everything is a spring between points that go with knots. Root and robots use the same rounded centres and weights, so
+rounding changes no motion of all robots together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import BackendError
+from ...geometry import Array
+from ..compact import CompactReader, CompactWriter
+from .knots import weight_bytes, weights_from
+
+_LARGEST = 6e4
+
+
+def rounded(points: Array) -> Array:
+    """Points ``(n, 3)`` as they are sent, in half precision."""
+    return np.asarray(np.clip(points, -_LARGEST, _LARGEST).astype(np.float16), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """One end of a spring: ``robot`` ``(m,)``, ``knot`` ``(m,)`` before it, ``weight`` ``(m,)`` of the one after."""
+
+    robot: NDArray[np.intp]
+    knot: NDArray[np.intp]
+    weight: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Edges between two ends that go with knots, at a point between them ``(m, 3)``; ``stiffness`` ``(m, 3)`` of
+    shift, turn and log unit."""
+
+    ends: tuple[End, End]
+    point: Array
+    stiffness: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """A robot's knots: ``centres`` ``(k, 3)``; ``links`` ``(k, 3)``: stiffness of the track from each knot to the next
+    one, 0 where no track leads there; ``sigmas`` ``(3,)``: deviations of a shift, a turn and a log unit; ``shared``:
+    poses that neighbours know."""
+
+    centres: Array
+    links: Array
+    sigmas: Array
+    shared: int
+
+
+def write_knots(out: CompactWriter, knots: Knots) -> None:
+    """Append them."""
+    out.count(len(knots.centres))
+    out.count(knots.shared)
+    out.array(knots.sigmas, "<f4")
+    out.array(knots.centres, "<f2")
+    out.array(knots.links, "<f4")
+
+
+def read_knots(source: CompactReader) -> Knots:
+    """Inverse of :func:`write_knots`."""
+    count, shared = source.count(), source.count()
+    sigmas = source.array(3, "<f4")
+    if not (sigmas > 0).all():
+        raise BackendError("a robot's deviations are not positive")
+    centres = source.array(3 * count, "<f2").reshape(-1, 3)
+    links = source.array(3 * count, "<f4").reshape(-1, 3)
+    if (links < 0).any():
+        raise BackendError("a track's stiffness is negative")
+    return Knots(centres, links, sigmas, shared)
+
+
+def write_springs(out: CompactWriter, springs: Springs, me: int, members: Sequence[int]) -> None:
+    """Append those of robot ``me``, whose end is the first."""
+    kinds, kind = np.unique(springs.stiffness.astype("<f4"), axis=0, return_inverse=True)
+    out.count(len(springs.point))
+    out.count(len(kinds))
+    out.array(kinds, "<f4")
+    a, b = springs.ends
+    rank = {robot: k for k, robot in enumerate(members)}
+    for k in range(len(springs.point)):
+        out.count(int(kind[k]))
+        out.count(int(a.knot[k]))
+        out.count(rank[int(b.robot[k])])
+        out.count(int(b.knot[k]))
+    out.array(weight_bytes(a.weight), "u1")
+    out.array(weight_bytes(b.weight), "u1")
+    out.array(springs.point, "<f2")
+
+
+def read_springs(source: CompactReader, sender: int, members: Sequence[int]) -> Springs:
+    """Inverse of :func:`write_springs`."""
+    count, kinds = source.count(), source.count()
+    stiffness = source.array(3 * kinds, "<f4").reshape(-1, 3)
+    if (stiffness < 0).any():
+        raise BackendError("an edge's stiffness is negative")
+    rows = [(source.count(), source.count(), source.count(), source.count()) for _ in range(count)]
+    numbers = np.array(rows, dtype=np.intp).reshape(-1, 4)
+    if count and (numbers[:, 0].max() >= kinds or numbers[:, 2].max() >= len(members)):
+        raise BackendError("an edge of the coarse level names what is not there")
+    mine, theirs = (weights_from(source.array(count, "u1").astype(np.uint8)) for _ in range(2))
+    point = source.array(3 * count, "<f2").reshape(-1, 3)
+    a = End(np.full(count, sender, dtype=np.intp), numbers[:, 1], mine)
+    b = End(np.array(members, dtype=np.intp)[numbers[:, 2]], numbers[:, 3], theirs)
+    return Springs((a, b), point, stiffness[numbers[:, 0]])
+
+
+def needed(springs: Sequence[Springs]) -> dict[int, list[tuple[int, int]]]:
+    """For each robot the knots ``(robot, knot)`` of others that move poses it shares edges with, in order."""
+    out: dict[int, set[tuple[int, int]]] = {}
+    for s in springs:
+        for mine, theirs in (s.ends, s.ends[::-1]):
+            for me, robot, knot, weight in zip(
+                mine.robot.tolist(), theirs.robot.tolist(), theirs.knot.tolist(), theirs.weight.tolist(), strict=True
+            ):
+                if me != robot:
+                    wanted = out.setdefault(me, set())
+                    if weight < 1:
+                        wanted.add((robot, knot))
+                    if weight > 0:
+                        wanted.add((robot, knot + 1))
+    return {robot: sorted(found) for robot, found in out.items()}
+
+
+def check(springs: Springs, knots: Mapping[int, Knots]) -> None:
+    """:class:`BackendError` where an end goes with a knot that its robot has not."""
+    for end in springs.ends:
+        for robot, knot, weight in zip(end.robot.tolist(), end.knot.tolist(), end.weight.tolist(), strict=True):
+            if robot not in knots or knot + (weight > 0) >= len(knots[robot].centres):
+                raise BackendError(f"an edge of the coarse level goes with knot {knot} of robot {robot}, which has none")
