@@ -20,7 +20,7 @@ class Block:
     neighbours know."""
 
     def __init__(self, problem: LocalProblem, placed: NDArray[np.bool_], shared: NDArray[np.intp]) -> None:
-        self._width, self._own = problem.width, problem.own_count
+        self._width, self._own, self._shared = problem.width, problem.own_count, shared
         n, w = len(problem.nodes), problem.width
         used = np.asarray(placed[problem.edges.ends].all(axis=1))
         edges = problem.edges.only(used)
@@ -47,10 +47,16 @@ class Block:
         self._factor = _factor(self._matrix, self.free)
         self._inner_factor = _factor(self._matrix, self._inner)
 
-    @property
-    def forces(self) -> Array:
-        """On own poses ``(own, w)``: the negative gradient of F, halved."""
-        return self._force.reshape(-1, self._width)[: self._own]
+    def forces_on_shared(self) -> Array:
+        """On own poses that neighbours know ``(k, w)``: the negative gradient of F, halved, where all other own poses
+        follow."""
+        force = self._force.copy()
+        if self._inner_factor is not None:
+            settled = np.zeros(len(force))
+            settled[self._inner] = self._inner_factor.solve(force[self._inner])
+            force -= self._matrix @ settled
+        force[np.setdiff1d(np.arange(len(force)), self.free)] = 0.0
+        return force.reshape(-1, self._width)[self._shared]
 
     def correction(self, moves: Array) -> Array:
         """Further moves ``(own, w)`` of own poses that end in equilibrium, all nodes moved by ``moves`` ``(n, w)``."""

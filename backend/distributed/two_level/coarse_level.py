@@ -14,6 +14,8 @@ from ..places import SCALED
 from .knots import arms
 from .springs import Knots, Springs, check
 
+# Of springs: knots ``(m, c)`` and their signed weights, points ``(m, 3)`` and stiffness ``(m, w, w)`` there.
+_Element = tuple[NDArray[np.intp], Array, Array, Array]
 # What nothing ties still needs an equation.
 _FLOOR = 1e-9
 
@@ -48,7 +50,8 @@ class CoarseLevel:
             for r in fixed & set(robots):
                 free[self.start[r] : self.start[r] + self.count[r], 6] = False
         self._free = np.flatnonzero(free.ravel())
-        matrix = self._assembled(self._elements(knots, springs))
+        elements = [*self._tracks(knots), *self._edges(springs)]
+        matrix = self._assembled(elements)
         inner = csc_array(matrix[self._free][:, self._free])
         diagonal = inner.diagonal()
         inner = csc_array(inner + diags(_FLOOR * diagonal + np.where(diagonal > 0, 0.0, 1.0)))
@@ -61,42 +64,43 @@ class CoarseLevel:
             out[self._free] = self._factor.solve(forces.ravel()[self._free])
         return out.reshape(forces.shape)
 
-    def _elements(
-        self, knots: Mapping[int, Knots], springs: Sequence[Springs]
-    ) -> list[tuple[NDArray[np.intp], Array, Array, Array]]:
-        """Knots ``(m, 4)`` and their signed weights ``(m, 4)``, points ``(m, 3)``, stiffness ``(m, 3)``."""
+    def _tracks(self, knots: Mapping[int, Knots]) -> list[_Element]:
         out = []
         for robot, own in sorted(knots.items()):
-            linked = np.flatnonzero(own.links.any(axis=1)[:-1]) if len(own.centres) else np.zeros(0, dtype=np.intp)
-            at = self.start[robot] + linked
-            pair = np.stack([at, at + 1, at, at], axis=1)
-            sign = np.tile([-1.0, 1.0, 0.0, 0.0], (len(at), 1))
-            # The track is taken as straight, its mass at both ends and in the middle.
-            for share in (0.0, 0.5, 1.0):
-                point = (1.0 - share) * own.centres[linked] + share * own.centres[linked + 1]
-                out.append((pair, sign, point, own.links[linked] / 3.0))
+            at = self.start[robot] + own.linked
+            pair = np.stack([at, at + 1], axis=1)
+            middle = 0.5 * (self.centres[at] + self.centres[at + 1])
+            out.append((pair, np.tile([-1.0, 1.0], (len(at), 1)), middle, own.links))
+        return out
+
+    def _edges(self, springs: Sequence[Springs]) -> list[_Element]:
+        out = []
         for s in springs:
             index, weight = [], []
             for end, sign_ in zip(s.ends, (-1.0, 1.0), strict=True):
                 base = np.array([self.start[r] for r in end.robot.tolist()], dtype=np.intp) + end.knot
                 index += [base, np.where(end.weight > 0, base + 1, base)]
                 weight += [sign_ * (1.0 - end.weight), sign_ * end.weight]
-            out.append((np.stack(index, axis=1), np.stack(weight, axis=1), s.point, s.stiffness))
+            out.append((np.stack(index, axis=1), np.stack(weight, axis=1), s.point, self._isotropic(s.stiffness)))
         return out
 
-    def _assembled(self, elements: list[tuple[NDArray[np.intp], Array, Array, Array]]) -> csc_array:
+    def _isotropic(self, stiffness: Array) -> Array:
+        """Matrices ``(m, w, w)`` of the stiffness of shift, turn and log unit ``(m, 3)``."""
+        out = np.zeros((len(stiffness), self._width, self._width))
+        out[:, range(self._width), range(self._width)] = np.repeat(stiffness, (3, 3, 1), axis=1)[:, : self._width]
+        return out
+
+    def _assembled(self, elements: list[_Element]) -> csc_array:
         width, n = self._width, len(self.centres) * self._width
         rows, columns, values = [], [], []
         for index, weight, point, stiffness in elements:
             if not len(index):
                 continue
-            scale = np.repeat(stiffness, (3, 3, 1), axis=1)[:, :width]
-            jacobians = [
-                weight[:, a, None, None] * arms(point, self.centres[index[:, a]], width) for a in range(4)
-            ]
-            for a in range(4):
-                for b in range(4):
-                    block = np.swapaxes(jacobians[a], 1, 2) @ (scale[:, :, None] * jacobians[b])
+            sides = range(index.shape[1])
+            jacobians = [weight[:, a, None, None] * arms(point, self.centres[index[:, a]], width) for a in sides]
+            for a in sides:
+                for b in sides:
+                    block = np.swapaxes(jacobians[a], 1, 2) @ stiffness @ jacobians[b]
                     r = index[:, a, None, None] * width + np.arange(width)[None, :, None]
                     c = index[:, b, None, None] * width + np.arange(width)[None, None, :]
                     rows.append(np.broadcast_to(r, block.shape).ravel())

@@ -24,7 +24,7 @@ _WHOLE_ROBOT = 1.0 / 16.0
 _FINENESS = 0.25
 _HALVINGS = 8
 _LEFT = 4.0
-_KEPT = 0.1
+_KEPT = 0.001
 _NOTHING = 1e-9
 _LEAST_RATIO, _MOST_RATIO = 0.1, 0.9
 
@@ -188,7 +188,7 @@ class Leading:
         """A member's knots and springs."""
         source = CompactReader(body)
         held = source.count()
-        self._knots[robot] = read_knots(source)
+        self._knots[robot] = read_knots(source, self._width)
         self._springs.append(read_springs(source, robot, self._members))
         if not source.empty:
             raise BackendError(f"robot {robot} sent more than its part of the coarse level")

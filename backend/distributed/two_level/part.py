@@ -16,6 +16,7 @@ from .knots import Hats, carried, gathered, hats_of, weight_bytes, weights_from
 from .coded_places import by_number, deviations_of, stiffness_of
 from .leading import Answer, Then, summed, write_forces
 from .springs import End, Knots, Springs, rounded, write_knots, write_springs
+from .tracks import tracks
 
 # Earlier moves that are mixed with the new one.
 _DEPTH = 2
@@ -96,20 +97,14 @@ class Part:
         ends, own = problem.edges.ends, problem.own_count
         first = self._hats.first
         used = self._placed[ends].all(axis=1) & (first[ends] >= 0).all(axis=1)
-        inner = used & (ends < own).all(axis=1)
-        place = self._hats.first + self._hats.weight
-        short = inner & (np.abs(place[ends[:, 1]] - place[ends[:, 0]]) < 1.0)
-        links = np.zeros((len(self._centres), 3))
-        weights = stiffness_of(self._problem)
-        for e in np.flatnonzero(short):
-            a, b = sorted(place[ends[e]])
-            for k in range(int(a), int(np.ceil(b))):
-                links[k] += weights[e] * (min(b, k + 1.0) - max(a, float(k))) ** 2
-        write_knots(out, Knots(self._centres, links, self._sigmas, len(self._shared)))
-        write_springs(
-            out, self._springs(np.flatnonzero(used & ~short & problem.counted)), problem.share.robot,
-            problem.share.members,
+        along = used & (ends < own).all(axis=1) & (np.abs(ends[:, 1] - ends[:, 0]) == 1)
+        stops = np.union1d(self._rows, self._shared)
+        linked, links = tracks(
+            stops, self._hats.at(stops), self._centres, problem.edges.only(along), problem.places, problem.width
         )
+        write_knots(out, Knots(self._centres, linked, links, self._sigmas, len(self._shared)))
+        rest = np.flatnonzero(used & ~along & problem.counted)
+        write_springs(out, self._springs(rest), problem.share.robot, problem.share.members)
         return out.bytes()
 
     def _springs(self, edges: NDArray[np.intp]) -> Springs:
@@ -128,9 +123,11 @@ class Part:
         """The cost now, and the forces on own knots."""
         problem = self._problem
         self._block = Block(problem, self._placed, self._shared)
-        own = slice(problem.own_count)
-        hats = self._hats.at(np.arange(problem.own_count))
-        found = gathered(hats, self._centres, self._block.forces, problem.places.at(own), problem.fixed[own])
+        rows = self._shared
+        found = gathered(
+            self._hats.at(rows), self._centres, self._block.forces_on_shared(), problem.places.at(rows),
+            problem.fixed[rows],
+        )
         edges = problem.edges.only(problem.counted & self._placed[problem.edges.ends].all(axis=1))
         cost = float(edges.costs(problem.places.poses, problem.places.log_units).sum())
         return write_forces(cost, found, self._centres, self._sigmas, _FORCES * self._grid)
@@ -163,10 +160,15 @@ class Part:
     def _take_step(self, steps: Array, asked: list[tuple[int, int]]) -> None:
         problem, places = self._problem, self._problem.places
         self._coarse = np.zeros((len(problem.nodes), problem.width))
-        own = np.arange(problem.own_count)
-        self._coarse[own] = carried(self._hats.at(own), self._centres, steps[: len(self._centres)], places.at(own),
-                                    problem.fixed[own])
+        rows = self._shared
+        self._coarse[rows] = carried(
+            self._hats.at(rows), self._centres, steps[: len(self._centres)], places.at(rows), problem.fixed[rows]
+        )
+        self._coarse[~self._placed] = 0.0
         self._coarse[problem.given] = 0.0
+        assert self._block is not None
+        own = problem.own_count
+        self._coarse[:own] += self._block.follow(self._coarse[:own])
         index = {key: k for k, key in enumerate(asked)}
         theirs = steps[len(self._centres) :]
         for neighbour, rows_ in problem.received_rows.items():
@@ -174,14 +176,12 @@ class Part:
             known = sorted(k for r, k in asked if r == neighbour)
             if not known:
                 continue
-            offset = known[0]
-            table, centres = np.zeros((known[-1] - offset + 2, problem.width)), np.zeros((known[-1] - offset + 2, 3))
-            for k in known:
-                table[k - offset] = theirs[index[neighbour, k]]
-                centres[k - offset] = self._foreign[neighbour, k]
             usable = rows[self._usable(rows)]
             hats = self._hats.at(usable)
-            hats = Hats(hats.first - offset, hats.weight)
+            table, centres = np.zeros((known[-1] + 1, problem.width)), np.zeros((known[-1] + 1, 3))
+            for k in known:
+                table[k] = theirs[index[neighbour, k]]
+                centres[k] = self._foreign[neighbour, k]
             self._coarse[usable] = carried(hats, centres, table, places.at(usable), problem.fixed[usable])
         self._coarse[~self._placed] = 0.0
         self._sweep = self._coarse.copy()

@@ -47,36 +47,60 @@ class Springs:
 
 @dataclass(frozen=True, eq=False)
 class Knots:
-    """A robot's knots: ``centres`` ``(k, 3)``; ``links`` ``(k, 3)``: stiffness of the track from each knot to the next
-    one, 0 where no track leads there; ``sigmas`` ``(3,)``: deviations of a shift, a turn and a log unit; ``shared``:
-    poses that neighbours know."""
+    """A robot's knots: ``centres`` ``(k, 3)``; ``sigmas`` ``(3,)``: deviations of a shift, a turn and a log unit;
+    ``shared``: poses that neighbours know.
+
+    ``linked`` ``(l,)``: knots from which a track leads to the next one, ``links`` ``(l, w, w)``: the stiffness of that
+    track, of the difference of both knots' motions about the point between them.
+    """
 
     centres: Array
+    linked: NDArray[np.intp]
     links: Array
     sigmas: Array
     shared: int
 
 
 def write_knots(out: CompactWriter, knots: Knots) -> None:
-    """Append them."""
+    """Append them; the factor of a track's stiffness in half precision, about its diagonal."""
     out.count(len(knots.centres))
     out.count(knots.shared)
     out.array(knots.sigmas, "<f4")
     out.array(knots.centres, "<f2")
-    out.array(knots.links, "<f4")
+    has = np.zeros(len(knots.centres), dtype=bool)
+    has[knots.linked] = True
+    out.array(np.packbits(has), "u1")
+    size, lower = _factor(knots.links)
+    out.array(size, "<f4")
+    out.array(lower, "<f2")
 
 
-def read_knots(source: CompactReader) -> Knots:
+def read_knots(source: CompactReader, width: int) -> Knots:
     """Inverse of :func:`write_knots`."""
     count, shared = source.count(), source.count()
     sigmas = source.array(3, "<f4")
     if not (sigmas > 0).all():
         raise BackendError("a robot's deviations are not positive")
     centres = source.array(3 * count, "<f2").reshape(-1, 3)
-    links = source.array(3 * count, "<f4").reshape(-1, 3)
-    if (links < 0).any():
-        raise BackendError("a track's stiffness is negative")
-    return Knots(centres, links, sigmas, shared)
+    has = np.unpackbits(source.array(-(-count // 8), "u1").astype(np.uint8), count=count)
+    linked = np.flatnonzero(has)
+    if len(linked) and linked[-1] + 1 >= count:
+        raise BackendError("a track leads from a robot's last knot to none")
+    size = source.array(len(linked), "<f4")
+    rows, columns = np.tril_indices(width)
+    lower = np.zeros((len(linked), width, width))
+    lower[:, rows, columns] = source.array(len(linked) * len(rows), "<f2").reshape(-1, len(rows))
+    lower *= size[:, None, None]
+    return Knots(centres, linked, lower @ np.swapaxes(lower, 1, 2), sigmas, shared)
+
+
+def _factor(links: Array) -> tuple[Array, Array]:
+    """Of stiffnesses ``(l, w, w)`` the largest number of the factor, and its lower triangle over that."""
+    lower = np.linalg.cholesky(links) if len(links) else links
+    rows, columns = np.tril_indices(links.shape[1])
+    found = lower[:, rows, columns]
+    size = np.abs(found).max(axis=1, initial=1e-30).astype(np.float32)
+    return size, found / size[:, None]
 
 
 def write_springs(out: CompactWriter, springs: Springs, me: int, members: Sequence[int]) -> None:
