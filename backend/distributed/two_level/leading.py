@@ -23,6 +23,8 @@ _WHOLE_ROBOT = 1.0 / 16.0
 # Steps of the coarse level over the deviation of what is left to gain, a number of a shared pose.
 _FINENESS = 0.25
 _HALVINGS = 8
+# A sweep of which the mix takes less than this: the coarse level is that of another place.
+_USELESS = 0.3
 _LEFT = 4.0
 _KEPT = 0.001
 _NOTHING = 1e-9
@@ -30,13 +32,14 @@ _LEAST_RATIO, _MOST_RATIO = 0.1, 0.9
 
 
 class Then(IntEnum):
-    """What members do after the coarse level's answer: sweep; go half of the last move back; end where they are, or
-    where the cost was least."""
+    """What members do after the coarse level's answer: sweep; go half of the last move back; tell of their knots and
+    springs again, as poses have moved; end where they are, or where the cost was least."""
 
     SWEEP = 0
     HALFWAY = 1
-    END = 2
-    END_AT_BEST = 3
+    AGAIN = 2
+    END = 3
+    END_AT_BEST = 4
 
     @property
     def ends(self) -> bool:
@@ -183,6 +186,7 @@ class Leading:
         self._costs: list[float] = []
         self._gain = 0.0
         self._halvings = self._sweeps = 0
+        self._stale = False
 
     def take_part(self, robot: int, body: bytes) -> None:
         """A member's knots and springs."""
@@ -208,10 +212,16 @@ class Leading:
     def answers(self) -> dict[int, Answer]:
         """For each member what it does next, from all costs and forces."""
         cost = sum(self._forces[r][0] for r in self._members)
-        then, capped = self._next(cost)
+        # Told again, the level is new and the cost is not.
+        then, capped = (Then.SWEEP, False) if self._level is None and self._costs else self._next(cost)
         if then is not Then.SWEEP:
             self._forces.clear()
             return dict.fromkeys(self._members, Answer(then, capped))
+        if self._stale:
+            self._knots, self._springs, self._level, self._stale = {}, [], None, False
+            self._forces.clear()
+            return dict.fromkeys(self._members, Answer(Then.AGAIN))
+        fresh = self._level is None
         if self._level is None:
             self._level = CoarseLevel(self._knots, self._springs, self._width, self._held, self._fixed)
             self._asked = needed(self._springs)
@@ -223,7 +233,7 @@ class Leading:
         forces = np.concatenate([self._forces[r][1] for r in order])
         moves = level.step(forces)
         left = float((forces * moves).sum())
-        self._gain = left if not self._sweeps else min(self._gain, max(_LEFT * left, _KEPT * self._gain))
+        self._gain = left if fresh else min(self._gain, max(_LEFT * left, _KEPT * self._gain))
         shared = max(1, sum(k.shared for k in self._knots.values()))
         grid = float(np.float32(_FINENESS * np.sqrt(max(self._gain, _NOTHING) / (6 * shared))))
         steps = np.rint(moves / (grid * unit)).astype(np.int64)
@@ -252,12 +262,14 @@ class Leading:
         size = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(np.float64).tiny))
         found = np.linalg.lstsq(matrix / np.outer(size, size), total[-k:] / size, rcond=1e-9)[0] / size
         self._gain = max(float(found @ total[-k:]), 0.0)
+        self._stale = bool(found[0] < _USELESS)
         return tuple(float(np.float32(x)) for x in found)
 
     def _next(self, cost: float) -> tuple[Then, bool]:
         costs = self._costs
         if costs and cost > min(costs) + _NOTHING:
             self._halvings += 1
+            self._stale = True
             return (Then.HALFWAY if self._halvings <= _HALVINGS else Then.END_AT_BEST), False
         self._halvings = 0
         costs.append(cost)

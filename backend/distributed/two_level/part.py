@@ -46,7 +46,7 @@ class Part:
         self._hats = Hats(np.full(n, -1, dtype=np.intp), np.zeros(n))
         self._hats.first[:own], self._hats.weight[:own] = hats.first, hats.weight
         self._rows = rows
-        self._centres = rounded(problem.places.poses[rows, :3, 3])
+        self._centres = np.zeros((len(rows), 3))
         self._sigmas = deviations_of(problem)
         self._group_sigmas = self._sigmas
         self._their_sigmas: dict[int, Array] = {}
@@ -56,9 +56,17 @@ class Part:
         self._sweep = np.zeros((n, problem.width))
         self._coarse = np.zeros((n, problem.width))
         self._grid = 0.0
-        self._best = self._start = problem.places.copy()
+        self._best = problem.places.copy()
         self._share = 1.0
         self.capped = False
+        self.renew()
+
+    def renew(self) -> None:
+        """The coarse level begins anew where poses are now."""
+        self._centres = rounded(self._problem.places.poses[self._rows, :3, 3])
+        self._foreign.clear()
+        self._moves.clear()
+        self._grid = 0.0
 
     # -- the coarse level's parts ------------------------------------------------------------------------------------
 
@@ -144,6 +152,8 @@ class Part:
         elif answer.then is Then.HALFWAY:
             self._share *= 0.5
             self._put(self._best, self._share * self._moves[-1] if self._moves else None)
+        elif answer.then is Then.AGAIN:
+            self._best, self._share = places.copy(), 1.0
         elif answer.then is Then.SWEEP:
             if answer.sigmas is not None:
                 self._group_sigmas = answer.sigmas

@@ -47,8 +47,6 @@ _FROM_ROOT = (Phase.ANSWER, Phase.WEIGHTS)
 class TwoLevelNode(DescentNode):
     """Places as block descent does, then sweeps with a coarse level; see :class:`Rounds` for its use."""
 
-    _part: Part
-
     def __init__(self, share: Share, config: SolverConfig) -> None:
         super().__init__(share, config)
         self._leading: Leading | None = None
@@ -58,6 +56,7 @@ class TwoLevelNode(DescentNode):
                 share.members, self._problem.width, fixed, config.two_level_tolerance, config.two_level_sweeps
             )
         self._then = Then.SWEEP
+        self._part: Part | None = None
         self._sigmas = deviations_of(self._problem)
         self._bodies: dict[int, bytes] = {}
 
@@ -112,10 +111,7 @@ class TwoLevelNode(DescentNode):
             case None:
                 return super()._work()
             case Phase.NEIGHBOURS:
-                own = self._problem.own_count
-                inner = (self._problem.edges.ends < own).all(axis=1)
-                label = parts(self._problem.edges.ends[inner], own)
-                self._part = Part(self._problem, self._descent.placed, label, self._config.two_level_spacing)
+                self._begin_level()
                 self._bodies = {n: self._part.for_neighbour(n) for n in self.share.neighbours}
             case Phase.LEVEL:
                 self._to_root(self._part.for_root())
@@ -135,6 +131,15 @@ class TwoLevelNode(DescentNode):
             case _:
                 pass
         return 0.0
+
+    def _begin_level(self) -> None:
+        if self._part is not None:
+            self._part.renew()
+            return
+        own = self._problem.own_count
+        inner = (self._problem.edges.ends < own).all(axis=1)
+        label = parts(self._problem.edges.ends[inner], own)
+        self._part = Part(self._problem, self._descent.placed, label, self._config.two_level_spacing)
 
     def _place(self) -> float:
         """Own pieces that have become tied; neighbours learn of them, in whole steps, as soon as one is placed."""
@@ -227,7 +232,9 @@ class TwoLevelNode(DescentNode):
             self._round = Round(SolverStage.COST)
         else:
             self._sweeps[SolverStage.POSE] += phase is Phase.WEIGHTS
-            self._round = Round(SolverStage.TWO_LEVEL, self._round.step + 1, Phase.FORCES)
+            again = phase is Phase.ANSWER and self._then is Then.AGAIN
+            first = Phase.NEIGHBOURS if again else Phase.FORCES
+            self._round = Round(SolverStage.TWO_LEVEL, self._round.step + 1, first)
 
     def _finish(self, cost_after: float) -> SolverOutcome:
         return replace(super()._finish(cost_after), capped=self._part.capped)
