@@ -25,6 +25,8 @@ _FINENESS = 0.25
 _HALVINGS = 8
 # A sweep of which the mix takes less than this: the coarse level is that of another place.
 _USELESS = 0.3
+# Turns beyond this, rad, are not small: the move is cut.
+_MOST_TURN = 0.25
 _LEFT = 4.0
 _KEPT = 0.001
 _NOTHING = 1e-9
@@ -187,6 +189,7 @@ class Leading:
         self._gain = 0.0
         self._halvings = self._sweeps = 0
         self._stale = False
+        self._turn = 0.0
 
     def take_part(self, robot: int, body: bytes) -> None:
         """A member's knots and springs."""
@@ -205,9 +208,10 @@ class Leading:
 
     def take_sums(self, sums: tuple[float, ...]) -> None:
         """A member's part of the sums over edges."""
-        if self._sums and len(self._sums[0]) != len(sums):
+        if not sums or (self._sums and len(self._sums[0]) != len(sums) - 1):
             raise BackendError("members sent sums of different lengths")
-        self._sums.append(sums)
+        self._sums.append(sums[:-1])
+        self._turn = max(self._turn, sums[-1])
 
     def answers(self) -> dict[int, Answer]:
         """For each member what it does next, from all costs and forces."""
@@ -262,7 +266,9 @@ class Leading:
         size = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(np.float64).tiny))
         found = np.linalg.lstsq(matrix / np.outer(size, size), total[-k:] / size, rcond=1e-9)[0] / size
         self._gain = max(float(found @ total[-k:]), 0.0)
-        self._stale = bool(found[0] < _USELESS)
+        turn, self._turn = abs(found[0]) * self._turn, 0.0
+        self._stale = bool(found[0] < _USELESS or turn > _MOST_TURN)
+        found *= min(1.0, _MOST_TURN / max(turn, _NOTHING))
         return tuple(float(np.float32(x)) for x in found)
 
     def _next(self, cost: float) -> tuple[Then, bool]:

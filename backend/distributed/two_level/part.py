@@ -242,9 +242,10 @@ class Part:
         self._sweep[rows] = self._coarse[rows] + steps * self._unit(self._their_sigmas[neighbour])
 
     def sums(self) -> tuple[float, ...]:
-        """What the root needs to mix this sweep with the moves before."""
+        """What the root needs to mix this sweep with the moves before; last, its largest turn."""
         assert self._block is not None
-        return self._block.sums([self._sweep, *self._moves[-_DEPTH:]])
+        turn = float(np.abs(self._sweep[: self._problem.own_count, 3:6]).max(initial=0.0))
+        return (*self._block.sums([self._sweep, *self._moves[-_DEPTH:]]), turn)
 
     def take_weights(self, weights: tuple[float, ...]) -> None:
         """Move as the root mixes."""
