@@ -185,7 +185,7 @@ class SolverConfig(Settings):
         default=4, ge=1, description="two-level: shared poses for each knot of the coarse level"
     )
     two_level_tolerance: float = Field(
-        default=3e-4, gt=0, description="two-level: share of the cost that is expected to be left at the end"
+        default=5e-4, gt=0, description="two-level: share of the cost that is expected to be left at the end"
     )
     two_level_sweeps: int = Field(default=60, ge=1, description="two-level: sweeps at most")
     elected_longest: int = Field(

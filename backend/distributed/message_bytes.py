@@ -1,4 +1,4 @@
-"""Messages between solver nodes as bytes: little endian, a header of 10, then the numbers."""
+"""Messages between solver nodes as bytes: little endian, a header of 10 (of coded numbers: 6), then the numbers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import struct
 import numpy as np
 
 from ..errors import BackendError
+from .compact import CompactReader, CompactWriter
 from .messages import (
     STANDING,
     USED,
@@ -30,6 +31,8 @@ from .messages import (
 _HEADER = struct.Struct("<BBHHHH")
 _REPORT = struct.Struct("<dd")
 _DECISION = struct.Struct("<?d")
+# Kind of a message of coded numbers, whose header is as short as its numbers.
+_CODED = 0x20
 # In the kind: rows have one number more than their stage, the log unit.
 _SCALED = 0x40
 
@@ -37,7 +40,12 @@ _SCALED = 0x40
 def encode(message: NodeMessage) -> bytes:
     """The message as bytes, little endian: a header of 10, then its numbers."""
     r = message.round
-    kind = (Values, Report, Decision, Deltas, SeparatorState, Status, Coded).index(type(message))
+    if isinstance(message, Coded):
+        out = CompactWriter()
+        for number in (_CODED, r.stage, r.step, r.sweep, message.sender, message.receiver):
+            out.count(int(number))
+        return out.bytes() + message.body
+    kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
     if _columns(message) > WIDTH[r.stage]:
         kind |= _SCALED
     head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
@@ -55,13 +63,15 @@ def encode(message: NodeMessage) -> bytes:
             return head + USED.pack(message.version, message.used) + numbers
         case Status():
             return head + b"".join(_pack_standing(s) for s in message.standings)
-        case Coded():
-            return head + message.body
 
 
 def decode(data: bytes) -> NodeMessage:
     """Inverse of :func:`encode`; bytes that are no such message raise :class:`BackendError`."""
     try:
+        if data[:1] == bytes([_CODED]):
+            source = CompactReader(data[1:])
+            stage, step, sweep, sender, receiver = (source.count() for _ in range(5))
+            return Coded(sender, receiver, Round(SolverStage(stage), step, sweep), source.rest())
         kind, stage, step, sweep, sender, receiver = _HEADER.unpack_from(data)
         body, round_ = data[_HEADER.size :], Round(SolverStage(stage), step, sweep)
         kind, scaled = kind & ~_SCALED, bool(kind & _SCALED)
@@ -85,8 +95,6 @@ def decode(data: bytes) -> NodeMessage:
             return SeparatorState(sender, receiver, round_, version, used, values.astype(np.float64))
         if kind == 5:
             return Status(sender, receiver, round_, _unpack_standings(body))
-        if kind == 6:
-            return Coded(sender, receiver, round_, body)
     except (struct.error, ValueError) as error:
         raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
     raise BackendError(f"not a solver message: unknown kind {kind}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import BackendError
 from ...geometry import Array
@@ -145,23 +146,32 @@ def _on_the_one_before(forces: Array, centres: Array) -> Array:
 
 
 def differences(steps: Steps, centres: Array, lever: float) -> Steps:
-    """Of knots' moves in whole steps ``(k, w)`` from what the knot before would do to a body at their ``centres``.
+    """Of knots' moves in whole steps ``(k, w)`` from what the nearest knot before would do to a body at their
+    ``centres``: knots at one place move alike.
 
     ``lever``: steps of a shift that a step of a turn makes at arm's length 1. Sums run number by number, so that the
     same numbers come out everywhere.
     """
     out = steps.copy()
+    near = _nearest_before(centres)
     if len(steps) > 1:
-        out[1:] -= _carried_on(steps[:-1], centres[1:] - centres[:-1], lever)
+        out[1:] -= _carried_on(steps[near], centres[1:] - centres[near], lever)
     return out
 
 
 def summed(found: Steps, centres: Array, lever: float) -> Steps:
     """Inverse of :func:`differences`."""
     out = found.copy()
-    for k in range(1, len(out)):
-        out[k] += _carried_on(out[k - 1 : k], centres[k : k + 1] - centres[k - 1 : k], lever)[0]
+    for k, near in enumerate(_nearest_before(centres).tolist(), start=1):
+        out[k] += _carried_on(out[near : near + 1], (centres[k] - centres[near])[None], lever)[0]
     return out
+
+
+def _nearest_before(centres: Array) -> NDArray[np.intp]:
+    """For each knot but the first the nearest one before it."""
+    apart = ((centres[1:, None] - centres[None]) ** 2).sum(axis=2)
+    later = np.arange(len(centres))[None] > np.arange(len(apart))[:, None]
+    return np.asarray(np.argmin(np.where(later, np.inf, apart), axis=1), dtype=np.intp)
 
 
 def _carried_on(steps: Steps, arm: Array, lever: float) -> Steps:
@@ -190,6 +200,7 @@ class Leading:
         self._halvings = self._sweeps = 0
         self._stale = False
         self._turn = 0.0
+        self._since = 0
 
     def take_part(self, robot: int, body: bytes) -> None:
         """A member's knots and springs."""
@@ -251,6 +262,7 @@ class Leading:
             out[r] = Answer(then, False, grid, first, coded)
         self._forces.clear()
         self._sweeps += 1
+        self._since = 1 if fresh else self._since + 1
         return out
 
     def weights(self) -> tuple[float, ...]:
@@ -267,8 +279,8 @@ class Leading:
         found = np.linalg.lstsq(matrix / np.outer(size, size), total[-k:] / size, rcond=1e-9)[0] / size
         self._gain = max(float(found @ total[-k:]), 0.0)
         turn, self._turn = abs(found[0]) * self._turn, 0.0
-        self._stale = bool(found[0] < _USELESS or turn > _MOST_TURN)
         found *= min(1.0, _MOST_TURN / max(turn, _NOTHING))
+        self._stale = bool(found[0] < _USELESS)
         return tuple(float(np.float32(x)) for x in found)
 
     def _next(self, cost: float) -> tuple[Then, bool]:
@@ -279,7 +291,8 @@ class Leading:
             return (Then.HALFWAY if self._halvings <= _HALVINGS else Then.END_AT_BEST), False
         self._halvings = 0
         costs.append(cost)
-        if len(costs) > 2:
+        # Of a sweep that the mix hardly takes, a small fall says nothing; but where the level is new, that is the end.
+        if len(costs) > 2 and (not self._stale or self._since < 2):
             falls = -np.diff(costs[-4:])
             ratios = falls[1:] / np.maximum(falls[:-1], _NOTHING)
             ratio = float(np.clip(ratios.max(), _LEAST_RATIO, _MOST_RATIO))
