@@ -105,8 +105,8 @@ class SolverConfig(Settings):
     method: Literal["dgs", "jor", "sor", "rbcd", "rbcd-async", "multifrontal", "two-level", "elected"] = Field(
         default="sor",
         description="two-stage sweeps (Gauss-Seidel, Jacobi, over-relaxed), block-coordinate descent to the optimum, "
-        "exact elimination along an agreed order (multifrontal), sweeps with a coarse level (two-level), or one elected "
-        "robot that solves for all",
+        "exact elimination along an agreed order (multifrontal), sweeps with a coarse level (two-level), or one "
+        "elected robot that solves for all",
     )
     relaxation: float = Field(
         default=1.75,
@@ -185,7 +185,7 @@ class SolverConfig(Settings):
         default=4, ge=1, description="two-level: shared poses for each knot of the coarse level"
     )
     two_level_tolerance: float = Field(
-        default=5e-4, gt=0, description="two-level: share of the cost that is expected to be left at the end"
+        default=8e-4, gt=0, description="two-level: share of the cost that is expected to be left at the end"
     )
     two_level_sweeps: int = Field(default=60, ge=1, description="two-level: sweeps at most")
     elected_longest: int = Field(

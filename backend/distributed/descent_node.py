@@ -132,7 +132,7 @@ class DescentNode(StagedNode):
         places = self._problem.places
         if isinstance(message, Deltas):
             places.put(rows, stepped(places.at(rows), message.scales, message.steps))
-        elif len(message.values):
+        elif isinstance(message, Values) and len(message.values):
             known = np.isfinite(message.values).all(axis=1)
             places.put(rows[known], places_of(message.values[known]))
             self._descent.placed[rows[known]] = True

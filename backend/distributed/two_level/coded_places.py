@@ -43,8 +43,8 @@ def by_number(sigmas: Array, width: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class CodedPlaces:
-    """``steps`` ``(n, w)`` of places of which ``known`` ``(n,)`` are; ``sizes`` ``(3,)`` of steps of a shift, a turn and
-    a log unit."""
+    """``steps`` ``(n, w)`` of places of which ``known`` ``(n,)`` are; ``sizes`` ``(3,)`` of steps of a shift, a turn
+    and a log unit."""
 
     steps: Steps
     known: NDArray[np.bool_]
@@ -73,7 +73,7 @@ class CodedPlaces:
         if not self.known.any():
             return b""
         out = CompactWriter()
-        out.array(np.packbits(self.known), "u1")
+        out.array(np.packbits(self.known).astype(np.float64), "u1")
         out.array(self.sizes, "<f4")
         steps = self.steps[self.known]
         out.steps(steps[0].tolist())

@@ -69,9 +69,7 @@ def weights_from(data: NDArray[np.uint8]) -> Array:
     return np.asarray(data / _WHOLE, dtype=np.float64)
 
 
-def carried(
-    hats: Hats, centres: Array, steps: Array, places: Places, fixed: NDArray[np.bool_]
-) -> Array:
+def carried(hats: Hats, centres: Array, steps: Array, places: Places, fixed: NDArray[np.bool_]) -> Array:
     """Moves ``(n, w)`` of ``places`` (shift in the common frame, turn in the pose's own, log unit) where knots at
     ``centres`` ``(k, 3)`` move by ``steps`` ``(k, w)``: shift of the centre and turn, both in the common frame, and log
     unit. ``fixed`` ``(n,)``: poses whose unit stays."""
@@ -94,9 +92,7 @@ def carried(
     return out
 
 
-def gathered(
-    hats: Hats, centres: Array, forces: Array, places: Places, fixed: NDArray[np.bool_]
-) -> Array:
+def gathered(hats: Hats, centres: Array, forces: Array, places: Places, fixed: NDArray[np.bool_]) -> Array:
     """The transpose of :func:`carried`: what ``forces`` ``(n, w)`` on poses are to the knots ``(k, w)``."""
     width = forces.shape[1]
     out = np.zeros((len(centres), width))

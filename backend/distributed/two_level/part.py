@@ -11,27 +11,23 @@ from ..compact import CompactReader, CompactWriter
 from ..local import LocalProblem
 from ..places import Places, move
 from .block import Block
+from .coded_places import by_number, deviations_of, stiffness_of
 from .codes import read_steps, write_steps
 from .knots import Hats, carried, gathered, hats_of, weight_bytes, weights_from
-from .coded_places import by_number, deviations_of, stiffness_of
 from .leading import Answer, Then, summed, write_forces
 from .springs import End, Knots, Springs, rounded, write_knots, write_springs
 from .tracks import tracks
 
 # Earlier moves that are mixed with the new one.
 _DEPTH = 2
-# Forces' steps, and a sweep's, over the coarse level's resolution.
-_FORCES = 0.25
-# A sweep's steps over the coarse level's resolution.
-_SWEPT = 1.0
+# Forces' steps over the coarse level's and a sweep's.
+_FORCES = 0.5
 
 
 class Part:
     """Works on ``problem.places`` in place; ``placed`` ``(n,)``: rows that have a place."""
 
-    def __init__(
-        self, problem: LocalProblem, placed: NDArray[np.bool_], label: NDArray[np.intp], spacing: int
-    ) -> None:
+    def __init__(self, problem: LocalProblem, placed: NDArray[np.bool_], label: NDArray[np.intp], spacing: int) -> None:
         """``label`` ``(own,)``: the piece of its own graph that a pose belongs to."""
         self._problem, self._placed = problem, placed
         own = problem.own_count
@@ -49,7 +45,6 @@ class Part:
         self._centres = np.zeros((len(rows), 3))
         self._sigmas = deviations_of(problem)
         self._group_sigmas = self._sigmas
-        self._their_sigmas: dict[int, Array] = {}
         self._foreign: dict[tuple[int, int], Array] = {}
         self._block: Block | None = None
         self._moves: list[Array] = []
@@ -74,10 +69,9 @@ class Part:
         """Where the poses shared with it are between which knots, and these knots' centres."""
         hats = self._hats.at(np.array(self._problem.sent_rows[neighbour], dtype=np.intp))
         out = CompactWriter()
-        out.array(self._sigmas, "<f4")
         for knot in hats.first.tolist():
             out.count(knot + 1)
-        out.array(weight_bytes(hats.weight), "u1")
+        out.array(np.asarray(weight_bytes(hats.weight), dtype=np.float64), "u1")
         out.array(self._centres[_used(hats)], "<f2")
         return out.bytes()
 
@@ -85,14 +79,12 @@ class Part:
         """Inverse of :meth:`for_neighbour`."""
         rows = np.array(self._problem.received_rows[neighbour], dtype=np.intp)
         source = CompactReader(body)
-        sigmas = source.array(3, "<f4")
         first = np.array([source.count() - 1 for _ in rows], dtype=np.intp)
         hats = Hats(first, weights_from(source.array(len(rows), "u1").astype(np.uint8)))
         used = _used(hats)
         centres = source.array(3 * len(used), "<f2").reshape(-1, 3)
-        if not source.empty or not (sigmas > 0).all():
+        if not source.empty:
             raise BackendError(f"robot {neighbour} sent knots that are none")
-        self._their_sigmas[neighbour] = sigmas
         self._hats.first[rows], self._hats.weight[rows] = hats.first, hats.weight
         self._foreign |= {(neighbour, k): c for k, c in zip(used.tolist(), centres, strict=True)}
 
@@ -133,7 +125,10 @@ class Part:
         self._block = Block(problem, self._placed, self._shared)
         rows = self._shared
         found = gathered(
-            self._hats.at(rows), self._centres, self._block.forces_on_shared(), problem.places.at(rows),
+            self._hats.at(rows),
+            self._centres,
+            self._block.forces_on_shared(),
+            problem.places.at(rows),
             problem.fixed[rows],
         )
         edges = problem.edges.only(problem.counted & self._placed[problem.edges.ends].all(axis=1))
@@ -220,7 +215,7 @@ class Part:
         assert self._block is not None
         own = self._problem.own_count
         change = self._block.correction(self._sweep)
-        unit = self._unit(self._sigmas)
+        unit = self._unit()
         self._steps = np.rint(change[self._shared] / unit)
         wanted = self._steps * unit
         off = np.zeros(change.shape)
@@ -239,7 +234,7 @@ class Part:
         rows = np.array(self._problem.received_rows[neighbour], dtype=np.intp)
         width = self._problem.width
         steps = read_steps(body, len(rows), width)
-        self._sweep[rows] = self._coarse[rows] + steps * self._unit(self._their_sigmas[neighbour])
+        self._sweep[rows] = self._coarse[rows] + steps * self._unit()
 
     def sums(self) -> tuple[float, ...]:
         """What the root needs to mix this sweep with the moves before; last, its largest turn."""
@@ -262,8 +257,8 @@ class Part:
         places, rows = self._problem.places, np.flatnonzero(self._placed)
         places.put(rows, start.at(rows) if moves is None else move(start.at(rows), moves[rows]))
 
-    def _unit(self, sigmas: Array) -> Array:
-        return _SWEPT * self._grid * by_number(sigmas, self._problem.width)
+    def _unit(self) -> Array:
+        return self._grid * by_number(self._group_sigmas, self._problem.width)
 
 
 def _used(hats: Hats) -> NDArray[np.intp]:

@@ -69,7 +69,7 @@ def write_knots(out: CompactWriter, knots: Knots) -> None:
     out.array(knots.centres, "<f2")
     has = np.zeros(len(knots.centres), dtype=bool)
     has[knots.linked] = True
-    out.array(np.packbits(has), "u1")
+    out.array(np.packbits(has).astype(np.float64), "u1")
     size, lower = _factor(knots.links)
     out.array(size, "<f4")
     out.array(lower, "<f2")
@@ -116,8 +116,8 @@ def write_springs(out: CompactWriter, springs: Springs, me: int, members: Sequen
         out.count(int(a.knot[k]))
         out.count(rank[int(b.robot[k])])
         out.count(int(b.knot[k]))
-    out.array(weight_bytes(a.weight), "u1")
-    out.array(weight_bytes(b.weight), "u1")
+    out.array(weight_bytes(a.weight).astype(np.float64), "u1")
+    out.array(weight_bytes(b.weight).astype(np.float64), "u1")
     out.array(springs.point, "<f2")
 
 
@@ -160,4 +160,6 @@ def check(springs: Springs, knots: Mapping[int, Knots]) -> None:
     for end in springs.ends:
         for robot, knot, weight in zip(end.robot.tolist(), end.knot.tolist(), end.weight.tolist(), strict=True):
             if robot not in knots or knot + (weight > 0) >= len(knots[robot].centres):
-                raise BackendError(f"an edge of the coarse level goes with knot {knot} of robot {robot}, which has none")
+                raise BackendError(
+                    f"an edge of the coarse level goes with knot {knot} of robot {robot}, which has none"
+                )

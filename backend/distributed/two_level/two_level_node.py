@@ -56,7 +56,7 @@ class TwoLevelNode(DescentNode):
                 share.members, self._problem.width, fixed, config.two_level_tolerance, config.two_level_sweeps
             )
         self._then = Then.SWEEP
-        self._part: Part | None = None
+        self._begun: Part | None = None
         self._sigmas = deviations_of(self._problem)
         self._bodies: dict[int, bytes] = {}
 
@@ -64,6 +64,11 @@ class TwoLevelNode(DescentNode):
     def _placing(self) -> bool:
         """Block descent only places."""
         return self._round.stage is SolverStage.DESCENT
+
+    @property
+    def _part(self) -> Part:
+        assert self._begun is not None
+        return self._begun
 
     @property
     def _phase(self) -> Phase | None:
@@ -133,13 +138,13 @@ class TwoLevelNode(DescentNode):
         return 0.0
 
     def _begin_level(self) -> None:
-        if self._part is not None:
-            self._part.renew()
+        if self._begun is not None:
+            self._begun.renew()
             return
         own = self._problem.own_count
         inner = (self._problem.edges.ends < own).all(axis=1)
         label = parts(self._problem.edges.ends[inner], own)
-        self._part = Part(self._problem, self._descent.placed, label, self._config.two_level_spacing)
+        self._begun = Part(self._problem, self._descent.placed, label, self._config.two_level_spacing)
 
     def _place(self) -> float:
         """Own pieces that have become tied; neighbours learn of them, in whole steps, as soon as one is placed."""
