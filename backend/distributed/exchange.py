@@ -16,7 +16,7 @@ from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from .elected_messages import ElectedMessage
 from .message_bytes import decode, encode
-from .messages import Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values
+from .messages import Coded, Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values
 from .methods import node_for
 from .multifrontal.frontal_messages import FrontalMessage
 from .share import JudgedEdge, Share, SolverOutcome, shares
@@ -109,6 +109,8 @@ class _Post:
         if isinstance(message, Values | Deltas | SeparatorState):
             if self._descends or stage in (SolverStage.ROTATION, SolverStage.POSE):
                 self._payload += message.payload_bytes
+        elif isinstance(message, Coded):
+            self._payload += message.payload_bytes
         elif isinstance(message, Decision) and (
             stage in (SolverStage.START, SolverStage.COST) or (stage is SolverStage.DESCENT and message.round.step == 0)
         ):

@@ -1,4 +1,4 @@
-"""Messages between solver nodes as bytes: little endian, a header of 10 (of coded numbers: 6), then the numbers."""
+"""Messages between solver nodes as bytes: little endian, a header of 10 (of coded numbers: 7), then the numbers."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ from .messages import (
 _HEADER = struct.Struct("<BBHHHH")
 _REPORT = struct.Struct("<dd")
 _DECISION = struct.Struct("<?d")
-# Kind of a message of coded numbers, whose header is as short as its numbers.
-_CODED = 0x20
+CODED = 0x20
+"""In the kind of coded numbers, with their stage; sender and receiver follow it."""
+_CODED_HEADER = struct.Struct("<BHH")
 # In the kind: rows have one number more than their stage, the log unit.
 _SCALED = 0x40
 
@@ -42,9 +43,9 @@ def encode(message: NodeMessage) -> bytes:
     r = message.round
     if isinstance(message, Coded):
         out = CompactWriter()
-        for number in (_CODED, r.stage, r.step, r.sweep, message.sender, message.receiver):
-            out.count(int(number))
-        return out.bytes() + message.body
+        out.count(r.step)
+        out.count(r.sweep)
+        return _CODED_HEADER.pack(CODED | r.stage, message.sender, message.receiver) + out.bytes() + message.body
     kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
     if _columns(message) > WIDTH[r.stage]:
         kind |= _SCALED
@@ -68,10 +69,11 @@ def encode(message: NodeMessage) -> bytes:
 def decode(data: bytes) -> NodeMessage:
     """Inverse of :func:`encode`; bytes that are no such message raise :class:`BackendError`."""
     try:
-        if data[:1] == bytes([_CODED]):
-            source = CompactReader(data[1:])
-            stage, step, sweep, sender, receiver = (source.count() for _ in range(5))
-            return Coded(sender, receiver, Round(SolverStage(stage), step, sweep), source.rest())
+        if is_coded(data):
+            kind, sender, receiver = _CODED_HEADER.unpack_from(data)
+            source = CompactReader(data[_CODED_HEADER.size :])
+            step, sweep = source.count(), source.count()
+            return Coded(sender, receiver, Round(SolverStage(kind & ~CODED), step, sweep), source.rest())
         kind, stage, step, sweep, sender, receiver = _HEADER.unpack_from(data)
         body, round_ = data[_HEADER.size :], Round(SolverStage(stage), step, sweep)
         kind, scaled = kind & ~_SCALED, bool(kind & _SCALED)
@@ -98,6 +100,11 @@ def decode(data: bytes) -> NodeMessage:
     except (struct.error, ValueError) as error:
         raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
     raise BackendError(f"not a solver message: unknown kind {kind}")
+
+
+def is_coded(data: bytes) -> bool:
+    """Whether these are coded numbers: their header is another."""
+    return bool(data) and CODED <= data[0] < _SCALED
 
 
 def _columns(message: NodeMessage) -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 
 from .elected_messages import FIRST_KIND, ElectedMessage
-from .message_bytes import decode, encode
-from .messages import NodeMessage
+from .message_bytes import decode, encode, is_coded
+from .messages import Coded, NodeMessage
 from .multifrontal.frontal_messages import FIRST_FRONTAL_KIND, FrontalMessage
 
 SolverMessage = NodeMessage | ElectedMessage | FrontalMessage
@@ -14,7 +14,7 @@ SolverMessage = NodeMessage | ElectedMessage | FrontalMessage
 
 _ENDS = struct.Struct("<HH")
 # Where sender and receiver stand in each form.
-_ENDS_AT, _ENDS_AT_FRONTAL, _ENDS_AT_ELECTED = 6, 3, 2
+_ENDS_AT, _ENDS_AT_FRONTAL, _ENDS_AT_ELECTED, _ENDS_AT_CODED = 6, 3, 2, 1
 
 
 def pack(message: SolverMessage) -> bytes:
@@ -24,6 +24,8 @@ def pack(message: SolverMessage) -> bytes:
             data, at = message.encode(), _ENDS_AT_ELECTED
         case FrontalMessage():
             data, at = message.encode(), _ENDS_AT_FRONTAL
+        case Coded():
+            data, at = encode(message), _ENDS_AT_CODED
         case _:
             data, at = encode(message), _ENDS_AT
     return data[:at] + data[at + _ENDS.size :]
@@ -38,6 +40,8 @@ def unpack(sender: int, receiver: int, data: bytes) -> SolverMessage:
         message = ElectedMessage.decode(data[:_ENDS_AT_ELECTED] + ends + data[_ENDS_AT_ELECTED:])
     elif data[:1] >= bytes([FIRST_FRONTAL_KIND]):
         message = FrontalMessage.decode(data[:_ENDS_AT_FRONTAL] + ends + data[_ENDS_AT_FRONTAL:])
+    elif is_coded(data):
+        message = decode(data[:_ENDS_AT_CODED] + ends + data[_ENDS_AT_CODED:])
     else:
         message = decode(data[:_ENDS_AT] + ends + data[_ENDS_AT:])
     message.check()

@@ -236,6 +236,11 @@ class TestMultifrontal(SolverContract):
             node.handle(Report(1, 0, Round(SolverStage.START), 0.0, 0.0))
 
 
+class TestTwoLevel(SolverContract):
+    config = SolverConfig(method="two-level")
+    exact = SolverConfig(method="two-level", two_level_tolerance=1e-12)
+
+
 class TestFreeBlockDescent(SolverContract):
     config = SolverConfig(method="rbcd-async")
     exact = SolverConfig(method="rbcd-async")

@@ -67,7 +67,7 @@ class Block:
         return out.reshape(-1, self._width)[: self._own]
 
     def follow(self, change: Array) -> Array:
-        """Moves ``(own, w)`` of own poses that nobody shares, as they follow a ``change`` ``(own, w)`` of shared ones."""
+        """Moves ``(own, w)`` of own poses that nobody shares: they follow a ``change`` ``(own, w)`` of shared ones."""
         whole = np.zeros(self._force.shape)
         whole[: change.size] = change.ravel()
         out = np.zeros(self._force.shape)

@@ -31,7 +31,7 @@ _MOST_TURN = 0.25
 _LEFT = 4.0
 _KEPT = 0.001
 _NOTHING = 1e-9
-_LEAST_RATIO, _MOST_RATIO = 0.1, 0.9
+_LEAST_RATIO, _MOST_RATIO = 0.5, 0.9
 
 
 class Then(IntEnum):
@@ -169,6 +169,8 @@ def summed(found: Steps, centres: Array, lever: float) -> Steps:
 
 def _nearest_before(centres: Array) -> NDArray[np.intp]:
     """For each knot but the first the nearest one before it."""
+    if not len(centres):
+        return np.zeros(0, dtype=np.intp)
     apart = ((centres[1:, None] - centres[None]) ** 2).sum(axis=2)
     later = np.arange(len(centres))[None] > np.arange(len(apart))[:, None]
     return np.asarray(np.argmin(np.where(later, np.inf, apart), axis=1), dtype=np.intp)

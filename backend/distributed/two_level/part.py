@@ -9,7 +9,7 @@ from ...errors import BackendError
 from ...geometry import Array
 from ..compact import CompactReader, CompactWriter
 from ..local import LocalProblem
-from ..places import Places, move
+from ..places import Places, move, places_of
 from .block import Block
 from .coded_places import by_number, deviations_of, stiffness_of
 from .codes import read_steps, write_steps
@@ -21,7 +21,7 @@ from .tracks import tracks
 # Earlier moves that are mixed with the new one.
 _DEPTH = 2
 # Forces' steps over the coarse level's and a sweep's.
-_FORCES = 0.5
+_FORCES = 0.25
 
 
 class Part:
@@ -73,6 +73,9 @@ class Part:
             out.count(knot + 1)
         out.array(np.asarray(weight_bytes(hats.weight), dtype=np.float64), "u1")
         out.array(self._centres[_used(hats)], "<f2")
+        # What found no place stays where it was.
+        lost = np.array(self._problem.sent_rows[neighbour], dtype=np.intp)[hats.first < 0]
+        out.array(self._problem.places.at(lost).numbers(self._problem.width), "<f8")
         return out.bytes()
 
     def take_neighbour(self, neighbour: int, body: bytes) -> None:
@@ -83,8 +86,11 @@ class Part:
         hats = Hats(first, weights_from(source.array(len(rows), "u1").astype(np.uint8)))
         used = _used(hats)
         centres = source.array(3 * len(used), "<f2").reshape(-1, 3)
+        lost = rows[first < 0]
+        numbers = source.array(len(lost) * self._problem.width, "<f8").reshape(len(lost), self._problem.width)
         if not source.empty:
-            raise BackendError(f"robot {neighbour} sent knots that are none")
+            raise BackendError("more than the knots of shared poses")
+        self._problem.places.put(lost, places_of(numbers))
         self._hats.first[rows], self._hats.weight[rows] = hats.first, hats.weight
         self._foreign |= {(neighbour, k): c for k, c in zip(used.tolist(), centres, strict=True)}
 

@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 from ...errors import BackendError
 from ...geometry import Array
 from ..compact import CompactReader, CompactWriter
+from .coded_places import by_number
 from .knots import weight_bytes, weights_from
 
 _LARGEST = 6e4
+_LARGEST_BYTE = 127.0
+# A factor's diagonal is at least so many steps of a byte.
+_FEWEST_STEPS = 12.0
 
 
 def rounded(points: Array) -> Array:
@@ -62,7 +66,8 @@ class Knots:
 
 
 def write_knots(out: CompactWriter, knots: Knots) -> None:
-    """Append them; the factor of a track's stiffness in half precision, about its diagonal."""
+    """Append them; the factors of the tracks' stiffness, of motions in deviations, in bytes where these are fine enough
+    for all, else in half precision."""
     out.count(len(knots.centres))
     out.count(knots.shared)
     out.array(knots.sigmas, "<f4")
@@ -70,9 +75,10 @@ def write_knots(out: CompactWriter, knots: Knots) -> None:
     has = np.zeros(len(knots.centres), dtype=bool)
     has[knots.linked] = True
     out.array(np.packbits(has).astype(np.float64), "u1")
-    size, lower = _factor(knots.links)
+    size, lower, in_bytes = _factors(knots)
+    out.count(in_bytes)
     out.array(size, "<f4")
-    out.array(lower, "<f2")
+    out.array(np.rint(_LARGEST_BYTE * lower) if in_bytes else lower, "<i1" if in_bytes else "<f2")
 
 
 def read_knots(source: CompactReader, width: int) -> Knots:
@@ -86,21 +92,28 @@ def read_knots(source: CompactReader, width: int) -> Knots:
     linked = np.flatnonzero(has)
     if len(linked) and linked[-1] + 1 >= count:
         raise BackendError("a track leads from a robot's last knot to none")
+    in_bytes = source.count()
     size = source.array(len(linked), "<f4")
     rows, columns = np.tril_indices(width)
+    numbers = source.array(len(linked) * len(rows), "<i1" if in_bytes else "<f2").reshape(-1, len(rows))
     lower = np.zeros((len(linked), width, width))
-    lower[:, rows, columns] = source.array(len(linked) * len(rows), "<f2").reshape(-1, len(rows))
-    lower *= size[:, None, None]
+    lower[:, rows, columns] = numbers / (_LARGEST_BYTE if in_bytes else 1.0) * size[:, None]
+    lower /= by_number(sigmas, width)[:, None]
     return Knots(centres, linked, lower @ np.swapaxes(lower, 1, 2), sigmas, shared)
 
 
-def _factor(links: Array) -> tuple[Array, Array]:
-    """Of stiffnesses ``(l, w, w)`` the largest number of the factor, and its lower triangle over that."""
+def _factors(knots: Knots) -> tuple[Array, Array, bool]:
+    """Of tracks' stiffnesses ``(l, w, w)`` in deviations: the largest number of each factor, its lower triangle over
+    that, and whether bytes say it well enough."""
+    width = knots.links.shape[1]
+    sigma = by_number(knots.sigmas, width)
+    links = knots.links * np.outer(sigma, sigma)
     lower = np.linalg.cholesky(links) if len(links) else links
-    rows, columns = np.tril_indices(links.shape[1])
+    rows, columns = np.tril_indices(width)
     found = lower[:, rows, columns]
     size = np.abs(found).max(axis=1, initial=1e-30).astype(np.float32)
-    return size, found / size[:, None]
+    smallest = (np.diagonal(lower, axis1=1, axis2=2) / size[:, None]).min(initial=1.0)
+    return size, found / size[:, None], bool(smallest * _LARGEST_BYTE > _FEWEST_STEPS)
 
 
 def write_springs(out: CompactWriter, springs: Springs, me: int, members: Sequence[int]) -> None:

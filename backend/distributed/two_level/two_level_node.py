@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...components import parts
 from ...config import SolverConfig
+from ...errors import BackendError
 from ..compact import CompactReader, CompactWriter
 from ..descent_node import DescentNode
 from ..messages import Coded, Decision, Round, SolverStage
@@ -40,6 +41,10 @@ class Phase(IntEnum):
     WEIGHTS = 6
 
 
+# Rounds of the start, by their sweep: who needs it exactly, and that.
+_ASK, _EXACTLY = 1, 2
+# An edge that costs less may well be as it should be.
+_FAR = 1e4
 _TO_ROOT = (Phase.LEVEL, Phase.FORCES, Phase.SUMS)
 _FROM_ROOT = (Phase.ANSWER, Phase.WEIGHTS)
 
@@ -56,6 +61,7 @@ class TwoLevelNode(DescentNode):
                 share.members, self._problem.width, fixed, config.two_level_tolerance, config.two_level_sweeps
             )
         self._then = Then.SWEEP
+        self._exact_for: set[int] = set()
         self._begun: Part | None = None
         self._sigmas = deviations_of(self._problem)
         self._bodies: dict[int, bytes] = {}
@@ -75,9 +81,16 @@ class TwoLevelNode(DescentNode):
         return Phase(self._round.sweep) if self._round.stage is SolverStage.TWO_LEVEL else None
 
     def _by_tree(self) -> bool:
-        return self._phase is None
+        return self._phase is None and not self._guessing
+
+    @property
+    def _guessing(self) -> bool:
+        """Rounds of the start that only find out for whom it must be exact."""
+        return self._round.stage is SolverStage.START and not self._warm and self._round.sweep < _EXACTLY
 
     def _alone(self) -> Decision:
+        if self._guessing:
+            return super()._alone()
         last = self._phase in (Phase.LEVEL, Phase.WEIGHTS) or (
             self._phase is Phase.ANSWER and self._then is not Then.SWEEP
         )
@@ -87,10 +100,19 @@ class TwoLevelNode(DescentNode):
         return self._phase is Phase.SWEEP if self._phase is not None else super()._waits_for_lower()
 
     def _receivers(self) -> list[int]:
+        if self._asking:
+            return [n for n in self.share.neighbours if n > self.share.robot]
         return super()._receivers() if self._phase is None else self._partners(_FROM_ROOT, _TO_ROOT)
 
     def _awaited(self) -> list[int]:
+        if self._asking:
+            return [n for n in self.share.neighbours if n < self.share.robot]
         return super()._awaited() if self._phase is None else self._partners(_TO_ROOT, _FROM_ROOT)
+
+    @property
+    def _asking(self) -> bool:
+        """Lower robots say whether they need the start exactly."""
+        return self._guessing and self._round.sweep == _ASK
 
     def _partners(self, at_root: tuple[Phase, ...], at_others: tuple[Phase, ...]) -> list[int]:
         """Whom a round's messages go to, or come from: neighbours, or in these phases all others, or the root."""
@@ -183,17 +205,52 @@ class TwoLevelNode(DescentNode):
 
     def _say(self, neighbour: int) -> Separators:
         body = self._bodies.get(neighbour, b"")
-        if self._phase is None and not self._placing:
-            if self._round.stage is not SolverStage.START or self._warm:
-                return super()._say(neighbour)
-            body = self._coded(np.array(self._problem.sent_rows[neighbour], dtype=np.intp)).encode()
+        if self._round.stage is SolverStage.START and not self._warm:
+            body = self._start_for(neighbour)
+        elif self._phase is None and not self._placing:
+            return super()._say(neighbour)
         return Coded(self.share.robot, neighbour, self._round, body)
+
+    def _start_for(self, neighbour: int) -> bytes:
+        """Where this robot was before, roughly, as most starts are far from any frame of all; exactly where a neighbour
+        asks for it."""
+        if self._asking:
+            return bytes([1]) if self._close_to(neighbour) else b""
+        if self._round.sweep == _EXACTLY:
+            exactly = self._problem.separator_places(neighbour).astype("<f8").tobytes()
+            return exactly if neighbour in self._exact_for else b""
+        rows = np.array(self._problem.sent_rows[neighbour], dtype=np.intp)
+        return self._coded(rows).encode()
+
+    def _close_to(self, neighbour: int) -> bool:
+        """Whether edges with it may not be violated so much that their cost says all as it is."""
+        problem = self._problem
+        theirs = np.asarray(np.isin(problem.edges.ends, problem.received_rows[neighbour]).any(axis=1), dtype=bool)
+        costs = problem.edges.only(theirs).costs(problem.places.poses, problem.places.log_units)
+        return bool((costs < _FAR).any())
 
     def _receive(self, neighbour: int, message: Separators) -> None:
         if not isinstance(message, Coded):
             super()._receive(neighbour, message)
             return
+        try:
+            self._take(neighbour, message)
+        except BackendError as error:
+            raise BackendError(
+                f"robot {neighbour} sent robot {self.share.robot} numbers that do not fit: {error}; do the two hold "
+                "different edges between them?"
+            ) from error
+
+    def _take(self, neighbour: int, message: Coded) -> None:
         match self._phase:
+            case None if self._asking:
+                if message.body:
+                    self._exact_for.add(neighbour)
+            case None if self._round.stage is SolverStage.START and self._round.sweep == _EXACTLY:
+                if message.body:
+                    rows = len(self._problem.received_rows[neighbour])
+                    values = CompactReader(message.body).array(rows * self._problem.width, "<f8")
+                    self._problem.receive_places(neighbour, values.reshape(rows, -1))
             case None:
                 self._take_places(neighbour, message.body)
             case Phase.NEIGHBOURS:
