@@ -1,4 +1,4 @@
-"""Messages between solver nodes as bytes: little endian, a header of 10 (of coded numbers: 7), then the numbers."""
+"""Messages between solver nodes as bytes: little endian, a header of 10 (of coded numbers: 5), then the numbers."""
 
 from __future__ import annotations
 
@@ -31,9 +31,8 @@ from .messages import (
 _HEADER = struct.Struct("<BBHHHH")
 _REPORT = struct.Struct("<dd")
 _DECISION = struct.Struct("<?d")
-CODED = 0x20
-"""In the kind of coded numbers, with their stage; sender and receiver follow it."""
-_CODED_HEADER = struct.Struct("<BHH")
+# Kind of coded numbers, with their stage; their header is another, as short as its numbers.
+_CODED = 0x20
 # In the kind: rows have one number more than their stage, the log unit.
 _SCALED = 0x40
 
@@ -42,10 +41,7 @@ def encode(message: NodeMessage) -> bytes:
     """The message as bytes, little endian: a header of 10, then its numbers."""
     r = message.round
     if isinstance(message, Coded):
-        out = CompactWriter()
-        out.count(r.step)
-        out.count(r.sweep)
-        return _CODED_HEADER.pack(CODED | r.stage, message.sender, message.receiver) + out.bytes() + message.body
+        return encode_coded(message, (message.sender, message.receiver))
     kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
     if _columns(message) > WIDTH[r.stage]:
         kind |= _SCALED
@@ -70,10 +66,8 @@ def decode(data: bytes) -> NodeMessage:
     """Inverse of :func:`encode`; bytes that are no such message raise :class:`BackendError`."""
     try:
         if is_coded(data):
-            kind, sender, receiver = _CODED_HEADER.unpack_from(data)
-            source = CompactReader(data[_CODED_HEADER.size :])
-            step, sweep = source.count(), source.count()
-            return Coded(sender, receiver, Round(SolverStage(kind & ~CODED), step, sweep), source.rest())
+            source = CompactReader(data[1:])
+            return decode_coded(data[0], (source.count(), source.count()), source)
         kind, stage, step, sweep, sender, receiver = _HEADER.unpack_from(data)
         body, round_ = data[_HEADER.size :], Round(SolverStage(stage), step, sweep)
         kind, scaled = kind & ~_SCALED, bool(kind & _SCALED)
@@ -103,8 +97,26 @@ def decode(data: bytes) -> NodeMessage:
 
 
 def is_coded(data: bytes) -> bool:
-    """Whether these are coded numbers: their header is another."""
-    return bool(data) and CODED <= data[0] < _SCALED
+    """Whether these are coded numbers."""
+    return bool(data) and _CODED <= data[0] < _SCALED
+
+
+def encode_coded(message: Coded, ends: tuple[int, ...]) -> bytes:
+    """Coded numbers as bytes, with these of its ``ends``: both, or none where a carrier names them."""
+    out = CompactWriter()
+    for number in (*ends, message.round.step, message.round.sweep):
+        out.count(number)
+    return bytes([_CODED | message.round.stage]) + out.bytes() + message.body
+
+
+def decode_coded(kind: int, ends: tuple[int, int], source: CompactReader) -> Coded:
+    """Inverse of :func:`encode_coded`, from what comes after the ends."""
+    try:
+        stage = SolverStage(kind & ~_CODED)
+    except ValueError as error:
+        raise BackendError(f"not a solver message: {error}") from error
+    step, sweep = source.count(), source.count()
+    return Coded(*ends, Round(stage, step, sweep), source.rest())
 
 
 def _columns(message: NodeMessage) -> int:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import struct
 
+from .compact import CompactReader
 from .elected_messages import FIRST_KIND, ElectedMessage
-from .message_bytes import decode, encode, is_coded
+from .message_bytes import decode, decode_coded, encode, encode_coded, is_coded
 from .messages import Coded, NodeMessage
 from .multifrontal.frontal_messages import FIRST_FRONTAL_KIND, FrontalMessage
 
@@ -14,7 +15,7 @@ SolverMessage = NodeMessage | ElectedMessage | FrontalMessage
 
 _ENDS = struct.Struct("<HH")
 # Where sender and receiver stand in each form.
-_ENDS_AT, _ENDS_AT_FRONTAL, _ENDS_AT_ELECTED, _ENDS_AT_CODED = 6, 3, 2, 1
+_ENDS_AT, _ENDS_AT_FRONTAL, _ENDS_AT_ELECTED = 6, 3, 2
 
 
 def pack(message: SolverMessage) -> bytes:
@@ -25,7 +26,7 @@ def pack(message: SolverMessage) -> bytes:
         case FrontalMessage():
             data, at = message.encode(), _ENDS_AT_FRONTAL
         case Coded():
-            data, at = encode(message), _ENDS_AT_CODED
+            return encode_coded(message, ())
         case _:
             data, at = encode(message), _ENDS_AT
     return data[:at] + data[at + _ENDS.size :]
@@ -41,7 +42,7 @@ def unpack(sender: int, receiver: int, data: bytes) -> SolverMessage:
     elif data[:1] >= bytes([FIRST_FRONTAL_KIND]):
         message = FrontalMessage.decode(data[:_ENDS_AT_FRONTAL] + ends + data[_ENDS_AT_FRONTAL:])
     elif is_coded(data):
-        message = decode(data[:_ENDS_AT_CODED] + ends + data[_ENDS_AT_CODED:])
+        message = decode_coded(data[0], (sender, receiver), CompactReader(data[1:]))
     else:
         message = decode(data[:_ENDS_AT] + ends + data[_ENDS_AT:])
     message.check()
