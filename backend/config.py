@@ -192,12 +192,31 @@ class SolverConfig(Settings):
         default=10, ge=1, description="elected: ticks in silence after which a robot counts as lost"
     )
 
+    update_tolerance: float = Field(
+        default=5e-5,
+        gt=0,
+        le=0.1,
+        description="updates of an elected group: share of the cost that may be left for robots that are not corrected",
+    )
+
     @classmethod
     def quick(cls) -> SolverConfig:
         """Two-stage over-relaxed sweeps that end within 1 % of the optimum on the published sets of 2 to 25 robots,
         in no more bytes than the published stop takes: the stop looks at a pose's change, not at a whole robot's.
         """
         return cls(method="sor", relaxation=1.3, rotation_sweeps=2, pose_threshold=0.044, change="rms")
+
+
+class LinkModel(Settings):
+    """Links in logical time, where a run with matches one by one is measured; solving anew beside it."""
+
+    delay_s: float = Field(default=0.5, ge=0, le=60, description="logical time that every message takes, seconds")
+    rate_kbit: float = Field(
+        default=9.6, gt=0, description="rate of each robot's radio, which sends one message after another, kbit/s"
+    )
+    solved_anew: int = Field(
+        default=10, ge=0, description="matches, evenly spread, with which the group is also solved anew, for comparison"
+    )
 
 
 class CentralConfig(Settings):

@@ -23,6 +23,7 @@ from .condense import Condensed, Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
 from .gathered import Gathered, cost_between, cost_of_priors, solve
+from .incremental.settled import Settled
 from .share import Share, SolverOutcome, anchor_of
 from .solution import decode_solution, encode_solution
 
@@ -65,6 +66,12 @@ class ElectedNode:
     def leader(self) -> int | None:
         """The elected robot; None until it is known."""
         return self._order[self._term % len(self._order)] if self._order else None
+
+    @property
+    def settled(self) -> Settled:
+        """What updates go on from, once it has ended."""
+        given = {r: self._contributions[r] for r in self._members()} if self.leader == self.share.robot else {}
+        return Settled(-1 if self.leader is None else self.leader, self._known, given)
 
     def start(self) -> list[ElectedMessage]:
         """Return the first messages."""
@@ -252,7 +259,8 @@ class ElectedNode:
         return own.cost(poses, log_units)
 
     def _finish_own(self, body: bytes) -> list[ElectedMessage]:
-        cost = self._complete(decode_solution(body, self._sent, self.share.scaled))
+        self._known = decode_solution(body, self._sent, self.share.scaled)
+        cost = self._complete(self._known)
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
 
