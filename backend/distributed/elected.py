@@ -23,7 +23,7 @@ from .condense import Condensed, Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
 from .gathered import Gathered, cost_between, cost_of_priors, solve
-from .incremental.settled import Settled
+from .settled import Settled
 from .share import Share, SolverOutcome, anchor_of
 from .solution import decode_solution, encode_solution
 

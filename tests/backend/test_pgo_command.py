@@ -231,3 +231,49 @@ def test_without_a_method_the_optimum_is_reached(folder, tmp_path, capsys):
     assert cli.main(["pgo", str(folder), str(tmp_path / "p"), "--method", "central", "--json"]) == 0
     best = json.loads(capsys.readouterr().out)["cost"]["F"]
     assert report["cost"]["F"] == pytest.approx(best, rel=1e-4)
+
+
+def test_matches_one_by_one_cost_less_than_solving_anew(folder, tmp_path, capsys):
+    out = tmp_path / "one"
+    words = ["pgo", str(folder), str(out), "--matches-one-by-one", "--link.solved-anew", "2", "--quiet"]
+    assert cli.main([*words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    updates, graph = report["updates"], read_g2o(sorted(folder.glob("*.g2o")))
+    between = sum(e.is_separator for e in graph.edges)
+    assert updates["matches"] == between - 2 and updates["anew"]["solved"] == 2
+    assert report["gap"] < 1e-4 and updates["largest_excess"] <= 5e-5
+    total = updates["first"]["bytes"] + updates["matches"] * updates["bytes"]["mean"]
+    assert report["wire_bytes"] == round(total)
+    assert updates["bytes"]["mean"] < updates["anew"]["bytes"]["mean"]
+    assert cost(read_g2o(sorted(out.glob("*.g2o"))), "F") == pytest.approx(report["cost"]["F"], rel=1e-6)
+    # Ten times the rate takes less time, and the same bytes.
+    fast = [*words[:2], str(tmp_path / "two"), *words[3:], "--link.rate-kbit", "96", "--link.delay-s", "0.05"]
+    assert cli.main([*fast, "--json"]) == 0
+    faster = json.loads(capsys.readouterr().out)["updates"]
+    assert faster["bytes"] == updates["bytes"]
+    assert faster["seconds"]["mean"] == pytest.approx(0.1 * updates["seconds"]["mean"])
+    assert cli.main([*words, "--overwrite"]) == 0
+    said = capsys.readouterr().out
+    assert f"{updates['matches']} matches one by one, mean: {updates['bytes']['mean']:.0f} bytes" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--matches-one-by-one", "--method", "rbcd"], 2, "--matches-one-by-one works with --method elected"),
+        (["--matches-one-by-one", "--robust", "pcm"], 2, "not --robust pcm"),
+        (["--link.delay-s", "1"], 2, "--link.delay-s is of --matches-one-by-one"),
+        (["--matches-one-by-one", "--plot", "a.png"], 2, "--plot compares methods"),
+        (["--matches-one-by-one", "--link.rate-kbit", "0"], 2, "rate-kbit"),
+    ],
+)
+def test_what_does_not_go_with_matches_one_by_one(folder, tmp_path, capsys, words, code, said):
+    assert cli.main(["pgo", str(folder), str(tmp_path / "o"), *words]) == code
+    assert said in capsys.readouterr().err
+
+
+def test_a_single_robot_has_no_matches_to_come(tmp_path, capsys):
+    graph, _ = loops(np.random.default_rng(1), robots=1, length=20)
+    write_g2o(tmp_path / "one.g2o", graph, plain_ids=True)
+    assert cli.main(["pgo", str(tmp_path / "one.g2o"), str(tmp_path / "o.g2o"), "--matches-one-by-one"]) == 1
+    assert "the graph has one robot" in capsys.readouterr().err

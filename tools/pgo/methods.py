@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,8 +12,9 @@ from maslam.backend.central.minimum import minimum
 from maslam.backend.central.optimise import optimise
 from maslam.backend.central.similarity_edges import edges_of
 from maslam.backend.components import parts
-from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
+from maslam.backend.config import CentralConfig, LinkModel, RobustConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.incremental.one_by_one import matches_one_by_one
 from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
@@ -23,6 +24,7 @@ from maslam.backend.robust.pcm import consistent_edges
 from maslam.backend.robust.select import optimise_robustly
 
 from ..common.errors import UnknownName, UsageError
+from .updates import figures
 
 CENTRAL = "central"
 TWO_STAGE = ("dgs", "jor", "sor")
@@ -37,7 +39,7 @@ WEIGHTS = ("auto", "information", "unit")
 @dataclass(frozen=True)
 class Request:
     """``unit``: minimise U instead of what ``central.cost`` or F says; ``monocular``: robots whose nodes have units of
-    length of their own."""
+    length of their own. ``link``: matches come one by one, over such links."""
 
     method: str
     robust: str
@@ -46,12 +48,13 @@ class Request:
     solver: SolverConfig
     selection: RobustConfig
     monocular: frozenset[int] = frozenset()
+    link: LinkModel | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """``weights`` ``(m,)``: of the edges, 0 where rejected; ``rejected``: records of those; ``units``: of the nodes, in
-    the common one, where they were variables."""
+    the common one, where they were variables; ``updates``: of matches one by one, what these cost."""
 
     poses: Mapping[NodeId, Array]
     weights: Array
@@ -68,6 +71,7 @@ class Solution:
     refused: str | None = None
     cost_before: float | None = None
     capped: bool = False
+    updates: dict[str, object] | None = None
 
 
 def default_method(robust: str) -> str:
@@ -95,8 +99,11 @@ def takes_unit_weights(weights: str, graph: PoseGraph) -> bool:
     return weights == "unit" or (weights == "auto" and graph.is_unweighted)
 
 
-def check(method: str, robust: str, monocular: bool = False) -> None:
+def check(method: str, robust: str, monocular: bool = False, one_by_one: bool = False) -> None:
     """Refuse what does not go together."""
+    if one_by_one and (method != "elected" or robust != "none"):
+        instead = f"--robust {robust}" if robust != "none" else f"--method {method}"
+        raise UsageError(f"--matches-one-by-one works with --method elected and no robust selection, not {instead}")
     if monocular and robust != "none":
         raise UsageError(f"--robust {robust} judges rigid graphs only; leave out --monocular, or --robust")
     if robust in LOSSES and method != CENTRAL:
@@ -105,11 +112,13 @@ def check(method: str, robust: str, monocular: bool = False) -> None:
         raise UsageError(f"--robust {robust} works with --method central or rbcd, not {method}; pcm works with all")
 
 
-def solve(graph: PoseGraph, request: Request) -> Solution:
-    """Run the method."""
-    check(request.method, request.robust, bool(request.monocular))
+def solve(graph: PoseGraph, request: Request, tick: Callable[[int, int], None] = lambda done, total: None) -> Solution:
+    """Run the method; ``tick`` is called with what is done, and of how much, where matches come one by one."""
+    check(request.method, request.robust, bool(request.monocular), request.link is not None)
     if request.monocular and request.method == CENTRAL:
         return _with_units(graph, request)
+    if request.link is not None:
+        return solve_one_by_one(graph, request, request.link, tick)
     return (_central if request.method == CENTRAL else _distributed)(graph, request)
 
 
@@ -165,6 +174,25 @@ def _with_units(graph: PoseGraph, request: Request) -> Solution:
         minimised="U" if request.unit else "F",
         iterations=found.steps,
         units=dict(zip(nodes, np.exp(found.log_units).tolist(), strict=True)),
+    )
+
+
+def solve_one_by_one(graph: PoseGraph, request: Request, link: LinkModel, tick: Callable[[int, int], None]) -> Solution:
+    """The elected method with matches that come one by one; bytes are those of the first solution and all updates."""
+    working = graph.with_unit_weights() if request.unit else graph
+    found = matches_one_by_one(working, request.solver, link, request.monocular, tick)
+    every = (found.first, *found.updates)
+    return Solution(
+        poses={n: found.graph.poses[n] for n in graph.nodes},
+        weights=np.ones(len(graph.edges)),
+        rejected=[],
+        minimised="U" if request.unit else "F",
+        iterations=len(every),
+        payload_bytes=sum(one.payload_bytes for one in every),
+        wire_bytes=sum(one.bytes_sent for one in every),
+        messages=sum(one.messages for one in every),
+        units=found.units if request.monocular else {},
+        updates=figures(found, link),
     )
 
 

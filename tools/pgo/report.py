@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from maslam.backend.pose_graph.node import robot_name
 
+from .updates import lines
+
 
 @dataclass(frozen=True)
 class PgoReport:
@@ -18,6 +20,7 @@ class PgoReport:
     ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
     of them in the common one, which the graph is written in; None where there are none. ``refused``: why robots kept
     their poses as they were, None where all took the result. ``files``: those that were read.
+    ``updates``: of matches one by one, what each cost (:mod:`maslam.tools.pgo.updates`); None where all came at once.
     """
 
     method: str
@@ -46,6 +49,7 @@ class PgoReport:
     units: dict[str, float] | None = None
     refused: str | None = None
     files: list[str] = field(default_factory=list)
+    updates: dict[str, object] | None = None
 
     def lines(self) -> list[str]:
         """For people."""
@@ -58,6 +62,7 @@ class PgoReport:
         if self.refused is not None:
             out.append(f"  result refused, poses as they were: {self.refused}")
         out += self._proof() + self._effort()
+        out += [] if self.updates is None else lines(self.updates)
         out += self._units()
         if self.robust != "none" and self.robust not in ("huber", "cauchy"):
             out.append(f"  {self.rejected_edges} edges rejected by {self.robust}; --json lists them")

@@ -24,11 +24,12 @@ from .update_node import UpdateNode
 
 @dataclass(frozen=True)
 class SolveCost:
-    """What a solution or an update took: ``bytes_sent`` in ``messages``; ``seconds`` of logical time until the last
-    robot had its answer; ``corrected``: robots that were sent one; ``cost``: F afterwards, and at best, as the elected
-    robot has it."""
+    """What a solution or an update took: ``bytes_sent``, of which ``payload_bytes`` are no headers, in ``messages``;
+    ``seconds`` of logical time until the last robot had its answer; ``corrected``: robots that were sent one; ``cost``:
+    F afterwards, and at best, as the elected robot has it."""
 
     bytes_sent: int
+    payload_bytes: int
     messages: int
     seconds: float
     corrected: int
@@ -78,11 +79,14 @@ def matches_one_by_one(
     config: SolverConfig,
     link: LinkModel,
     arbitrary_scale: frozenset[int] = frozenset(),
-    tick: Callable[[], None] = lambda: None,
+    tick: Callable[[int, int], None] = lambda done, total: None,
 ) -> OneByOne:
-    """Run it on ``graph``, whose robots must all be joined; ``tick`` is called after each match."""
+    """Run it on ``graph``, whose robots must all be joined; ``tick`` is called with what is done, and of
+    how much."""
     if graph.priors:
         raise BackendError("updates know no priors (GPS): the group is solved anew for each match")
+    if len(graph.robots) == 1:
+        raise BackendError("matches one by one: the graph has one robot, and no match between robots")
     if len(joined_robots(graph)) > 1:
         raise BackendError("matches one by one: some robots are joined to the others by no edge at all")
     joining, later = in_order(graph)
@@ -97,14 +101,16 @@ def matches_one_by_one(
     if not nodes:
         raise BackendError("matches one by one: the poses are at their optimum, no match changes anything")
     updates: list[SolveCost] = []
+    compared = chosen(len(later) - begun, link.solved_anew)
+    total = len(later) - begun + len(compared)
     for match in later[begun:]:
         updates.append(_update(nodes, match, link))
-        tick()
+        tick(len(updates), total)
     anew: dict[int, SolveCost] = {}
-    for k in chosen(len(updates), link.solved_anew):
+    for k in compared:
         present = replace(graph, edges=(*within, *joining, *later[: begun + k + 1]))
         anew[k] = _whole(present, config, link, arbitrary_scale)[1]
-        tick()
+        tick(len(updates) + len(anew), total)
     poses = {n: T for node in nodes.values() for n, T in node.poses.items()}
     units = {n: float(np.exp(u)) for node in nodes.values() for n, u in node.log_units.items()}
     return OneByOne(graph.in_one_unit(poses, units), units, first, tuple(updates), anew)
@@ -122,13 +128,14 @@ def _whole(
     given = shares(graph, arbitrary_scale)
     nodes = {robot: ElectedNode(share, config) for robot, share in given.items()}
     air = TimedLink(link.delay_s, link.rate_kbit)
+    payload, now_s = 0, 0.0
     for node in nodes.values():
         for message in node.start():
-            air.send(message.sender, message.encode(), 0.0)
-    now_s = 0.0
+            air.send(message.sender, message.encode(), now_s)
     while (arrival := air.next()) is not None:
         now_s = arrival.at_s
         received = ElectedMessage.decode(arrival.data)
+        payload += received.payload_bytes
         for message in nodes[received.receiver].handle(received):
             air.send(message.sender, message.encode(), now_s)
     outcomes = {robot: node.outcome for robot, node in nodes.items()}
@@ -136,7 +143,7 @@ def _whole(
     if len(ended) != len(nodes):
         raise BackendError("the members' shares do not fit together")
     some = ended[graph.robots[0]]
-    cost = SolveCost(air.bytes_sent, air.messages, now_s, len(nodes), some.cost_after, some.cost_after)
+    cost = SolveCost(air.bytes_sent, payload, air.messages, now_s, len(nodes), some.cost_after, some.cost_after)
     ready = {r: UpdateNode(given[r], ended[r], nodes[r].settled, config) for r in nodes} if some.accepted else {}
     return ready, cost
 
@@ -145,6 +152,7 @@ def _update(nodes: Mapping[int, UpdateNode], match: Edge, link: LinkModel) -> So
     """Give a match to the two robots that found it, and carry messages until all is done."""
     air, now_s, done_s = TimedLink(link.delay_s, link.rate_kbit), 0.0, 0.0
     corrected: set[int] = set()
+    payload = 0
 
     def post(messages: Sequence[UpdateMessage]) -> None:
         for message in messages:
@@ -155,6 +163,7 @@ def _update(nodes: Mapping[int, UpdateNode], match: Edge, link: LinkModel) -> So
     while (arrival := air.next()) is not None:
         now_s = arrival.at_s
         received = UpdateMessage.decode(arrival.data)
+        payload += received.payload_bytes
         post(nodes[received.receiver].handle(received))
         if received.kind is UpdateKind.CORRECTION:
             corrected.add(received.receiver)
@@ -164,4 +173,4 @@ def _update(nodes: Mapping[int, UpdateNode], match: Edge, link: LinkModel) -> So
     if lost is not None:
         raise BackendError(f"an update with the match {match.i} - {match.j} failed: {lost}")
     elected = next(node for node in nodes.values() if node.leads)
-    return SolveCost(air.bytes_sent, air.messages, done_s, len(corrected), elected.cost, elected.optimum)
+    return SolveCost(air.bytes_sent, payload, air.messages, done_s, len(corrected), elected.cost, elected.optimum)

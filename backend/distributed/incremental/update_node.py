@@ -2,8 +2,8 @@
 
 Whoever finds a match, or closes a loop, sends the new edges to the elected robot. That one still has the whole graph:
 it solves it, and corrects the shared poses of as few robots as keep the cost at its optimum (up to a share). A
-corrected robot places the rest of its poses by its own edges; all others receive nothing. Incremental in what is sent, as
-iSAM2 (Kaess et al., 2012) is in what is computed.
+corrected robot places the rest of its poses by its own edges; all others receive nothing. Incremental in what is sent,
+as iSAM2 (Kaess et al., 2012) is in what is computed.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from ...geometry import Array
 from ...pose_graph.graph import Edge, NodeId
 from ..condense import Known, OwnGraph
 from ..contribution import Between
+from ..settled import Settled
 from ..share import Share, SolverOutcome
 from .additions import between_of, decode_edges, encode_edges
 from .corrections import chained, decode_correction
 from .estimate import GroupEstimate
-from .settled import Settled
 from .update_messages import UpdateKind, UpdateMessage
 
 _CHAIN = struct.Struct("<H")

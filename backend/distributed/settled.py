@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ..condense import Known
-from ..contribution import Contribution
+from .condense import Known
+from .contribution import Contribution
 
 
 @dataclass(frozen=True, eq=False)
