@@ -24,7 +24,7 @@ from maslam.backend.distributed.incremental.update_node import UpdateNode
 from maslam.backend.distributed.share import shares
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3, se3_exp, se3_inverse, so3_exp
-from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, spread_poses
+from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior, spread_poses
 
 CONFIG = SolverConfig(method="elected")
 LINK = LinkModel(solved_anew=0)
@@ -309,8 +309,10 @@ def test_an_edge_that_the_elected_robot_cannot_place_ends_in_solving_anew():
 def test_what_updates_cannot_do_is_refused():
     graph, _ = loops(np.random.default_rng(11), robots=3, length=10, separators=2)
     apart = replace(graph, edges=tuple(e for e in graph.edges if 2 not in (e.i.robot, e.j.robot) or not e.is_separator))
-    with pytest.raises(BackendError, match="joined to the others by no edge"):
+    with pytest.raises(BackendError, match="no edge joins robot 2 to the others"):
         matches_one_by_one(apart, CONFIG, LINK)
+    with pytest.raises(BackendError, match="no priors"):
+        matches_one_by_one(replace(graph, priors=(Prior(NodeId(0, 0), np.eye(4)),)), CONFIG, LINK)
     nodes = ready(graph)
     elected = next(r for r, node in nodes.items() if node.leads)
     stray = UpdateMessage(UpdateKind.CORRECTION, 0, 1, (elected + 1) % 3, (elected + 2) % 3)

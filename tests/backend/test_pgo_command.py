@@ -265,6 +265,7 @@ def test_matches_one_by_one_cost_less_than_solving_anew(folder, tmp_path, capsys
         (["--link.delay-s", "1"], 2, "--link.delay-s is of --matches-one-by-one"),
         (["--matches-one-by-one", "--plot", "a.png"], 2, "--plot compares methods"),
         (["--matches-one-by-one", "--link.rate-kbit", "0"], 2, "rate-kbit"),
+        (["--matches-one-by-one", "--solver.elected-longest", "5"], 2, "leaves out poses that later matches need"),
     ],
 )
 def test_what_does_not_go_with_matches_one_by_one(folder, tmp_path, capsys, words, code, said):

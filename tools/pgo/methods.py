@@ -118,6 +118,11 @@ def solve(graph: PoseGraph, request: Request, tick: Callable[[int, int], None] =
     if request.monocular and request.method == CENTRAL:
         return _with_units(graph, request)
     if request.link is not None:
+        if request.solver.elected_longest > 1:
+            raise UsageError(
+                f"--solver.elected-longest {request.solver.elected_longest} leaves out poses that later matches need; "
+                "with --matches-one-by-one leave it at 1"
+            )
         return solve_one_by_one(graph, request, request.link, tick)
     return (_central if request.method == CENTRAL else _distributed)(graph, request)
 

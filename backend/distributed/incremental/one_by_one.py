@@ -13,6 +13,7 @@ import numpy as np
 from ...config import LinkModel, SolverConfig
 from ...errors import BackendError
 from ...pose_graph.graph import Edge, NodeId, PoseGraph
+from ...pose_graph.node import robot_name
 from ..elected import ElectedNode
 from ..elected_messages import ElectedMessage
 from ..exchange import joined_robots
@@ -84,11 +85,14 @@ def matches_one_by_one(
     """Run it on ``graph``, whose robots must all be joined; ``tick`` is called with what is done, and of
     how much."""
     if graph.priors:
-        raise BackendError("updates know no priors (GPS): the group is solved anew for each match")
+        raise BackendError("matches one by one: updates know no priors (GPS); with them the group is solved at once")
     if len(graph.robots) == 1:
         raise BackendError("matches one by one: the graph has one robot, and no match between robots")
-    if len(joined_robots(graph)) > 1:
-        raise BackendError("matches one by one: some robots are joined to the others by no edge at all")
+    groups = joined_robots(graph)
+    if len(groups) > 1:
+        apart = ", ".join(map(robot_name, sorted(groups[1])))
+        whose = f"robot{'s'[len(groups[1]) == 1 :]} {apart}"
+        raise BackendError(f"matches one by one: no edge joins {whose} to the others; give each group alone")
     joining, later = in_order(graph)
     within = [e for e in graph.edges if not e.is_separator]
     begun = 0
