@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
 from .headed_table import HeadedTable, read_headed_table
+from .pose_conventions import AS_DEGREES, look_like_degrees, order_note, reads_as_other_order
 from .time_units import NotATime, TimeUnit, parse_times, unit_of_heading
 from .trajectory import Trajectory, rigid_rotations
 
@@ -61,9 +62,10 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
     a time), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17 (4x4), four lines of four (4x4); with headings any
     columns among which a position and a quaternion are found by name.
 
-    The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``. Times are in
-    ``unit``, or that which they must be in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose.
-    :class:`FrontendError` with the line for anything else that is no pose.
+    The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``, or the other
+    one where rotations follow the path in that alone, which is noted. Times are in ``unit``, or that which they must be
+    in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose. :class:`FrontendError` with the line
+    for anything else that is no pose, and for degrees of latitude and longitude.
     """
     table = read_headed_table(path)
     values = _values(path, table)
@@ -83,23 +85,46 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
         stamps, doubt = _stamps(path, table, columns.time, unit)
         stamps = stamps[rows]
         notes += [doubt] if doubt else []
-    return PoseTable(
-        _poses(path, values[rows], columns, [lines[i] for i in rows]), stamps, rows, len(values), tuple(notes)
-    )
+    columns, said = _ordered(values[rows], columns, stamps)
+    poses = _poses(path, values[rows], columns, [lines[i] for i in rows])
+    if look_like_degrees(poses[_order(stamps, len(rows)), :3, 3], None if stamps is None else np.sort(stamps)):
+        raise FrontendError(f"{path}: {AS_DEGREES}")
+    return PoseTable(poses, stamps, rows, len(values), (*notes, *said))
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Column of the time; those of the position and the quaternion (w x y z), or of a row-major matrix."""
+    """Column of the time; those of the position and the quaternion (w x y z), or of a row-major matrix; whether they
+    were ``named`` by headings."""
 
     time: int | None
     position: tuple[int, ...] = ()
     quaternion: list[int] | None = None
     matrix: tuple[int, ...] = ()
+    named: bool = False
 
     @property
     def all(self) -> list[int]:
         return [*self.position, *(self.quaternion or ()), *self.matrix]
+
+
+def _order(stamps: NDArray[np.int64] | None, count: int) -> NDArray[np.intp]:
+    """Rows in order of time."""
+    return np.arange(count) if stamps is None else np.argsort(stamps, kind="stable")
+
+
+def _ordered(values: Array, columns: _Columns, stamps: NDArray[np.int64] | None) -> tuple[_Columns, list[str]]:
+    """The columns with the quaternion's real part where the path says that it is, and what to say of it; headings are
+    believed all the same."""
+    if columns.quaternion is None:
+        return columns, []
+    rows = _order(stamps, len(values))
+    cells = sorted(columns.quaternion)
+    wxyz = columns.quaternion[0] == cells[0]
+    if not reads_as_other_order(values[rows][:, cells], values[rows][:, columns.position], wxyz):
+        return columns, []
+    other = replace(columns, quaternion=cells if not wxyz else [cells[-1], *cells[:-1]])
+    return columns if columns.named else other, [order_note(wxyz, columns.named)]
 
 
 def _values(path: Path, table: HeadedTable) -> Array:
@@ -165,7 +190,7 @@ def _named_columns(headings: Sequence[str]) -> _Columns | None:
     time = next(
         (i for i, one in enumerate(bare) if "time" in one or "stamp" in one or one in ("t", "ts", "ns", "sec")), None
     )
-    return _Columns(time, tuple(i for i in position if i is not None), [i for i in turn if i is not None])
+    return _Columns(time, tuple(i for i in position if i is not None), [i for i in turn if i is not None], named=True)
 
 
 def _find(headings: Sequence[str], pattern: str) -> int | None:
