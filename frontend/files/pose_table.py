@@ -14,6 +14,7 @@ from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
 from .headed_table import HeadedTable, read_headed_table
+from .pose_arrays import ARRAY_SUFFIXES, read_pose_cells
 from .pose_conventions import AS_DEGREES, look_like_degrees, order_note, reads_as_other_order
 from .time_units import NotATime, TimeUnit, parse_times, unit_of_heading
 from .trajectory import Trajectory, rigid_rotations
@@ -34,13 +35,15 @@ _AXES = ("x", "y", "z")
 @dataclass(frozen=True)
 class PoseTable:
     """``poses`` ``(N, 4, 4)`` ``T_W_C``, in the order of the file; ``stamps_ns`` ``(N,)`` their times as they are, or
-    None where the file has none; ``rows`` ``(N,)`` of the file, lost ones left out; ``notes``: what to know."""
+    None where the file has none; ``rows`` ``(N,)`` of the file, lost ones left out; ``notes``: what to know; ``names``:
+    the image of each row as written, or none."""
 
     poses: Array
     stamps_ns: NDArray[np.int64] | None
     rows: NDArray[np.int64]
     count: int
     notes: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
     def in_time(self) -> tuple[Trajectory, tuple[str, ...]]:
         """The poses in order of time, the first of each time kept, and notes that count what was changed.
@@ -58,16 +61,17 @@ class PoseTable:
 
 
 def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> PoseTable:
-    """Poses ``T_W_C`` of a text file, whose form its columns tell: 8 (time, position, quaternion: TUM; also 7, without
-    a time), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17 (4x4), four lines of four (4x4); with headings any
-    columns among which a position and a quaternion are found by name.
+    """Poses ``T_W_C`` of a text file, or of ``.json`` or ``.npy`` (:mod:`.pose_arrays`), whose form its columns tell: 8
+    (time, position, quaternion: TUM; also 7, without a time), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17
+    (4x4), four lines of four (4x4); with headings any columns among which a position and a quaternion are found by
+    name.
 
     The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``, or the other
     one where rotations follow the path in that alone, which is noted. Times are in ``unit``, or that which they must be
     in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose. :class:`FrontendError` with the line
     for anything else that is no pose, and for degrees of latitude and longitude.
     """
-    table = read_headed_table(path)
+    table, names = read_pose_cells(path) if path.suffix.lower() in ARRAY_SUFFIXES else (read_headed_table(path), ())
     values = _values(path, table)
     lines = table.lines
     if values.shape[1] == 4 and not table.headings:
@@ -89,7 +93,7 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
     poses = _poses(path, values[rows], columns, [lines[i] for i in rows])
     if look_like_degrees(poses[_order(stamps, len(rows)), :3, 3], None if stamps is None else np.sort(stamps)):
         raise FrontendError(f"{path}: {AS_DEGREES}")
-    return PoseTable(poses, stamps, rows, len(values), (*notes, *said))
+    return PoseTable(poses, stamps, rows, len(values), (*notes, *said), names)
 
 
 @dataclass(frozen=True)
