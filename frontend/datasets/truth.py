@@ -16,11 +16,12 @@ from maslam.backend.geometry import product
 from ..errors import FrontendError
 from ..files.pose_arrays import ARRAY_SUFFIXES
 from ..files.pose_table import PoseTable, read_poses
-from ..files.timestamps import span_text
+from ..files.timestamps import NS_PER_S, span_text
 from ..files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
 from .base import Problems
 from .image_times import TimedImages, rows_of_images
 from .images import natural_key
+from .numbering import numbers_of
 
 _SUFFIXES = (".txt", ".tum", ".csv")
 _BY_NAME = "trajectory"
@@ -98,7 +99,11 @@ def read_truth(path: Path, images: TimedImages, problems: Problems, wxyz: bool =
         problems.warning(f"{error}: {_LEFT_OUT}")
         return None
     notes = [*table.notes]
-    if table.stamps_ns is None:
+    trajectory = _of_numbers(table, images)
+    if trajectory is not None:
+        notes = [note for note in notes if note != table.doubt]
+        notes += ["its first column counts and is no time of the images: taken as their numbers"]
+    elif table.stamps_ns is None:
         trajectory = _of_images(path, table, images, problems)
     else:
         trajectory, more = table.in_time()
@@ -182,6 +187,31 @@ def _of_images(path: Path, table: PoseTable, images: TimedImages, problems: Prob
     place[table.rows] = np.arange(len(table.rows))
     known = place[rows] >= 0
     return frame_truth(images.stamps_ns[known], table.poses[place[rows][known]])
+
+
+def _of_numbers(table: PoseTable, images: TimedImages) -> Trajectory | None:
+    """Poses whose times count 0, 1, 2 …, or from 1, and as seconds are not the images': they are the numbers of the
+    images in order, or in their names. None where they are times, or fit no image."""
+    stamps = table.stamps_ns
+    if stamps is None or len(stamps) < 2 or stamps[0] not in (0, NS_PER_S):
+        return None
+    numbers, rest = np.divmod(stamps, NS_PER_S)
+    first, last = images.stamps_ns[0] - NS_PER_S, images.stamps_ns[-1] + NS_PER_S
+    inside = (stamps >= first) & (stamps <= last)
+    if rest.any() or (np.diff(numbers) < 1).any() or np.median(np.diff(numbers)) != 1 or inside.mean() > 0.5:
+        return None
+    named, count = numbers_of([one.stem for one in images.files]), len(images.files)
+    in_order = len(numbers) == count == numbers[-1] - numbers[0] + 1
+    if not in_order and named is not None and np.isin(numbers, named).all():
+        own = named
+    elif in_order or numbers[-1] - numbers[0] < count:
+        own = np.arange(count) + numbers[0]
+    else:
+        return None
+    row = {int(number): k for k, number in enumerate(numbers)}
+    rows = np.array([row.get(int(number), -1) for number in own])
+    known = rows >= 0
+    return frame_truth(images.stamps_ns[known], table.poses[rows[known]]) if known.any() else None
 
 
 def _of_named(path: Path, table: PoseTable, images: TimedImages, problems: Problems) -> Trajectory | None:

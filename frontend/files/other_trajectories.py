@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
-from .pose_conventions import AS_DEGREES, look_like_degrees, order_note, reads_as_other_order
+from .pose_conventions import AS_DEGREES, in_columns, look_like_degrees, order_note, reads_as_other_order
 from .text_tables import read_bytes
 from .time_units import NotATime, Times, parse_times, unit_of_heading
 from .timestamps import NS_PER_S, seconds_text
@@ -221,7 +221,11 @@ def _poses(path: Path, values: NDArray[np.float64], lines: list[int], scalar_fir
         for row in np.flatnonzero(np.abs(lengths - 1.0) > _QUATERNION_TOLERANCE)[:1]:
             raise FrontendError(f"{path}:{lines[row]}: the quaternion's length is {lengths[row]:.3f}, expected 1")
         return se3(rotation_from_quat_wxyz(q / lengths[:, None]), values[:, 1:4])
-    matrices = values[:, values.shape[1] % 4 == 1 :].reshape(len(values), -1, 4)
+    cells = values[:, values.shape[1] % 4 == 1 :]
+    matrices = cells.reshape(len(values), -1, 4)
+    if matrices.shape[1] == 4:
+        turned = in_columns(cells)
+        matrices = np.where(turned[:, None, None], matrices.swapaxes(1, 2), matrices)
     return se3(rigid_rotations(matrices[:, :3, :3], path), matrices[:, :3, 3])
 
 

@@ -51,6 +51,13 @@ def reads_as_other_order(cells: Array, positions: Array, wxyz: bool) -> bool:
     return (read > _FAR and other < _AHEAD) or (read > _ASTRAY and read > _TIMES * other)
 
 
+def in_columns(cells: Array) -> NDArray[np.bool_]:
+    """Which rows of 16 numbers ``(N, 16)`` are 4x4 matrices column by column, as OpenGL and ARKit write them: the
+    bottom row stands last in each column of them, not in the end."""
+    bottom = cells[:, [3, 7, 11, 15]]
+    return np.asarray((bottom == (0.0, 0.0, 0.0, 1.0)).all(axis=1) & (cells[:, 12:15] != 0.0).any(axis=1))
+
+
 def order_note(wxyz: bool, named: bool) -> str:
     """What to say where :func:`reads_as_other_order`; an order that a heading has ``named`` is believed."""
     here, there = ("qw qx qy qz", "qx qy qz qw") if wxyz else ("qx qy qz qw", "qw qx qy qz")
