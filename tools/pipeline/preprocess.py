@@ -167,7 +167,7 @@ def truth_problems(tracked: Sequence[tuple[ImageSequence, Tracked]]) -> list[str
     lines = []
     for sequence, one in tracked:
         found = compare(0, one.trajectories, sequence.groundtruth, sequence.rig.metric)
-        if found is not None and not found.fits:
+        if found is not None and (not found.fits or found.rotations):
             lines.append(f"{sequence.name}: {misfit_text(found.model_dump())}")
     return lines
 
