@@ -139,7 +139,7 @@ class TruthFigures(_Figures):
     """Whether the ground truth of ``agent`` can be of its images, on the ``frames`` of its longest track that have one:
     the lengths of odometry's path and the true one, odometry's RMSE against it, and ``spread_m``: root mean square
     distance of the true positions from their mean. ``metric``: lengths are compared, not only shapes. ``cause``: what
-    may be wrong where it does not fit, else empty."""
+    may be wrong where it does not fit, else empty; ``rotations``: what may be wrong with these alone, else empty."""
 
     agent: int
     metric: bool
@@ -150,6 +150,7 @@ class TruthFigures(_Figures):
     spread_m: float
     fits: bool
     cause: str = ""
+    rotations: str = ""
 
 
 class DatumFigures(_Figures):
