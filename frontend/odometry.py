@@ -38,6 +38,9 @@ log = logging.getLogger(__name__)
 
 _CONFIRMING = 2
 """Times the points that find a lost camera confirm that it was found."""
+_WAITING = 6
+"""Times as many frames are searched where the camera stood when it was lost: it is hidden, where it was, and a new track
+would follow what hides it."""
 
 
 class TrackingState(StrEnum):
@@ -146,7 +149,7 @@ class Odometry:
         # A view that brings something new stays, and the map around it is refined.
         since = segment.since_keyframe(frame, self.ranging.rig)
         wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
-        allowed = not segment.tracker.standing.held and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
+        allowed = segment.adds_views(since) and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
         is_keyframe = found_again or (wanted and allowed)
         if is_keyframe:
             frame.prepare()
@@ -259,7 +262,8 @@ class Odometry:
         on until a track starts: after a black-out of any length the camera may be where it was."""
         assert self._relocaliser is not None
         self._lost_frames += 1
-        if self._relocaliser.searches > self.config.lost.relocalise_frames:
+        stood = self._relocaliser.segment.tracker.standing.rested
+        if self._relocaliser.searches > self.config.lost.relocalise_frames * (_WAITING if stood else 1):
             started = self._offered(frame)
             if isinstance(started, FrameResult):
                 self._moments.note(frame.stamp_ns, NO_REASON)
