@@ -48,6 +48,7 @@ def look_at(
     from .pair_sides import side_problems
     from .repeats import repeat_problems
     from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
+    from .side_by_side import side_by_side_problems
 
     images, image_problems = image_lines([check_image(frame) for frame in frames]) if frames and light else ("", [])
     matches = [match_pair(frame.image, frame.right) for frame in frames if frame.right is not None]
@@ -59,6 +60,7 @@ def look_at(
     if pairs:
         rows, off, row_problems = turned_lines(pairs, fit_pair(matches, sequence.rig.camera))
     problems = pair_problems(sequence, frames) or side_problems(sequence, stereo, matches, more_sides)
+    problems = problems or side_by_side_problems(sequence, frames)
     if not any(problem.severity is Severity.ERROR for problem in problems):
         problems = [*problems, *row_problems]
     else:  # rows and sides of images that are no pairs say nothing of the calibration
