@@ -96,7 +96,8 @@ class Between:
     def meetings(self, limit: float) -> list[Meeting]:
         """Groups that agree: of each two edges what they say is within the squared distance ``limit``."""
         agree = _distances(self, self._relative()) <= limit
-        left, groups = np.arange(len(agree)), []
+        left = np.arange(len(agree))
+        groups: list[NDArray[np.intp]] = []
         while len(left) and len(groups) < _MOST:
             members = left[list(largest_clique(agree[np.ix_(left, left)], _WORK).members)]
             groups.append(members)
@@ -120,6 +121,22 @@ class Between:
         k = group[best]
         T, at = self._relative()[k], self.through[k, :3, 3]
         return Meeting(self.first, self.second, T, at, float(turn[best]), float(shift[best]), len(group))
+
+
+def loop_distances(poses: Array, drift: Array, ends: NDArray[np.intp], measured: Array, variances: Array) -> Array:
+    """Squared distances ``(m,)`` from closing of loops within pieces: ``ends`` ``(m, 2)`` rows of ``poses``
+    ``(n, 4, 4)`` by odometry, whose nodes stand in its order, with the ``drift`` ``(n, 2)`` collected there.
+    """
+    out = np.zeros(len(ends))
+    for k, (i, j) in enumerate(ends.tolist()):
+        error = se3_inverse(measured[k]) @ se3_inverse(poses[i]) @ poses[j]
+        collected = np.abs(drift[j] - drift[i])
+        # A turn anywhere on the way moves its end by its distance from there.
+        way = poses[min(i, j) : max(i, j), :3, 3] - poses[j, :3, 3]
+        turn, shift = variances[k] + collected
+        shift += collected[0] * (way**2).sum(axis=1).mean()
+        out[k] = (so3_log(error[:3, :3]) ** 2).sum() / turn + (error[:3, 3] ** 2).sum() / shift
+    return out
 
 
 def _distances(edges: Between, Z: Array) -> Array:

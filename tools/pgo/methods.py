@@ -181,11 +181,15 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         noise = max((bound / stated) ** 0.5, config.gnc_noise)
         config = replaced(config, robust="gnc", gnc_noise=noise)
     if "pcm" in request.robust:
-        weights = consistent.accepted.astype(np.float64)
+        believed = consistent.accepted
+        if "gnc" in request.robust:
+            # Between robots the vote of all decides: of two robots alone a wrong group may be the larger one.
+            believed = believed | np.array([e.is_separator for e in graph.edges], dtype=bool)
+        weights = believed.astype(np.float64)
         rejected = [
             _record(graph, e.i, e.j, None, f"agrees with {consistent.agreeing[k]} of {consistent.tested[k]} others")
             for k, e in enumerate(graph.edges)
-            if not consistent.accepted[k]
+            if not believed[k]
         ]
     kept = [k for k, weight in enumerate(weights) if weight > 0]
     working = replace(graph, edges=tuple(graph.edges[k] for k in kept))
