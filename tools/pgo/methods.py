@@ -29,6 +29,8 @@ TWO_STAGE = ("dgs", "jor", "sor")
 TO_THE_OPTIMUM = ("rbcd", "rbcd-async", "multifrontal", "elected")
 METHODS = (CENTRAL, *TWO_STAGE, "quick", *TO_THE_OPTIMUM)
 LOSSES = ("huber", "cauchy")
+SELECTING = (CENTRAL, "rbcd", "elected")
+"""Methods that know ``gnc``."""
 SELECTIONS = ("pcm", "gnc", "pcm+gnc")
 ROBUST = ("none", *LOSSES, *SELECTIONS)
 WEIGHTS = ("auto", "information", "unit")
@@ -72,7 +74,7 @@ class Solution:
 
 def default_method(robust: str) -> str:
     """The one that reaches the optimum on any graph, in the fewest bytes, and what selects edges by itself."""
-    return "rbcd" if "gnc" in robust else CENTRAL if robust in LOSSES else "elected"
+    return CENTRAL if robust in LOSSES else "elected"
 
 
 def own_units(graph: PoseGraph, monocular: Collection[int]) -> frozenset[int]:
@@ -101,8 +103,9 @@ def check(method: str, robust: str, monocular: bool = False) -> None:
         raise UsageError(f"--robust {robust} judges rigid graphs only; leave out --monocular, or --robust")
     if robust in LOSSES and method != CENTRAL:
         raise UsageError(f"--robust {robust} works with --method central, not {method}")
-    if "gnc" in robust and method not in (CENTRAL, "rbcd"):
-        raise UsageError(f"--robust {robust} works with --method central or rbcd, not {method}; pcm works with all")
+    if "gnc" in robust and method not in SELECTING:
+        ways = f"{', '.join(SELECTING[:-1])} or {SELECTING[-1]}"
+        raise UsageError(f"--robust {robust} works with --method {ways}, not {method}; pcm works with all")
 
 
 def solve(graph: PoseGraph, request: Request) -> Solution:
@@ -171,16 +174,20 @@ def _with_units(graph: PoseGraph, request: Request) -> Solution:
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
     weights, rejected = np.ones(len(graph.edges)), []
     config = request.solver
-    if request.robust != "none":
+    by_elected = request.method == "elected" and "gnc" in request.robust
+    if by_elected:
+        # The elected robot has the whole graph, its cycles and its noise.
+        config = replaced(config, robust="gnc")
+    elif request.robust != "none":
         # From odometry alone, which two robots tell each other once; these bytes are not counted.
         consistent = consistent_edges(graph, request.selection)
-    if "gnc" in request.robust:
+    if "gnc" in request.robust and not by_elected:
         # The bound on a right edge's residual that the cycles tell, as a factor over the stated one.
         beyond = 1.0 - config.gnc_confidence
         bound, stated = consistent.noise.limit(beyond), Noise.stated(graph.dimension).limit(beyond)
         noise = max((bound / stated) ** 0.5, config.gnc_noise)
         config = replaced(config, robust="gnc", gnc_noise=noise)
-    if "pcm" in request.robust:
+    if "pcm" in request.robust and not by_elected:
         believed = consistent.accepted
         if "gnc" in request.robust:
             # Between robots the vote of all decides: of two robots alone a wrong group may be the larger one.
