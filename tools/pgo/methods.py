@@ -19,7 +19,7 @@ from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
 from maslam.backend.pose_graph.node import robot_name, symbol_name
 from maslam.backend.robust.noise import Noise
-from maslam.backend.robust.pcm import consistent_edges
+from maslam.backend.robust.pcm import bytes_of_cycles, consistent_edges
 from maslam.backend.robust.select import optimise_robustly
 
 from ..common.errors import UnknownName, UsageError
@@ -172,15 +172,19 @@ def _with_units(graph: PoseGraph, request: Request) -> Solution:
 
 
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
-    weights, rejected = np.ones(len(graph.edges)), []
+    weights, rejected, told = np.ones(len(graph.edges)), [], 0
     config = request.solver
     by_elected = request.method == "elected" and "gnc" in request.robust
     if by_elected:
         # The elected robot has the whole graph, its cycles and its noise.
-        config = replaced(config, robust="gnc")
+        if request.selection != RobustConfig(confidence=request.selection.confidence):
+            raise UsageError("an elected robot selects by --robust.confidence alone; the others work with central")
+        changed = request.selection.confidence != RobustConfig().confidence
+        config = replaced(config, robust="gnc", **({"gnc_confidence": request.selection.confidence} if changed else {}))
     elif request.robust != "none":
-        # From odometry alone, which two robots tell each other once; these bytes are not counted.
+        # From odometry alone, which two robots tell each other once.
         consistent = consistent_edges(graph, request.selection)
+        told = bytes_of_cycles(graph)
     if "gnc" in request.robust and not by_elected:
         # The bound on a right edge's residual that the cycles tell, as a factor over the stated one.
         beyond = 1.0 - config.gnc_confidence
@@ -216,8 +220,8 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         iterations=max(o.rotation_sweeps + o.pose_sweeps for o in outcomes),
         rotation_sweeps=max(o.rotation_sweeps for o in outcomes),
         pose_sweeps=max(o.pose_sweeps for o in outcomes),
-        payload_bytes=traffic.payload_bytes,
-        wire_bytes=traffic.wire_bytes,
+        payload_bytes=traffic.payload_bytes + told,
+        wire_bytes=traffic.wire_bytes + told,
         messages=traffic.messages,
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
