@@ -95,29 +95,30 @@ class Between:
 
     def meetings(self, limit: float) -> list[Meeting]:
         """Groups that agree: of each two edges what they say is within the squared distance ``limit``."""
-        agree = _distances(self, self._relative()) <= limit
+        distances = _distances(self, self._relative())
+        agree = distances <= limit
         left = np.arange(len(agree))
         groups: list[NDArray[np.intp]] = []
         while len(left) and len(groups) < _MOST:
             members = left[list(largest_clique(agree[np.ix_(left, left)], _WORK).members)]
             groups.append(members)
             left = np.setdiff1d(left, members)
-        return [self._meeting(group) for group in groups]
+        return [self._meeting(group, distances[np.ix_(group, group)]) for group in groups]
 
     def alone(self) -> list[Meeting]:
         """Each edge by itself, in their order."""
-        return [self._meeting(np.array([k])) for k in range(len(self.measured))]
+        return [self._meeting(np.array([k]), np.zeros((1, 1))) for k in range(len(self.measured))]
 
     def _relative(self) -> Array:
         return np.asarray(self.through @ se3_inverse(self.there.poses))
 
-    def _meeting(self, group: NDArray[np.intp]) -> Meeting:
-        """What the one of a group says that has drifted least."""
+    def _meeting(self, group: NDArray[np.intp], distances: Array) -> Meeting:
+        """What the one of a group says that all its others are nearest to; of two, the one that has drifted less."""
         here, there, variances = self.here.at(group), self.there.at(group), self.variances[group]
         turn = variances[:, 0] + np.abs(here.drift[:, 0]) + np.abs(there.drift[:, 0])
         far = np.abs(here.drift[:, 0]) * _squared(here.poses) + np.abs(there.drift[:, 0]) * _squared(there.poses)
         shift = variances[:, 1] + np.abs(here.drift[:, 1]) + np.abs(there.drift[:, 1]) + _LEVER * far
-        best = int(np.argmin(shift))
+        best = int(np.lexsort((shift, distances.sum(axis=1)))[0])
         k = group[best]
         T, at = self._relative()[k], self.through[k, :3, 3]
         return Meeting(self.first, self.second, T, at, float(turn[best]), float(shift[best]), len(group))

@@ -126,9 +126,9 @@ def with_look_alikes(graph, truth, rng, share, agreeing=0.5):
     right = [e for e in graph.edges if e.is_separator]
     count = round(len(right) * share / (1.0 - share))
     taken, wrong, information = {(e.i, e.j) for e in graph.edges}, [], right[0].information
-    sigma, length = 1.0 / np.sqrt(np.diag(information)), {}
-    for n in truth:
-        length[n.robot] = max(length.get(n.robot, 0), n.index + 1)
+    sigma, own = 1.0 / np.sqrt(np.diag(information)), {}
+    for n in sorted(truth):
+        own.setdefault(n.robot, []).append(n)
 
     def add(i, j, T):
         if (i, j) not in taken and len(wrong) < count:
@@ -136,19 +136,19 @@ def with_look_alikes(graph, truth, rng, share, agreeing=0.5):
             wrong.append(Edge(i, j, T @ se3_exp(sigma * rng.normal(size=6)), information, EdgeKind.SEPARATOR))
 
     while len(wrong) < count * agreeing:
-        a, b = sorted(rng.choice(sorted(length), 2, replace=False).tolist())
+        a, b = sorted(rng.choice(sorted(own), 2, replace=False).tolist())
         size = int(rng.integers(3, 9))
-        i, j = int(rng.integers(length[a] - 2 * size)), int(rng.integers(length[b] - 2 * size))
+        i, j = int(rng.integers(len(own[a]) - 2 * size)), int(rng.integers(len(own[b]) - 2 * size))
         # Where robot b would be if the two places were one.
-        move = truth[NodeId(a, i)] @ se3_exp(0.3 * rng.normal(size=6)) @ se3_inverse(truth[NodeId(b, j)])
-        if np.linalg.norm((move @ truth[NodeId(b, j)] - truth[NodeId(b, j)])[:3, 3]) < 4.0:
+        move = truth[own[a][i]] @ se3_exp(0.3 * rng.normal(size=6)) @ se3_inverse(truth[own[b][j]])
+        if np.linalg.norm((move @ truth[own[b][j]] - truth[own[b][j]])[:3, 3]) < 4.0:
             continue
         for k in range(0, 2 * size, 2):
-            ends = NodeId(a, i + k), NodeId(b, j + k)
+            ends = own[a][i + k], own[b][j + k]
             add(*ends, se3_inverse(truth[ends[0]]) @ move @ truth[ends[1]])
     while len(wrong) < count:
-        a, b = sorted(rng.choice(sorted(length), 2, replace=False).tolist())
-        ends = NodeId(a, int(rng.integers(length[a]))), NodeId(b, int(rng.integers(length[b])))
+        a, b = sorted(rng.choice(sorted(own), 2, replace=False).tolist())
+        ends = own[a][int(rng.integers(len(own[a])))], own[b][int(rng.integers(len(own[b])))]
         add(*ends, se3(so3_exp(rng.normal(size=3)), rng.uniform(-6.0, 6.0, 3)))
     odometry = [e for e in graph.edges if not e.is_separator]
     both = [*right, *wrong]
