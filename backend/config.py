@@ -165,7 +165,7 @@ class SolverConfig(Settings):
         default="none", description="graduated non-convexity on loops and separators (rbcd, elected)"
     )
     gnc_confidence: float = Field(
-        default=0.999, gt=0, lt=1, description="share of right edges that a residual's bound keeps"
+        default=0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps"
     )
     gnc_noise: float = Field(
         default=1.0,

@@ -41,7 +41,7 @@ def kept_by(graph, way):
     """Mask of the edges that a method keeps."""
     if way in ("gnc", "pcm+gnc"):
         return optimise_robustly(graph, way).weights > 0.5
-    result = optimise_distributed(graph, SolverConfig(method=way, robust="gnc"))
+    result = optimise_distributed(graph, SolverConfig(method=way, robust="gnc", gnc_confidence=0.999))
     assert all(o.accepted for o in result.outcomes.values())
     return np.array([v is None or not v.rejected for v in result.judged])
 

@@ -174,13 +174,15 @@ def _with_units(graph: PoseGraph, request: Request) -> Solution:
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
     weights, rejected, told = np.ones(len(graph.edges)), [], 0
     config = request.solver
+    if config.gnc_confidence == SolverConfig().gnc_confidence:
+        # The quantile of central selection, unless another one was asked for.
+        config = replaced(config, gnc_confidence=request.selection.confidence)
     by_elected = request.method == "elected" and "gnc" in request.robust
     if by_elected:
         # The elected robot has the whole graph, its cycles and its noise.
         if request.selection != RobustConfig(confidence=request.selection.confidence):
             raise UsageError("an elected robot selects by --robust.confidence alone; the others work with central")
-        changed = request.selection.confidence != RobustConfig().confidence
-        config = replaced(config, robust="gnc", **({"gnc_confidence": request.selection.confidence} if changed else {}))
+        config = replaced(config, robust="gnc")
     elif request.robust != "none":
         # From odometry alone, which two robots tell each other once.
         consistent = consistent_edges(graph, request.selection)
