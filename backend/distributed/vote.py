@@ -79,7 +79,7 @@ class PieceVote:
 
     def adopt(self, numbers: Sequence[float]) -> NDArray[np.bool_]:
         """Move own pieces to where :func:`elected_places` puts them; returns the own nodes ``(own,)`` that moved."""
-        rows = np.array(numbers, dtype=np.float64).reshape(-1, _PLACE)
+        rows = _in_rows(numbers, _PLACE)
         self._places = {(int(r[0]), int(r[1])): poses_of(r[None, 2:])[0] for r in rows}
         own, places = self._problem.own_count, self._problem.places
         done = np.zeros(own, dtype=bool)
@@ -127,7 +127,7 @@ class PieceVote:
 
 def elected_places(numbers: Sequence[float], limit: float) -> tuple[float, ...]:
     """At the root: places of all pieces that meetings join to the anchor's, from what came up the tree."""
-    rows = np.array(numbers, dtype=np.float64).reshape(-1, _MEETING)
+    rows = _in_rows(numbers, _MEETING)
     pieces = sorted({(int(r[k]), int(r[k + 1])) for r in rows for k in (0, 2)})
     number = {piece: k for k, piece in enumerate(pieces)}
     anchored = rows[rows[:, -1] == _ANCHOR]
@@ -144,3 +144,9 @@ def elected_places(numbers: Sequence[float], limit: float) -> tuple[float, ...]:
     found = placed_pieces(meetings, number[int(anchor[0]), int(anchor[1])], limit)
     placed = [[*map(float, pieces[k]), *numbers_of((T_O_anchor @ T)[None])[0].tolist()] for k, T in found.items()]
     return tuple(x for row in placed for x in row)
+
+
+def _in_rows(numbers: Sequence[float], width: int) -> Array:
+    if len(numbers) % width:
+        raise BackendError(f"{len(numbers)} numbers of a vote, which come {width} at a time")
+    return np.array(numbers, dtype=np.float64).reshape(-1, width)

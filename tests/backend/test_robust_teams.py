@@ -156,6 +156,8 @@ def test_a_vote_needs_one_anchor():
     nobody = [0.0, 0.0, 1.0, 0.0, *[0.0] * 6, *[0.0] * 3, 1.0, 1.0, 3.0]
     with pytest.raises(BackendError, match="0 robots say that they are the anchor"):
         elected_places(nobody, LIMIT)
+    with pytest.raises(BackendError, match="15 numbers of a vote"):
+        elected_places(nobody[:-1], LIMIT)
 
 
 def test_verdicts_on_fewer_edges_than_a_member_has_are_an_error():
