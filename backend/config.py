@@ -162,7 +162,7 @@ class SolverConfig(Settings):
         default=4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain"
     )
     robust: Literal["none", "gnc"] = Field(
-        default="none", description="graduated non-convexity on loops and separators (rbcd)"
+        default="none", description="graduated non-convexity on loops and separators (rbcd, elected)"
     )
     gnc_confidence: float = Field(
         default=0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps"

@@ -10,7 +10,7 @@ over.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -232,7 +232,7 @@ class ElectedNode:
             return []
         me = self.share.robot
         given = {r: self._contributions[r] for r in self._members()}
-        self._gathered = solve(given, self.share.arbitrary_scale)
+        self._gathered = solve(self._believed(given), self.share.arbitrary_scale)
         fineness = self._config.elected_fineness * self._gathered.exactness
         self._known = Known()
         out = []
@@ -245,9 +245,26 @@ class ElectedNode:
             finer = fineness * self._gathered.stiffer(c)
             body, known = encode_solution(c.graph, places, finer, self.share.scaled)
             self._known = self._known.also(known)
-            out += self._to([robot], Kind.SOLUTION, body)
+            out += self._to([robot], Kind.SOLUTION, self._to_say(robot, body))
         self._say(out)
         return [*out, *self._try_decide()]
+
+    # What a node that selects among edges does besides: elected_selection.py.
+
+    def _believed(self, given: Mapping[int, Contribution]) -> Mapping[int, Contribution]:
+        """What of the contributions is solved with."""
+        return given
+
+    def _to_say(self, robot: int, solution: bytes) -> bytes:
+        """The solution for a member with what else it is told."""
+        return solution
+
+    def _take_verdicts(self, body: bytes) -> bytes:
+        """Inverse of :meth:`_to_say`: the solution alone."""
+        return body
+
+    def _own_cost(self, poses: Array, log_units: Array) -> float:
+        return self._own.cost(poses, log_units)
 
     def _complete(self, known: Known) -> float:
         """Own poses with the ``known`` ones held; returns F over the own edges."""
@@ -256,10 +273,10 @@ class ElectedNode:
             known = known.also(own.known(first))
         poses, log_units, self._reached = own.completed(known)
         self._completed = poses, log_units
-        return own.cost(poses, log_units)
+        return self._own_cost(poses, log_units)
 
     def _finish_own(self, body: bytes) -> list[ElectedMessage]:
-        self._known = decode_solution(body, self._sent, self.share.scaled)
+        self._known = decode_solution(self._take_verdicts(body), self._sent, self.share.scaled)
         cost = self._complete(self._known)
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))

@@ -18,6 +18,7 @@ from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from .gnc import graduate, squared_residuals
 from .pcm import Consistency, consistent_edges
 from .prediction import predicted_distances
+from .voting import voted_edges
 
 RobustMethod = Literal["pcm", "gnc", "pcm+gnc"]
 
@@ -67,6 +68,10 @@ def optimise_robustly(
     found = cycles if "pcm" in method else None
     accepted = found.accepted if found else np.ones(len(graph.edges), dtype=bool)
     noise = cycles.noise
+    if "gnc" in method:
+        # Between two trajectories wrong edges that agree may outnumber the right ones: over all of them they do not.
+        between, agree = voted_edges(whole, cycles.accepted, noise, config)
+        accepted = np.where(between, agree, accepted)
     if found is not None:
         accepted = accepted & ~_contradicted(whole, found, central, config)
     start = optimise(whole.with_weights(accepted), central).graph

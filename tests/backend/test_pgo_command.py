@@ -159,14 +159,20 @@ def test_a_robust_method_that_there_is_not_is_refused_with_the_nearest(folder):
 
 def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
     truth = with_wrong_edges(tmp_path / "in")
-    for method, robust in (("central", "pcm"), ("central", "gnc"), ("rbcd", "pcm"), ("rbcd", "gnc")):
-        words = ["pgo", str(tmp_path / "in"), str(tmp_path / "out"), "--method", method, "--robust", robust, "--json"]
+    ways = [(m, r) for m in ("central", "rbcd", None) for r in ("pcm", "gnc")]
+    for method, robust in ways:
+        chosen = ["--method", method] if method else []
+        words = ["pgo", str(tmp_path / "in"), str(tmp_path / "out"), *chosen, "--robust", robust, "--json"]
         assert cli.main(words) == 0
         report = json.loads(capsys.readouterr().out)
         assert sorted((r["i"], r["j"]) for r in report["rejected"]) == truth, (method, robust)
         assert report["rejected_edges"] == 3 and all(r["reason"] for r in report["rejected"])
+        assert report["method"] == (method or "elected")
     assert cli.main(["pgo", str(tmp_path / "in"), str(tmp_path / "o"), "--method", "sor", "--robust", "gnc"]) == 2
     assert "--robust gnc works with" in capsys.readouterr().err
+    settings = ["--method", "elected", "--robust", "gnc", "--robust.noise", "stated"]
+    assert cli.main(["pgo", str(tmp_path / "in"), str(tmp_path / "o"), *settings]) == 2
+    assert "an elected robot selects by --robust.confidence alone" in capsys.readouterr().err
 
 
 def test_the_picture_of_cost_against_bytes(folder, tmp_path, capsys):

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         choices=METHODS,
-        help="see below (default: elected; rbcd with --robust gnc, central with huber or cauchy)",
+        help="see below (default: elected; central with huber or cauchy)",
     )
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(

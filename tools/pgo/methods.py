@@ -20,7 +20,7 @@ from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
 from maslam.backend.pose_graph.node import robot_name, symbol_name
 from maslam.backend.robust.noise import Noise
-from maslam.backend.robust.pcm import consistent_edges
+from maslam.backend.robust.pcm import bytes_of_cycles, consistent_edges
 from maslam.backend.robust.select import optimise_robustly
 
 from ..common.errors import UnknownName, UsageError
@@ -31,6 +31,8 @@ TWO_STAGE = ("dgs", "jor", "sor")
 TO_THE_OPTIMUM = ("rbcd", "rbcd-async", "multifrontal", "elected")
 METHODS = (CENTRAL, *TWO_STAGE, "quick", *TO_THE_OPTIMUM)
 LOSSES = ("huber", "cauchy")
+SELECTING = (CENTRAL, "rbcd", "elected")
+"""Methods that know ``gnc``."""
 SELECTIONS = ("pcm", "gnc", "pcm+gnc")
 ROBUST = ("none", *LOSSES, *SELECTIONS)
 WEIGHTS = ("auto", "information", "unit")
@@ -76,7 +78,7 @@ class Solution:
 
 def default_method(robust: str) -> str:
     """The one that reaches the optimum on any graph, in the fewest bytes, and what selects edges by itself."""
-    return "rbcd" if "gnc" in robust else CENTRAL if robust in LOSSES else "elected"
+    return CENTRAL if robust in LOSSES else "elected"
 
 
 def own_units(graph: PoseGraph, monocular: Collection[int]) -> frozenset[int]:
@@ -108,8 +110,9 @@ def check(method: str, robust: str, monocular: bool = False, one_by_one: bool = 
         raise UsageError(f"--robust {robust} judges rigid graphs only; leave out --monocular, or --robust")
     if robust in LOSSES and method != CENTRAL:
         raise UsageError(f"--robust {robust} works with --method central, not {method}")
-    if "gnc" in robust and method not in (CENTRAL, "rbcd"):
-        raise UsageError(f"--robust {robust} works with --method central or rbcd, not {method}; pcm works with all")
+    if "gnc" in robust and method not in SELECTING:
+        ways = f"{', '.join(SELECTING[:-1])} or {SELECTING[-1]}"
+        raise UsageError(f"--robust {robust} works with --method {ways}, not {method}; pcm works with all")
 
 
 def solve(graph: PoseGraph, request: Request, tick: Callable[[int, int], None] = lambda done, total: None) -> Solution:
@@ -202,23 +205,37 @@ def solve_one_by_one(graph: PoseGraph, request: Request, link: LinkModel, tick: 
 
 
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
-    weights, rejected = np.ones(len(graph.edges)), []
+    weights, rejected, told = np.ones(len(graph.edges)), [], 0
     config = request.solver
-    if request.robust != "none":
-        # From odometry alone, which two robots tell each other once; these bytes are not counted.
+    if config.gnc_confidence == SolverConfig().gnc_confidence:
+        # The quantile of central selection, unless another one was asked for.
+        config = replaced(config, gnc_confidence=request.selection.confidence)
+    by_elected = request.method == "elected" and "gnc" in request.robust
+    if by_elected:
+        # The elected robot has the whole graph, its cycles and its noise.
+        if request.selection != RobustConfig(confidence=request.selection.confidence):
+            raise UsageError("an elected robot selects by --robust.confidence alone; the others work with central")
+        config = replaced(config, robust="gnc")
+    elif request.robust != "none":
+        # From odometry alone, which two robots tell each other once.
         consistent = consistent_edges(graph, request.selection)
-    if "gnc" in request.robust:
+        told = bytes_of_cycles(graph)
+    if "gnc" in request.robust and not by_elected:
         # The bound on a right edge's residual that the cycles tell, as a factor over the stated one.
         beyond = 1.0 - config.gnc_confidence
         bound, stated = consistent.noise.limit(beyond), Noise.stated(graph.dimension).limit(beyond)
         noise = max((bound / stated) ** 0.5, config.gnc_noise)
         config = replaced(config, robust="gnc", gnc_noise=noise)
-    if "pcm" in request.robust:
-        weights = consistent.accepted.astype(np.float64)
+    if "pcm" in request.robust and not by_elected:
+        believed = consistent.accepted
+        if "gnc" in request.robust:
+            # Between robots the vote of all decides: of two robots alone a wrong group may be the larger one.
+            believed = believed | np.array([e.is_separator for e in graph.edges], dtype=bool)
+        weights = believed.astype(np.float64)
         rejected = [
             _record(graph, e.i, e.j, None, f"agrees with {consistent.agreeing[k]} of {consistent.tested[k]} others")
             for k, e in enumerate(graph.edges)
-            if not consistent.accepted[k]
+            if not believed[k]
         ]
     kept = [k for k, weight in enumerate(weights) if weight > 0]
     working = replace(graph, edges=tuple(graph.edges[k] for k in kept))
@@ -238,8 +255,8 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         iterations=max(o.rotation_sweeps + o.pose_sweeps for o in outcomes),
         rotation_sweeps=max(o.rotation_sweeps for o in outcomes),
         pose_sweeps=max(o.pose_sweeps for o in outcomes),
-        payload_bytes=traffic.payload_bytes,
-        wire_bytes=traffic.wire_bytes,
+        payload_bytes=traffic.payload_bytes + told,
+        wire_bytes=traffic.wire_bytes + told,
         messages=traffic.messages,
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
