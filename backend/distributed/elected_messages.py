@@ -15,7 +15,8 @@ FIRST_KIND = 0xE0
 
 class Kind(IntEnum):
     """Kinds of message, in the order in which they are sent; ``WAIT``, sent again and again, names the kind that its
-    sender waits for."""
+    sender waits for. ``FINER`` and ``REMAINDER``, before a solution, ask for what was rounded off, and give it: their
+    first byte says for the how many-th time."""
 
     SIZE = 0
     CONTRIBUTION = 1
@@ -23,6 +24,8 @@ class Kind(IntEnum):
     COST = 3
     DECISION = 4
     WAIT = 5
+    FINER = 6
+    REMAINDER = 7
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,8 @@ class ElectedMessage:
     @property
     def place(self) -> tuple[int, ...]:
         """Which of its sender's messages of this kind it is: equal for one that is sent again."""
-        return int(self.kind), self.term
+        again = self.body[:1] if self.kind in (Kind.FINER, Kind.REMAINDER) else b""
+        return int(self.kind), self.term, *again
 
     @property
     def since(self) -> None:
