@@ -188,6 +188,11 @@ class SolverConfig(Settings):
         gt=0,
         description="elected: resolution of transmitted numbers, steps per standard deviation of the residuals",
     )
+    elected_rounding: float = Field(
+        default=5e-5,
+        gt=0,
+        description="elected: share of the cost that rounding may add; above it what was rounded off is sent",
+    )
     elected_patience: int = Field(
         default=10, ge=1, description="elected: ticks in silence after which a robot counts as lost"
     )

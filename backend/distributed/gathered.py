@@ -23,13 +23,14 @@ _EDGES_A_LOOP = 5.0
 class Gathered:
     """The group's solution: ``places`` of the nodes that are joined to the anchor; ``iterations`` of the solver;
     ``between``: edges between members, as each sent them; ``exactness``: how many times finer than the deviations
-    stated poses are to be sent; ``priors``: those that were used.
+    stated poses are to be sent; ``cost``: F of the edges, or what counts as none; ``priors``: those that were used.
     """
 
     places: Known
     iterations: int
     between: tuple[Between, ...]
     exactness: float
+    cost: float = float("inf")
     priors: OriginPriors = NO_PRIORS
 
     def of(self, nodes: Sequence[NodeId]) -> Known:
@@ -77,7 +78,8 @@ def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[
     kept = fixed.copy()
     kept[held] = True
     found = minimum(edges, poses, log_units, sorted(held.tolist()), kept)
-    noise = noise_of(float(edges.costs(found.poses, found.log_units).sum()), freedom)
+    cost = float(edges.costs(found.poses, found.log_units).sum())
+    noise = noise_of(cost, freedom)
     # The rounding of all edges adds up, and is compared with what the loops alone cost.
     chains = 6.0 * len(edges.ends) / (_EDGES_A_LOOP * max(freedom, 1))
     exactness = float(np.sqrt(max(1.0, chains))) / noise
@@ -88,7 +90,9 @@ def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[
         solved, log_units, steps, joined = better.poses, better.log_units, steps + better.steps, better.joined
     reached = [(n, k) for n, k in row.items() if joined[k]]
     places = Known({n: solved[k] for n, k in reached}, {n: float(log_units[k]) for n, k in reached})
-    return Gathered(places, steps, between, exactness, priors if better is not None else NO_PRIORS)
+    # Without loops nothing is left of F, and rounding costs nothing.
+    cost = max(cost, freedom * noise**2) if freedom > 0 else float("inf")
+    return Gathered(places, steps, between, exactness, cost, priors if better is not None else NO_PRIORS)
 
 
 def priors_of(contributions: Mapping[int, Contribution], row: Mapping[NodeId, int]) -> OriginPriors:
