@@ -41,6 +41,10 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
         raise BackendError(f"robust selection ({config.robust}) works with method rbcd, not {config.method}")
     if share.priors and config.method != "elected":
         raise BackendError(f"priors (GPS) are used by the methods central and elected, not by {config.method}")
+    if share.length_sigma and config.method != "elected":
+        raise BackendError(
+            f"lengths as unknowns (length_sigma) are known to central and elected, not to {config.method}"
+        )
     match config.method:
         case "rbcd":
             return DescentNode(share, config)
