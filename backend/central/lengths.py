@@ -68,6 +68,7 @@ class OdometrySteps:
         return float(self.stretched(edges, factors).costs(poses, log_units).sum()) + own
 
     def sums(self, used: NDArray[np.bool_], values: Array) -> Array:
+        """Of ``values``, one for each edge ``used``, by robot ``(count,)``."""
         return np.bincount(self.robot[used], values, minlength=self.count).astype(np.float64)
 
 

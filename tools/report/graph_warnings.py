@@ -26,19 +26,19 @@ def odometry_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _odometry(graph: Mapping[str, Any]) -> list[str]:
-    told, lengths, out = graph.get("odometry_sigmas") or {}, graph.get("lengths") or [], []
+    errors, lengths, out = graph.get("odometry_sigmas") or {}, graph.get("lengths") or [], []
     whose = " ".join(f"agent_{agent:02d}" for agent in graph["agents"])
-    if told:
-        values = ", ".join(f"{value:.2g}" for value in told.values())
-        spans = ", ".join(str(span) for span in told)
+    if errors:
+        values = ", ".join(f"{value:.2g}" for value in errors.values())
+        spans = ", ".join(str(span) for span in errors)
         out.append(f"odometry       of {whose}, by matches: errors {values} x stated over {spans} key-frames")
-        if max(told.values()) > _LOOSE:
+        if max(errors.values()) > _LOOSE:
             out.append(
                 f"  more than {_LOOSE:g}: state less, --optimisation.odometry-sigma-share or -deg, or look for a cause"
             )
     if any(length != 1.0 for length in lengths):
         off = ", ".join(f"{100 * (1 / length - 1):+.2f} %" for length in lengths)
-        out.append(f"  lengths      off by {off} (mended; what is common to all cannot be told)")
+        out.append(f"  lengths      off by {off} (mended; what is common to all stays unknown)")
     return out
 
 
