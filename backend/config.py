@@ -180,6 +180,13 @@ class SolverConfig(Settings):
         gt=0,
         description="multifrontal: most that one pass may send, MB as estimated; above it the robots do not begin",
     )
+    length_sigma: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.2,
+        description="elected: 1 sigma of the factor by which all odometry of a metric robot is too long or too short "
+        "(a wrong baseline); found where loops call for one; 0: lengths are taken as they are",
+    )
     elected_longest: int = Field(
         default=1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
     )
@@ -238,6 +245,13 @@ class CentralConfig(Settings):
     iterations: int = Field(default=100, ge=1, description="iterations at most")
     tolerance: float = Field(
         default=1e-10, gt=0, description="share of the cost by which an iteration must lower it to go on"
+    )
+    length_sigma: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.2,
+        description="1 sigma of the factor by which all of a robot's odometry is too long or too short, as a wrong "
+        "baseline makes it; found where loops call for one; 0: lengths are taken as they are",
     )
 
 

@@ -31,7 +31,9 @@ from .solution import decode_solution, encode_solution
 
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
-_DECISION = struct.Struct("<?ddH?")
+_DECISION = struct.Struct("<?ddHB")
+_POSITIONS, _LENGTHS = 1, 2
+"""In the last byte of a decision: what had a say, or was found."""
 _WAIT = struct.Struct("<B")
 # How often what was rounded off is asked for: each time it is 128 times less.
 _MOST_REMAINDERS = 3
@@ -246,7 +248,7 @@ class ElectedNode:
             return []
         me = self.share.robot
         given = {r: self._contributions[r] for r in self._members()}
-        found = solve(self._believed(given), self.share.arbitrary_scale)
+        found = solve(self._believed(given), self.share.arbitrary_scale, self.share.length_sigma)
         rounded = sum(rounding_cost(c) for r, c in given.items() if r != me)
         if rounded > self._config.elected_rounding * found.cost and self._remainders < _MOST_REMAINDERS:
             return self._ask_for_remainders()
@@ -337,10 +339,10 @@ class ElectedNode:
         after = sum(self._costs[r] for r in self._members()) + outside
         after += cost_of_priors(priors, start.also(self._known), free_unit)
         accepted = after + doubt + more_doubt <= before
-        positions = bool(len(priors))
-        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF), positions)
+        flags = _POSITIONS * bool(len(priors)) | _LENGTHS * self._gathered.lengths
+        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF), flags)
         out = self._say(self._to(self._others(), Kind.DECISION, body))
-        self._end(accepted, before, after, self._gathered.iterations, positions)
+        self._end(accepted, before, after, self._gathered.iterations, flags)
         return out
 
     def _go_on_without(self) -> list[ElectedMessage]:
@@ -354,11 +356,11 @@ class ElectedNode:
         if self._gathered is None or self.outcome is not None:
             return []
         before = sum(self._contributions[r].cost for r in self._members())
-        out = self._say(self._to(self._others(), Kind.DECISION, _DECISION.pack(False, before, float("nan"), 0, False)))
-        self._end(False, before, float("nan"), 0, False)
+        out = self._say(self._to(self._others(), Kind.DECISION, _DECISION.pack(False, before, float("nan"), 0, 0)))
+        self._end(False, before, float("nan"), 0, 0)
         return out
 
-    def _end(self, accepted: bool, before: float, after: float, iterations: int, positions: bool) -> None:
+    def _end(self, accepted: bool, before: float, after: float, iterations: int, flags: int) -> None:
         own = self._own
         mine = accepted and self._completed is not None
         reason = "accepted"
@@ -380,7 +382,8 @@ class ElectedNode:
             rotation_sweeps=0,
             pose_sweeps=iterations,
             unreached=tuple(n for k, n in enumerate(own.nodes) if not self._reached[k]),
-            positions=positions,
+            positions=bool(flags & _POSITIONS),
+            length=own.length(poses, log_units) if mine and flags & _LENGTHS else 1.0,
         )
 
 

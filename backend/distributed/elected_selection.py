@@ -71,8 +71,8 @@ class SelectingNode(ElectedNode):
         before = own.edges.only(rejected).costs(own.poses, own.log_units).sum()
         return float(own.edges.only(~rejected).costs(poses, log_units).sum() + before)
 
-    def _end(self, accepted: bool, before: float, after: float, iterations: int, positions: bool) -> None:
-        super()._end(accepted, before, after, iterations, positions)
+    def _end(self, accepted: bool, before: float, after: float, iterations: int, flags: int) -> None:
+        super()._end(accepted, before, after, iterations, flags)
         assert self.outcome is not None
         verdicts = dict(zip(self._judged_rows, self._mine_judged.tolist(), strict=False))
         judged = tuple(

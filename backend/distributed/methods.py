@@ -42,6 +42,12 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
         raise BackendError(f"robust selection ({config.robust}) works with rbcd and elected, not {config.method}")
     if share.priors and config.method != "elected":
         raise BackendError(f"priors (GPS) are used by the methods central and elected, not by {config.method}")
+    if share.length_sigma and config.method != "elected":
+        raise BackendError(
+            f"lengths as unknowns (length_sigma) are known to central and elected, not to {config.method}"
+        )
+    if share.length_sigma and config.robust != "none":
+        raise BackendError(f"lengths as unknowns (length_sigma) do not go with robust selection ({config.robust})")
     match config.method:
         case "rbcd":
             return DescentNode(share, config)

@@ -13,6 +13,7 @@ from maslam._replaced import replaced
 from ..central.costs import cost
 from ..central.optimise import optimise
 from ..config import CentralConfig, RobustConfig
+from ..errors import BackendError
 from ..geometry import Array
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from .gnc import graduate, squared_residuals
@@ -62,6 +63,8 @@ def optimise_robustly(
     Weights that ``graph`` has already are not used: every edge can come back.
     """
     central, config = central or CentralConfig(), config or RobustConfig()
+    if central.length_sigma > 0:
+        raise BackendError(f"selection by {method} takes lengths as they are: leave out length_sigma, or the selection")
     whole = graph.with_weights(np.ones(len(graph.edges)))
     # The cycles also tell the noise, which GNC by itself finds less well: it sees residuals only of what it believes.
     cycles = consistent_edges(whole, config)

@@ -125,7 +125,10 @@ class MisfitFigures(_Figures):
 class GraphFigures(_Figures):
     """How well the graph of one group of ``agents`` fits in the end: its ``cost`` F (SE-Sync; residuals in standard
     deviations) and degrees of freedom ``dof``, which a cost of mere noise is about; ``fits``: it is not far above;
-    ``worst``: the edges with the largest shares."""
+    ``worst``: the edges with the largest shares. ``lengths``: what each agent's odometry was found to have to be
+    multiplied by, 1 where it stayed as it was. ``odometry_sigmas``: errors of metric agents' odometry over the stated
+    standard deviations, by the number of key-frames that they have added up over, as loops and matches tell; empty
+    where these tell nothing."""
 
     agents: list[int]
     edges: int
@@ -133,6 +136,8 @@ class GraphFigures(_Figures):
     dof: int
     fits: bool
     worst: list[MisfitFigures]
+    lengths: list[float] = []
+    odometry_sigmas: dict[int, float] = {}
 
 
 class TruthFigures(_Figures):

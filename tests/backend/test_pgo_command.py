@@ -9,6 +9,7 @@ from graphs import loops
 
 import maslam
 from maslam.backend.central.costs import cost
+from maslam.backend.central.odometry import lengthened
 from maslam.backend.geometry import se3_exp, se3_log
 from maslam.backend.pose_graph.g2o import read_g2o, write_g2o
 from maslam.tools import cli
@@ -284,3 +285,25 @@ def test_a_single_robot_has_no_matches_to_come(tmp_path, capsys):
     write_g2o(tmp_path / "one.g2o", graph, plain_ids=True)
     assert cli.main(["pgo", str(tmp_path / "one.g2o"), str(tmp_path / "o.g2o"), "--matches-one-by-one"]) == 1
     assert "the graph has one robot" in capsys.readouterr().err
+
+
+def test_lengths_of_odometry_are_found_where_they_are_asked_for(tmp_path, capsys):
+    """Not without the option; with it the written edges carry the lengths, so that they fit the written poses."""
+    graph, _ = loops(np.random.default_rng(0), sigma_t=0.01, sigma_deg=0.02, separators=6)
+    off = lengthened(graph, {0: 1 / 1.02, 1: 1 / 0.985, 2: 1 / 1.01, 3: 1 / 0.99})
+    write_g2o(tmp_path / "in.g2o", off)
+    costs = {}
+    for name, words in {
+        "plain": ["--method", "elected"],
+        "elected": ["--method", "elected", "--solver.length-sigma", "0.01"],
+        "central": ["--method", "central", "--central.length-sigma", "0.01"],
+    }.items():
+        out = tmp_path / name
+        assert cli.main(["pgo", str(tmp_path / "in.g2o"), str(out), *words]) == 0
+        said = capsys.readouterr().out
+        assert ("odometry's lengths are off" in said) == (name != "plain")
+        costs[name] = cost(read_g2o(sorted(out.glob("*.g2o"))), "F")
+    assert costs["central"] == pytest.approx(costs["elected"], rel=1e-3) and costs["central"] < 0.5 * costs["plain"]
+    for words in (["--method", "rbcd", "--solver.length-sigma", "0.01"], ["--central.length-sigma", "0.01"]):
+        assert cli.main(["pgo", str(tmp_path / "in.g2o"), str(tmp_path / "no"), *words]) == 2
+        assert "length-sigma works with --method" in capsys.readouterr().err

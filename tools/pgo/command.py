@@ -190,6 +190,8 @@ def optimise_graph(
     """Run the method that ``arguments`` name; returns the graph with its own information, in one unit of length, the
     report, and the poses' units where they were found. ``notes`` of the reading go into the report."""
     from maslam.backend.central.graph_report import report as look_at
+    from maslam.backend.central.odometry import lengthened
+    from maslam.backend.pose_graph.node import robot_name
 
     from ..common.progress import counter, progress_on
     from .methods import caps_reached, solve
@@ -203,6 +205,8 @@ def optimise_graph(
             found = solve(graph, request, counter(progress, "matches"))
     seconds = time.perf_counter() - start
     solved = graph.in_one_unit(found.poses, found.units) if found.units else graph.with_poses(found.poses)
+    if found.lengths:
+        solved = lengthened(solved, found.lengths)
     believed = solved.with_weights(found.weights)
     proof = (None, None) if found.units or (arguments.no_certificate and not found.refused) else _proof(believed, found)
     certified, gap = (None, None) if arguments.no_certificate else proof
@@ -233,6 +237,7 @@ def optimise_graph(
         refused=None if _nothing_to_do(found, *proof) else found.refused,
         updates=found.updates,
         monocular=sorted(request.monocular),
+        lengths={robot_name(robot): found.lengths[robot] for robot in sorted(found.lengths)},
         units={"smallest": min(sizes), "largest": max(sizes)} if sizes else None,
     )
     if not all(map(math.isfinite, report.cost.values())):

@@ -56,7 +56,8 @@ class Request:
 @dataclass(frozen=True, eq=False)
 class Solution:
     """``weights`` ``(m,)``: of the edges, 0 where rejected; ``rejected``: records of those; ``units``: of the nodes, in
-    the common one, where they were variables; ``updates``: of matches one by one, what these cost."""
+    the common one, where they were variables; ``updates``: of matches one by one, what these cost; ``lengths``: what
+    odometry of these robots is to be multiplied by."""
 
     poses: Mapping[NodeId, Array]
     weights: Array
@@ -70,6 +71,7 @@ class Solution:
     messages: int = 0
     unreached_poses: int = 0
     units: Mapping[NodeId, float] = field(default_factory=dict)
+    lengths: Mapping[int, float] = field(default_factory=dict)
     refused: str | None = None
     cost_before: float | None = None
     capped: bool = False
@@ -118,6 +120,15 @@ def check(method: str, robust: str, monocular: bool = False, one_by_one: bool = 
 def solve(graph: PoseGraph, request: Request, tick: Callable[[int, int], None] = lambda done, total: None) -> Solution:
     """Run the method; ``tick`` is called with what is done, and of how much, where matches come one by one."""
     check(request.method, request.robust, bool(request.monocular), request.link is not None)
+    if request.central.length_sigma > 0 and (request.method != CENTRAL or request.monocular):
+        raise UsageError(
+            "--central.length-sigma works with --method central without --monocular; --solver.length-sigma with elected"
+        )
+    if request.solver.length_sigma > 0 and request.method != "elected":
+        raise UsageError(f"--solver.length-sigma works with --method elected, not {request.method}")
+    if request.solver.length_sigma > 0 and (request.robust != "none" or request.link is not None):
+        other = "--matches-one-by-one" if request.link is not None else f"--robust {request.robust}"
+        raise UsageError(f"--solver.length-sigma does not go with {other}, which takes lengths as they are")
     if request.monocular and request.method == CENTRAL:
         return _with_units(graph, request)
     if request.link is not None:
@@ -157,7 +168,8 @@ def _central(graph: PoseGraph, request: Request) -> Solution:
         rejected = [_record(graph, e.i, e.j, e.residual, e.reason) for e in found.rejected]
         return Solution(found.graph.poses, found.weights, rejected, config.cost, found.iterations)
     result = optimise(graph, config)
-    return Solution(result.graph.poses, np.ones(len(graph.edges)), [], config.cost, result.iterations)
+    weights = np.ones(len(graph.edges))
+    return Solution(result.graph.poses, weights, [], config.cost, result.iterations, lengths=result.lengths)
 
 
 def _with_units(graph: PoseGraph, request: Request) -> Solution:
@@ -260,6 +272,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         messages=traffic.messages,
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
+        lengths=result.lengths,
         refused=_refused(result.outcomes),
         capped=any(o.capped for o in outcomes),
         cost_before=_largest([o.cost_before for o in outcomes]),
