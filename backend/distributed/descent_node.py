@@ -149,7 +149,7 @@ class DescentNode(StagedNode):
     def _receive(self, neighbour: int, message: Separators) -> None:
         if self._round.stage is SolverStage.VOTE:
             assert self._vote is not None and isinstance(message, Values)
-            self._vote.hear(neighbour, message.values)
+            self._vote.receive(neighbour, message.values)
             return
         if self._round.stage is not SolverStage.DESCENT:
             super()._receive(neighbour, message)

@@ -276,7 +276,7 @@ class ElectedNode:
         return given
 
     def _to_say(self, robot: int, solution: bytes) -> bytes:
-        """The solution for a member with what else it is told."""
+        """The solution for a member with what else it is sent."""
         return solution
 
     def _take_verdicts(self, body: bytes) -> bytes:

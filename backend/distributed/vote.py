@@ -1,4 +1,4 @@
-"""The vote on where pieces of robots' trajectories stand, by messages: what one robot says, hears, and makes of it.
+"""The vote on where pieces of robots' trajectories stand, by messages: what one robot says, receives, and makes of it.
 
 Neighbours tell each other where their common edges end, each in the frame of its own piece, and how far odometry has
 drifted there. The lower of two robots finds the groups of their edges that agree; these go up the tree of members, and
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import BackendError
 from ..geometry import Array, se3_inverse
-from ..robust.meetings import Between, Ends, Meeting, drift_of, loop_distances
+from ..robust.meetings import Ends, Meeting, PieceEdges, drift_of, loop_distances
 from ..robust.placement import agreeing, placed_pieces
 from .compact import numbers_of, poses_of
 from .local import LocalProblem
@@ -55,7 +55,7 @@ class PieceVote:
         """Rows ``(k, 9)`` for a neighbour: pose in the piece's frame, the piece's number, drift of turn and shift."""
         return self._rows[self._problem.sent_rows[neighbour]]
 
-    def hear(self, neighbour: int, rows: Array) -> None:
+    def receive(self, neighbour: int, rows: Array) -> None:
         """Inverse of :meth:`said` at the other side."""
         self._rows[self._problem.received_rows[neighbour]] = rows
 
@@ -101,7 +101,7 @@ class PieceVote:
             out[rows] = agreeing(between.alone(), places, limit)
         return out
 
-    def _between(self) -> list[tuple[Between, tuple[Piece, Piece], NDArray[np.intp]]]:
+    def _between(self) -> list[tuple[PieceEdges, tuple[Piece, Piece], NDArray[np.intp]]]:
         """Edges from one piece to another; the two pieces; the rows of the edges."""
         problem = self._problem
         robots = np.array([n.robot for n in problem.nodes])
@@ -120,7 +120,7 @@ class PieceVote:
         for a, b, c, d in np.unique(both[across], axis=0).tolist():
             k = np.flatnonzero(across & (both == (a, b, c, d)).all(axis=1))
             here, there = (Ends(poses[r], self._rows[r, 7:]) for r in ends[k].T)
-            between = Between(0, 1, here, there, measured[k], self._variances[k])
+            between = PieceEdges(0, 1, here, there, measured[k], self._variances[k])
             out.append((between, ((a, b), (c, d)), k))
         return out
 

@@ -76,7 +76,7 @@ def drift_of(ends: NDArray[np.intp], variances: Array, label: NDArray[np.intp]) 
 
 
 @dataclass(frozen=True, eq=False)
-class Between:
+class PieceEdges:
     """Edges from piece ``first`` to piece ``second``: ends ``here`` and ``there``, ``measured`` ``(n, 4, 4)``, and
     ``variances`` ``(n, 2)`` for each axis, of turn and shift.
     """
@@ -140,7 +140,7 @@ def loop_distances(poses: Array, drift: Array, ends: NDArray[np.intp], measured:
     return out
 
 
-def _distances(edges: Between, Z: Array) -> Array:
+def _distances(edges: PieceEdges, Z: Array) -> Array:
     """Squared distance ``(n, n)`` of what each two edges say, ``Z`` ``(n, 4, 4)``, where one of them meets."""
     here, there, variances, at = edges.here.drift, edges.there.drift, edges.variances, edges.through[:, :3, 3]
     out = np.zeros((len(Z), len(Z)))

@@ -80,7 +80,7 @@ def consistent_edges(graph: PoseGraph, config: RobustConfig) -> Consistency:
 
 def bytes_of_cycles(graph: PoseGraph) -> int:
     """Bytes by which robots would learn which of their common edges agree: one of two tells the other its ends' poses
-    and covariances, 27 numbers of 4 bytes each, and hears a bit for each edge; with a header of 10 a message.
+    and covariances, 27 numbers of 4 bytes each, and receives a bit for each edge; with a header of 10 a message.
     """
     ends: dict[tuple[int, int], set[NodeId]] = {}
     count: dict[tuple[int, int], int] = {}

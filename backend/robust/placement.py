@@ -90,15 +90,15 @@ class _Ballot:
         second = int(self._there[start])
         places = {first: np.eye(4), second: self._T[start]}
         waiting: dict[int, tuple[float, Array]] = {}
-        news: Iterable[int] = (first, second)
+        placed: Iterable[int] = (first, second)
         while True:
-            for piece in sorted({int(p) for n in news for p in self._here[self._of[n]]} - set(places)):
+            for piece in sorted({int(p) for n in placed for p in self._here[self._of[n]]} - set(places)):
                 waiting[piece] = self._asked(piece, places)
             if not waiting:
                 return places
             piece = max(sorted(waiting), key=lambda p: waiting[p][0])
             places[piece] = waiting.pop(piece)[1]
-            news = (piece,)
+            placed = (piece,)
 
     def settled(self, places: dict[int, Array]) -> dict[int, Array]:
         """Every piece is asked again, given all others, until none moves."""

@@ -11,7 +11,7 @@ from ..config import RobustConfig
 from ..geometry import se3_inverse
 from ..pose_graph.graph import EdgeKind, PoseGraph
 from .chains import chains
-from .meetings import Between, Ends, Meeting, drift_of
+from .meetings import Ends, Meeting, PieceEdges, drift_of
 from .noise import Noise
 from .placement import agreeing, placed_pieces
 
@@ -39,7 +39,7 @@ def voted_edges(
     return across, agree
 
 
-def _pairs(graph: PoseGraph) -> list[tuple[Between, NDArray[np.intp]]]:
+def _pairs(graph: PoseGraph) -> list[tuple[PieceEdges, NDArray[np.intp]]]:
     """The edges between each two odometry chains, and their positions in ``graph.edges``."""
     a, m = graph.with_weights(np.ones(len(graph.edges))).arrays(), len(graph.edges)
     row = {n: k for k, n in enumerate(a.nodes)}
@@ -61,7 +61,7 @@ def _pairs(graph: PoseGraph) -> list[tuple[Between, NDArray[np.intp]]]:
         here, there = np.where(forward, ends[k].T, ends[k].T[::-1])
         measured = np.where(forward[:, None, None], a.measured[k], se3_inverse(a.measured[k]))
         mine, theirs = Ends(poses[here], drift.collected[here]), Ends(poses[there], drift.collected[there])
-        out.append((Between(first, second, mine, theirs, measured, variances[k]), k))
+        out.append((PieceEdges(first, second, mine, theirs, measured, variances[k]), k))
     return out
 
 

@@ -16,7 +16,7 @@ from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3, se3_exp, se3_inverse, so3_exp
 from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
 from maslam.backend.robust.chi_square import below
-from maslam.backend.robust.meetings import Between, Ends, Meeting, loop_distances
+from maslam.backend.robust.meetings import Ends, Meeting, PieceEdges, loop_distances
 from maslam.backend.robust.pcm import bytes_of_cycles
 from maslam.backend.robust.placement import placed_pieces
 from maslam.backend.robust.select import optimise_robustly
@@ -100,12 +100,12 @@ def test_edges_that_agree_up_to_drift_make_one_meeting():
     measured[5:] = se3_inverse(here[5:]) @ se3_exp([4.0, 0, 0, 0, 0, 0.5]) @ stands @ there[5:]
     variances = np.full((n, 2), 0.02**2)
     still = np.zeros((n, 2))
-    found = Between(0, 1, Ends(here, still), Ends(there, still), measured, variances).meetings(LIMIT)
+    found = PieceEdges(0, 1, Ends(here, still), Ends(there, still), measured, variances).meetings(LIMIT)
     assert [m.support for m in found] == [5, 3]
     assert np.linalg.norm((found[0].T_first_second - stands)[:3, 3]) < 0.3
     # With a tenth of a radian's drift between the ends, all of them may be one.
     drifting = np.stack([np.linspace(0, 1.0, n), np.linspace(0, 100.0, n)], axis=1)
-    loose = Between(0, 1, Ends(here, drifting), Ends(there, drifting), measured, variances).meetings(LIMIT)
+    loose = PieceEdges(0, 1, Ends(here, drifting), Ends(there, drifting), measured, variances).meetings(LIMIT)
     assert max(m.support for m in loose) > 5
 
 

@@ -54,6 +54,7 @@ class PairSide:
 
     @classmethod
     def of(cls, matches: PairMatches) -> PairSide:
+        """By ``matches`` alone: 0 where too few of them lie in one row, or too few clearly to one side."""
         rows = matches.right_uv[:, 1] - matches.left_uv[:, 1]
         near = np.abs(rows) <= _MAX_ROWS
         if not near.any():

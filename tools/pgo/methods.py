@@ -217,7 +217,7 @@ def solve_one_by_one(graph: PoseGraph, request: Request, link: LinkModel, tick: 
 
 
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
-    weights, rejected, told = np.ones(len(graph.edges)), [], 0
+    weights, rejected, of_cycles = np.ones(len(graph.edges)), [], 0
     config = request.solver
     if config.gnc_confidence == SolverConfig().gnc_confidence:
         # The quantile of central selection, unless another one was asked for.
@@ -231,7 +231,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
     elif request.robust != "none":
         # From odometry alone, which two robots tell each other once.
         consistent = consistent_edges(graph, request.selection)
-        told = bytes_of_cycles(graph)
+        of_cycles = bytes_of_cycles(graph)
     if "gnc" in request.robust and not by_elected:
         # The bound on a right edge's residual that the cycles tell, as a factor over the stated one.
         beyond = 1.0 - config.gnc_confidence
@@ -267,8 +267,8 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         iterations=max(o.rotation_sweeps + o.pose_sweeps for o in outcomes),
         rotation_sweeps=max(o.rotation_sweeps for o in outcomes),
         pose_sweeps=max(o.pose_sweeps for o in outcomes),
-        payload_bytes=traffic.payload_bytes + told,
-        wire_bytes=traffic.wire_bytes + told,
+        payload_bytes=traffic.payload_bytes + of_cycles,
+        wire_bytes=traffic.wire_bytes + of_cycles,
         messages=traffic.messages,
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
