@@ -163,7 +163,7 @@ class SolverConfig(Settings):
         default=4, ge=0, le=20, description="earlier sweeps mixed (Anderson acceleration); 0: plain"
     )
     robust: Literal["none", "gnc"] = Field(
-        default="none", description="graduated non-convexity on loops and separators (rbcd)"
+        default="none", description="graduated non-convexity on loops and separators (rbcd, elected)"
     )
     gnc_confidence: float = Field(
         default=0.99, gt=0, lt=1, description="share of right edges that a residual's bound keeps"
@@ -188,6 +188,13 @@ class SolverConfig(Settings):
         default=8e-4, gt=0, description="two-level: share of the cost that is expected to be left at the end"
     )
     two_level_sweeps: int = Field(default=60, ge=1, description="two-level: sweeps at most")
+    length_sigma: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.2,
+        description="elected: 1 sigma of the factor by which all odometry of a metric robot is too long or too short "
+        "(a wrong baseline); found where loops call for one; 0: lengths are taken as they are",
+    )
     elected_longest: int = Field(
         default=1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
     )
@@ -196,8 +203,20 @@ class SolverConfig(Settings):
         gt=0,
         description="elected: resolution of transmitted numbers, steps per standard deviation of the residuals",
     )
+    elected_rounding: float = Field(
+        default=5e-5,
+        gt=0,
+        description="elected: share of the cost that rounding may add; above it what was rounded off is sent",
+    )
     elected_patience: int = Field(
         default=10, ge=1, description="elected: ticks in silence after which a robot counts as lost"
+    )
+
+    update_tolerance: float = Field(
+        default=5e-5,
+        gt=0,
+        le=0.1,
+        description="updates of an elected group: share of the cost that may be left for robots that are not corrected",
     )
 
     @classmethod
@@ -206,6 +225,18 @@ class SolverConfig(Settings):
         in no more bytes than the published stop takes: the stop looks at a pose's change, not at a whole robot's.
         """
         return cls(method="sor", relaxation=1.3, rotation_sweeps=2, pose_threshold=0.044, change="rms")
+
+
+class LinkModel(Settings):
+    """Links in logical time, where a run with matches one by one is measured; solving anew beside it."""
+
+    delay_s: float = Field(default=0.5, ge=0, le=60, description="logical time that every message takes, seconds")
+    rate_kbit: float = Field(
+        default=9.6, gt=0, description="rate of each robot's radio, which sends one message after another, kbit/s"
+    )
+    solved_anew: int = Field(
+        default=10, ge=0, description="matches, evenly spread, with which the group is also solved anew, for comparison"
+    )
 
 
 class CentralConfig(Settings):
@@ -222,6 +253,13 @@ class CentralConfig(Settings):
     iterations: int = Field(default=100, ge=1, description="iterations at most")
     tolerance: float = Field(
         default=1e-10, gt=0, description="share of the cost by which an iteration must lower it to go on"
+    )
+    length_sigma: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.2,
+        description="1 sigma of the factor by which all of a robot's odometry is too long or too short, as a wrong "
+        "baseline makes it; found where loops call for one; 0: lengths are taken as they are",
     )
 
 

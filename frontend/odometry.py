@@ -22,7 +22,7 @@ from .files.vo_files import VoTrack
 from .frames import Frame
 from .mapping.map import Map
 from .mapping.range_sensor import Ranging
-from .reason import NO_REASON, Reason
+from .reason import NO_REASON, STANDS_SHORT, Reason
 from .stopwatch import Stopwatch, TimedStage
 from .tracking.darkness import doubt_dark, unless_dark
 from .tracking.export import export_track
@@ -38,6 +38,9 @@ log = logging.getLogger(__name__)
 
 _CONFIRMING = 2
 """Times the points that find a lost camera confirm that it was found."""
+_WAITING = 6
+"""Times as many frames are searched where the camera stood when it was lost: it is hidden, where it was, and a new
+track would follow what hides it."""
 
 
 class TrackingState(StrEnum):
@@ -146,7 +149,7 @@ class Odometry:
         # A view that brings something new stays, and the map around it is refined.
         since = segment.since_keyframe(frame, self.ranging.rig)
         wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
-        allowed = not segment.tracker.standing.held and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
+        allowed = segment.adds_views(since) and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
         is_keyframe = found_again or (wanted and allowed)
         if is_keyframe:
             frame.prepare()
@@ -259,7 +262,8 @@ class Odometry:
         on until a track starts: after a black-out of any length the camera may be where it was."""
         assert self._relocaliser is not None
         self._lost_frames += 1
-        if self._relocaliser.searches > self.config.lost.relocalise_frames:
+        stood = self._relocaliser.segment.tracker.standing.rested
+        if self._relocaliser.searches > self.config.lost.relocalise_frames * (_WAITING if stood else 1):
             started = self._offered(frame)
             if isinstance(started, FrameResult):
                 self._moments.note(frame.stamp_ns, NO_REASON)
@@ -288,7 +292,7 @@ class Odometry:
         segments = [*self._forgotten, *self._finished, *([self._segment] if self._segment else [])]
         short = [one for one in segments if len(one.map.keyframes) < need]
         stood = bool(short) and all(one.tracker.standing.rested for one in short)
-        kind = "the camera stands still, the track is too short" if stood else "the track is too short"
+        kind = STANDS_SHORT if stood else "the track is too short"
         return Reason(kind, f"{kind}: fewer key-frames than the {need} that it needs to be written")
 
     def _stats(self, segments: list[Segment], kept: list[Segment]) -> dict[str, float]:

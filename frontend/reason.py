@@ -22,6 +22,8 @@ class Reason:
 
 
 NO_REASON = Reason("", "")
+STANDS_SHORT = "the camera stands still, the track is too short"
+"""Kind of a sequence that has one key-frame only, since its camera never moves."""
 
 
 class Tally:

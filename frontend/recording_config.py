@@ -42,3 +42,8 @@ class RecordingConfig(BaseModel):
     truth_topic: str | None = Field(
         default=None, description="bags: topic of true poses of the camera (PoseStamped, Odometry, TransformStamped)"
     )
+    gps_topic: str | None = Field(
+        default=None,
+        description="bags: topic of positions (NavSatFix), as image_topic, where a robot has several; none as a word: "
+        "not read",
+    )

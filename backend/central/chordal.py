@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ..components import first_of_parts
 from ..geometry import Array, project_to_so3, se3, so3_exp
-from .linear import pose_blocks, rotation_blocks
+from .large_system import pose_system
+from .linear import rotation_blocks
 from .relaxation import Relaxation
 
 
@@ -38,19 +39,9 @@ def two_stage_poses(
     poses = poses.copy()
     free = np.setdiff1d(np.arange(n), held)
     poses[free, :3, :3] = project_to_so3(np.swapaxes(stage.values[free], 1, 2))
+    del stage  # of large graphs its factor is much of the memory
     for _ in range(newton_steps):
-        poses[free] = _newton_step(ends, measured, weights, poses, held)[free]
+        system = pose_system(ends, poses[:, :3, :3], measured, weights, free)
+        step = system.solve(np.concatenate([poses[:, :3, 3:], np.zeros((n, 3, 1))], axis=1))[:, :, 0]
+        poses[free] = se3(poses[free, :3, :3] @ so3_exp(step[:, 3:]), step[:, :3])
     return poses
-
-
-def _newton_step(
-    ends: NDArray[np.intp], measured: Array, weights: tuple[Array, Array], poses: Array, held: list[int]
-) -> Array:
-    R = poses[:, :3, :3]
-    i, j = ends.T
-    values = np.full((len(poses), 6, 1), np.nan)
-    values[held] = 0.0
-    values[held, :3, 0] = poses[held, :3, 3]
-    stage = Relaxation(ends, pose_blocks(R[i], R[j], measured, *weights), values, len(poses), held)
-    stage.sweep(1.0)
-    return se3(R @ so3_exp(stage.values[:, 3:, 0]), stage.values[:, :3, 0])

@@ -18,6 +18,9 @@ from ..geometry import Array, skew
 
 # d/d(delta_k) of [delta]_x: the generators of SO(3), (3, 3, 3).
 _GENERATORS = skew(np.eye(3))
+LARGE = 60_000
+"""Equations beyond which memory counts, and a Cholesky factor in blocks is made: compiling it takes longer than smaller
+ones to solve."""
 # Edges whose derivatives are in memory at a time.
 _EDGES = 4096
 # Eigenvalues below this share of the largest are rounding (files hold about 6 digits, conditions of 1e11 occur).
@@ -175,13 +178,28 @@ class BlockSystem:
         own = position[ends]
         size = len(solved) * width
         self._constant = np.zeros((len(solved), width, rhs.shape[2]))
-        for side in range(2):
-            mine = own[:, side] >= 0
-            np.add.at(self._constant, own[mine, side], rhs[mine, side * width : (side + 1) * width])
-        self._factor = self._assemble(own, hessian, size)
+        self._add_constant(own, rhs)
+        self._factor: object = self._assemble(own, hessian, size)
         self._couplings = self._collect_couplings(ends, own, hessian)
 
+    def _add_constant(self, own: np.ndarray, rhs: Array) -> None:
+        for side in range(2):
+            mine = own[:, side] >= 0
+            np.add.at(self._constant, own[mine, side], rhs[mine, side * self.width : (side + 1) * self.width])
+
     def _assemble(self, own: np.ndarray, hessian: Array, size: int) -> object:
+        if size > LARGE:
+            from .block_cholesky import BlockMatrix  # compiles
+
+            try:
+                matrix = BlockMatrix(own, len(self.solved), self.width)
+                matrix.add(0, hessian)
+                return matrix.factor()
+            except BackendError:
+                pass  # what is not positive definite by rounding an LU factor may solve, or name
+        return self._lu_factor(own, hessian, size)
+
+    def _lu_factor(self, own: np.ndarray, hessian: Array, size: int) -> object:
         w, offsets = self.width, np.arange(self.width, dtype=np.int32)
         matrix = csc_array((size, size))
         # A quarter of the blocks at a time: of large graphs these indices are most of the memory.

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+
+from maslam._replaced import replaced
 
 from ..components import parts
 from ..config import CentralConfig
@@ -15,6 +18,7 @@ from ..pose_graph.graph import EdgeArrays, PoseGraph, Prior
 from .chordal import two_stage_poses
 from .costs import cost, frobenius_weights
 from .gtsam_adapter import levenberg_marquardt
+from .odometry import lengthened, odometry_lengths
 from .origin import OriginPriors, origin_of, with_origin
 from .similarity_edges import edges_of
 from .trust_region import anchors, named_parts, newton
@@ -26,7 +30,9 @@ log = logging.getLogger(__name__)
 class OptimisationResult:
     """The optimised graph; costs in the convention that was asked for; ``iterations`` of the non-linear solver.
 
-    Where nothing better was found, ``graph`` is the one that came in and ``improved`` is False.
+    Where nothing better was found, ``graph`` is the one that came in and ``improved`` is False. ``lengths``: what
+    odometry of these robots was found to have to be multiplied by (costs are with that); none where lengths were not
+    asked for or are right.
     """
 
     graph: PoseGraph
@@ -34,6 +40,7 @@ class OptimisationResult:
     cost_after: float
     iterations: int
     improved: bool
+    lengths: Mapping[int, float] = field(default_factory=dict)
 
 
 def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
@@ -41,6 +48,8 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
 
     In each connected part the first node keeps its pose, unless priors determine the part's place.
     """
+    if config.length_sigma > 0:
+        return _with_lengths(graph, config)
     if any(p.bound is not None or p.lever.any() for p in graph.priors):
         return _with_positions(graph, config)
     before = cost(graph, config.cost)
@@ -55,6 +64,23 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
     if after > before:
         return OptimisationResult(graph, before, before, iterations, False)
     return OptimisationResult(solved, before, after, iterations, True)
+
+
+def _with_lengths(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
+    """With the lengths of odometry among the unknowns: found by F (U), then taken as known. Priors tell more of lengths
+    than loops do: where there are any, lengths stay."""
+    known = replaced(config, length_sigma=0.0)
+    plain = optimise(graph, known)
+    if graph.priors or not graph.edges:
+        return plain
+    found = odometry_lengths(polished(plain.graph, config.cost == "U")[0], config.length_sigma, config.cost == "U")
+    if not found.factors:
+        return plain
+    stretched = lengthened(graph, found.factors)
+    solved, iterations = _descend(stretched.with_poses(found.poses), known)
+    before, after = cost(stretched, config.cost), cost(solved, config.cost)
+    result = graph.with_poses(solved.poses)
+    return OptimisationResult(result, before, after, plain.iterations + iterations, True, dict(found.factors))
 
 
 def _with_positions(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:

@@ -18,7 +18,8 @@ from ..errors import BackendError
 from ..geometry import Array, project_to_so3, se3, skew, so3_exp
 from ..pose_graph.graph import EdgeArrays
 from .laplacian import by_node, connection_laplacian, multipliers, stacked
-from .linear import BlockSystem, edge_costs, pose_blocks
+from .large_system import pose_system
+from .linear import BlockSystem, edge_costs
 
 # What a step may promise to gain, as a share of the cost, and still be rounding.
 _ROUNDING = 1e-14
@@ -114,10 +115,8 @@ class _Model:
 
     def factorise(self, poses: Array) -> None:
         """Make the preconditioner: the Gauss-Newton matrix at ``poses``."""
-        i, j = self._ends.T
-        R = poses[:, :3, :3]
-        blocks = pose_blocks(R[i], R[j], self._measured, *self._weights)
-        self._gauss_newton = BlockSystem(self._ends, *blocks, self._free, np.ones(len(i), dtype=bool))
+        self._gauss_newton: BlockSystem | None = None  # one factor at a time in memory
+        self._gauss_newton = pose_system(self._ends, poses[:, :3, :3], self._measured, self._weights, self._free)
 
     def cost(self, poses: Array) -> float:
         i, j = self._ends.T
@@ -134,6 +133,7 @@ class _Model:
         return out
 
     def precondition(self, v: Array) -> Array:
+        assert self._gauss_newton is not None
         return self._gauss_newton.solve_for(v)
 
     def derivatives(self, poses: Array) -> tuple[Array, Hessian]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..central.lengths import steps_of
 from ..central.minimum import minimum, near_minimum
 from ..central.origin import OriginPriors
 from ..central.similarity_edges import SimilarityEdges, edges_of
@@ -61,10 +62,19 @@ class OwnGraph:
         ends = np.array([(self.row[e.i], self.row[e.j]) for e in own], dtype=np.intp).reshape(-1, 2)
         self.edges = edges_of(own, ends, share.dimension)
         self.priors = OriginPriors.of(share.priors, share.dimension)
+        numbers = np.where(self.fixed, 0, -1)
+        self.steps = steps_of(ends, numbers, 1, share.length_sigma if self.fixed.all() else 0.0)
 
     def cost(self, poses: Array, log_units: Array) -> float:
-        """F over the own edges, of poses ``(n, 4, 4)`` and log units ``(n,)`` of all own nodes."""
+        """F over the own edges, of poses ``(n, 4, 4)`` and log units ``(n,)`` of all own nodes; with the length of
+        odometry that suits them best, where it is unknown."""
+        if self.steps.count:
+            return self.steps.cost(self.edges, poses, log_units)
         return float(self.edges.costs(poses, log_units).sum())
+
+    def length(self, poses: Array, log_units: Array) -> float:
+        """What odometry's lengths are to be multiplied by to suit these poses best; 1 where lengths are known."""
+        return float(self.steps.factors(self.edges, poses, log_units)[0]) if self.steps.count else 1.0
 
     def known(self, nodes: Sequence[NodeId]) -> Known:
         """Where these own nodes are now."""
@@ -183,7 +193,7 @@ class OwnGraph:
         for n, T in known.poses.items():
             poses[self.row[n]] = T
             log_units[self.row[n]] = known.log_units.get(n, 0.0)
-        edges = self.edges.only(self.edges.kappa > 0)
+        edges = self._as_long_as(known).only(self.edges.kappa > 0)
         label = parts(edges.ends, len(poses))
         reached = np.isin(label, label[held])
         fixed = sorted({*held.tolist(), *np.flatnonzero(~reached).tolist()})
@@ -191,6 +201,15 @@ class OwnGraph:
             return poses, log_units, reached
         found = minimum(edges, poses, log_units, fixed, self._kept(fixed))
         return found.poses, found.log_units, reached
+
+    def _as_long_as(self, known: Known) -> SimilarityEdges:
+        """The own edges, odometry with the length that it has between ``known`` nodes."""
+        if not self.steps.count:
+            return self.edges
+        placed = np.full_like(self.poses, np.nan)
+        for n, T in known.poses.items():
+            placed[self.row[n]] = T
+        return self.steps.stretched(self.edges, self.steps.factors(self.edges, placed, self.log_units))
 
 
 def freedom_of(ends: NDArray[np.intp], fixed: NDArray[np.bool_], held: Sequence[int]) -> int:

@@ -64,6 +64,11 @@ class BlockDescent:
         """The edges under their weights."""
         return self.problem.edges.weighted(np.maximum(self.edge_weights, _FLOOR))
 
+    @property
+    def pieces(self) -> NDArray[np.intp]:
+        """Number of each own node's piece ``(own,)``."""
+        return self._pieces.label if self._pieces is not None else np.zeros(self.problem.own_count, dtype=np.intp)
+
     def place(self) -> bool:
         """Place own pieces that have become tied; True if any was."""
         return self._pieces is not None and self._pieces.place(self.problem.places, self.placed, self._bound)

@@ -7,6 +7,7 @@ same numbers. The best sweep's poses are kept.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +16,19 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..robust.schedule import settled
 from .descent import BlockDescent, stepped
-from .messages import Decision, Deltas, Round, SolverStage, Values, number_type
+from .messages import Decision, Deltas, Round, SolverStage, Values, as_sent, number_type
 from .mixing import Mixer, MixingRule
 from .places import Places, places_of
 from .rounds import Separators
 from .selection import Selection
 from .share import Share, SolverOutcome
 from .staged import StagedNode
+from .vote import PieceVote, elected_places
 
+# First solve with the edges that the vote names: until the cost falls by less than this share in cost_window sweeps.
+_ROUGHLY = 1e-3
+# Times that all edges are tested in the solution, at most.
+_LOOKS = 8
 # F counts squared standard deviations: a smaller fall matters to nobody.
 _NOTHING = 1e-9
 
@@ -30,8 +36,9 @@ _NOTHING = 1e-9
 class DescentNode(StagedNode):
     """Riemannian block-coordinate descent to the optimum of F; see :class:`Rounds` for its use.
 
-    With ``robust="gnc"``: step 0 of the rounds places the robots, every further step begins with a round that judges
-    edges (its sweep 0) and goes on with a few sweeps under the new weights.
+    With ``robust="gnc"``: a vote places the robots' pieces (:mod:`maslam.backend.distributed.vote`), step 0 of the
+    rounds those that it leaves over; every further step begins with a round that judges edges (its sweep 0) and goes on
+    with a few sweeps under the new weights. At the end all edges are tested in the solution, until none changes.
     """
 
     _descent: BlockDescent
@@ -45,6 +52,8 @@ class DescentNode(StagedNode):
         self._costs: list[float] = []
         self._best: tuple[float, Places] | None = None
         self._final = self._selection is None
+        self._vote: PieceVote | None = None
+        self._looks = 0
         self._announced = self._warm
         self._message: Values | Deltas | None = None
 
@@ -58,6 +67,9 @@ class DescentNode(StagedNode):
         self._mixer = Mixer(self._config.mixed_sweeps, self._descent.metric())
         if self._warm:
             self._descent.round_to_numbers(number_type(SolverStage.START))
+        if self._selection is not None and not self._warm and not self.share.scaled:
+            self._vote = PieceVote(self._problem, self._descent.pieces, self._selection.odometry)
+            return Round(SolverStage.VOTE)
         return Round(SolverStage.DESCENT, 1 if self._warm and self._selection is not None else 0)
 
     def _enter(self) -> None:
@@ -72,6 +84,11 @@ class DescentNode(StagedNode):
     @property
     def _judging(self) -> bool:
         return self._round.stage is SolverStage.DESCENT and self._round.step > 0 and self._round.sweep == 0
+
+    @property
+    def _first_step(self) -> int:
+        """Step that begins the schedule: after a vote its edges alone are solved with before."""
+        return 1 if self._vote is None else 2
 
     @property
     def _placing(self) -> bool:
@@ -110,11 +127,16 @@ class DescentNode(StagedNode):
 
     def _judge(self) -> float:
         assert self._selection is not None
-        if self._round.step == 1:
+        if self._final:
+            return self._selection.look_again()
+        if self._round.step <= self._first_step:
             return self._selection.largest()
         return self._selection.sharpen()
 
     def _say(self, neighbour: int) -> Separators:
+        if self._round.stage is SolverStage.VOTE:
+            assert self._vote is not None
+            return Values(self.share.robot, neighbour, self._round, self._vote.said(neighbour))
         message = self._message
         if self._round.stage is not SolverStage.DESCENT or message is None:
             return super()._say(neighbour)
@@ -125,6 +147,10 @@ class DescentNode(StagedNode):
         return replace(message, receiver=neighbour, values=message.values[rows] if known else np.zeros((0, 6)))
 
     def _receive(self, neighbour: int, message: Separators) -> None:
+        if self._round.stage is SolverStage.VOTE:
+            assert self._vote is not None and isinstance(message, Values)
+            self._vote.receive(neighbour, message.values)
+            return
         if self._round.stage is not SolverStage.DESCENT:
             super()._receive(neighbour, message)
             return
@@ -138,11 +164,19 @@ class DescentNode(StagedNode):
             self._descent.placed[rows[known]] = True
 
     def _found(self) -> tuple[float, tuple[float, ...]]:
+        if self._round.stage is SolverStage.VOTE:
+            assert self._vote is not None and self._selection is not None
+            return 0.0, self._vote.found(self._selection.bound)
         if self._round.stage is not SolverStage.DESCENT:
             return super()._found()
         if self._judging:
             return 0.0, ()
         return self._descent.cost(), self._mixer.end(self._problem.places)
+
+    def _together(self, mine: tuple[float, ...], others: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
+        if self._round.stage is SolverStage.VOTE:
+            return tuple(x for numbers in (mine, *others) for x in numbers)
+        return super()._together(mine, others)
 
     def _cost(self) -> float:
         return super()._cost() if self._selection is None else self._selection.cost()
@@ -150,10 +184,13 @@ class DescentNode(StagedNode):
     # -- what follows ------------------------------------------------------------------------------------------------
 
     def _decide(self, change: float, cost: float, numbers: tuple[float, ...]) -> Decision:
+        if self._round.stage is SolverStage.VOTE:
+            assert self._selection is not None
+            return self._decision(False, cost, as_sent(elected_places(numbers, self._selection.bound)))
         if self._round.stage is not SolverStage.DESCENT:
             return super()._decide(change, cost, numbers)
         if self._judging:
-            return self._decision(True, change)
+            return self._decision(not self._final or change > 0.0, change)
         if np.isinf(change):
             return self._decision(self._round.sweep < self._config.descent_sweeps + len(self.share.members), change)
         return self._decision(self._another_sweep([*self._costs, cost]), cost, self._rule.weights(numbers))
@@ -162,13 +199,15 @@ class DescentNode(StagedNode):
         """The stop rule; ``costs`` of this step's sweeps since all were placed."""
         if self._placing:
             return False
-        if not self._final:
+        roughly = self._vote is not None and self._round.step < self._first_step
+        if not self._final and not roughly:
             return self._round.sweep < self._config.gnc_sweeps
         window, limit = self._config.cost_window, self._config.descent_sweeps
         if len(costs) <= window:
             return len(costs) < limit
         fall = min(costs[:-window]) - min(costs)
-        return len(costs) < limit and fall > self._config.cost_tolerance * min(costs) + _NOTHING
+        tolerance = max(_ROUGHLY, self._config.cost_tolerance) if roughly else self._config.cost_tolerance
+        return len(costs) < limit and fall > tolerance * min(costs) + _NOTHING
 
     def _stay(self, decision: Decision) -> None:
         if self._round.stage is not SolverStage.DESCENT:
@@ -189,14 +228,25 @@ class DescentNode(StagedNode):
             places.put(free, self._mixer.mix(decision.numbers).at(free))
         self._mixer.begin(places)
 
+    def _take_vote(self, numbers: tuple[float, ...]) -> None:
+        """Stand where the vote puts this robot; edges that agree with it are solved with first."""
+        assert self._vote is not None and self._selection is not None
+        placed = self._vote.adopt(numbers)
+        self._descent.placed[: self._problem.own_count] |= placed
+        self._selection.begin_with(self._vote.agreeing(self._selection.bound))
+        self._descent.edge_weights = self._selection.weights
+        self._round = Round(SolverStage.DESCENT, 0)
+
     def _take_weights(self, found: float) -> None:
         """``found``: the group's largest squared residual, or how undecided its least decided edge is."""
         assert self._selection is not None
-        if self._round.step == 1:
+        step = self._round.step - self._first_step
+        if step == 0:
             self._selection.begin(found)
-        self._final = self._round.step > 1 and (settled([found]) or self._round.step >= self._config.gnc_steps)
-        if self._final:
-            self._selection.decide()
+        if step > 0 and not self._final:
+            self._final = settled([found]) or step + 1 >= self._config.gnc_steps
+            if self._final:
+                self._selection.decide()
         self._descent.edge_weights = self._selection.weights
 
     def _take_cost(self, cost: float) -> None:
@@ -209,15 +259,25 @@ class DescentNode(StagedNode):
             self._best = (cost, self._problem.places.copy())
 
     def _leave(self, decision: Decision) -> None:
+        if self._round.stage is SolverStage.VOTE:
+            self._take_vote(decision.numbers)
+            return
         if self._round.stage is not SolverStage.DESCENT:
             super()._leave(decision)
+            return
+        if self._judging:
+            self._end_descent()
             return
         self._take_cost(decision.cost)
         if self._best is not None:
             self._problem.places.put(slice(None), self._best[1])
-        if not self._final:
+        if not self._final or (self._selection is not None and self._looks < _LOOKS):
+            self._looks += self._final
             self._round = Round(SolverStage.DESCENT, self._round.step + 1)
             return
+        self._end_descent()
+
+    def _end_descent(self) -> None:
         # What found no place stays where it was, at its neighbours' side too.
         lost = ~self._descent.placed
         self._problem.places.put(lost, self._elsewhere.at(lost))

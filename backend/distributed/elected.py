@@ -2,15 +2,16 @@
 
 Every robot sends how much it would have to transmit; the one with the most is elected, as its own part need not travel.
 Members give it their condensed graphs once, get their poses once, place what was condensed away by themselves, and
-report what their own edges cost then; the result counts only if the group's cost has not risen. Far fewer bytes than
-any iteration, but the elected robot sees the group's whole (condensed) graph. Where it falls silent the next one takes
+report what their own edges cost then; the result counts only if the group's cost has not risen. Where rounding would
+cost too much, the elected robot asks for what was rounded off before it sends poses. Far fewer bytes than any
+iteration, but the elected robot sees the group's whole (condensed) graph. Where it falls silent the next one takes
 over.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,17 +20,23 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..geometry import Array
 from . import contribution as parcel
-from .condense import Condensed, Known, OwnGraph
+from .condense import Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
 from .gathered import Gathered, cost_between, cost_of_priors, solve
+from .rounding import encode_remainder, finer, rounding_cost
+from .settled import Settled
 from .share import Share, SolverOutcome, anchor_of
 from .solution import decode_solution, encode_solution
 
 _SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
-_DECISION = struct.Struct("<?ddH?")
+_DECISION = struct.Struct("<?ddHB")
+_POSITIONS, _LENGTHS = 1, 2
+"""In the last byte of a decision: what had a say, or was found."""
 _WAIT = struct.Struct("<B")
+# How often what was rounded off is asked for: each time it is 128 times less.
+_MOST_REMAINDERS = 3
 
 
 class ElectedNode:
@@ -54,7 +61,9 @@ class ElectedNode:
         self._costs: dict[int, float] = {}
         self._left_out: set[int] = set()
         self._gathered: Gathered | None = None
-        self._sent: Condensed
+        self._sent: Contribution
+        self._remainders = 0
+        self._coarse: set[int] = set()
         self._known = Known()
         self._completed: tuple[Array, Array] | None = None
         self._reached = np.zeros(len(self._own.nodes), dtype=bool)
@@ -65,6 +74,12 @@ class ElectedNode:
     def leader(self) -> int | None:
         """The elected robot; None until it is known."""
         return self._order[self._term % len(self._order)] if self._order else None
+
+    @property
+    def settled(self) -> Settled:
+        """What updates go on from, once it has ended."""
+        given = {r: self._contributions[r] for r in self._members()} if self.leader == self.share.robot else {}
+        return Settled(-1 if self.leader is None else self.leader, self._known, given)
 
     def start(self) -> list[ElectedMessage]:
         """Return the first messages."""
@@ -123,6 +138,8 @@ class ElectedNode:
             assert self.leader is not None
             return [(Kind.SOLUTION if self._completed is None else Kind.DECISION, [self.leader])]
         members = self._members()
+        if self._coarse:
+            return [(Kind.REMAINDER, sorted(self._coarse))]
         if self._gathered is None:
             return [(Kind.CONTRIBUTION, [r for r in members if r not in self._contributions])]
         return [(Kind.COST, [r for r in members if r not in self._costs])]
@@ -137,7 +154,7 @@ class ElectedNode:
             return decision
         if wanted == Kind.SIZE or message.term < self._term:
             return self._to([asker], Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
-        return [m for m in said if m.kind == wanted]
+        return [m for m in said if m.kind == wanted or (m.kind is Kind.FINER and asker in self._coarse)]
 
     def _wait(self, members: list[int], kind: Kind) -> list[ElectedMessage]:
         return self._to(members, Kind.WAIT, _WAIT.pack(kind))
@@ -167,12 +184,13 @@ class ElectedNode:
             self._order = sorted(self.share.members, key=lambda r: (-self._sizes.get(r, -1), r))
         self._term, self._silent, self._said = term, 0, []
         self._costs, self._gathered, self._completed = {}, None, None
+        self._remainders, self._coarse = 0, set()
         self._left_out = {r for r in self._order[: min(term, len(self._order))] if r != self.leader}
         me = self.share.robot
         if self.leader != me:
             assert self.leader is not None
             body = parcel.encode(self._mine(self.leader))
-            self._sent = parcel.decode(body, me, self.share.scaled).graph
+            self._sent = parcel.decode(body, me, self.share.scaled)
             return self._say(self._to([self.leader], Kind.CONTRIBUTION, body))
         self._contributions = {me: self._mine(me)}
         return self._try_solve()
@@ -184,9 +202,11 @@ class ElectedNode:
         leads = self.leader == self.share.robot
         if message.kind is Kind.SIZE:
             return []
-        if message.kind in (Kind.CONTRIBUTION, Kind.COST) and leads:
+        if message.kind in (Kind.CONTRIBUTION, Kind.REMAINDER, Kind.COST) and leads:
             if message.sender in self._left_out:
                 return []
+            if message.kind is Kind.REMAINDER:
+                return self._take_remainder(message)
             if message.kind is Kind.COST:
                 self._silent = 0 if message.sender not in self._costs else self._silent
                 self._costs[message.sender] = _unpack(_COST, message.body)[0]
@@ -198,6 +218,8 @@ class ElectedNode:
         if message.sender != self.leader or leads:
             return []
         self._silent = 0
+        if message.kind is Kind.FINER and self._completed is None:
+            return self._give_remainder(message.body)
         if message.kind is Kind.SOLUTION and self._completed is None:
             return self._finish_own(message.body)
         if message.kind is Kind.DECISION:
@@ -221,11 +243,16 @@ class ElectedNode:
 
     def _try_solve(self) -> list[ElectedMessage]:
         """As the elected robot: once everyone has contributed."""
-        if self._gathered is not None or any(r not in self._contributions for r in self._members()):
+        missing = self._coarse | (set(self._members()) - set(self._contributions))
+        if self._gathered is not None or missing:
             return []
         me = self.share.robot
         given = {r: self._contributions[r] for r in self._members()}
-        self._gathered = solve(given, self.share.arbitrary_scale)
+        found = solve(self._believed(given), self.share.arbitrary_scale, self.share.length_sigma)
+        rounded = sum(rounding_cost(c) for r, c in given.items() if r != me)
+        if rounded > self._config.elected_rounding * found.cost and self._remainders < _MOST_REMAINDERS:
+            return self._ask_for_remainders()
+        self._gathered = found
         fineness = self._config.elected_fineness * self._gathered.exactness
         self._known = Known()
         out = []
@@ -238,9 +265,48 @@ class ElectedNode:
             finer = fineness * self._gathered.stiffer(c)
             body, known = encode_solution(c.graph, places, finer, self.share.scaled)
             self._known = self._known.also(known)
-            out += self._to([robot], Kind.SOLUTION, body)
+            out += self._to([robot], Kind.SOLUTION, self._to_say(robot, body))
         self._say(out)
         return [*out, *self._try_decide()]
+
+    # What a node that selects among edges does besides: elected_selection.py.
+
+    def _believed(self, given: Mapping[int, Contribution]) -> Mapping[int, Contribution]:
+        """What of the contributions is solved with."""
+        return given
+
+    def _to_say(self, robot: int, solution: bytes) -> bytes:
+        """The solution for a member with what else it is sent."""
+        return solution
+
+    def _take_verdicts(self, body: bytes) -> bytes:
+        """Inverse of :meth:`_to_say`: the solution alone."""
+        return body
+
+    def _own_cost(self, poses: Array, log_units: Array) -> float:
+        return self._own.cost(poses, log_units)
+
+    def _ask_for_remainders(self) -> list[ElectedMessage]:
+        self._remainders += 1
+        self._coarse = set(self._members()) - {self.share.robot}
+        return self._say(self._to(sorted(self._coarse), Kind.FINER, bytes([self._remainders])))
+
+    def _give_remainder(self, body: bytes) -> list[ElectedMessage]:
+        """As a member: what was rounded off, if it was not given before."""
+        if body != bytes([self._remainders + 1]):
+            return []
+        self._remainders += 1
+        remainder = encode_remainder(self._mine(self.leader), self._sent)
+        self._sent = finer(self._sent, remainder)
+        assert self.leader is not None
+        return self._say(self._to([self.leader], Kind.REMAINDER, body + remainder))
+
+    def _take_remainder(self, message: ElectedMessage) -> list[ElectedMessage]:
+        if message.sender in self._coarse and message.body[:1] == bytes([self._remainders]):
+            self._silent = 0
+            self._contributions[message.sender] = finer(self._contributions[message.sender], message.body[1:])
+            self._coarse.discard(message.sender)
+        return self._try_solve()
 
     def _complete(self, known: Known) -> float:
         """Own poses with the ``known`` ones held; returns F over the own edges."""
@@ -249,10 +315,11 @@ class ElectedNode:
             known = known.also(own.known(first))
         poses, log_units, self._reached = own.completed(known)
         self._completed = poses, log_units
-        return own.cost(poses, log_units)
+        return self._own_cost(poses, log_units)
 
     def _finish_own(self, body: bytes) -> list[ElectedMessage]:
-        cost = self._complete(decode_solution(body, self._sent, self.share.scaled))
+        self._known = decode_solution(self._take_verdicts(body), self._sent.graph, self.share.scaled)
+        cost = self._complete(self._known)
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
 
@@ -272,27 +339,28 @@ class ElectedNode:
         after = sum(self._costs[r] for r in self._members()) + outside
         after += cost_of_priors(priors, start.also(self._known), free_unit)
         accepted = after + doubt + more_doubt <= before
-        positions = bool(len(priors))
-        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF), positions)
+        flags = _POSITIONS * bool(len(priors)) | _LENGTHS * self._gathered.lengths
+        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF), flags)
         out = self._say(self._to(self._others(), Kind.DECISION, body))
-        self._end(accepted, before, after, self._gathered.iterations, positions)
+        self._end(accepted, before, after, self._gathered.iterations, flags)
         return out
 
     def _go_on_without(self) -> list[ElectedMessage]:
         """As the elected robot, out of patience: leave out who has not contributed; give up without all costs."""
         self._silent = 0
-        missing = [r for r in self._members() if r not in self._contributions]
+        missing = self._coarse | (set(self._members()) - set(self._contributions))
         if missing:
-            self._left_out |= set(missing)
+            self._left_out |= missing
+            self._coarse = set()
             return self._try_solve()
         if self._gathered is None or self.outcome is not None:
             return []
         before = sum(self._contributions[r].cost for r in self._members())
-        out = self._say(self._to(self._others(), Kind.DECISION, _DECISION.pack(False, before, float("nan"), 0, False)))
-        self._end(False, before, float("nan"), 0, False)
+        out = self._say(self._to(self._others(), Kind.DECISION, _DECISION.pack(False, before, float("nan"), 0, 0)))
+        self._end(False, before, float("nan"), 0, 0)
         return out
 
-    def _end(self, accepted: bool, before: float, after: float, iterations: int, positions: bool) -> None:
+    def _end(self, accepted: bool, before: float, after: float, iterations: int, flags: int) -> None:
         own = self._own
         mine = accepted and self._completed is not None
         reason = "accepted"
@@ -314,7 +382,8 @@ class ElectedNode:
             rotation_sweeps=0,
             pose_sweeps=iterations,
             unreached=tuple(n for k, n in enumerate(own.nodes) if not self._reached[k]),
-            positions=positions,
+            positions=bool(flags & _POSITIONS),
+            length=own.length(poses, log_units) if mine and flags & _LENGTHS else 1.0,
         )
 
 

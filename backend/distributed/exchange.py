@@ -55,12 +55,14 @@ class GroupTraffic:
 @dataclass(frozen=True, eq=False)
 class GroupResult:
     """Result of a group of nodes: ``graph`` in one unit of length, that of the anchor's first node, or the metre;
-    ``units``: the size of each node's own unit there, 1 for metric robots."""
+    ``units``: the size of each node's own unit there, 1 for metric robots; ``lengths``: what odometry of these robots
+    was found to have to be multiplied by, none where lengths were not asked for or are right."""
 
     graph: PoseGraph
     outcomes: Mapping[int, SolverOutcome]
     traffic: GroupTraffic
     units: Mapping[NodeId, float] = field(default_factory=dict)
+    lengths: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def judged(self) -> tuple[JudgedEdge | None, ...]:
@@ -165,7 +167,7 @@ def optimise_distributed(
             edges=tuple(e for e in graph.edges if e.i.robot in group),
             priors=tuple(p for p in graph.priors if p.node.robot in group),
         )
-        found, more = solve_group(shares(inside, arbitrary_scale & group), config)
+        found, more = solve_group(shares(inside, arbitrary_scale & group, config.length_sigma), config)
         outcomes |= found
         traffic = traffic.then(more)
     units = {node: unit for outcome in outcomes.values() for node, unit in outcome.units.items()}
@@ -174,7 +176,8 @@ def optimise_distributed(
     if graph.priors and all(outcome.accepted for outcome in outcomes.values()):
         unreached = {n for outcome in outcomes.values() for n in outcome.unreached}
         solved = in_frame_of_priors(solved, units, unreached, set(graph.robots) <= arbitrary_scale)
-    return GroupResult(solved, outcomes, traffic, units)
+    lengths = {robot: outcome.length for robot, outcome in outcomes.items() if outcome.length != 1.0}
+    return GroupResult(solved, outcomes, traffic, units, lengths)
 
 
 def joined_robots(graph: PoseGraph) -> list[frozenset[int]]:

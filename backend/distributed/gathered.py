@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..central.lengths import steps_of, with_lengths
 from ..central.minimum import minimum
 from ..central.origin import NO_PRIORS, OriginPriors, origin_of, with_origin
 from ..components import parts
@@ -23,14 +24,17 @@ _EDGES_A_LOOP = 5.0
 class Gathered:
     """The group's solution: ``places`` of the nodes that are joined to the anchor; ``iterations`` of the solver;
     ``between``: edges between members, as each sent them; ``exactness``: how many times finer than the deviations
-    stated poses are to be sent; ``priors``: those that were used.
+    stated poses are to be sent; ``cost``: F of the edges, or what counts as none; ``priors``: those that were used;
+    ``lengths``: whether factors of odometry were found.
     """
 
     places: Known
     iterations: int
     between: tuple[Between, ...]
     exactness: float
+    cost: float = float("inf")
     priors: OriginPriors = NO_PRIORS
+    lengths: bool = False
 
     def of(self, nodes: Sequence[NodeId]) -> Known:
         """Those of a member's nodes that have a place."""
@@ -48,10 +52,15 @@ class Gathered:
         return float(np.sqrt(most))
 
 
-def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[int] = frozenset()) -> Gathered:
+def solve(
+    contributions: Mapping[int, Contribution],
+    arbitrary_scale: frozenset[int] = frozenset(),
+    length_sigma: float = 0.0,
+) -> Gathered:
     """F's optimum over what was contributed; the anchor's first node stays where it is.
 
-    Edges to robots that contributed nothing are left out.
+    Edges to robots that contributed nothing are left out. ``length_sigma``: of the lengths of metric robots' odometry,
+    which positions measured from outside tell better: where there are such, it is not asked.
     """
     members = sorted(contributions)
     nodes = [n for robot in members for n in contributions[robot].graph.nodes]
@@ -77,18 +86,29 @@ def solve(contributions: Mapping[int, Contribution], arbitrary_scale: frozenset[
     kept = fixed.copy()
     kept[held] = True
     found = minimum(edges, poses, log_units, sorted(held.tolist()), kept)
-    noise = noise_of(float(edges.costs(found.poses, found.log_units).sum()), freedom)
+    priors, lengthened = priors_of(contributions, row), False
+    if length_sigma > 0 and not len(priors):
+        metric = [robot for robot in members if robot not in arbitrary_scale]
+        number = np.array([metric.index(n.robot) if n.robot in metric else -1 for n in nodes], dtype=np.intp)
+        steps = steps_of(edges.ends, number, len(metric), length_sigma)
+        found, lengths = with_lengths(edges, found, sorted(held.tolist()), kept, steps, freedom)
+        lengthened = lengths.used
+        edges = steps.stretched(edges, lengths.factors)
+    cost = float(edges.costs(found.poses, found.log_units).sum())
+    noise = noise_of(cost, freedom)
     # The rounding of all edges adds up, and is compared with what the loops alone cost.
     chains = 6.0 * len(edges.ends) / (_EDGES_A_LOOP * max(freedom, 1))
     exactness = float(np.sqrt(max(1.0, chains))) / noise
-    solved, log_units, steps, joined = found.poses, found.log_units, found.steps, label == label[anchored]
-    priors = priors_of(contributions, row)
+    solved, log_units, taken, joined = found.poses, found.log_units, found.steps, label == label[anchored]
     better = with_origin(edges, solved, log_units, anchored, fixed, priors, row) if len(priors) else None
     if better is not None:
-        solved, log_units, steps, joined = better.poses, better.log_units, steps + better.steps, better.joined
+        solved, log_units, taken, joined = better.poses, better.log_units, taken + better.steps, better.joined
     reached = [(n, k) for n, k in row.items() if joined[k]]
     places = Known({n: solved[k] for n, k in reached}, {n: float(log_units[k]) for n, k in reached})
-    return Gathered(places, steps, between, exactness, priors if better is not None else NO_PRIORS)
+    # Without loops nothing is left of F, and rounding costs nothing.
+    cost = max(cost, freedom * noise**2) if freedom > 0 else float("inf")
+    used = priors if better is not None else NO_PRIORS
+    return Gathered(places, taken, between, exactness, cost, used, lengthened)
 
 
 def priors_of(contributions: Mapping[int, Contribution], row: Mapping[NodeId, int]) -> OriginPriors:

@@ -28,9 +28,10 @@ class SolverStage(IntEnum):
     ROTATION = 2
     POSE = 3
     FREE = 4
-    DESCENT = 5
-    TWO_LEVEL = 6
-    COST = 7
+    VOTE = 5
+    DESCENT = 6
+    TWO_LEVEL = 7
+    COST = 8
 
 
 # Numbers that one separator pose costs each sweep.
@@ -39,6 +40,7 @@ WIDTH = {
     SolverStage.SCALE: 1,
     SolverStage.ROTATION: 9,
     SolverStage.POSE: 6,
+    SolverStage.VOTE: 9,
     SolverStage.DESCENT: 6,
     SolverStage.FREE: 6,
     SolverStage.TWO_LEVEL: 0,
@@ -176,7 +178,7 @@ class Report(_SolverMessage):
     """Summary of a round from a robot and those below it in the tree of members, sent up the tree.
 
     ``change``: the largest change of any robot's values (infinite where one got its first estimate); ``cost``: sum over
-    their edges; ``numbers``: further sums, 4 bytes each.
+    their edges; ``numbers``: further sums, 4 bytes each (of a vote: all that was said, one after the other).
     """
 
     sender: int
@@ -193,7 +195,7 @@ class Report(_SolverMessage):
     def check(self) -> None:
         if np.isnan(self.change) or not np.isfinite(self.cost):
             raise BackendError("a report of NaN, or an infinite cost")
-        _check_sums(self.numbers)
+        _check_sums(self.numbers, self.round.stage)
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,7 @@ class Decision(_SolverMessage):
     def check(self) -> None:
         if np.isnan(self.cost) or (np.isinf(self.cost) and self.round.stage is not SolverStage.DESCENT):
             raise BackendError("a decision of an infinite cost or NaN")
-        _check_sums(self.numbers)
+        _check_sums(self.numbers, self.round.stage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +309,7 @@ NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status | Co
 def number_type(stage: SolverStage) -> str:
     """Format of the numbers in :class:`Values`: single precision for block descent, which sends steps afterwards, else
     double."""
-    return "<f4" if stage in (SolverStage.DESCENT, SolverStage.FREE) else "<f8"
+    return "<f4" if stage in (SolverStage.VOTE, SolverStage.DESCENT, SolverStage.FREE) else "<f8"
 
 
 def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
@@ -317,6 +319,8 @@ def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
 
 # More sums than any method needs are a mistake.
 _MOST_SUMS = 64
+# A vote collects what every two robots say of each other.
+_MOST_IN_A_VOTE = 1 << 22
 
 
 def _check_rows(values: Array, stage: SolverStage) -> None:
@@ -327,6 +331,7 @@ def _check_rows(values: Array, stage: SolverStage) -> None:
         raise BackendError("an infinite value")
 
 
-def _check_sums(numbers: tuple[float, ...]) -> None:
-    if len(numbers) > _MOST_SUMS or not np.isfinite(numbers).all():
-        raise BackendError(f"{len(numbers)} sums: more than {_MOST_SUMS}, or not finite")
+def _check_sums(numbers: tuple[float, ...], stage: SolverStage) -> None:
+    most = _MOST_IN_A_VOTE if stage is SolverStage.VOTE else _MOST_SUMS
+    if len(numbers) > most or not np.isfinite(numbers).all():
+        raise BackendError(f"{len(numbers)} sums: more than {most}, or not finite")

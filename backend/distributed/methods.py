@@ -9,6 +9,7 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from .descent_node import DescentNode
 from .elected import ElectedNode
+from .elected_selection import SelectingNode
 from .free_node import FreeNode
 from .multifrontal.frontal_node import FrontalNode
 from .node import Node
@@ -38,10 +39,16 @@ class SolverNode(Protocol):
 
 def node_for(share: Share, config: SolverConfig) -> SolverNode:
     """One robot's part in the method that ``config`` names: start, handle, tick, outcome."""
-    if config.robust != "none" and config.method != "rbcd":
-        raise BackendError(f"robust selection ({config.robust}) works with method rbcd, not {config.method}")
+    if config.robust != "none" and config.method not in ("rbcd", "elected"):
+        raise BackendError(f"robust selection ({config.robust}) works with rbcd and elected, not {config.method}")
     if share.priors and config.method != "elected":
         raise BackendError(f"priors (GPS) are used by the methods central and elected, not by {config.method}")
+    if share.length_sigma and config.method != "elected":
+        raise BackendError(
+            f"lengths as unknowns (length_sigma) are known to central and elected, not to {config.method}"
+        )
+    if share.length_sigma and config.robust != "none":
+        raise BackendError(f"lengths as unknowns (length_sigma) do not go with robust selection ({config.robust})")
     match config.method:
         case "rbcd":
             return DescentNode(share, config)
@@ -52,6 +59,6 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
         case "multifrontal":
             return FrontalNode(share, config)
         case "elected":
-            return ElectedNode(share, config)
+            return ElectedNode(share, config) if config.robust == "none" else SelectingNode(share, config)
         case _:
             return Node(share, config)

@@ -16,8 +16,8 @@ from .compact import from_steps, step_sizes, to_steps
 # Weights of a good measurement: 2.5 thousandths of a radian, half a centimetre, half a percent of unit.
 _GOOD = np.array([0.5 * 0.0025**-2.0, 0.005**-2.0, 0.005**-2.0])
 
-Place = tuple[Array, float]
-"""Pose ``(4, 4)`` and logarithm of the unit of a node."""
+Place = tuple[Array, Any]
+"""Pose ``(4, 4)`` and logarithm of the unit of a node, or arrays of both."""
 
 
 def sizes_of(weights: ArrayLike, fineness: float) -> Array:

@@ -213,13 +213,17 @@ class Rounds(ABC):
         reports = [below[c] for c in self._children]
         change = max([self._change, *(r.change for r in reports)])
         cost += sum(r.cost for r in reports)
-        if any(len(r.numbers) != len(numbers) for r in reports):
-            raise BackendError(f"robot {self.share.robot} was sent other sums than it has itself")
-        numbers = tuple(sum(column) for column in zip(numbers, *(r.numbers for r in reports), strict=True))
+        numbers = self._together(numbers, [r.numbers for r in reports])
         if self._parent is not None:
             return self._emit([Report(self.share.robot, self._parent, self._round, change, cost, numbers)])
         self._decisions[self._round] = self._decide(change, cost, numbers)
         return []
+
+    def _together(self, mine: tuple[float, ...], others: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
+        """What goes up the tree of this robot's numbers and those from below: their sums."""
+        if any(len(numbers) != len(mine) for numbers in others):
+            raise BackendError(f"robot {self.share.robot} was sent other sums than it has itself")
+        return tuple(sum(column) for column in zip(mine, *others, strict=True))
 
     def _try_decide(self) -> list[NodeMessage] | None:
         """Pass the decision down and go to the next round."""

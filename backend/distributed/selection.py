@@ -7,12 +7,17 @@ and none needs to be sent. The schedule of ``mu`` starts from the group's larges
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry import Array
 from ..pose_graph.graph import EdgeKind
+from ..robust import chi_square
 from ..robust.schedule import first_mu, next_mu, tls_weight, truncation
 from .local import LocalProblem
 from .share import JudgedEdge
+
+# The worst of so many right edges must not go.
+_MANY = 1000
 
 
 class Selection:
@@ -23,8 +28,10 @@ class Selection:
         self._problem = problem
         freedom = problem.width if problem.share.dimension == 3 else problem.width - 3
         self.bound = noise**2 * truncation(confidence, freedom)
+        self._worst = noise**2 * chi_square.exceeded((1.0 - confidence) / _MANY, freedom)
         self.odometry = np.array([e.kind is EdgeKind.ODOMETRY for e in problem.share.edges], dtype=bool)
         self.weights = np.ones(len(self.odometry))
+        self._open = ~self.odometry
         self._mu: float | None = None
 
     def squared(self) -> Array:
@@ -32,9 +39,14 @@ class Selection:
         places = self._problem.places
         return self._problem.edges.costs(places.poses, places.log_units)
 
+    def begin_with(self, candidates: NDArray[np.bool_]) -> None:
+        """Judge only ``candidates`` ``(m,)`` at first; what else is judged weighs nothing until :meth:`look_again`."""
+        self._open = candidates & ~self.odometry
+        self.weights = np.where(candidates | self.odometry, 1.0, 0.0)
+
     def largest(self) -> float:
-        """The largest squared residual of a judged edge."""
-        return float(np.nan_to_num(self.squared()[~self.odometry]).max(initial=0.0))
+        """The largest squared residual of an edge that takes part."""
+        return float(np.nan_to_num(self.squared()[self._open]).max(initial=0.0))
 
     def begin(self, largest: float) -> None:
         """Start the schedule from the group's ``largest`` squared residual."""
@@ -54,6 +66,16 @@ class Selection:
         """End the schedule: every edge is in or out."""
         self.weights = np.where(self.weights < 0.5, 0.0, 1.0)
 
+    def look_again(self) -> float:
+        """Test all judged edges in the residuals of the solution, as central selection does: those within the bound
+        come back, those go that are too far even for the worst of many right ones. Returns how many changed.
+        """
+        squared, before = np.nan_to_num(self.squared(), nan=np.inf), self.weights
+        back = (before < 0.5) & (squared <= self.bound)
+        away = (before > 0.5) & (squared > self._worst)
+        self.weights = np.where(self.odometry, 1.0, np.where(back, 1.0, np.where(away, 0.0, before)))
+        return float((self.weights != before).sum())
+
     def cost(self) -> float:
         """The truncated cost of the edges this robot counts; what cannot be computed is left out."""
         squared = self.squared()
@@ -72,4 +94,4 @@ class Selection:
         if self._mu is None:
             return
         squared = np.nan_to_num(self.squared())
-        self.weights = np.where(self.odometry, 1.0, tls_weight(squared, self.bound, self._mu))
+        self.weights = np.where(self._open, tls_weight(squared, self.bound, self._mu), self.weights)

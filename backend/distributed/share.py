@@ -21,7 +21,8 @@ class Share:
     own nodes, and every edge it shares with another member, exactly as that member holds it. ``arbitrary_scale``: the
     members whose units are their own (monocular), one for each node, as they drift; the others' are 1 and stay.
     ``members`` and ``arbitrary_scale`` are the same for everyone. ``priors``: of its own nodes, in one frame for all
-    members, whose place is found.
+    members, whose place is found. ``length_sigma``: deviation of the factor by which all odometry of a metric member
+    may be too long or too short, the same for everyone; 0: of none. The elected solver alone knows it.
 
     The first node of the :attr:`anchor` keeps its pose and unit: the result is in the frame of its poses.
     """
@@ -34,6 +35,7 @@ class Share:
     dimension: int = 3
     units: Mapping[NodeId, float] = field(default_factory=dict)
     priors: tuple[Prior, ...] = ()
+    length_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         for prior in self.priors:
@@ -113,7 +115,8 @@ class SolverOutcome:
     with robust selection each judged edge counts up to its bound only.
     ``unreached``: own nodes that no chain of edges joins to the anchor. ``judged``: every edge of its share that robust
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
-    ``positions``: whether priors of members had a say. ``capped``: it ended because no more passes are allowed (method
+    ``positions``: whether priors of members had a say. ``length``: what its odometry's lengths were found to have to be
+    multiplied by. ``capped``: it ended because no more passes are allowed (method
     multifrontal).
     """
 
@@ -129,6 +132,7 @@ class SolverOutcome:
     unreached: tuple[NodeId, ...]
     judged: tuple[JudgedEdge, ...] = field(default=(), repr=False)
     positions: bool = False
+    length: float = 1.0
     capped: bool = False
 
 
@@ -138,7 +142,9 @@ def anchor_of(members: Iterable[int], arbitrary_scale: frozenset[int]) -> int:
     return min([m for m in members if m not in arbitrary_scale] or members)
 
 
-def shares(graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset()) -> dict[int, Share]:
+def shares(
+    graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset(), length_sigma: float = 0.0
+) -> dict[int, Share]:
     """Cut a whole graph into its robots' shares, all in one group."""
     members = tuple(graph.robots)
     return {
@@ -150,6 +156,7 @@ def shares(graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset()) -> d
             arbitrary_scale=arbitrary_scale,
             dimension=graph.dimension,
             priors=tuple(p for p in graph.priors if p.node.robot == robot),
+            length_sigma=length_sigma,
         )
         for robot in members
     }

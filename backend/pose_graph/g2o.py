@@ -18,6 +18,7 @@ from maslam._atomic import replacing
 
 from ..errors import BackendError
 from ..geometry import Array, quat_wxyz_from_rotation, so3_log
+from .g2o_fixed import pinned_lines
 from .g2o_ids import Ids, symbol
 from .g2o_lines import PLANAR, G2oLine, Remarks, measurement_of, pose_of, read_lines
 from .g2o_sets import SharedEdges, without_the_whole
@@ -58,6 +59,7 @@ def read_g2o(
         skipped += map(str, errors)
     graph = reading.graph(files[0])
     found += remarks.lines() + reading.shared.lines() + reading.conflicts() + reading.without_vertex()
+    found += pinned_lines({reading.ids.node(*one): one[2] for one in remarks.fixed}, graph)
     if notes is None:
         for note in found:
             log.warning("%s: %s", files[0] if len(files) == 1 else f"{len(files)} files", note)

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import BackendError
 from ..geometry import Array, rotation_from_quat_wxyz, se3, so3_exp
 
-_IGNORED = ("#", "FIX", "PARAMS_")
+_IGNORED = ("#", "PARAMS_")
 _NO_OFFSET = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 _UPPER = np.triu_indices(6)
 # Rows of a planar measurement (x, y, angle) in the tangent of SE(3), translation first.
@@ -62,6 +62,8 @@ class Remarks:
     landmarks: int = 0
     of_landmarks: int = 0
     without_information: Counter[str] = field(default_factory=Counter)
+    fixed: list[tuple[int, int, str]] = field(default_factory=list)
+    """File, id and place of each vertex that a FIX line pins."""
 
     def lines(self) -> list[str]:
         """A sentence for each."""
@@ -81,6 +83,8 @@ def read_lines(file: int, path: Path, errors: list[BackendError], remarks: Remar
         try:
             if tag.startswith(_IGNORED):
                 _check_parameters(where, tag, fields)
+            elif tag == "FIX":
+                remarks.fixed += [(file, i, where) for i in _ids(where, fields)]
             elif tag in _LANDMARKS:
                 remarks.landmarks += 1
             elif _OF_LANDMARKS.fullmatch(tag):
@@ -118,9 +122,7 @@ def _parsed(file: int, where: str, tag: str, fields: list[str], remarks: Remarks
     bare = bool(information) and len(fields) == count - information
     if len(fields) != count and not bare:
         raise BackendError(f"{where}: {tag} has {count} fields after its name, found {len(fields)}")
-    for text in fields[:ids]:
-        if not _ID.fullmatch(text):
-            raise BackendError(f"{where}: {text!r} is not a node id (a whole number from 0)")
+    named = _ids(where, fields[:ids])
     # g2o's 3-D prior names the sensor's offset after the node; only the node's own frame is known here.
     first = ids + 1 if tag == "EDGE_SE3_PRIOR" else ids
     values = _numbers(where, fields[first:])
@@ -129,7 +131,14 @@ def _parsed(file: int, where: str, tag: str, fields: list[str], remarks: Remarks
         values = np.concatenate([values, np.eye(side)[np.triu_indices(side)]])
         remarks.without_information[tag] += 1
     _check_sizes(where, values[: len(values) - information], values[len(values) - information :])
-    return G2oLine(file, where, tag, tuple(int(text) for text in fields[:ids]), values)
+    return G2oLine(file, where, tag, named, values)
+
+
+def _ids(where: str, fields: list[str]) -> tuple[int, ...]:
+    for text in fields:
+        if not _ID.fullmatch(text):
+            raise BackendError(f"{where}: {text!r} is not a node id (a whole number from 0)")
+    return tuple(map(int, fields))
 
 
 def _numbers(where: str, fields: list[str]) -> Array:

@@ -44,6 +44,7 @@ class SharedEdges:
         self._known: dict[tuple[NodeId, NodeId], list[_Known]] = {}
         self._again: dict[tuple[NodeId, NodeId], None] = {}
         self._apart: dict[tuple[NodeId, NodeId], None] = {}
+        self._twice: dict[tuple[NodeId, NodeId], None] = {}
 
     def is_new(self, line: G2oLine, edge: Edge) -> bool:
         """Whether no other file holds this edge. What stands twice in one file is two measurements."""
@@ -58,6 +59,8 @@ class SharedEdges:
             if same.values != values:
                 self._again[pair] = None
             return False
+        if any(one.file == line.file and _near(one.T, T) for one in here):
+            self._twice[pair] = None
         if others:
             self._apart[pair] = None
         here.append(_Known(line.file, T, values))
@@ -69,6 +72,11 @@ class SharedEdges:
         if self._again:
             what = f"{len(self._again)} edges stand in two files in other digits or from the other end, counted once"
             out.append(f"{what}: {_listed(list(self._again))}")
+        if self._twice:
+            what = f"{len(self._twice)} edges stand twice in one file (the same, in other digits or from the other end)"
+            out.append(
+                f"{what}, and count twice; leave one line of each if that is not meant: {_listed([*self._twice])}"
+            )
         if self._apart:
             what = f"{len(self._apart)} pairs of nodes have different edges in two files, all of which count"
             out.append(f"{what}: {_listed(list(self._apart))}")

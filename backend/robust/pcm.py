@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..config import RobustConfig
 from ..geometry import Array, se3_inverse, se3_log
-from ..pose_graph.graph import Edge, EdgeKind, PoseGraph
+from ..pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
 from .chains import Chain, adjoint, chains, covariances
 from .clique import Clique, largest_clique
 from .noise import Noise
@@ -25,6 +25,8 @@ _ROUNDS = 50
 _ROUGH_WORK = 100_000
 # By how many others an edge is judged meanwhile.
 _WITNESSES = 10
+# Bytes of a message's header, and of what it says of an end of an edge.
+_HEADER, _END = 10, 4 * (6 + 21)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,21 @@ def consistent_edges(graph: PoseGraph, config: RobustConfig) -> Consistency:
         if len(clique.members) > 1 or len(at) == 1:
             accepted[at[list(clique.members)]] = True
     return Consistency(accepted, agreeing, tested, noise, all(c.exact for c in cliques))
+
+
+def bytes_of_cycles(graph: PoseGraph) -> int:
+    """Bytes by which robots would learn which of their common edges agree: one of two tells the other its ends' poses
+    and covariances, 27 numbers of 4 bytes each, and receives a bit for each edge; with a header of 10 a message.
+    """
+    ends: dict[tuple[int, int], set[NodeId]] = {}
+    count: dict[tuple[int, int], int] = {}
+    for e in graph.edges:
+        if e.is_separator:
+            lower, higher = sorted((e.i, e.j), key=lambda n: n.robot)
+            pair = lower.robot, higher.robot
+            ends.setdefault(pair, set()).add(higher)
+            count[pair] = count.get(pair, 0) + 1
+    return sum(2 * _HEADER + _END * len(ends[pair]) + -(-count[pair] // 8) for pair in ends)
 
 
 def _widest(stated: Noise, config: RobustConfig) -> Noise:

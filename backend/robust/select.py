@@ -13,11 +13,13 @@ from maslam._replaced import replaced
 from ..central.costs import cost
 from ..central.optimise import optimise
 from ..config import CentralConfig, RobustConfig
+from ..errors import BackendError
 from ..geometry import Array
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from .gnc import graduate, squared_residuals
 from .pcm import Consistency, consistent_edges
 from .prediction import predicted_distances
+from .voting import voted_edges
 
 RobustMethod = Literal["pcm", "gnc", "pcm+gnc"]
 
@@ -61,12 +63,18 @@ def optimise_robustly(
     Weights that ``graph`` has already are not used: every edge can come back.
     """
     central, config = central or CentralConfig(), config or RobustConfig()
+    if central.length_sigma > 0:
+        raise BackendError(f"selection by {method} takes lengths as they are: leave out length_sigma, or the selection")
     whole = graph.with_weights(np.ones(len(graph.edges)))
     # The cycles also tell the noise, which GNC by itself finds less well: it sees residuals only of what it believes.
     cycles = consistent_edges(whole, config)
     found = cycles if "pcm" in method else None
     accepted = found.accepted if found else np.ones(len(graph.edges), dtype=bool)
     noise = cycles.noise
+    if "gnc" in method:
+        # Between two trajectories wrong edges that agree may outnumber the right ones: over all of them they do not.
+        between, agree = voted_edges(whole, cycles.accepted, noise, config)
+        accepted = np.where(between, agree, accepted)
     if found is not None:
         accepted = accepted & ~_contradicted(whole, found, central, config)
     start = optimise(whole.with_weights(accepted), central).graph

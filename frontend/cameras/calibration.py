@@ -73,7 +73,8 @@ class RawRig:
     are an ideal stereo pair already; then only its x is used. ``depth_unit_m``: metres per step of the depth images.
     ``rate_hz``: frames per second. ``form``: name of the file's format. ``no_pair``: what the file of one
     camera lacks to be a pair's; ``contradiction``: why the pair that it speaks of cannot be. Both are for whoever has
-    right images.
+    right images. ``notes``: what of the file is not used, and need not be, a sentence each; ``doubts``: what
+    may be wrong.
     """
 
     left: RawCamera
@@ -85,6 +86,8 @@ class RawRig:
     form: str = ""
     no_pair: str = ""
     contradiction: str = ""
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def baseline_m(self) -> float | None:

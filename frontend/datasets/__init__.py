@@ -17,6 +17,7 @@ from .content import look_into
 from .image_headers import UNREAD, not_read
 from .readers import ReaderLike, choose_readers
 from .reading_config import ReadingConfig
+from .recordings.films import FilmReader, robots_note
 from .robots import SubFolders, agent_folders, only_sequence, sub_folders, without_images
 from .selection import select
 
@@ -77,9 +78,12 @@ def open_dataset(
         note = f"{_names(others)} beside {agents[0].name}: not read; where folders agent_<n> are, only these are robots"
         dataset = replace(dataset, notes=(note,) if others else ())
     elif recognised and not reading.robots:
-        openers = _reader(path, tried).openers(path, rig)
+        reader = _reader(path, tried)
+        openers = reader.openers(path, rig)
         looked = {name: partial(_looked, opener, path, how) for name, opener in openers.items()}
         dataset = _opened(path, looked, strict, len(openers) > 1)
+        if len(openers) > 1 and reader.kind == FilmReader.kind:
+            dataset = replace(dataset, notes=(robots_note(list(openers)),))
     else:
         dataset = _open_robots(path, how)
     for sequence in dataset.sequences if strict else []:

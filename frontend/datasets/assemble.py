@@ -78,6 +78,8 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
     size = first_size(found.images)
     checks.check_size(found.raw.left.size, size, found.calibration, found.images[0], problems)
     checks.check_camera(found.raw.left.pinhole(size), found.calibration, problems)
+    for doubt in found.raw.doubts if kind is RigKind.STEREO else ():
+        problems.warning(f"{found.calibration}: {doubt}")
     T_left_right = found.raw.T_left_right
     if kind is RigKind.STEREO and found.raw.right is not None and T_left_right is not None:
         checks.check_size(found.raw.right.size, size, found.calibration, right[0], problems)
@@ -119,6 +121,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
         understood=_understood(found, kind, None if ideal.rectifier is None else ideal.camera),
         origin=found.origin,
         focal_guess=found.focal_guess,
+        notes=tuple(f"{found.calibration}: {note}" for note in found.raw.notes),
         problems=tuple(dict.fromkeys(problems.found)),
     )
 

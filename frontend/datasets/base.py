@@ -84,7 +84,7 @@ class ImageSequence:
     ``focal_guess``: where the focal length comes from that nobody calibrated, else empty.
     ``values``: how stored values become grey levels; ``masks``: None where all of every image is used. ``notes``: what
     was found out about the files and done with them, a sentence each.
-    ``positions``: of an antenna, measured from outside (GPS).
+    ``positions``: of an antenna, measured from outside (GPS); of a recording's, degrees and the receiver's own noise.
     """
 
     kind: str

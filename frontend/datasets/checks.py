@@ -27,7 +27,15 @@ _GAP_FACTOR = 5.0  # times the median interval: a gap worth a warning
 _FOCAL_RATIO = 1.05  # fx and fy farther apart: pixels are rarely so far from square
 _SHORTEST_FOCAL = 0.1  # of the width: a pinhole of 157 degrees; a fisheye's of 180 degrees is 0.32
 _SAME_SHAPE = 0.01  # of the ratio of width and height
+_IN_CENTRE = 0.06  # of the width or height: nearly every principal point is nearer to the centre
+_SLOW_HZ = 0.5  # a rate below is seldom a camera's that is followed from image to image
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
+
+
+SPLIT_CURE = (
+    "cut each into its left half, in a folder image_0, and its right half, in image_1, with the calibration of the "
+    "pair (ffmpeg -i IN -vf crop=iw/2:ih:0:0 image_0/%06d.png, and crop=iw/2:ih:iw/2:0 for image_1)"
+)
 
 
 def check_count(images: int, kind: RigKind, folder: Path, problems: Problems) -> None:
@@ -72,6 +80,11 @@ def check_stamps(stamps_ns: NDArray[np.int64], names: Sequence[str], source: Pat
             f"{source}: {1.0 / median_s:.4g} images per second (one every {median_s:.4g} s), outside "
             f"{MIN_RATE_HZ} to {MAX_RATE_HZ:.0f}: time stamps are in another unit than expected"
         )
+    elif 1.0 / median_s < _SLOW_HZ:
+        problems.warning(
+            f"{source}: {1.0 / median_s:.4g} images per second (one every {median_s:.4g} s): is that the rate of these "
+            "images? speeds and gaps are judged by it"
+        )
     gaps = np.flatnonzero(intervals > _GAP_FACTOR * median_s * NS_PER_S)
     if len(gaps):
         problems.warning(
@@ -106,11 +119,25 @@ def check_camera(camera: PinholeCamera, source: Path, problems: Problems) -> Non
             f"{source}: the principal point ({camera.cx:.1f}, {camera.cy:.1f}) px lies outside the image of "
             f"{camera.width}x{camera.height}: the calibration is for another image size"
         )
+    elif _exchanged(camera):
+        problems.warning(
+            f"{source}: the principal point (cx {camera.cx:.1f}, cy {camera.cy:.1f}) px of an image of "
+            f"{camera.width}x{camera.height} would be in its centre the other way round: are cx and cy exchanged?"
+        )
     elif abs(camera.cx / camera.width - 0.5) > _CENTRE_SHARE or abs(camera.cy / camera.height - 0.5) > _CENTRE_SHARE:
         problems.warning(
             f"{source}: the principal point ({camera.cx:.1f}, {camera.cy:.1f}) px is far from the centre of the image "
             f"of {camera.width}x{camera.height}: is the calibration for another image size?"
         )
+
+
+def _exchanged(camera: PinholeCamera) -> bool:
+    """Whether cx and cy in each other's place would be near the centre, and are not as they stand."""
+
+    def off(cx: float, cy: float) -> float:
+        return max(abs(cx / camera.width - 0.5), abs(cy / camera.height - 0.5))
+
+    return off(camera.cy, camera.cx) < _IN_CENTRE and off(camera.cx, camera.cy) > 2.0 * _IN_CENTRE
 
 
 def check_size(
@@ -124,6 +151,8 @@ def check_size(
     line = f"{source}: a calibration for {made_for} pixels, but {image} has {found}"
     if calibrated == stored[::-1]:
         line += ": turned by 90 degrees"
+    elif stored == (2 * calibrated[0], calibrated[1]):
+        line += f": two pictures side by side? {SPLIT_CURE}"
     elif abs(calibrated[0] * stored[1] / (calibrated[1] * stored[0]) - 1.0) < _SAME_SHAPE:
         line += f": images scaled by {stored[0] / calibrated[0]:.4g} after calibration need their own calibration"
     problems.error(line)

@@ -14,6 +14,7 @@ from .camera_file import find_camera_file, numbers_files
 from .depth_unit import unit_of_depth
 from .guessed_camera import guess_camera, guess_text
 from .image_times import TimedImages, timed_images
+from .other_calibrations import calibrations_of_others
 from .pairing import with_partners
 from .second_images import SortedImages, has_images, sort_images
 from .shared_camera import find_shared_camera
@@ -86,7 +87,8 @@ class FolderReader(Reader):
 def _unread(folder: Path) -> str:
     """Files that are called as calibrations are, of no form that is read."""
     names = ", ".join(path.name for path in numbers_files(folder))
-    return f"; {names} is of no form that is read" if names else ""
+    said = f"; {names} is of no form that is read" if names else ""
+    return said + "".join(f"; {text}" for text in calibrations_of_others(folder))
 
 
 def _rigs(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FrontendError
+from ..files.pose_arrays import ARRAY_SUFFIXES
 from ..files.timestamps import NS_PER_S
 from .base import Problems
 from .listed_times import ListedTimes, read_listed_times
@@ -56,7 +57,11 @@ def timed_images(folder: Path, files: Sequence[Path], rate_hz: float | None, pro
 def known_times(folder: Path, files: Sequence[Path], problems: Problems) -> TimedImages | None:
     """The images with times of their own, by a list in their folder or in ``folder``, or by their names; else None."""
     path = find_list(files[0].parent, folder)
-    if path is not None:
+    if path is not None and path.suffix in ARRAY_SUFFIXES:
+        known = _by_array(files, path, problems)
+        if known is not None:
+            return known
+    elif path is not None:
         listed = read_listed_times(path)
         if listed.doubt:
             problems.warning(f"{path}: {listed.doubt}")
@@ -74,7 +79,21 @@ def find_list(inside: Path, folder: Path) -> Path | None:
     """The list of times of the images in ``inside``, which lies there, or in ``folder`` under a usual name."""
     named = [f"{inside.name}_{name}" for name in _LISTS] if inside != folder else []
     places = [(inside, name) for name in (*_LISTS, "data")] + [(folder, name) for name in (*named, *_LISTS)]
-    return next((path for at, name in places for end in _SUFFIXES if (path := at / f"{name}{end}").is_file()), None)
+    named_so = [at / f"{name}{end}" for ends in (_SUFFIXES, ARRAY_SUFFIXES) for at, name in places for end in ends]
+    return next((path for path in named_so if path.is_file()), None)
+
+
+def _by_array(files: Sequence[Path], path: Path, problems: Problems) -> TimedImages | None:
+    """As :func:`by_list`; JSON or an array of something else, which is said, is no list of times."""
+    try:
+        listed = read_listed_times(path)
+        timed = by_list(files, listed, path, problems)
+    except FrontendError as error:
+        problems.warning(f"{error}: not read as times")
+        return None
+    if listed.doubt:
+        problems.warning(f"{path}: {listed.doubt}")
+    return timed
 
 
 def by_list(files: Sequence[Path], listed: ListedTimes, path: Path, problems: Problems) -> TimedImages:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import FrontendError
 from ..files.headed_table import HeadedTable, is_number, read_headed_table
+from ..files.pose_arrays import ARRAY_SUFFIXES, read_time_cells
 from ..files.time_units import (
     SECONDS,
     UNITS,
@@ -54,7 +55,7 @@ def read_listed_times(path: Path) -> ListedTimes:
 
     :class:`FrontendError` with the line for a row that has no time.
     """
-    table = read_headed_table(path)
+    table = read_time_cells(path) if path.suffix.lower() in ARRAY_SUFFIXES else read_headed_table(path)
     width = len(table.rows[0]) if table.rows else 0
     for cells, line in zip(table.rows, table.lines, strict=True):
         if len(cells) < width:

@@ -57,6 +57,23 @@ def with_masks(sequence: ImageSequence, folder: Path, given: Path | None, proble
     return replace(sequence, masks=masks, notes=(*sequence.notes, note))
 
 
+def with_named_masks(
+    sequence: ImageSequence, left: tuple[Path | None, ...], source: Path, problems: Problems
+) -> ImageSequence:
+    """``sequence`` with the masks ``left`` that ``source`` names for its images, None where it names none."""
+    if not any(left):
+        return sequence
+    masks = _of_all(sequence, left, ())
+    _check_complete(source, sequence, left, problems)
+    used = _used(masks, problems)
+    if used is None:
+        return replace(sequence, problems=tuple(dict.fromkeys((*sequence.problems, *problems.found))))
+    said = f"{source}: mask_path masks {sum(map(bool, left))} of {len(sequence)} images"
+    note = f"{said}; {100 * (1 - used):.1f} % of the pixels give no points; place descriptors see the whole images"
+    found = tuple(dict.fromkeys((*sequence.problems, *problems.found)))
+    return replace(sequence, masks=masks, notes=(*sequence.notes, note), problems=found)
+
+
 def _of_all(sequence: ImageSequence, left: tuple[Path | None, ...], right: tuple[Path | None, ...]) -> FrameMasks:
     return FrameMasks(left, right, sequence.stored_size, sequence.rectifier)
 

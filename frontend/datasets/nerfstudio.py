@@ -23,6 +23,7 @@ from .depth_unit import unit_of_depth
 from .folder import FolderReader
 from .image_times import timed_images
 from .images import IMAGE_SUFFIXES, first_size, natural_key
+from .masks import with_named_masks
 from .truth import Truth, frame_truth
 
 _FILE = "transforms.json"
@@ -38,8 +39,8 @@ class NerfstudioReader(Reader):
     """``transforms.json`` with ``frames`` that name images, and depth if all do (``depth_file_path``, millimetres).
 
     Camera: of the file (a missing size is the images'), unless ``camera.yaml`` or the like lies beside it. Ground
-    truth: ``transform_matrix``. Time stamps: :mod:`.image_times`, in the order of the names. A file without such frames
-    is a calibration beside plain images.
+    truth: ``transform_matrix``. Masks: ``mask_path``, of which white is used. Time stamps: :mod:`.image_times`, in the
+    order of the names. A file without such frames is a calibration beside plain images.
     """
 
     kind = "nerfstudio"
@@ -75,6 +76,8 @@ class NerfstudioReader(Reader):
             missing=images.missing,
         )
         sequence = assemble(found, choose_rig(available_rigs(False, bool(depth)), rig, folder), problems)
+        masks = tuple(folder / name if (name := frame.text("mask_path")) else None for frame in in_time)
+        sequence = with_named_masks(sequence, masks, data.path, problems)
         return sequence if truth is None else replace(sequence, notes=(*sequence.notes, _TRUTH_NOTE))
 
 

@@ -14,16 +14,22 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product
 
 from ..errors import FrontendError
+from ..files.pose_arrays import ARRAY_SUFFIXES
 from ..files.pose_table import PoseTable, read_poses
-from ..files.timestamps import span_text
+from ..files.timestamps import NS_PER_S, span_text
 from ..files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
 from .base import Problems
 from .image_times import TimedImages, rows_of_images
 from .images import natural_key
+from .numbering import numbers_of
 
 _SUFFIXES = (".txt", ".tum", ".csv")
-_NAMES = ("poses", "groundtruth", "ground_truth", "gt", "gt_poses", "gt_pose", "traj")
-_POSE_FOLDERS = ("poses", "pose")
+_BY_NAME = "trajectory"
+_NAMES = ("poses", "groundtruth", "ground_truth", "gt", "gt_poses", "gt_pose", "traj", _BY_NAME)
+POSE_FOLDERS, _POSE_SUFFIXES = ("poses", "pose"), (".txt", *ARRAY_SUFFIXES)
+_ESTIMATED = re.compile(
+    r"((camera|key_?frame|frame|est(imated)?)_?)?traj(ectory)?(_est(imated?)?)?|odom(etry)?|vo|slam"
+)
 _LOOKS_TRUE = re.compile(r"ground.?truth|(?:^|[^a-z])gt(?:[^a-z]|$)")
 _MANY, _AHEAD = 10, 0.9  # poses, and the share of their path ahead, from which axes are a body's
 _LEFT_OUT = "ground truth left out, errors cannot be known"
@@ -55,10 +61,11 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
     truth and is not read.
     """
     files = sorted(
-        (path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file()),
+        (path for path in folder.iterdir() if path.suffix.lower() in (*_SUFFIXES, *ARRAY_SUFFIXES) and path.is_file()),
         key=lambda path: natural_key(path.name),
     )
-    usual = [path for name in _NAMES for path in files if path.stem.lower() == name]
+    files, arrays = ([p for p in files if (p.suffix.lower() in ARRAY_SUFFIXES) is array] for array in (False, True))
+    usual = [path for some in (files, arrays) for name in _NAMES for path in some if path.stem.lower() == name]
     looks = [path for path in files if _LOOKS_TRUE.search(path.stem.lower()) and path not in usual]
     found = [*usual, *looks]
     if found:
@@ -68,8 +75,18 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
         truth = read_truth(found[0], images, problems)
         if truth is not None:
             check_axes(truth, problems)
+            if found[0].stem.lower() == _BY_NAME:
+                problems.warning(
+                    f"{found[0]}: taken as the ground truth by its name; if it is an estimate, move it away"
+                )
         return truth
-    inside = next((folder / name for name in _POSE_FOLDERS if (folder / name).is_dir()), None)
+    estimated = [path.name for path in files if _ESTIMATED.fullmatch(path.stem.lower())]
+    if estimated:
+        problems.warning(
+            f"{folder}: {', '.join(estimated)}: by the name a trajectory that a program has estimated, not read; call "
+            "it groundtruth if it is true (`maslam import` takes estimates)"
+        )
+    inside = next((folder / name for name in POSE_FOLDERS if (folder / name).is_dir()), None)
     return None if inside is None else _of_single_files(inside, images, problems)
 
 
@@ -82,7 +99,11 @@ def read_truth(path: Path, images: TimedImages, problems: Problems, wxyz: bool =
         problems.warning(f"{error}: {_LEFT_OUT}")
         return None
     notes = [*table.notes]
-    if table.stamps_ns is None:
+    trajectory = _of_numbers(table, images)
+    if trajectory is not None:
+        notes = [note for note in notes if note != table.doubt]
+        notes += ["its first column counts and is no time of the images: taken as their numbers"]
+    elif table.stamps_ns is None:
         trajectory = _of_images(path, table, images, problems)
     else:
         trajectory, more = table.in_time()
@@ -154,6 +175,8 @@ def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Tra
 
 def _of_images(path: Path, table: PoseTable, images: TimedImages, problems: Problems) -> Trajectory | None:
     """Poses without times, one an image."""
+    if table.names:
+        return _of_named(path, table, images, problems)
     rows = rows_of_images(table.count, images.files)
     if rows is None:
         problems.warning(
@@ -166,11 +189,53 @@ def _of_images(path: Path, table: PoseTable, images: TimedImages, problems: Prob
     return frame_truth(images.stamps_ns[known], table.poses[place[rows][known]])
 
 
+def _of_numbers(table: PoseTable, images: TimedImages) -> Trajectory | None:
+    """Poses whose times count 0, 1, 2 …, or from 1, and as seconds are not the images': they are the numbers of the
+    images in order, or in their names. None where they are times, or fit no image."""
+    stamps = table.stamps_ns
+    if stamps is None or len(stamps) < 2 or stamps[0] not in (0, NS_PER_S):
+        return None
+    numbers, rest = np.divmod(stamps, NS_PER_S)
+    first, last = images.stamps_ns[0] - NS_PER_S, images.stamps_ns[-1] + NS_PER_S
+    inside = (stamps >= first) & (stamps <= last)
+    if rest.any() or (np.diff(numbers) < 1).any() or np.median(np.diff(numbers)) != 1 or inside.mean() > 0.5:
+        return None
+    named, count = numbers_of([one.stem for one in images.files]), len(images.files)
+    in_order = len(numbers) == count == numbers[-1] - numbers[0] + 1
+    if not in_order and named is not None and np.isin(numbers, named).all():
+        own = named
+    elif in_order or numbers[-1] - numbers[0] < count:
+        own = np.arange(count) + numbers[0]
+    else:
+        return None
+    row = {int(number): k for k, number in enumerate(numbers)}
+    rows = np.array([row.get(int(number), -1) for number in own])
+    known = rows >= 0
+    return frame_truth(images.stamps_ns[known], table.poses[rows[known]]) if known.any() else None
+
+
+def _of_named(path: Path, table: PoseTable, images: TimedImages, problems: Problems) -> Trajectory | None:
+    """Poses with the images' names, with or without folders and suffixes."""
+    row = {Path(name).name: k for k, name in enumerate(table.names)}
+    row = {Path(name).stem: k for name, k in row.items()} | row
+    rows = np.array([row.get(one.name, row.get(one.stem, -1)) for one in images.files])
+    place = np.full(table.count, -1)
+    place[table.rows] = np.arange(len(table.rows))
+    known = rows >= 0
+    known[known] = place[rows[known]] >= 0
+    if not known.any():
+        problems.warning(f"{path}: names no image here (first: {table.names[0]!r}): {_LEFT_OUT}")
+        return None
+    return frame_truth(images.stamps_ns[known], table.poses[place[rows[known]]])
+
+
 def _of_single_files(inside: Path, images: TimedImages, problems: Problems) -> Truth | None:
     """A 4x4 or 3x4 matrix in a file of its own for each image, of the same name, or in the same order."""
     files = sorted(
-        (path for path in inside.iterdir() if path.suffix == ".txt"), key=lambda path: natural_key(path.name)
+        (path for path in inside.iterdir() if path.suffix.lower() in _POSE_SUFFIXES),
+        key=lambda path: natural_key(path.name),
     )
+    files = [path for path in files if path.suffix == files[0].suffix]
     if not files:
         return None
     matched = _match_names(files, images.files)

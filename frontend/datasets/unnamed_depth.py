@@ -15,12 +15,13 @@ from .depth_files import FLOAT_SUFFIXES, list_depth
 from .depth_look import DepthLook, DepthVerdict, look_for_depth
 from .images import header_of, list_images, read_grey, read_numbers
 from .second_images import SortedImages
+from .truth import POSE_FOLDERS
 
 _SAMPLES = 5
 _FOLDERS = 20  # beside the images that are looked into, at most
 _KINDS = 6  # of names in one folder; of more nothing is concluded
 _DIGITS = re.compile(r"\d+")
-_OURS = ("masks", "mask")
+_OURS = ("masks", "mask", *POSE_FOLDERS)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FrontendError
+from .geodetic_fixes import UP, GeodeticFixes
 from .text_tables import read_bytes
 from .timestamps import NS_PER_S
 
@@ -24,21 +25,7 @@ _NO_DATE = "no date in it (RMC, ZDA): times count from midnight, UTC"
 _SHARE = {1: 1.0, 2: 0.5, 3: 0.5, 4: 0.01, 5: 0.1, 8: 1.0}
 """Noise of a fix by its quality, as a share of a plain one's: plain, differential, precise, RTK fixed, RTK float,
 simulated. Others measure nothing: none, dead reckoning, typed in."""
-_UP = 2.0
-"""Noise of the altitude over that of each horizontal axis."""
 _LEAST_M = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class NmeaFixes:
-    """``stamps_ns`` ``(N,)`` since 1970, UTC; ``geodetic`` ``(N, 3)`` degrees and metres above the ellipsoid; ``sigma``
-    ``(N, 3)`` metres east, north, up; ``lines`` ``(N,)``; ``notes``: what was left out or taken for granted."""
-
-    stamps_ns: NDArray[np.int64]
-    geodetic: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    lines: list[int]
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -56,7 +43,7 @@ def is_nmea(path: Path) -> bool:
     return any(_SENTENCE.search(line) for line in head.splitlines()[:20])
 
 
-def read_nmea(path: Path, sigma_m: float) -> NmeaFixes:
+def read_nmea(path: Path, sigma_m: float) -> GeodeticFixes:
     """The fixes of a log. ``sigma_m``: standard deviation of each horizontal axis of a plain fix at HDOP 1.
 
     Sentences whose checksum is wrong, and GGA without a measured position, are left out and counted.
@@ -92,7 +79,7 @@ def read_nmea(path: Path, sigma_m: float) -> NmeaFixes:
         raise FrontendError(f"{path}: no GGA sentence with a position")
     notes = [f"{count} {what[count > 1]} left out" for what, count in sorted(left_out.items()) if count]
     sigma = [noise.get(fix.clock_ns, fix.sigma) for fix in fixes]
-    return NmeaFixes(
+    return GeodeticFixes(
         stamps_ns=_stamps(fixes, dates),
         geodetic=np.array([fix.place for fix in fixes]),
         sigma=np.maximum(np.array(sigma), _LEAST_M),
@@ -112,7 +99,7 @@ def _fix(fields: list[str], line: int, sigma_m: float) -> _Fix | None:
     flat = sigma_m * _SHARE[quality] * (float(fields[8]) if fields[8] else 1.0)
     if not np.isfinite([*place, flat]).all() or abs(place[0]) > 90 or abs(place[1]) > 180 or flat <= 0:
         raise ValueError
-    return _Fix(_clock_ns(fields[1]), line, place, (flat, flat, _UP * flat))
+    return _Fix(_clock_ns(fields[1]), line, place, (flat, flat, UP * flat))
 
 
 def _degrees(text: str, side: str, sides: str) -> float:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
+from .pose_conventions import AS_DEGREES, in_columns, look_like_degrees, order_note, reads_as_other_order
 from .text_tables import read_bytes
 from .time_units import NotATime, Times, parse_times, unit_of_heading
 from .timestamps import NS_PER_S, seconds_text
@@ -45,8 +46,8 @@ def read_other_trajectory(path: Path, times: Path | None = None) -> OtherTraject
     :class:`FrontendError` with file and line for a row that is no pose, times that go back, and a file without poses.
     """
     if path.suffix == ".npy":
-        values, lines, header = _read_npy(path), [0], ""
-        stamps_text: list[str] = []
+        values, header = _read_npy(path), ""
+        lines, stamps_text = list(range(1, len(values) + 1)), list[str]()
     else:
         stamps_text, values, lines, header = _read_rows(path)
     width, count = values.shape[1], len(values)
@@ -68,11 +69,19 @@ def read_other_trajectory(path: Path, times: Path | None = None) -> OtherTraject
         form, timed = f"{_name_of(width, header, values)}, times in {unit}", True
         if times is not None:
             raise FrontendError(f"{path}: has times of its own; leave out {times}")
-    if len(lines) == count:
-        lines = [lines[i] for i in np.flatnonzero(known)]
-    poses = _poses(path, values[known], lines, _scalar_first(width, header))
+    lines = [lines[i] for i in np.flatnonzero(known)]
+    scalar_first, order = _scalar_first(width, header), ""
+    if width == _TUM and reads_as_other_order(values[known][:, 4:], values[known][:, 1:4], scalar_first):
+        said = _says_order(header)
+        order = order_note(scalar_first, said)
+        scalar_first = scalar_first if said else not scalar_first
+        form = form if said else f"{form}, but {'qw' if scalar_first else 'qx'} first"
+    poses = _poses(path, values[known], lines, scalar_first)
     found = _in_order(path, stamps.astype(np.int64), poses, lines, form, timed)
-    return replace(found, lost=int((~known).sum()), notes=(f"{path}: {doubt}",) if doubt else ())
+    if look_like_degrees(poses[:, :3, 3], stamps.astype(np.int64) if timed else None):
+        raise FrontendError(f"{path}: {AS_DEGREES}")
+    notes = tuple(f"{path}: {note}" for note in (doubt, order) if note)
+    return replace(found, lost=int((~known).sum()), notes=notes)
 
 
 def _known(values: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -149,9 +158,16 @@ def _read_npy(path: Path) -> NDArray[np.float64]:
         poses = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise FrontendError(f"{path}: not an array of poses: {' '.join(str(error).split())}") from error
-    if poses.ndim != 3 or poses.shape[1:] not in ((4, 4), (3, 4)) or not np.isfinite(poses).all() or not len(poses):
-        raise FrontendError(f"{path}: shape {poses.shape}; N finite matrices, (N, 4, 4), are meant")
+    if poses.ndim != 3 or poses.shape[1:] not in ((4, 4), (3, 4)) or poses.dtype.kind not in "fiu":
+        raise FrontendError(
+            f"{path}: {poses.dtype} of shape {poses.shape}; N matrices of numbers, (N, 4, 4), are meant"
+        )
     return np.asarray(poses, dtype=np.float64).reshape(len(poses), -1)
+
+
+def _says_order(header: str) -> bool:
+    """Whether the header names the quaternion's real part; otherwise its place is that of the form."""
+    return any("q" in name and "w" in name.rpartition("q")[2] for name in header.replace(",", " ").split())
 
 
 def _scalar_first(width: int, header: str) -> bool:
@@ -205,7 +221,11 @@ def _poses(path: Path, values: NDArray[np.float64], lines: list[int], scalar_fir
         for row in np.flatnonzero(np.abs(lengths - 1.0) > _QUATERNION_TOLERANCE)[:1]:
             raise FrontendError(f"{path}:{lines[row]}: the quaternion's length is {lengths[row]:.3f}, expected 1")
         return se3(rotation_from_quat_wxyz(q / lengths[:, None]), values[:, 1:4])
-    matrices = values[:, values.shape[1] % 4 == 1 :].reshape(len(values), -1, 4)
+    cells = values[:, values.shape[1] % 4 == 1 :]
+    matrices = cells.reshape(len(values), -1, 4)
+    if matrices.shape[1] == 4:
+        turned = in_columns(cells)
+        matrices = np.where(turned[:, None, None], matrices.swapaxes(1, 2), matrices)
     return se3(rigid_rotations(matrices[:, :3, :3], path), matrices[:, :3, 3])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
-from .headed_table import HeadedTable, read_headed_table
+from .headed_table import HeadedTable, is_number, read_headed_table
+from .pose_arrays import ARRAY_SUFFIXES, read_pose_cells
+from .pose_conventions import AS_DEGREES, in_columns, look_like_degrees, order_note, reads_as_other_order
 from .time_units import NotATime, TimeUnit, parse_times, unit_of_heading
 from .trajectory import Trajectory, rigid_rotations
 
@@ -28,18 +30,22 @@ _FORMS = {
 }
 _QUATERNION_TOLERANCE = 0.05  # of its length: rounded digits are fine, a column mixed up is not
 _AXES = ("x", "y", "z")
+_NAME = re.compile(r"\.(png|jpe?g|bmp|tiff?|pgm|ppm|webp)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class PoseTable:
     """``poses`` ``(N, 4, 4)`` ``T_W_C``, in the order of the file; ``stamps_ns`` ``(N,)`` their times as they are, or
-    None where the file has none; ``rows`` ``(N,)`` of the file, lost ones left out; ``notes``: what to know."""
+    None where the file has none; ``rows`` ``(N,)`` of the file, lost ones left out; ``notes``: what to know; ``names``:
+    the image of each row as written, or none; ``doubt``: which of the notes is of the times' unit, else empty."""
 
     poses: Array
     stamps_ns: NDArray[np.int64] | None
     rows: NDArray[np.int64]
     count: int
     notes: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    doubt: str = ""
 
     def in_time(self) -> tuple[Trajectory, tuple[str, ...]]:
         """The poses in order of time, the first of each time kept, and notes that count what was changed.
@@ -57,20 +63,25 @@ class PoseTable:
 
 
 def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> PoseTable:
-    """Poses ``T_W_C`` of a text file, whose form its columns tell: 8 (time, position, quaternion: TUM; also 7, without
-    a time), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17 (4x4), four lines of four (4x4); with headings any
-    columns among which a position and a quaternion are found by name.
+    """Poses ``T_W_C`` of a text file, or of ``.json`` or ``.npy`` (:mod:`.pose_arrays`), whose form its columns tell: 8
+    (time, position, quaternion: TUM; also 7, without a time), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17
+    (4x4), four lines of four (4x4); with headings any columns among which a position and a quaternion are found by
+    name.
 
-    The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``. Times are in
-    ``unit``, or that which they must be in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose.
-    :class:`FrontendError` with the line for anything else that is no pose.
+    The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``, or the other
+    one where rotations follow the path in that alone, which is noted. Times are in ``unit``, or that which they must be
+    in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose. :class:`FrontendError` with the line
+    for anything else that is no pose, and for degrees of latitude and longitude.
     """
-    table = read_headed_table(path)
+    table, names = read_pose_cells(path) if path.suffix.lower() in ARRAY_SUFFIXES else (read_headed_table(path), ())
     values = _values(path, table)
     lines = table.lines
     if values.shape[1] == 4 and not table.headings:
         values, lines = _matrices(values, lines)
     columns = _columns(path, table, values.shape[1], wxyz)
+    if not names and (columns.time is None or not columns.named):
+        names = _image_names(table)
+        columns = replace(columns, time=None) if names else columns
     known = np.isfinite(values[:, columns.all]).all(axis=1)
     if columns.quaternion is not None:
         known &= np.abs(values[:, columns.quaternion]).max(axis=1, initial=0.0) > 0
@@ -78,28 +89,66 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
     if not len(rows):
         raise FrontendError(f"{path}: no poses in this file")
     notes = [f"{len(values) - len(rows)} of {len(values)} rows hold no pose (NaN or zeros)"] * (len(rows) < len(values))
-    stamps = None
+    stamps, doubt = None, ""
     if columns.time is not None:
         stamps, doubt = _stamps(path, table, columns.time, unit)
         stamps = stamps[rows]
         notes += [doubt] if doubt else []
-    return PoseTable(
-        _poses(path, values[rows], columns, [lines[i] for i in rows]), stamps, rows, len(values), tuple(notes)
-    )
+    values, turned = _by_rows(values, columns)
+    columns, said = _ordered(values[rows], columns, stamps)
+    said = [*turned, *said]
+    poses = _poses(path, values[rows], columns, [lines[i] for i in rows])
+    if look_like_degrees(poses[_order(stamps, len(rows)), :3, 3], None if stamps is None else np.sort(stamps)):
+        raise FrontendError(f"{path}: {AS_DEGREES}")
+    return PoseTable(poses, stamps, rows, len(values), (*notes, *said), names, doubt)
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Column of the time; those of the position and the quaternion (w x y z), or of a row-major matrix."""
+    """Column of the time; those of the position and the quaternion (w x y z), or of a row-major matrix; whether they
+    were ``named`` by headings."""
 
     time: int | None
     position: tuple[int, ...] = ()
     quaternion: list[int] | None = None
     matrix: tuple[int, ...] = ()
+    named: bool = False
 
     @property
     def all(self) -> list[int]:
         return [*self.position, *(self.quaternion or ()), *self.matrix]
+
+
+def _by_rows(values: Array, columns: _Columns) -> tuple[Array, list[str]]:
+    """Rows with their 4x4 matrix row by row, and what to say where the file has it column by column."""
+    if len(columns.matrix) != 12 or values.shape[1] != columns.matrix[0] + 16:
+        return values, []
+    first = columns.matrix[0]
+    turned = in_columns(values[:, first:])
+    if not turned.any():
+        return values, []
+    out = values.copy()
+    out[turned, first:] = values[turned, first:].reshape(-1, 4, 4).swapaxes(1, 2).reshape(-1, 16)
+    return out, ["its matrices stand column by column, and are read so"]
+
+
+def _order(stamps: NDArray[np.int64] | None, count: int) -> NDArray[np.intp]:
+    """Rows in order of time."""
+    return np.arange(count) if stamps is None else np.argsort(stamps, kind="stable")
+
+
+def _ordered(values: Array, columns: _Columns, stamps: NDArray[np.int64] | None) -> tuple[_Columns, list[str]]:
+    """The columns with the quaternion's real part where the path says that it is, and what to say of it; headings are
+    believed all the same."""
+    if columns.quaternion is None:
+        return columns, []
+    rows = _order(stamps, len(values))
+    cells = sorted(columns.quaternion)
+    wxyz = columns.quaternion[0] == cells[0]
+    if not reads_as_other_order(values[rows][:, cells], values[rows][:, columns.position], wxyz):
+        return columns, []
+    other = replace(columns, quaternion=cells if not wxyz else [cells[-1], *cells[:-1]])
+    return columns if columns.named else other, [order_note(wxyz, columns.named)]
 
 
 def _values(path: Path, table: HeadedTable) -> Array:
@@ -115,6 +164,12 @@ def _values(path: Path, table: HeadedTable) -> Array:
         return np.array(table.rows, dtype=object).astype(np.float64).reshape(-1, width)
     except ValueError:
         return np.array([[_number(cell) for cell in cells] for cells in table.rows])
+
+
+def _image_names(table: HeadedTable) -> tuple[str, ...]:
+    """The cells of the first column that holds names of images, or none."""
+    column = next((i for i, cell in enumerate(table.rows[0]) if _NAME.search(cell) and not is_number(cell)), None)
+    return () if column is None else tuple(cells[column] for cells in table.rows)
 
 
 def _matrices(values: Array, lines: list[int]) -> tuple[Array, list[int]]:
@@ -165,7 +220,7 @@ def _named_columns(headings: Sequence[str]) -> _Columns | None:
     time = next(
         (i for i, one in enumerate(bare) if "time" in one or "stamp" in one or one in ("t", "ts", "ns", "sec")), None
     )
-    return _Columns(time, tuple(i for i in position if i is not None), [i for i in turn if i is not None])
+    return _Columns(time, tuple(i for i in position if i is not None), [i for i in turn if i is not None], named=True)
 
 
 def _find(headings: Sequence[str], pattern: str) -> int | None:

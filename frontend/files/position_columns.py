@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FrontendError
+from .geodetic_fixes import UP
+from .position_units import in_metres_and_degrees
 from .text_tables import read_bytes
 from .time_units import TimeUnit, date_ns, is_date, unit_of_heading
 from .timestamps import NS_PER_S, decimal_ns
@@ -24,24 +26,24 @@ _NAMES = {
     "stamp_s": r"header_stamp_(sec|secs)",
     "stamp_ns": r"header_stamp_(nsec|nsecs|nanosec)",
     "time": r"(t|time|timestamp|stamp|sec|seconds|utc|date|datetime)(_\w*)?",
-    "lat": r"lat(itude)?(_\w*)?",
-    "lon": r"(lon|lng|longitude)(_\w*)?",
+    "lat": r"lat(itude)?(_\w*|e7)?",
+    "lon": r"(lon|lng|longitude)(_\w*|e7)?",
     "alt": r"(alt|altitude|height|ele|elevation)(_\w*)?",
-    "east": r"(e|east|x|easting)(_m)?",
-    "north": r"(n|north|y|northing)(_m)?",
-    "up": r"(u|up|z)(_m)?",
-    **{f"sigma_{axis}": rf"(sigma|std)_({word})(_m)?" for axis, word in _AXES.items()},
+    "east": r"(e|east|x|easting)(_[mck]?m)?",
+    "north": r"(n|north|y|northing)(_[mck]?m)?",
+    "up": r"(u|up|z)(_[mck]?m)?",
+    **{f"sigma_{axis}": rf"(sigma|std)_({word})(_[mck]?m)?" for axis, word in _AXES.items()},
     **{f"variance_{axis}": rf"(position_)?(cov|covariance|var|variance)_?({w})(_m2)?" for axis, w in _CELLS.items()},
-    "sigma_flat": r"(sigma|std)_h(orizontal)?(_m)?|horizontal_?accuracy(_m)?|h_?acc(_m)?|eph",
-    "sigma_height": r"(sigma|std)_v(ertical)?(_m)?|vertical_?accuracy(_m)?|v_?acc(_m)?|epv",
-    "sigma": r"(sigma|std|accuracy)(_m)?",
+    "sigma_flat": r"(sigma|std)_h(orizontal)?(_[mck]?m)?|horizontal_?accuracy(_[mck]?m)?|h_?acc(_[mck]?m)?|eph",
+    "sigma_height": r"(sigma|std)_v(ertical)?(_[mck]?m)?|vertical_?accuracy(_[mck]?m)?|v_?acc(_[mck]?m)?|epv",
+    "sigma": r"(sigma|std|accuracy)(_[mck]?m)?",
     "hdop": r"hdop",
     "known": r"position_covariance_type|covariance_type",
     "status": r"(status_)?status|fix_status",
     "quality": r"(fix_)?quality|fix_type",
-    "antenna_x": r"antenna_x(_m)?",
-    "antenna_y": r"antenna_y(_m)?",
-    "antenna_z": r"antenna_z(_m)?",
+    "antenna_x": r"antenna_x(_[mck]?m)?",
+    "antenna_y": r"antenna_y(_[mck]?m)?",
+    "antenna_z": r"antenna_z(_[mck]?m)?",
 }
 MEANT = "columns with a header: time, then lat lon alt (degrees, metres) or east north up (metres), and sigma if known"
 _UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6))
@@ -49,8 +51,6 @@ _UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6))
 _TIMES = ("time", "stamp", "stamp_s", "stamp_ns")
 _DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$", re.ASCII)
 _HEAD = 2000  # characters in which a file says what it is
-_UP = 2.0
-"""Noise of an altitude over that of each horizontal axis, where only that is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class PositionTable:
         plain = np.full(len(self.lines), sigma_m) * one.get("hdop", np.ones(len(self.lines)))
         flat = one.get("sigma_flat", one.get("sigma", plain))
         doubled = "sigma_height" not in one and ("hdop" in one or "sigma_flat" in one) and "sigma" not in one
-        high = one.get("sigma_height", _UP * flat if doubled else one.get("sigma", plain))
+        high = one.get("sigma_height", UP * flat if doubled else one.get("sigma", plain))
         out = np.column_stack([one.get(f"sigma_{a}", d) for a, d in (("east", flat), ("north", flat), ("up", high))])
         given = [one.get(f"variance_{axis}") for axis in _AXES]
         if all(variance is not None for variance in given):
@@ -92,7 +92,7 @@ class PositionTable:
 def read_position_table(path: Path) -> PositionTable:
     """The rows of a table with a heading, or of TUM lines. :class:`FrontendError` with file and line for what is no
     such table."""
-    names, units, rows, lines = _rows(path)
+    names, headings, rows, lines = _rows(path)
     if not names or not set(_TIMES) & set(names) or not _has_place(names):
         raise FrontendError(f"{path}: no positions: {MEANT}")
     kept, left_out = [], Counter[str]()
@@ -104,26 +104,28 @@ def read_position_table(path: Path) -> PositionTable:
         raise FrontendError(f"{path}: no positions in this file")
     chosen, lines = [row for row, _ in kept], [line for _, line in kept]
     columns = {name: [row[k] for row in chosen] for k, name in enumerate(names) if name}
-    stamps = _stamps(path, columns, dict(zip(names, units, strict=True)), lines)
-    numbers = {name: np.array([float(text) for text in texts]) for name, texts in columns.items() if name not in _TIMES}
+    called = {name: heading for name, heading in zip(names, headings, strict=True) if name}
+    stamps = _stamps(path, columns, {name: unit_of_heading(called[name]) for name in called}, lines)
+    written = {name: texts for name, texts in columns.items() if name not in _TIMES}
+    numbers, said = in_metres_and_degrees(written, called)
     notes = tuple(f"{count} row{'s' * (count > 1)} {why} left out" for why, count in sorted(left_out.items()) if count)
-    return PositionTable(stamps, numbers, lines, notes)
+    return PositionTable(stamps, numbers, lines, (*notes, *said))
 
 
 def _has_place(names: list[str]) -> bool:
     return {"lat", "lon"} <= set(names) or {"east", "north"} <= set(names)
 
 
-def _rows(path: Path) -> tuple[list[str], list[TimeUnit | None], list[list[str]], list[int]]:
-    """Names of the columns ("" where not known), units that they name, the fields of each row, and line numbers."""
+def _rows(path: Path) -> tuple[list[str], list[str], list[list[str]], list[int]]:
+    """Names of the columns ("" where not known), their headings, the fields of each row, and line numbers."""
     names: list[str] = []
-    units: list[TimeUnit | None] = []
+    called: list[str] = []
     rows: list[list[str]] = []
     lines: list[int] = []
     mark: str | None = None  # by the first line
     text = read_bytes(path).removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
     if text.lstrip().startswith("<"):
-        form = next((name for name in ("GPX", "KML") if f"<{name.lower()}" in text[:_HEAD].lower()), "XML")
+        form = "KML" if "<kml" in text[:_HEAD].lower() else "XML"
         raise FrontendError(f"{path}: a {form} file, which is not read; write its points as a table: {MEANT}")
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip(" \t,;"):
@@ -134,18 +136,18 @@ def _rows(path: Path) -> tuple[list[str], list[TimeUnit | None], list[list[str]]
             headings = fields if fields[0] not in ("#", "%") else fields[1:]
             found = _named(path, number, headings)
             if set(_TIMES) & set(found):
-                names, units = found, [unit_of_heading(heading) for heading in headings]
+                names, called = found, headings
             continue
         if not names and len(fields) == 8:
             names = ["time", "east", "north", "up", "", "", "", ""]
-            units = [None] * 8
+            called = [""] * 8
         if not names:
             raise FrontendError(f"{path}:{number}: no header that names the columns; {MEANT}")
         if len(fields) != len(names):
             raise FrontendError(f"{path}:{number}: not {len(names)} numbers: {line.strip()[:60]!r}")
         rows.append(fields)
         lines.append(number)
-    return names, units, rows, lines
+    return names, called, rows, lines
 
 
 def _mark(heading: str) -> str:

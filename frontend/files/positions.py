@@ -1,4 +1,4 @@
-"""Positions measured from outside (GPS): tables with latitude and longitude or metres east, north and up, and NMEA."""
+"""Positions measured from outside (GPS): tables with latitude and longitude or metres east, north and up, NMEA, GPX."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from maslam._atomic import write_atomically
 
 from ..errors import FrontendError
 from .geodesy import enu_of, geodetic_of
+from .geodetic_fixes import UP, GeodeticFixes
+from .gpx import is_gpx, read_gpx
 from .nmea import is_nmea, read_nmea
 from .position_columns import read_position_table
 from .timestamps import NS_PER_S, seconds_text
 
-POSITIONS, NMEA = "gps.csv", "gps.nmea"
+POSITIONS = "gps.csv"
+BESIDE = (POSITIONS, "gps.nmea", "gps.gpx")
 """Names that are looked for beside images."""
 
 
@@ -24,7 +27,8 @@ POSITIONS, NMEA = "gps.csv", "gps.nmea"
 class PositionFixes:
     """N fixes: ``stamps_ns`` ``(N,)`` ascending, on the images' clock; ``enu`` ``(N, 3)`` metres east, north, up of one
     place for all agents; ``sigma`` ``(N, 3)`` metres; ``antenna`` ``(3,)``: in the camera's frame, metres. ``geodetic``
-    ``(N, 3)``: degrees and metres as read, where ``enu`` is not known yet; ``notes``: what of the file was left out."""
+    ``(N, 3)``: degrees and metres as read, where ``enu`` is not known yet; ``notes``: what of the file was left
+    out; ``source``: the recording and topic that they are from."""
 
     stamps_ns: NDArray[np.int64]
     enu: NDArray[np.float64]
@@ -32,6 +36,7 @@ class PositionFixes:
     antenna: NDArray[np.float64]
     geodetic: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
+    source: str = ""
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -48,18 +53,31 @@ class PositionFixes:
             return self
         return replace(self, enu=enu_of(self.geodetic, origin), geodetic=None)
 
+    def completed(self, sigma_m: float, antenna: NDArray[np.float64] | None, offset_s: float) -> PositionFixes:
+        """With what the receiver does not tell: noise where it is NaN, of each horizontal axis, twice that of the
+        altitude; the ``antenna`` where one is given; ``offset_s`` added to the times."""
+        plain = np.array([sigma_m, sigma_m, UP * sigma_m])
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns + round(offset_s * NS_PER_S),
+            sigma=np.where(np.isnan(self.sigma), plain, self.sigma),
+            antenna=self.antenna if antenna is None else np.asarray(antenna),
+        )
+
 
 def read_positions(
     path: Path, sigma_m: float = 2.0, antenna: NDArray[np.float64] | None = None, offset_s: float = 0.0
 ) -> PositionFixes:
-    """Fixes of a table with a header, of TUM lines (time x y z and a rotation that is not used), or of an NMEA log.
+    """Fixes of a table with a header, of TUM lines (time x y z and a rotation that is not used), of an NMEA log, or of
+    a GPX file.
 
     ``sigma_m``: where the file has none, at HDOP 1; ``antenna``: likewise; ``offset_s`` is added to its times.
     :class:`FrontendError` with file and line for what is no fix.
     """
     shift = round(offset_s * NS_PER_S)
-    logged = path.is_file() and is_nmea(path)
-    fixes, lines = _of_log(path, sigma_m) if logged else _of_table(path, sigma_m)
+    readers = ((is_nmea, read_nmea), (is_gpx, read_gpx)) if path.is_file() else ()
+    read = next((read for knows, read in readers if knows(path)), None)
+    fixes, lines = _of_table(path, sigma_m) if read is None else _of_log(read(path, sigma_m))
     fixes = replace(
         fixes, stamps_ns=fixes.stamps_ns + shift, antenna=fixes.antenna if antenna is None else np.asarray(antenna)
     )
@@ -68,10 +86,14 @@ def read_positions(
     return fixes
 
 
-def _of_log(path: Path, sigma_m: float) -> tuple[PositionFixes, list[int]]:
-    log = read_nmea(path, sigma_m)
-    unknown = np.full(log.geodetic.shape, np.nan)
-    return PositionFixes(log.stamps_ns, unknown, log.sigma, np.zeros(3), log.geodetic, log.notes), log.lines
+def of_receiver(fixes: GeodeticFixes, source: str = "") -> PositionFixes:
+    """Fixes in degrees, around no place yet."""
+    unknown = np.full(fixes.geodetic.shape, np.nan)
+    return PositionFixes(fixes.stamps_ns, unknown, fixes.sigma, np.zeros(3), fixes.geodetic, fixes.notes, source)
+
+
+def _of_log(log: GeodeticFixes) -> tuple[PositionFixes, list[int]]:
+    return of_receiver(log), log.lines
 
 
 def _of_table(path: Path, sigma_m: float) -> tuple[PositionFixes, list[int]]:

@@ -24,7 +24,16 @@ from ..image.guided_matching import OrbFeatures, guided_match
 from ..image.optical_flow import follow
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe
 from .map import Array, Ints, Map, MapKeyFrame, union
-from .pose_agreement import PairAgreement, PosedView, all_epipolar_distances, mutual_matches, pair_agreement, relative
+from .pose_agreement import (
+    MatchedRays,
+    PairAgreement,
+    PosedView,
+    all_epipolar_distances,
+    matched_rays,
+    mutual_matches,
+    rays_agreement,
+    relative,
+)
 from .range_sensor import Ranging
 
 _START_PARALLAX_DEG = 1.5
@@ -32,6 +41,7 @@ _START_PARALLAX_DEG = 1.5
 _LEAST_DEPTHS = 30
 _IN_SIGHT = 0.6
 """Share of the last key-frame's points below which a new key-frame is made, however little the camera moved."""
+_KEPT_PAIRS = 120
 _WAITING_KEYFRAMES = 2
 """Key-frames back in which points that wait for a second ray are looked for."""
 _EPIPOLAR_PX, _EPIPOLAR_SHARE = 2.0, 0.004
@@ -45,8 +55,8 @@ class GivenMap:
 
     ``frames`` ``(K,)`` frame indices, ``stamps_ns`` ``(K,)``, ``poses`` ``(K, 4, 4)`` ``T_W_C`` as given, ``points``
     ``(P, 3)``, ``views`` with ``descriptors`` ``(N, 32)`` in their order. ``error_px``: median distance of a point from
-    where it was seen; ``agreement``: of each key-frame with the one before, where they could be compared; ``measured``:
-    points whose depth was measured.
+    where it was seen; ``agreement``: of each key-frame with the one before, where they could be compared; ``matched``:
+    by what, of some pairs all along the path; ``measured``: points whose depth was measured.
     """
 
     frames: Ints
@@ -57,6 +67,7 @@ class GivenMap:
     descriptors: NDArray[np.uint8]
     error_px: float
     agreement: tuple[PairAgreement, ...]
+    matched: tuple[MatchedRays, ...]
     measured: int
 
     def __len__(self) -> int:
@@ -70,6 +81,8 @@ class GivenPoseMapper:
     def __init__(self, rig: Rig, config: OdometryConfig) -> None:
         self.ranging, self.config, self.map = Ranging(rig, config.stereo, config.flow), config, Map()
         self.agreement: list[PairAgreement] = []
+        self._matched: list[MatchedRays] = []
+        self._every, self._compared = 1, 0
         self._detector = Detector(config.features)
         self._log_scale = np.log(config.features.scale_factor)
         self._last: MapKeyFrame | None = None
@@ -178,6 +191,7 @@ class GivenPoseMapper:
             descriptors=descriptors,
             error_px=error_px,
             agreement=tuple(self.agreement),
+            matched=tuple(self._matched),
             measured=int(self.map.metric[ids[used]].sum()),
         )
 
@@ -253,9 +267,19 @@ class GivenPoseMapper:
         if self._last is None:
             return
         camera = self.ranging.rig.camera
-        found = pair_agreement(self._view(self._last), self._view(keyframe), camera.fx, camera.width)
-        if found is not None:
+        matched = matched_rays(self._view(self._last), self._view(keyframe))
+        found = None if matched is None else rays_agreement(matched, camera.fx, camera.width)
+        if matched is not None and found is not None:
             self.agreement.append(found)
+            self._keep(matched)
+
+    def _keep(self, matched: MatchedRays) -> None:
+        """Every so-manieth pair, so that a long path's are few and lie all along it."""
+        if self._compared % self._every == 0:
+            self._matched.append(matched)
+        self._compared += 1
+        if len(self._matched) > _KEPT_PAIRS:
+            self._matched, self._every = self._matched[::2], 2 * self._every
 
     def _view(self, keyframe: MapKeyFrame) -> PosedView:
         depth = self.ranging.back_project(keyframe.uv, keyframe.disparity)[:, 2]

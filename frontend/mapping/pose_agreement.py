@@ -59,26 +59,42 @@ class PosedView:
     T_C_W: Array
 
 
-def pair_agreement(first: PosedView, second: PosedView, fx: float, width: int) -> PairAgreement | None:
-    """How far two views agree with their poses; None where they have too few matches, or did not move apart."""
-    R, t = relative(first.T_C_W, second.T_C_W)
-    if float(np.linalg.norm(t)) < 1e-9:
-        return None
+@dataclass(frozen=True, eq=False)
+class MatchedRays:
+    """Rays ``first`` and ``second`` ``(n, 3)`` with z = 1 of what looks alike in two images; ``poses``: ``T_C_W`` of
+    both; ``depth`` ``(n,)`` measured in the first, NaN where unknown."""
+
+    first: Array
+    second: Array
+    poses: tuple[Array, Array]
+    depth: Array
+
+
+def matched_rays(first: PosedView, second: PosedView) -> MatchedRays | None:
+    """What looks alike in two views; None where that is too little."""
     pairs = mutual_matches(first.descriptors, second.descriptors)
     if len(pairs) < _LEAST_MATCHES:
         return None
-    a, b = first.rays[pairs[:, 0]], second.rays[pairs[:, 1]]
+    a, b = pairs.T
+    return MatchedRays(first.rays[a], second.rays[b], (first.T_C_W, second.T_C_W), first.depth[a])
+
+
+def rays_agreement(matched: MatchedRays, fx: float, width: int) -> PairAgreement | None:
+    """How far matches agree with the poses of their views; None where these did not move apart."""
+    R, t = relative(*matched.poses)
+    if float(np.linalg.norm(t)) < 1e-9:
+        return None
+    a, b, measured = matched.first, matched.second, matched.depth
     limit = max(_FITS_PX, _FITS_SHARE * width) / fx
     near = epipolar_distance(a, b, R, t) < limit
     z, parallax = two_view_depth(a, b, R, t)
     clear = near & (parallax > limit)
-    measured = first.depth[pairs[:, 0]]
     known = near & (z > 0) & np.isfinite(measured) & (parallax > _SURE_PARALLAX_RAD)
     ratio = z[known] / measured[known]
     unit = float(np.median(ratio)) if len(ratio) >= _LEAST_MATCHES // 2 else float("nan")
     same = int((np.abs(np.log(ratio)) < np.log(_SAME)).sum())
     counts = int(clear.sum()), int((z[clear] > 0).sum())
-    return PairAgreement(len(pairs), float(near.mean()), *counts, unit, len(ratio), same)
+    return PairAgreement(len(a), float(near.mean()), *counts, unit, len(ratio), same)
 
 
 def relative(T_A_W: Array, T_B_W: Array) -> tuple[Array, Array]:

@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 _ALL_STILL, _STILL_PX = 0.9, 0.3
 """Share of the points that stand still where the camera was seen to stand; how little a pose then moves them that goes
 on to stand."""
+_AGREE, _AGREE_FIRST, _AGREEING = 0.8, 0.9, 15
+"""Share of the points that agree with the pose which stand still since the frame before, where it is that of a camera
+that goes on to stand, and, of so many, where it has just come to: a pose by few points wavers."""
 _HIDDEN = 0.5
 """Share of the points followed that are found, below which something hides what a standing camera saw."""
 _FEWEST, _LEAST_SHARE = 6, 0.04
@@ -42,12 +45,18 @@ class StandingCamera:
         ``away_px`` ``(n,)``."""
         telling = points.still & (away_px > _CLEAR_PX)
         certain = self.rested and int(telling.sum()) >= max(_FEWEST, _LEAST_SHARE * len(telling))
-        unmoved = self.rested and float(np.median(away_px)) < _STILL_PX
+        unmoved = self._agree_to_stand(points) or (self.rested and float(np.median(away_px)) < _STILL_PX)
         stands_on = certain or unmoved or stands(points, self.stands)
         hidden = unmoved and len(telling) < _HIDDEN * followed
         held = certain or hidden or (stands_on and points.divided)
         rested = points.still_share >= _ALL_STILL or unmoved or (held and self.rested)
         return StandingCamera(stands_on, rested, held, certain, points.still)
+
+    def _agree_to_stand(self, points: PointsFound) -> bool:
+        """Whether the points that agree with the pose stand still, of those that were seen in the frame before."""
+        agree = points.still[points.inlier & np.isfinite(points.moved_px)]
+        least = 1 if self.rested else _AGREEING
+        return len(agree) >= least and float(agree.mean()) >= (_AGREE if self.rested else _AGREE_FIRST)
 
     def left_alone(self, points: PointsFound) -> StandingCamera | None:
         """Held by the few ``points`` that were found where a pose by them is not possible; None where they do not tell

@@ -82,6 +82,12 @@ class Segment:
         keyframes = len(self.map.keyframes) + len(self.map.culled)
         return SinceKeyframe(frame.index - latest.frame_index, known, self._reference_points, flow, keyframes)
 
+    def adds_views(self, since: SinceKeyframe) -> bool:
+        """Whether a key-frame may be made: not of a standing camera, whose new points would be those of what came
+        before it."""
+        standing = self.tracker.standing
+        return not (standing.held or (standing.rested and since.flow < self.tracker.config.keyframes.min_flow))
+
     def insert_keyframe(self, frame: Frame) -> None:
         """Make the frame last tracked a key-frame; what is followed from here on is what it sees."""
         tracker = self.tracker

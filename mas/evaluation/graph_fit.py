@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from maslam.backend.central.fit import GraphFit, graph_fit
+from maslam.backend.central.odometry_noise import noise_of_odometry
 from maslam.backend.geometry import Sim3
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
 
 from ..agent import Agent
+from ..state.agent_state import stretched
 from ..state.place_match import Match
 from ..state.pose_graph import match_edge, odometry_edges
 from .ground_truth import groups_of
@@ -17,7 +20,8 @@ from .summary import GraphFigures, MisfitFigures
 
 def graph_figures(agents: Sequence[Agent]) -> list[GraphFigures]:
     """The fit of each group's graph that has an edge."""
-    fits = [(group, group_fit([agents[i] for i in group])) for group in groups_of(agents)]
+    graphs = [(group, graph_of([agents[i] for i in group])) for group in groups_of(agents)]
+    fits = [(group, graph, _fit(graph)) for group, graph in graphs]
     return [
         GraphFigures(
             agents=group,
@@ -26,25 +30,47 @@ def graph_figures(agents: Sequence[Agent]) -> list[GraphFigures]:
             dof=fit.dof,
             fits=fit.fits,
             worst=[MisfitFigures(ends=[str(m.i), str(m.j)], kind=m.kind.value, cost=m.cost) for m in fit.worst],
+            lengths=[agents[i].state.odometry_length for i in group],
+            odometry_sigmas=dict(noise_of_odometry(graph.poses, graph.edges, graph.metric)),
         )
-        for group, fit in fits
+        for group, graph, fit in fits
         if fit.edges
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class GroupGraph:
+    """Key-frames and edges of agents in one frame; ``metric``: those that know the metre."""
+
+    poses: dict[NodeId, Sim3]
+    edges: tuple[Edge, ...]
+    metric: frozenset[int]
+
+
 def group_fit(agents: Sequence[Agent]) -> GraphFit:
-    """Of agents in one frame: their placed key-frames as each of them has its own, odometry, and accepted matches."""
+    """Of agents in one frame."""
+    return _fit(graph_of(agents))
+
+
+def _fit(graph: GroupGraph) -> GraphFit:
+    rigid = {node: Sim3(S.rotation, S.translation, 1.0).se3() for node, S in graph.poses.items()}
+    everyone = all(node.robot in graph.metric for node in graph.poses)
+    return graph_fit(PoseGraph(rigid, graph.edges), graph.poses, None if everyone else graph.metric)
+
+
+def graph_of(agents: Sequence[Agent]) -> GroupGraph:
+    """Of agents in one frame: their placed key-frames as each of them has its own, odometry with the lengths that were
+    found, and accepted matches."""
     poses: dict[NodeId, Sim3] = {}
     edges: list[Edge] = []
     for state in (agent.state for agent in agents):
         poses.update({NodeId(state.me, index): state.pose(index) for index in state.placed()})
-        edges += [e for p in state.pieces if p.frame == state.frame for e in odometry_edges(state, p.track)]
+        own = [e for p in state.pieces if p.frame == state.frame for e in odometry_edges(state, p.track)]
+        edges += [replace(e, T_i_j=stretched(e.T_i_j, state.odometry_length)) for e in own]
     edges += [match_edge(match, agents[0].state.config.optimisation) for match in _used(agents)]
     edges = [e for e in edges if e.i in poses and e.j in poses]
     metric = frozenset(agent.state.me for agent in agents if agent.state.profile.metric)
-    rigid = {node: Sim3(S.rotation, S.translation, 1.0).se3() for node, S in poses.items()}
-    everyone = len(metric) == len(agents)
-    return graph_fit(PoseGraph(rigid, tuple(edges)), poses, None if everyone else metric)
+    return GroupGraph(poses, tuple(edges), metric)
 
 
 def _used(agents: Sequence[Agent]) -> list[Match]:

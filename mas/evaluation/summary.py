@@ -125,7 +125,10 @@ class MisfitFigures(_Figures):
 class GraphFigures(_Figures):
     """How well the graph of one group of ``agents`` fits in the end: its ``cost`` F (SE-Sync; residuals in standard
     deviations) and degrees of freedom ``dof``, which a cost of mere noise is about; ``fits``: it is not far above;
-    ``worst``: the edges with the largest shares."""
+    ``worst``: the edges with the largest shares. ``lengths``: what each agent's odometry was found to have to be
+    multiplied by, 1 where it stayed as it was. ``odometry_sigmas``: errors of metric agents' odometry over the stated
+    standard deviations, by the number of key-frames that they have added up over, as loops and matches tell; empty
+    where these tell nothing."""
 
     agents: list[int]
     edges: int
@@ -133,13 +136,15 @@ class GraphFigures(_Figures):
     dof: int
     fits: bool
     worst: list[MisfitFigures]
+    lengths: list[float] = []
+    odometry_sigmas: dict[int, float] = {}
 
 
 class TruthFigures(_Figures):
     """Whether the ground truth of ``agent`` can be of its images, on the ``frames`` of its longest track that have one:
     the lengths of odometry's path and the true one, odometry's RMSE against it, and ``spread_m``: root mean square
     distance of the true positions from their mean. ``metric``: lengths are compared, not only shapes. ``cause``: what
-    may be wrong where it does not fit, else empty."""
+    may be wrong where it does not fit, else empty; ``rotations``: what may be wrong with these alone, else empty."""
 
     agent: int
     metric: bool
@@ -150,6 +155,7 @@ class TruthFigures(_Figures):
     spread_m: float
     fits: bool
     cause: str = ""
+    rotations: str = ""
 
 
 class DatumFigures(_Figures):

@@ -72,7 +72,9 @@ PRESETS: dict[str, MasConfig] = {
             point_code="grid",
             descriptor_bytes=16,
         ),
-        optimisation=OptimisationConfig(period_keyframes=40, solver=SolverConfig(method="elected", start="warm")),
+        optimisation=OptimisationConfig(
+            period_keyframes=40, solver=SolverConfig(method="elected", start="warm", length_sigma=0.01)
+        ),
         merge=MergeConfig(
             form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0, accuracy_share=0.5
         ),

@@ -109,6 +109,8 @@ class AgentState:
     lengths: dict[int, float] = field(default_factory=dict)
     length_changes: int = 0
     lengths_settled: bool = True
+    # What the last optimisation multiplied all lengths of odometry by.
+    odometry_length: float = 1.0
     _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
     _mine: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 

@@ -94,6 +94,7 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
     if missing:
         raise UnknownPart(f"a match it does not know: {missing[0]}")
     edges += [match_edge(state.verified[m], state.config.optimisation) for m in task.matches]
+    solver = state.config.optimisation.solver
     return Share(
         robot=state.me,
         members=task.members,
@@ -102,6 +103,7 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         units=units,
         arbitrary_scale=frozenset(task.arbitrary),
         priors=tuple(priors),
+        length_sigma=solver.length_sigma if solver.method == "elected" and solver.robust == "none" else 0.0,
     )
 
 
@@ -134,6 +136,7 @@ def adopt(
                 state.poses[index] = state.poses[index - 1] @ stretched(step, state.units[index])
         if outcome.positions and outcome.accepted and state.profile.metric:
             learn_length(state, track)
+    state.odometry_length = outcome.length if outcome.accepted else state.odometry_length
     state.version += 1
     return Adoption(before, frozenset(task.matches), elsewhere)
 

@@ -80,8 +80,8 @@ def preprocess(
         provider: where onnxruntime runs it.
         vocabulary: file of ORB words; None takes the one shipped.
         gps, gps_offset_s, gps_sigma_m, gps_antenna_m: a file of positions (or a folder with one for each agent; None:
-            ``gps.csv`` or ``gps.nmea`` beside the images), what to add to its times, its noise where the file has none,
-            and the antenna's place in the camera's frame.
+            ``gps.csv``, ``gps.nmea`` or ``gps.gpx`` beside the images, or a bag's NavSatFix), what to add to its times,
+            its noise where the file has none, and the antenna's place in the camera's frame.
         settings: of the odometry, ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``,
             and how, ``{"images.masks": "masks"}``.
         workers: processes. More than one needs a script that calls this under ``if __name__ == "__main__":``.

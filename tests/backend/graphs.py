@@ -118,6 +118,44 @@ def with_wrong_edges(graph, rng, count, reach=6.0):
     return replace(graph, edges=(*graph.edges, *wrong)), {(e.i, e.j) for e in wrong}
 
 
+def with_look_alikes(graph, truth, rng, share, agreeing=0.5):
+    """The graph and so many wrong matches between robots that they are this ``share`` of all; ``agreeing`` of them in
+    groups of 3 to 8 that agree with each other: a street of one robot taken for one of another. Returns it and the set
+    of the wrong ones' (i, j); right and wrong ones stand in random order.
+    """
+    right = [e for e in graph.edges if e.is_separator]
+    count = round(len(right) * share / (1.0 - share))
+    taken, wrong, information = {(e.i, e.j) for e in graph.edges}, [], right[0].information
+    sigma, own = 1.0 / np.sqrt(np.diag(information)), {}
+    for n in sorted(truth):
+        own.setdefault(n.robot, []).append(n)
+
+    def add(i, j, T):
+        if (i, j) not in taken and len(wrong) < count:
+            taken.add((i, j))
+            wrong.append(Edge(i, j, T @ se3_exp(sigma * rng.normal(size=6)), information, EdgeKind.SEPARATOR))
+
+    while len(wrong) < count * agreeing:
+        a, b = sorted(rng.choice(sorted(own), 2, replace=False).tolist())
+        size = int(rng.integers(3, 9))
+        i, j = int(rng.integers(len(own[a]) - 2 * size)), int(rng.integers(len(own[b]) - 2 * size))
+        # Where robot b would be if the two places were one.
+        move = truth[own[a][i]] @ se3_exp(0.3 * rng.normal(size=6)) @ se3_inverse(truth[own[b][j]])
+        if np.linalg.norm((move @ truth[own[b][j]] - truth[own[b][j]])[:3, 3]) < 4.0:
+            continue
+        for k in range(0, 2 * size, 2):
+            ends = own[a][i + k], own[b][j + k]
+            add(*ends, se3_inverse(truth[ends[0]]) @ move @ truth[ends[1]])
+    while len(wrong) < count:
+        a, b = sorted(rng.choice(sorted(own), 2, replace=False).tolist())
+        ends = own[a][int(rng.integers(len(own[a])))], own[b][int(rng.integers(len(own[b])))]
+        add(*ends, se3(so3_exp(rng.normal(size=3)), rng.uniform(-6.0, 6.0, 3)))
+    odometry = [e for e in graph.edges if not e.is_separator]
+    both = [*right, *wrong]
+    shuffled = [both[k] for k in rng.permutation(len(both))]
+    return replace(graph, edges=(*odometry, *shuffled)), {(e.i, e.j) for e in wrong}
+
+
 def measured(truth, i, j, kind, sigma, information, rng, scale=1.0):
     """The true relative pose with noise of ``sigma`` ``(6,)``."""
     T = se3_inverse(truth[i]) @ truth[j] @ se3_exp(sigma * rng.normal(size=6))

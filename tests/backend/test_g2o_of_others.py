@@ -211,6 +211,42 @@ def test_a_node_that_stands_twice_in_different_places_is_named(ring, tmp_path):
     assert notes == []
 
 
+def noted(path, lines):
+    notes = []
+    path.write_text("\n".join(lines) + "\n")
+    graph = read_g2o(path, notes=notes)
+    return graph, notes
+
+
+def test_an_edge_twice_in_one_file_counts_twice_and_is_said_with_the_count(ring, tmp_path):
+    lines = lines_of(ring)
+    i, j, T = ring[1][-1]
+    for again in (lines[-1], edge(i, j, T, digits=4), edge(j, i, se3_inverse(T))):
+        graph, notes = noted(tmp_path / "twice.g2o", [*lines, again])
+        assert len(graph.edges) == len(ring[1]) + 1
+        [note] = notes
+        assert note.startswith("1 edges stand twice in one file") and "0:3 - 0:9" in note
+    _, notes = noted(tmp_path / "twice.g2o", [*lines, edge(i, j, T @ se3(np.eye(3), [0.05, 0.0, 0.0]))])
+    assert notes == [], "another look at the place is another edge"
+
+
+def test_fix_of_what_does_not_stay_is_said(ring, tmp_path):
+    path, lines = tmp_path / "fixed.g2o", lines_of(ring)
+    assert noted(path, [*lines, "FIX 0"])[1] == [] == noted(path, [*lines, "FIX 99"])[1]
+    [note] = noted(path, [*lines, "FIX 5"])[1]
+    assert note.startswith(f"{path}:28: FIX of 0:5 is not held") and "shape and cost are the same" in note
+    [note] = noted(path, [*lines, "FIX 0 5", "FIX 7"])[1]
+    assert "FIX of 0:5 and 1 more is not held" in note and "EDGE_SE3_PRIOR" in note
+    with pytest.raises(BackendError, match=r"g2o:28: 'x' is not a node id"):
+        noted(path, [*lines, "FIX x"])
+
+
+def test_fix_beside_priors_is_said(ring, tmp_path):
+    prior = f"EDGE_SE3_PRIOR 5 0 0 0 0 0 0 0 1 {WEIGHTS}"
+    [note] = noted(tmp_path / "fixed.g2o", [*lines_of(ring), "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1", prior, "FIX 0"])[1]
+    assert "FIX of 0:0 is not held: priors say where the graph lies" in note
+
+
 def test_landmarks_are_left_out_and_a_missing_matrix_is_the_identity_and_both_are_said(ring, tmp_path, capsys):
     truth, edges = ring
     bare = [edge(i, j, T, weights="").strip() for i, j, T in edges]

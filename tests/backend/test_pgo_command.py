@@ -9,6 +9,7 @@ from graphs import loops
 
 import maslam
 from maslam.backend.central.costs import cost
+from maslam.backend.central.odometry import lengthened
 from maslam.backend.geometry import se3_exp, se3_log
 from maslam.backend.pose_graph.g2o import read_g2o, write_g2o
 from maslam.tools import cli
@@ -159,14 +160,20 @@ def test_a_robust_method_that_there_is_not_is_refused_with_the_nearest(folder):
 
 def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
     truth = with_wrong_edges(tmp_path / "in")
-    for method, robust in (("central", "pcm"), ("central", "gnc"), ("rbcd", "pcm"), ("rbcd", "gnc")):
-        words = ["pgo", str(tmp_path / "in"), str(tmp_path / "out"), "--method", method, "--robust", robust, "--json"]
+    ways = [(m, r) for m in ("central", "rbcd", None) for r in ("pcm", "gnc")]
+    for method, robust in ways:
+        chosen = ["--method", method] if method else []
+        words = ["pgo", str(tmp_path / "in"), str(tmp_path / "out"), *chosen, "--robust", robust, "--json"]
         assert cli.main(words) == 0
         report = json.loads(capsys.readouterr().out)
         assert sorted((r["i"], r["j"]) for r in report["rejected"]) == truth, (method, robust)
         assert report["rejected_edges"] == 3 and all(r["reason"] for r in report["rejected"])
+        assert report["method"] == (method or "elected")
     assert cli.main(["pgo", str(tmp_path / "in"), str(tmp_path / "o"), "--method", "sor", "--robust", "gnc"]) == 2
     assert "--robust gnc works with" in capsys.readouterr().err
+    settings = ["--method", "elected", "--robust", "gnc", "--robust.noise", "stated"]
+    assert cli.main(["pgo", str(tmp_path / "in"), str(tmp_path / "o"), *settings]) == 2
+    assert "an elected robot selects by --robust.confidence alone" in capsys.readouterr().err
 
 
 def test_the_picture_of_cost_against_bytes(folder, tmp_path, capsys):
@@ -231,3 +238,72 @@ def test_without_a_method_the_optimum_is_reached(folder, tmp_path, capsys):
     assert cli.main(["pgo", str(folder), str(tmp_path / "p"), "--method", "central", "--json"]) == 0
     best = json.loads(capsys.readouterr().out)["cost"]["F"]
     assert report["cost"]["F"] == pytest.approx(best, rel=1e-4)
+
+
+def test_matches_one_by_one_cost_less_than_solving_anew(folder, tmp_path, capsys):
+    out = tmp_path / "one"
+    words = ["pgo", str(folder), str(out), "--matches-one-by-one", "--link.solved-anew", "2", "--quiet"]
+    assert cli.main([*words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    updates, graph = report["updates"], read_g2o(sorted(folder.glob("*.g2o")))
+    between = sum(e.is_separator for e in graph.edges)
+    assert updates["matches"] == between - 2 and updates["anew"]["solved"] == 2
+    assert report["gap"] < 1e-4 and updates["largest_excess"] <= 5e-5
+    total = updates["first"]["bytes"] + updates["matches"] * updates["bytes"]["mean"]
+    assert report["wire_bytes"] == round(total)
+    assert updates["bytes"]["mean"] < updates["anew"]["bytes"]["mean"]
+    assert cost(read_g2o(sorted(out.glob("*.g2o"))), "F") == pytest.approx(report["cost"]["F"], rel=1e-6)
+    # Ten times the rate takes less time, and the same bytes.
+    fast = [*words[:2], str(tmp_path / "two"), *words[3:], "--link.rate-kbit", "96", "--link.delay-s", "0.05"]
+    assert cli.main([*fast, "--json"]) == 0
+    faster = json.loads(capsys.readouterr().out)["updates"]
+    assert faster["bytes"] == updates["bytes"]
+    assert faster["seconds"]["mean"] == pytest.approx(0.1 * updates["seconds"]["mean"])
+    assert cli.main([*words, "--overwrite"]) == 0
+    said = capsys.readouterr().out
+    assert f"{updates['matches']} matches one by one, mean: {updates['bytes']['mean']:.0f} bytes" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--matches-one-by-one", "--method", "rbcd"], 2, "--matches-one-by-one works with --method elected"),
+        (["--matches-one-by-one", "--robust", "pcm"], 2, "not --robust pcm"),
+        (["--link.delay-s", "1"], 2, "--link.delay-s is of --matches-one-by-one"),
+        (["--matches-one-by-one", "--plot", "a.png"], 2, "--plot compares methods"),
+        (["--matches-one-by-one", "--link.rate-kbit", "0"], 2, "rate-kbit"),
+        (["--matches-one-by-one", "--solver.elected-longest", "5"], 2, "leaves out poses that later matches need"),
+    ],
+)
+def test_what_does_not_go_with_matches_one_by_one(folder, tmp_path, capsys, words, code, said):
+    assert cli.main(["pgo", str(folder), str(tmp_path / "o"), *words]) == code
+    assert said in capsys.readouterr().err
+
+
+def test_a_single_robot_has_no_matches_to_come(tmp_path, capsys):
+    graph, _ = loops(np.random.default_rng(1), robots=1, length=20)
+    write_g2o(tmp_path / "one.g2o", graph, plain_ids=True)
+    assert cli.main(["pgo", str(tmp_path / "one.g2o"), str(tmp_path / "o.g2o"), "--matches-one-by-one"]) == 1
+    assert "the graph has one robot" in capsys.readouterr().err
+
+
+def test_lengths_of_odometry_are_found_where_they_are_asked_for(tmp_path, capsys):
+    """Not without the option; with it the written edges carry the lengths, so that they fit the written poses."""
+    graph, _ = loops(np.random.default_rng(0), sigma_t=0.01, sigma_deg=0.02, separators=6)
+    off = lengthened(graph, {0: 1 / 1.02, 1: 1 / 0.985, 2: 1 / 1.01, 3: 1 / 0.99})
+    write_g2o(tmp_path / "in.g2o", off)
+    costs = {}
+    for name, words in {
+        "plain": ["--method", "elected"],
+        "elected": ["--method", "elected", "--solver.length-sigma", "0.01"],
+        "central": ["--method", "central", "--central.length-sigma", "0.01"],
+    }.items():
+        out = tmp_path / name
+        assert cli.main(["pgo", str(tmp_path / "in.g2o"), str(out), *words]) == 0
+        said = capsys.readouterr().out
+        assert ("odometry's lengths are off" in said) == (name != "plain")
+        costs[name] = cost(read_g2o(sorted(out.glob("*.g2o"))), "F")
+    assert costs["central"] == pytest.approx(costs["elected"], rel=1e-3) and costs["central"] < 0.5 * costs["plain"]
+    for words in (["--method", "rbcd", "--solver.length-sigma", "0.01"], ["--central.length-sigma", "0.01"]):
+        assert cli.main(["pgo", str(tmp_path / "in.g2o"), str(tmp_path / "no"), *words]) == 2
+        assert "length-sigma works with --method" in capsys.readouterr().err

@@ -22,6 +22,7 @@ from maslam.frontend.datasets.recordings import (
     video_packets,
 )
 from maslam.frontend.files import pose_table, time_units
+from maslam.frontend.files.pose_arrays import ARRAY_SUFFIXES
 
 PAGE = Path(__file__).parents[2] / "docs" / "datasets.md"
 
@@ -49,7 +50,7 @@ LISTS: dict[str, tuple[str, Iterable[str]]] = {
     "files of numbers": ("calibration", (f"{stem}.txt" for stem in numbers_alone.STEMS)),
     "lists of times": ("times", image_times._LISTS),
     "units of time": ("times", (unit.name for unit in time_units.UNITS)),
-    "names of ground truth": ("ground truth", (*truth._NAMES, *truth._POSE_FOLDERS)),
+    "names of ground truth": ("ground truth", (*truth._NAMES, *truth.POSE_FOLDERS)),
     "suffixes of ground truth": ("ground truth", truth._SUFFIXES),
     "topics of poses": ("ground truth", bag_truth.POSE_TYPES),
     "images": ("images and depth", images.IMAGE_SUFFIXES),
@@ -83,7 +84,7 @@ def test_no_layout_and_no_suffix_is_there_that_nobody_reads() -> None:
     assert kinds == set(LISTS_OF["layouts"])
     suffixes = {name for text in tables().values() for name in named(text) if re.fullmatch(r"\.[a-z0-9]+", name)}
     known = {*images.IMAGE_SUFFIXES, *image_headers.UNREAD, *depth_files.FLOAT_SUFFIXES, *film.FILM_SUFFIXES}
-    assert suffixes <= known | {*bag.BAG_SUFFIXES, *truth._SUFFIXES, ".freiburg"}
+    assert suffixes <= known | {*bag.BAG_SUFFIXES, *truth._SUFFIXES, *ARRAY_SUFFIXES, ".freiburg"}
 
 
 LISTS_OF = {"layouts": tuple(reader.kind for reader in (*readers.OURS, readers.ANY_IMAGES))}

@@ -157,9 +157,11 @@ def passing(
     height: int = 240,
     x: float = 0.0,
     near_m: float = 1.3,
+    waits: int = 3,
 ) -> tuple[OdometryResult, list[FrameResult], np.ndarray]:
     """A walk, then the camera stands while something ``width`` pixels wide at ``near_m`` moves on before it, which
-    appears at once at column ``x`` after three frames, or six where it stands from the beginning."""
+    appears at once at column ``x`` after it has stood for ``waits`` frames, or six where it stands from the
+    beginning."""
     scene, poses = room.Room(3), room.walk(walk)
     poses = np.concatenate([poses, np.tile(poses[-1:], (stand, 1, 1))])
     texture = cv2.resize(
@@ -168,7 +170,7 @@ def passing(
         interpolation=cv2.INTER_CUBIC,
     )
     odometry, results = Odometry(room.rig(kind), CONFIG, Vocabulary.load()), []
-    comes = max(walk + 3, 7)
+    comes = max(walk + waits, 7)
     for i, pose in enumerate(poses):
         frame = scene.frame(i, pose, kind)
         if i >= comes:
@@ -231,6 +233,30 @@ def test_a_standing_camera_is_not_carried_along_by_what_fills_most_of_the_image(
     # What passes moves by 0.6 m or more.
     assert moved.max() < 0.05
     assert not any(frame.is_keyframe for frame in frames[24:])
+
+
+@pytest.mark.parametrize(
+    ("x", "waits", "height"), [(-400.0, 3, 180), (-480.0, 1, 180), (-330.0, 0, 180), (-400.0, 3, 220)]
+)
+def test_a_pair_that_stops_in_traffic_does_not_go_with_what_comes_before_it(x: float, waits: int, height: int) -> None:
+    """It comes when the last key-frame is some steps old, or in the frame in which the camera stops, and hides all but
+    a few points that waver."""
+    top = 30 if height == 180 else 10
+    result, frames, poses = passing(RigKind.STEREO, 540, 60, top=top, height=height, x=x, near_m=0.7, waits=waits)
+    [trajectory] = result.trajectories
+    at = np.rint(trajectory.stamps_ns / 1e8).astype(int)
+    assert len(at) >= 50
+    expected = (poses[at, :3, 3] - poses[0, :3, 3]) @ poses[0, :3, :3]
+    moved = np.linalg.norm(trajectory.centres - trajectory.centres[0] - expected, axis=1)
+    # What passes moves by 0.75 m or more.
+    assert moved.max() < (0.05 if waits else 0.1)
+    assert not any(frame.is_keyframe for frame in frames[24:])
+
+
+def test_a_pair_that_was_hidden_while_it_stood_waits_for_its_own_view() -> None:
+    """Six times as long as one that moved: what hides it passes in seconds."""
+    result, _, _ = passing(RigKind.STEREO, 540, 60, top=10, height=220, x=-236.0, near_m=0.7)
+    assert len(result.tracks) == 1 and sum(one.frames for one in result.lost) >= 45
 
 
 def test_one_camera_that_stood_does_not_start_by_what_comes_before_it() -> None:

@@ -3,7 +3,7 @@ drifts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -123,19 +123,21 @@ def make_sequence(
     with_truth: bool = True,
     drifting: float = 0.01,
     unit_drift: float = 0.0,
+    drifts: Callable[[Array, np.random.Generator], Array] | None = None,
 ) -> AgentSequence:
     """The sequence of an agent along true poses (one a frame); every third frame is a key-frame.
 
     ``drifting`` 0: exact odometry. ``scale`` other than 1: monocular, metres in one own unit are 1/scale (each later
     track's 1.5 times that of the one before); the scale's logarithm grows by ``unit_drift`` a metre. ``cuts``: frames
-    at which tracking was lost and a new track began.
+    at which tracking was lost and a new track began. ``drifts``: odometry of a true path, instead of ``drifting``.
     """
     rng = np.random.default_rng([seed, number])
     bounds = [0, *cuts, len(truth)]
     tracks, frames, stamps = [], [], []
     vectors = []
     for number_of_track, (first, last) in enumerate(pairwise(bounds)):
-        odometry = drift(truth[first:last], rng, drifting, 0.06 if drifting else 0.0)
+        way = truth[first:last]
+        odometry = drifts(way, rng) if drifts else drift(way, rng, drifting, 0.06 if drifting else 0.0)
         start = scale if scale == 1.0 else scale * 1.5**number_of_track
         scales = start * np.exp(unit_drift * travelled_by(truth[first:last]))
         odometry = rescaled(odometry, scales)

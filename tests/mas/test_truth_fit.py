@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from factory import circuit, make_sequence, make_world, manifest_of
 
-from maslam.backend.geometry import Array, se3, se3_inverse, so3_exp
+from maslam.backend.geometry import (
+    Array,
+    product,
+    quat_wxyz_from_rotation,
+    rotation_from_quat_wxyz,
+    se3,
+    se3_inverse,
+    so3_exp,
+)
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.mas.evaluation.summary import TruthFigures
 from maslam.mas.evaluation.truth_fit import compare
@@ -17,6 +25,7 @@ from maslam.mas.policies.presets import preset
 from maslam.mas.simulation import run
 from maslam.tools.report.command import write_report
 from maslam.tools.report.summary_table import table_of
+from maslam.tools.report.truth_warnings import misfit_text
 
 
 def bend(count: int = 60, far_m: float = 100.0) -> Array:
@@ -96,6 +105,36 @@ def test_cameras_that_stand_and_few_frames_tell_nothing() -> None:
     assert compare(0, [at(moved(stand, noise_m=0.001))], at(moved(stand, noise_m=0.02)), False) is None
     assert compare(0, [at(bend()[:4])], at(se3_inverse(bend())), True) is None
     assert compare(0, [at(bend())], None, True) is None and compare(0, [], at(bend()), True) is None
+
+
+def by_hand(count: int = 60) -> Array:
+    """A camera in a hand: turns about all axes."""
+    t = np.linspace(0.0, 6.0, count)
+    turns = np.column_stack([0.5 * np.sin(t), 0.6 * np.cos(1.7 * t), 0.4 * np.sin(2.3 * t + 1)])
+    centres = np.column_stack([2 * np.sin(0.9 * t), np.cos(1.3 * t), 0.5 * t])
+    return np.array([se3(so3_exp(w), c) for w, c in zip(turns, centres, strict=True)])
+
+
+def other_end(poses: Array, shift: int) -> Array:
+    """Quaternions whose real part was written at one end and read at the other."""
+    q = np.roll(quat_wxyz_from_rotation(poses[:, :3, :3]), shift, axis=1)
+    return se3(rotation_from_quat_wxyz(q), poses[:, :3, 3])
+
+
+def test_quaternions_from_the_other_end_are_said_though_positions_fit() -> None:
+    rng = np.random.default_rng(6)
+    drift = np.cumsum(rng.normal(0.0, 0.002, (60, 3)), axis=0)
+    estimate = product(se3(so3_exp(drift), np.zeros((60, 3))), by_hand())
+    body = product(by_hand(), se3(so3_exp([1.2, -0.4, 2.0]), np.zeros(3)))  # in a body's axes
+    for truth in (by_hand(), body):
+        assert told(estimate, truth).fits and not told(estimate, truth).rotations
+        for shift in (1, -1):
+            figures = told(estimate, other_end(truth, shift))
+            assert figures.fits and "qw first or last" in figures.rotations
+    car = bend()
+    assert not told(car, other_end(car, 1)).rotations, "about one axis nothing tells them apart"
+    line = misfit_text(told(estimate, other_end(body, 1)).model_dump())
+    assert "errors of positions are right, those of matches are not" in line
 
 
 @pytest.mark.parametrize("inverse", [True, False])

@@ -87,7 +87,10 @@ def test_the_config_of_a_run_of_0_1_is_read() -> None:
         today,
         places=replaced(today.places, widen_keyframes=None),
         relpose=replaced(today.relpose, max_scale=20.0),
-        optimisation=replaced(today.optimisation, solver=replaced(today.optimisation.solver, elected_fineness=512.0)),
+        optimisation=replaced(
+            today.optimisation,
+            solver=replaced(today.optimisation.solver, elected_fineness=512.0, length_sigma=0.0),
+        ),
     )
     assert build(MasConfig(), argparse.Namespace(), content, OF_0_1 / "config.yaml") == then
     assert content["preset"] == "maslam"

@@ -80,3 +80,18 @@ def test_each_robot_has_its_own_and_one_frame_serves_all(tmp_path: Path, capsys:
     alice, bob, carol = inspect_dataset(source).sequences
     assert not alice.problems and not carol.problems
     assert f"{source / 'bob' / 'gps.csv'}: positions" in bob.problems[0].message
+
+
+def test_a_track_under_another_name_is_said_and_a_usual_one_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rendered(tmp_path, SCENE, "stereo")
+    day = "2014-06-25T16:54:34."  # the images' second
+    point = '<trkpt lat="47.5" lon="8.25"><ele>400</ele><time>{}</time></trkpt>'
+    points = "".join(point.format(f"{day}{312 + 50 * i:03d}Z") for i in range(6))
+    (tmp_path / "track.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
+    assert main(["inspect", str(tmp_path)]) == 0
+    assert "track.gpx is not read: call it gps.gpx, or give --gps FILE" in capsys.readouterr().out
+    (tmp_path / "track.gpx").rename(tmp_path / "gps.gpx")
+    [report] = inspect_dataset(tmp_path).sequences
+    assert report.positions.startswith("5 of 6 positions in gps.gpx"), "the first is a fraction of a millisecond early"

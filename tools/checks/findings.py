@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ if TYPE_CHECKING:
     from maslam.frontend.frames import Frame
 
 _SAMPLES = 8  # frames that are looked at
+_SIDES_EVERY, _MOST_SIDES = 16, 32
+"""Before a run a frame in so many, and so many in all, tells whether left and right images change places."""
 
 
 @dataclass(frozen=True)
@@ -24,22 +27,28 @@ class ImageFindings:
     off: str = ""
 
 
-def samples_of(count: int) -> list[int]:
-    """Numbers of frames spread evenly over ``count``, the first and the last among them."""
-    return sorted({round(i * (count - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)})
+def samples_of(count: int, samples: int = _SAMPLES) -> list[int]:
+    """Numbers of frames spread evenly over ``count``, the first and the last among them; none for fewer than two
+    ``samples``."""
+    return sorted({round(i * (count - 1) / (samples - 1)) for i in range(samples)}) if samples > 1 else []
 
 
-def look_at(sequence: ImageSequence, frames: list[Frame], light: bool = True) -> ImageFindings:
+def look_at(
+    sequence: ImageSequence, frames: list[Frame], light: bool = True, more_sides: Sequence[int] = ()
+) -> ImageFindings:
     """Findings of ``frames`` of the sequence, which are a sample of it; ``light``: also whether they are dark or have
-    nothing to follow."""
+    nothing to follow; ``more_sides``: frames that are read only to see whether left and right images change places."""
+    from maslam.frontend.datasets import Severity
     from maslam.frontend.datasets.pair_check import fit_pair, match_pair
     from maslam.frontend.datasets.stored_image import folder_of
 
     from .depth_edges import edge_problems
     from .image_checks import check_image, image_lines
     from .pair_checks import pair_problems
+    from .pair_sides import side_problems
     from .repeats import repeat_problems
     from .sensor_checks import check_depth, check_rows, depth_lines, turned_lines
+    from .side_by_side import side_by_side_problems
 
     images, image_problems = image_lines([check_image(frame) for frame in frames]) if frames and light else ("", [])
     matches = [match_pair(frame.image, frame.right) for frame in frames if frame.right is not None]
@@ -50,10 +59,11 @@ def look_at(sequence: ImageSequence, frames: list[Frame], light: bool = True) ->
     row_problems: list[Problem] = []
     if pairs:
         rows, off, row_problems = turned_lines(pairs, fit_pair(matches, sequence.rig.camera))
-    problems = pair_problems(sequence, frames)
-    if not problems:  # rows and sides of images that are no pairs say nothing of the calibration
-        problems = row_problems
-    else:
+    problems = pair_problems(sequence, frames) or side_problems(sequence, stereo, matches, more_sides)
+    problems = problems or side_by_side_problems(sequence, frames)
+    if not any(problem.severity is Severity.ERROR for problem in problems):
+        problems = [*problems, *row_problems]
+    else:  # rows and sides of images that are no pairs say nothing of the calibration
         off = ""
     depth, depth_problems = depth_lines(depths) if depths else ("", [])
     if depths:
@@ -72,4 +82,5 @@ def look_at_sample(sequence: ImageSequence) -> ImageFindings:
             frames.append(sequence.read(i))
         except FrontendError:
             continue
-    return look_at(sequence, frames, light=False)
+    sides = samples_of(len(sequence), min(_MOST_SIDES, len(sequence) // _SIDES_EVERY))
+    return look_at(sequence, frames, light=False, more_sides=sides)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..common.errors import ToolError
-from ..common.found_positions import NO_POSITIONS, UNLIKE, found_positions
+from ..common.found_positions import NO_POSITIONS, UNLIKE, found_positions, unread_positions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +34,7 @@ def check_positions(dataset: Dataset, sequence: ImageSequence) -> PositionsCheck
     except ToolError as error:
         return PositionsCheck(problems=(Problem(Severity.ERROR, str(error)),))
     if found is None:
-        return PositionsCheck()
+        return PositionsCheck(notes=tuple(unread_positions(dataset, sequence)))
     stamps, geodetic = found.fixes.stamps_ns, found.fixes.geodetic is not None
     line = (
         f"{found.line()}, {stamps[0] / 1e9:.3f} to {stamps[-1] / 1e9:.3f} s, in {'degrees' if geodetic else 'metres'}"

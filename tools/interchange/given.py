@@ -187,7 +187,8 @@ def _job(
             "leaves it out"
         )
     placed = place_images(sequence.name, given, sequence.stamps_ns, settings.rules())
-    placed = replace(placed, poses=camera_poses(placed.poses, T_B_C, sequence.R_rectified_left))
+    mounted = settings.T_body_camera is not None
+    placed = replace(placed, poses=camera_poses(placed.poses, T_B_C, sequence.R_rectified_left), mounted=mounted)
     progress.say(f"{sequence.name}: {file.name}: {given.form}, {len(given.trajectory)} poses; {placed.text()}")
     points = None if settings.points is None else _points(settings, sequence, given, len(names) == 1)
     if points is not None:

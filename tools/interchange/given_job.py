@@ -30,6 +30,7 @@ def given_job(job: TrackingJob, placed: PlacedImages, points: GivenPoints | None
     digest = hashlib.sha256(f"{job.fingerprint} {code_digest(*_CODE)}".encode())
     for values in (placed.rows, placed.poses, placed.track):
         digest.update(values.tobytes())
+    digest.update(bytes([placed.mounted]))
     digest.update(b"" if points is None else points.digest().encode())
     of = job.sequence, job.odometry, job.descriptor, job.vocabulary
     store = job.store.with_name(f"{name}{job.store.suffix}")

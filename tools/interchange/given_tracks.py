@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from maslam.frontend.errors import FrontendError
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory
 from maslam.frontend.files.vo_files import VoTrack
 from maslam.frontend.frames import Frame
+from maslam.frontend.mapping.body_axes import fitting_axes
 from maslam.frontend.mapping.given_poses import GivenMap, GivenPoseMapper
 from maslam.frontend.mapping.pose_agreement import agreeing
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
@@ -29,6 +30,8 @@ NO_POSE, TOO_SHORT = "no pose is given at its time", "the track is too short: fe
 _REFUSE_BELOW, _WARN_BELOW = 0.4, 0.7
 """Share of key-points matched by their look that must agree with the poses; rendered and real sequences with right ones
 have 0.85 and more."""
+_AXES_BELOW, _AXES_BETTER = 0.85, 0.2
+"""Share below which other axes are tried, and by how much more must agree in these: they are named then."""
 _UNIT_WARN, _UNIT_REFUSE = 0.1, 0.5
 """How far the unit of the poses may be off that of depth: share of it."""
 _ERROR_WARN_PX = 3.0
@@ -91,6 +94,8 @@ def track_given(
     stats = _agreement(maps)
     if points is not None:
         _refuse_points(stats)
+    if not placed.mounted and stats.get("agreeing", 1.0) < _AXES_BELOW:
+        _refuse_axes(stats, maps, sequence)
     _refuse_contradiction(stats)
     posed = [placed.rows[rows] for rows in kept]
     return Tracked(
@@ -171,6 +176,20 @@ def _refuse_contradiction(stats: Mapping[str, float]) -> None:
         )
     if not stats["points"]:
         raise ToolError("no point could be placed by the poses given")
+
+
+def _refuse_axes(stats: Mapping[str, float], maps: Sequence[GivenMap], sequence: ImageSequence) -> None:
+    """:class:`ToolError` where the images contradict the poses as a camera's, and agree with them in other axes."""
+    camera = sequence.rig.camera
+    found = fitting_axes([one for m in maps for one in m.matched], camera.fx, camera.width, sequence.R_rectified_left)
+    if found is None or found.share < _WARN_BELOW or found.share < stats["agreeing"] + _AXES_BETTER:
+        return
+    cure = "invert them" if found.inverted else f"--T-body-camera={found.numbers()}, or with its place on the body"
+    as_given = "; --T-body-camera=0,0,0,0,0,0,1 takes them as the camera's all the same"
+    raise ToolError(
+        f"images and poses contradict each other: only {_share_text(stats)}; as {found.words()}, "
+        f"{100 * found.share:.0f} % do: {cure}{as_given if stats['agreeing'] >= _REFUSE_BELOW else ''}"
+    )
 
 
 def _refuse_points(stats: Mapping[str, float]) -> None:

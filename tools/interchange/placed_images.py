@@ -37,7 +37,7 @@ class PlacingRules:
 class PlacedImages:
     """``rows`` ``(M,)`` ascending: images that have a pose, ``poses`` ``(M, 4, 4)``, ``track`` ``(M,)`` from 0;
     ``own`` images had a pose of their time, ``between`` interpolated ones, out of ``images``; ``jumps``: where tracks
-    were cut, for people."""
+    were cut, for people; ``mounted``: the user says how the camera stands on what the poses are of."""
 
     rows: NDArray[np.int64]
     poses: Array
@@ -46,6 +46,7 @@ class PlacedImages:
     between: int
     images: int
     jumps: tuple[str, ...]
+    mounted: bool = False
 
     def text(self) -> str:
         """The counts in one line."""

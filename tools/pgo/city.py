@@ -12,6 +12,8 @@ BLOCK = 8
 _ROOM = 1.5
 """Square metres of city for each pose: the same density at any size."""
 _SIGMA = np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002])
+_INFORMATION = np.diag(1.0 / _SIGMA**2)
+"""One for all edges: of large cities copies are much of the memory."""
 _HEADINGS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 
@@ -72,4 +74,4 @@ def _inside(x: int, y: int, heading: int, side: int) -> bool:
 
 def _measured(truth: dict[NodeId, Array], i: NodeId, j: NodeId, kind: EdgeKind, rng: np.random.Generator) -> Edge:
     T = se3_inverse(truth[i]) @ truth[j] @ se3_exp(_SIGMA * rng.standard_normal(6))
-    return Edge(i, j, T, np.diag(1.0 / _SIGMA**2), kind)
+    return Edge(i, j, T, _INFORMATION, kind)

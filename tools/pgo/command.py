@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.errors import ToolError, UsageError
-from ..common.options import DEST, add_model_options, build, option_name
+from ..common.options import DEST, add_model_options, build, leaves, option_name
 from ..common.parser import at_least_one
 from .report import PgoReport
 
@@ -33,6 +33,8 @@ methods
   rbcd         block-coordinate descent towards the optimum, in agreed rounds; rbcd-async: late, lost, repeated messages
   multifrontal exact elimination along an agreed order, to the optimum on any shape; no robot sees more than its own
                part and poses that are shared; bytes grow with the square of these, too many are refused
+  two-level    sweeps with a coarse level: within a thousandth of the optimum, nobody solves for all; few bytes at any
+               number of robots
   elected      one robot gathers the condensed graph, solves it, and sends poses back: the optimum in the fewest bytes
 monocular
   one camera's unit of length drifts: each pose has one, found along with it (--monocular). A g2o line is rigid (SE3):
@@ -47,7 +49,7 @@ robust
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``FILES… OUT``, the method, and all settings of its solver."""
-    from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
+    from maslam.backend.config import CentralConfig, LinkModel, RobustConfig, SolverConfig
 
     from .methods import METHODS, ROBUST, WEIGHTS
 
@@ -59,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         choices=METHODS,
-        help="see below (default: elected; rbcd with --robust gnc, central with huber or cauchy)",
+        help="see below (default: elected; central with huber or cauchy)",
     )
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(
@@ -82,6 +84,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: none; see below)",
     )
     parser.add_argument(
+        "--matches-one-by-one",
+        action="store_true",
+        help="method elected: give the robots their matches in the order of the later pose, each as an update of what "
+        "they have, and report what it costs beside solving anew (links: --link.delay-s, --link.rate-kbit)",
+    )
+    parser.add_argument(
         "--skip-broken-lines", action="store_true", help="name broken lines and go on, instead of failing"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace graphs that OUT names")
@@ -92,10 +100,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_options(parser, SolverConfig(), "solver")
     add_model_options(parser, CentralConfig(), "central")
     add_model_options(parser, RobustConfig(), "robust")
+    add_model_options(parser, LinkModel(), "link")
 
 
 def main(arguments: argparse.Namespace) -> None:
     """The command; :class:`ToolError` where robots refused the result: what was asked is not done then."""
+    from maslam.backend.config import LinkModel
     from maslam.backend.pose_graph.g2o import read_g2o
 
     from ..common.figures import check_picture
@@ -104,7 +114,13 @@ def main(arguments: argparse.Namespace) -> None:
 
     if arguments.method is None:
         arguments.method = default_method(arguments.robust)
-    check(arguments.method, arguments.robust, arguments.monocular is not None)
+    one_by_one = arguments.matches_one_by_one
+    check(arguments.method, arguments.robust, arguments.monocular is not None, one_by_one)
+    for setting, _ in [] if one_by_one else leaves(LinkModel, "link"):
+        if hasattr(arguments, DEST + setting):
+            raise UsageError(f"{option_name(setting)} is of --matches-one-by-one")
+    if one_by_one and arguments.plot is not None:
+        raise UsageError("--plot compares methods; leave out --matches-one-by-one, or --plot")
     if arguments.monocular is not None and arguments.plot is not None:
         raise UsageError("--plot compares methods on rigid graphs; leave out --monocular, or --plot")
     for path, instead in (("solver.method", "--method"), ("solver.robust", "--robust"), ("central.loss", "--robust")):
@@ -138,7 +154,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
     """The request of the command line for this graph."""
-    from maslam.backend.config import CentralConfig, RobustConfig
+    from maslam.backend.config import CentralConfig, LinkModel, RobustConfig
 
     from .methods import LOSSES, Request, solver_of, takes_unit_weights
 
@@ -148,7 +164,8 @@ def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
     solver = build(solver_of(arguments.method), arguments, prefix="solver")
     selection = build(RobustConfig(), arguments, prefix="robust")
     monocular = _monocular(graph, arguments.monocular)
-    return Request(arguments.method, arguments.robust, unit, central, solver, selection, monocular)
+    link = build(LinkModel(), arguments, prefix="link") if arguments.matches_one_by_one else None
+    return Request(arguments.method, arguments.robust, unit, central, solver, selection, monocular, link)
 
 
 def _monocular(graph: PoseGraph, robots: str | None) -> frozenset[int]:
@@ -175,14 +192,23 @@ def optimise_graph(
     """Run the method that ``arguments`` name; returns the graph with its own information, in one unit of length, the
     report, and the poses' units where they were found. ``notes`` of the reading go into the report."""
     from maslam.backend.central.graph_report import report as look_at
+    from maslam.backend.central.odometry import lengthened
+    from maslam.backend.pose_graph.node import robot_name
 
+    from ..common.progress import counter, progress_on
     from .methods import caps_reached, solve
 
     request = request_of(graph, arguments)
     start = time.perf_counter()
-    found = solve(graph, request)
+    if request.link is None:
+        found = solve(graph, request)
+    else:
+        with progress_on(quiet=arguments.quiet) as progress:
+            found = solve(graph, request, counter(progress, "matches"))
     seconds = time.perf_counter() - start
     solved = graph.in_one_unit(found.poses, found.units) if found.units else graph.with_poses(found.poses)
+    if found.lengths:
+        solved = lengthened(solved, found.lengths)
     believed = solved.with_weights(found.weights)
     proof = (None, None) if found.units or (arguments.no_certificate and not found.refused) else _proof(believed, found)
     certified, gap = (None, None) if arguments.no_certificate else proof
@@ -211,7 +237,9 @@ def optimise_graph(
         rejected=found.rejected,
         warnings=[*notes, *look_at(graph).lines(), *([] if proof[0] else caps_reached(request, found))],
         refused=None if _nothing_to_do(found, *proof) else found.refused,
+        updates=found.updates,
         monocular=sorted(request.monocular),
+        lengths={robot_name(robot): found.lengths[robot] for robot in sorted(found.lengths)},
         units={"smallest": min(sizes), "largest": max(sizes)} if sizes else None,
     )
     if not all(map(math.isfinite, report.cost.values())):

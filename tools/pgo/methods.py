@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,23 +12,27 @@ from maslam.backend.central.minimum import minimum
 from maslam.backend.central.optimise import optimise
 from maslam.backend.central.similarity_edges import edges_of
 from maslam.backend.components import parts
-from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
+from maslam.backend.config import CentralConfig, LinkModel, RobustConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
+from maslam.backend.distributed.incremental.one_by_one import matches_one_by_one
 from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
 from maslam.backend.pose_graph.node import robot_name, symbol_name
 from maslam.backend.robust.noise import Noise
-from maslam.backend.robust.pcm import consistent_edges
+from maslam.backend.robust.pcm import bytes_of_cycles, consistent_edges
 from maslam.backend.robust.select import optimise_robustly
 
 from ..common.errors import UnknownName, UsageError
+from .updates import figures
 
 CENTRAL = "central"
 TWO_STAGE = ("dgs", "jor", "sor")
-TO_THE_OPTIMUM = ("rbcd", "rbcd-async", "multifrontal", "elected")
+TO_THE_OPTIMUM = ("rbcd", "rbcd-async", "multifrontal", "two-level", "elected")
 METHODS = (CENTRAL, *TWO_STAGE, "quick", *TO_THE_OPTIMUM)
 LOSSES = ("huber", "cauchy")
+SELECTING = (CENTRAL, "rbcd", "elected")
+"""Methods that know ``gnc``."""
 SELECTIONS = ("pcm", "gnc", "pcm+gnc")
 ROBUST = ("none", *LOSSES, *SELECTIONS)
 WEIGHTS = ("auto", "information", "unit")
@@ -37,7 +41,7 @@ WEIGHTS = ("auto", "information", "unit")
 @dataclass(frozen=True)
 class Request:
     """``unit``: minimise U instead of what ``central.cost`` or F says; ``monocular``: robots whose nodes have units of
-    length of their own."""
+    length of their own. ``link``: matches come one by one, over such links."""
 
     method: str
     robust: str
@@ -46,12 +50,14 @@ class Request:
     solver: SolverConfig
     selection: RobustConfig
     monocular: frozenset[int] = frozenset()
+    link: LinkModel | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """``weights`` ``(m,)``: of the edges, 0 where rejected; ``rejected``: records of those; ``units``: of the nodes, in
-    the common one, where they were variables."""
+    the common one, where they were variables; ``updates``: of matches one by one, what these cost; ``lengths``: what
+    odometry of these robots is to be multiplied by."""
 
     poses: Mapping[NodeId, Array]
     weights: Array
@@ -65,14 +71,16 @@ class Solution:
     messages: int = 0
     unreached_poses: int = 0
     units: Mapping[NodeId, float] = field(default_factory=dict)
+    lengths: Mapping[int, float] = field(default_factory=dict)
     refused: str | None = None
     cost_before: float | None = None
     capped: bool = False
+    updates: dict[str, object] | None = None
 
 
 def default_method(robust: str) -> str:
     """The one that reaches the optimum on any graph, in the fewest bytes, and what selects edges by itself."""
-    return "rbcd" if "gnc" in robust else CENTRAL if robust in LOSSES else "elected"
+    return CENTRAL if robust in LOSSES else "elected"
 
 
 def own_units(graph: PoseGraph, monocular: Collection[int]) -> frozenset[int]:
@@ -95,21 +103,41 @@ def takes_unit_weights(weights: str, graph: PoseGraph) -> bool:
     return weights == "unit" or (weights == "auto" and graph.is_unweighted)
 
 
-def check(method: str, robust: str, monocular: bool = False) -> None:
+def check(method: str, robust: str, monocular: bool = False, one_by_one: bool = False) -> None:
     """Refuse what does not go together."""
+    if one_by_one and (method != "elected" or robust != "none"):
+        instead = f"--robust {robust}" if robust != "none" else f"--method {method}"
+        raise UsageError(f"--matches-one-by-one works with --method elected and no robust selection, not {instead}")
     if monocular and robust != "none":
         raise UsageError(f"--robust {robust} judges rigid graphs only; leave out --monocular, or --robust")
     if robust in LOSSES and method != CENTRAL:
         raise UsageError(f"--robust {robust} works with --method central, not {method}")
-    if "gnc" in robust and method not in (CENTRAL, "rbcd"):
-        raise UsageError(f"--robust {robust} works with --method central or rbcd, not {method}; pcm works with all")
+    if "gnc" in robust and method not in SELECTING:
+        ways = f"{', '.join(SELECTING[:-1])} or {SELECTING[-1]}"
+        raise UsageError(f"--robust {robust} works with --method {ways}, not {method}; pcm works with all")
 
 
-def solve(graph: PoseGraph, request: Request) -> Solution:
-    """Run the method."""
-    check(request.method, request.robust, bool(request.monocular))
+def solve(graph: PoseGraph, request: Request, tick: Callable[[int, int], None] = lambda done, total: None) -> Solution:
+    """Run the method; ``tick`` is called with what is done, and of how much, where matches come one by one."""
+    check(request.method, request.robust, bool(request.monocular), request.link is not None)
+    if request.central.length_sigma > 0 and (request.method != CENTRAL or request.monocular):
+        raise UsageError(
+            "--central.length-sigma works with --method central without --monocular; --solver.length-sigma with elected"
+        )
+    if request.solver.length_sigma > 0 and request.method != "elected":
+        raise UsageError(f"--solver.length-sigma works with --method elected, not {request.method}")
+    if request.solver.length_sigma > 0 and (request.robust != "none" or request.link is not None):
+        other = "--matches-one-by-one" if request.link is not None else f"--robust {request.robust}"
+        raise UsageError(f"--solver.length-sigma does not go with {other}, which takes lengths as they are")
     if request.monocular and request.method == CENTRAL:
         return _with_units(graph, request)
+    if request.link is not None:
+        if request.solver.elected_longest > 1:
+            raise UsageError(
+                f"--solver.elected-longest {request.solver.elected_longest} leaves out poses that later matches need; "
+                "with --matches-one-by-one leave it at 1"
+            )
+        return solve_one_by_one(graph, request, request.link, tick)
     return (_central if request.method == CENTRAL else _distributed)(graph, request)
 
 
@@ -140,7 +168,8 @@ def _central(graph: PoseGraph, request: Request) -> Solution:
         rejected = [_record(graph, e.i, e.j, e.residual, e.reason) for e in found.rejected]
         return Solution(found.graph.poses, found.weights, rejected, config.cost, found.iterations)
     result = optimise(graph, config)
-    return Solution(result.graph.poses, np.ones(len(graph.edges)), [], config.cost, result.iterations)
+    weights = np.ones(len(graph.edges))
+    return Solution(result.graph.poses, weights, [], config.cost, result.iterations, lengths=result.lengths)
 
 
 def _with_units(graph: PoseGraph, request: Request) -> Solution:
@@ -168,24 +197,57 @@ def _with_units(graph: PoseGraph, request: Request) -> Solution:
     )
 
 
+def solve_one_by_one(graph: PoseGraph, request: Request, link: LinkModel, tick: Callable[[int, int], None]) -> Solution:
+    """The elected method with matches that come one by one; bytes are those of the first solution and all updates."""
+    working = graph.with_unit_weights() if request.unit else graph
+    found = matches_one_by_one(working, request.solver, link, request.monocular, tick)
+    every = (found.first, *found.updates)
+    return Solution(
+        poses={n: found.graph.poses[n] for n in graph.nodes},
+        weights=np.ones(len(graph.edges)),
+        rejected=[],
+        minimised="U" if request.unit else "F",
+        iterations=len(every),
+        payload_bytes=sum(one.payload_bytes for one in every),
+        wire_bytes=sum(one.bytes_sent for one in every),
+        messages=sum(one.messages for one in every),
+        units=found.units if request.monocular else {},
+        updates=figures(found, link),
+    )
+
+
 def _distributed(graph: PoseGraph, request: Request) -> Solution:
-    weights, rejected = np.ones(len(graph.edges)), []
+    weights, rejected, of_cycles = np.ones(len(graph.edges)), [], 0
     config = request.solver
-    if request.robust != "none":
-        # From odometry alone, which two robots tell each other once; these bytes are not counted.
+    if config.gnc_confidence == SolverConfig().gnc_confidence:
+        # The quantile of central selection, unless another one was asked for.
+        config = replaced(config, gnc_confidence=request.selection.confidence)
+    by_elected = request.method == "elected" and "gnc" in request.robust
+    if by_elected:
+        # The elected robot has the whole graph, its cycles and its noise.
+        if request.selection != RobustConfig(confidence=request.selection.confidence):
+            raise UsageError("an elected robot selects by --robust.confidence alone; the others work with central")
+        config = replaced(config, robust="gnc")
+    elif request.robust != "none":
+        # From odometry alone, which two robots tell each other once.
         consistent = consistent_edges(graph, request.selection)
-    if "gnc" in request.robust:
+        of_cycles = bytes_of_cycles(graph)
+    if "gnc" in request.robust and not by_elected:
         # The bound on a right edge's residual that the cycles tell, as a factor over the stated one.
         beyond = 1.0 - config.gnc_confidence
         bound, stated = consistent.noise.limit(beyond), Noise.stated(graph.dimension).limit(beyond)
         noise = max((bound / stated) ** 0.5, config.gnc_noise)
         config = replaced(config, robust="gnc", gnc_noise=noise)
-    if "pcm" in request.robust:
-        weights = consistent.accepted.astype(np.float64)
+    if "pcm" in request.robust and not by_elected:
+        believed = consistent.accepted
+        if "gnc" in request.robust:
+            # Between robots the vote of all decides: of two robots alone a wrong group may be the larger one.
+            believed = believed | np.array([e.is_separator for e in graph.edges], dtype=bool)
+        weights = believed.astype(np.float64)
         rejected = [
             _record(graph, e.i, e.j, None, f"agrees with {consistent.agreeing[k]} of {consistent.tested[k]} others")
             for k, e in enumerate(graph.edges)
-            if not consistent.accepted[k]
+            if not believed[k]
         ]
     kept = [k for k, weight in enumerate(weights) if weight > 0]
     working = replace(graph, edges=tuple(graph.edges[k] for k in kept))
@@ -205,11 +267,12 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         iterations=max(o.rotation_sweeps + o.pose_sweeps for o in outcomes),
         rotation_sweeps=max(o.rotation_sweeps for o in outcomes),
         pose_sweeps=max(o.pose_sweeps for o in outcomes),
-        payload_bytes=traffic.payload_bytes,
-        wire_bytes=traffic.wire_bytes,
+        payload_bytes=traffic.payload_bytes + of_cycles,
+        wire_bytes=traffic.wire_bytes + of_cycles,
         messages=traffic.messages,
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
+        lengths=result.lengths,
         refused=_refused(result.outcomes),
         capped=any(o.capped for o in outcomes),
         cost_before=_largest([o.cost_before for o in outcomes]),

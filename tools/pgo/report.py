@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from maslam.backend.pose_graph.node import robot_name
 
+from .updates import lines
+
 
 @dataclass(frozen=True)
 class PgoReport:
@@ -16,8 +18,10 @@ class PgoReport:
     ``pose_sweeps`` are None for methods without sweeps; ``iterations`` is their sum, or the solver's own.
     ``rejected``: each edge that robust selection turned down, and why. ``warnings``: irregularities of the graph.
     ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
-    of them in the common one, which the graph is written in; None where there are none. ``refused``: why robots kept
+    of them in the common one, which the graph is written in; None where there are none. ``lengths``: what robots'
+    odometry was found to have to be multiplied by, which the edges are written with. ``refused``: why robots kept
     their poses as they were, None where all took the result. ``files``: those that were read.
+    ``updates``: of matches one by one, what each cost (:mod:`maslam.tools.pgo.updates`); None where all came at once.
     """
 
     method: str
@@ -44,8 +48,10 @@ class PgoReport:
     warnings: list[str] = field(default_factory=list)
     monocular: list[int] = field(default_factory=list)
     units: dict[str, float] | None = None
+    lengths: dict[str, float] = field(default_factory=dict)
     refused: str | None = None
     files: list[str] = field(default_factory=list)
+    updates: dict[str, object] | None = None
 
     def lines(self) -> list[str]:
         """For people."""
@@ -58,7 +64,11 @@ class PgoReport:
         if self.refused is not None:
             out.append(f"  result refused, poses as they were: {self.refused}")
         out += self._proof() + self._effort()
+        out += [] if self.updates is None else lines(self.updates)
         out += self._units()
+        if self.lengths:
+            each = ", ".join(f"robot {robot} x {factor:.4f}" for robot, factor in self.lengths.items())
+            out.append(f"  odometry's lengths are off, and are written corrected: {each}")
         if self.robust != "none" and self.robust not in ("huber", "cauchy"):
             out.append(f"  {self.rejected_edges} edges rejected by {self.robust}; --json lists them")
         if self.unreached_poses:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.errors import ToolError, UsageError
-from ..common.found_positions import DEFAULT_SIGMA_M, UNLIKE, PositionSettings, found_positions
+from ..common.found_positions import DEFAULT_SIGMA_M, UNLIKE, PositionSettings, found_positions, unread_positions
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets.base import Dataset
@@ -27,8 +27,9 @@ def add_position_options(parser: argparse.ArgumentParser) -> None:
         "--gps",
         type=Path,
         metavar="FILE",
-        help="positions: NMEA log, csv with a header (time lat lon alt, or time east north up; sigma or covariance of "
-        "each axis) or TUM lines; a folder with one for each agent (default: gps.csv or gps.nmea beside the images)",
+        help="positions: NMEA log, GPX, csv with a header (time lat lon alt, or time east north up; sigma or "
+        "covariance of each axis) or TUM lines; a folder with one for each agent (default: gps.csv, gps.nmea or "
+        "gps.gpx beside the images, or a bag's NavSatFix)",
     )
     group.add_argument(
         "--gps-offset", type=float, default=0.0, metavar="S", help="seconds to add to their times (default: 0)"
@@ -77,7 +78,8 @@ def with_positions(
     for sequence in dataset.sequences:
         one = found_positions(dataset, sequence, settings, metric)
         if one is None:
-            sequences.append(sequence)
+            lines += [f"{sequence.name}: {note}" for note in unread_positions(dataset, sequence)]
+            sequences.append(replace(sequence, positions=None))
             continue
         fixes = one.fixes
         kinds.add(fixes.geodetic is not None)
@@ -86,7 +88,7 @@ def with_positions(
             fixes = fixes.around(origin)
         lines.append(f"{sequence.name}: {one.line()}")
         lines += [f"{sequence.name}: {note}" for note in one.notes()]
-        found[sequence.name] = str(one.file)
+        found[sequence.name] = one.source
         sequences.append(replace(sequence, positions=fixes))
     if len(kinds) > 1:
         raise ToolError(UNLIKE)

@@ -79,8 +79,11 @@ def summary_line(manifest: Manifest, out: Path) -> str:
     return f"{out}: {agents}, {frames} frames, {keyframes} key-frames, scale {manifest.scale}"
 
 
-def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: Progress) -> Manifest:
-    """Make the SEQS folder ``out`` from the images in ``source``.
+def preprocess(
+    source: Path, out: Path, settings: PreprocessSettings, progress: Progress, judged_later: bool = False
+) -> Manifest:
+    """Make the SEQS folder ``out`` from the images in ``source``. ``judged_later``: a run that follows says of the
+    agents what ground truth does not fit; here it is noted only, unless one sequence is several agents.
 
     Sequences that cannot be used are reported, noted in the manifest and left out; ``ToolError`` where none is left.
     """
@@ -95,7 +98,7 @@ def preprocess(source: Path, out: Path, settings: PreprocessSettings, progress: 
     if not settings.overwrite:
         check_same_sequences(out, made_of)
     with writing(out), begun(out, made_of):
-        return _made(dataset, out, settings, model, progress, positions)
+        return _made(dataset, out, settings, model, progress, positions, judged_later)
 
 
 def open_source(source: Path, settings: PreprocessSettings) -> tuple[PlaceDescriptor, Dataset]:
@@ -125,6 +128,7 @@ def _made(
     model: PlaceDescriptor,
     progress: Progress,
     positions: dict[str, Any],
+    judged_later: bool,
 ) -> Manifest:
     """Track the sequences of ``dataset`` that can be used, and write them as agents."""
     from ..common.parallel import core_count
@@ -139,14 +143,15 @@ def _made(
     of = (settings.odometry, settings.model, settings.vocabulary, store, settings.provider)
     plan = plan_tracking(dataset, lambda sequence: make_job(sequence, *of))
     done = track_all(dataset, replace(plan, problems=[*plan.problems, *refined]), track_job, workers, progress)
-    problems, split = [*done.problems, *truth_problems(done.tracked)], split_of(settings)
+    problems, misfits, split = done.problems, truth_problems(done.tracked), split_of(settings)
     plans = all_agents(done.tracked, split)
     notes = notes_of(dataset)
-    for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in problems)):
+    said = problems if judged_later and split is None else [*problems, *misfits]
+    for line in (*(f"note: {note}" for note in notes), *(f"warning: {problem}" for problem in said)):
         progress.say(line)
     noted = {
         **as_set(settings),
-        "problems": problems,
+        "problems": [*problems, *misfits],
         "notes": notes,
         **({"gps": positions} if positions else {}),
     }
@@ -162,7 +167,7 @@ def truth_problems(tracked: Sequence[tuple[ImageSequence, Tracked]]) -> list[str
     lines = []
     for sequence, one in tracked:
         found = compare(0, one.trajectories, sequence.groundtruth, sequence.rig.metric)
-        if found is not None and not found.fits:
+        if found is not None and (not found.fits or found.rotations):
             lines.append(f"{sequence.name}: {misfit_text(found.model_dump())}")
     return lines
 

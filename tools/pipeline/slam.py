@@ -96,7 +96,7 @@ def slam(
     if not settings.overwrite:
         check_same_run(out, config)
     with writing(out):
-        manifest = preprocess(source, out / SEQUENCES, settings, progress)
+        manifest = preprocess(source, out / SEQUENCES, settings, progress, judged_later=True)
         if not settings.overwrite:
             check_same_run(out, config, of_manifest(manifest))
         progress.say(summary_line(manifest, out / SEQUENCES))

@@ -15,6 +15,7 @@ from maslam.frontend.errors import FrontendError, ImageSizeError
 from maslam.frontend.files.point_views import PointViews
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
+from maslam.frontend.reason import STANDS_SHORT
 
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
@@ -30,6 +31,7 @@ UNREADABLE_SHARE = (
     0.1  # more unreadable frames than this, and the sequence is refused: what is left is not what was filmed
 )
 UNREADABLE = "the image could not be read"
+_KEEP_ONE = "move it, or keep its one key-frame by odometry.min_track_keyframes 1 (--odometry.min-track-keyframes 1)"
 OTHER_SIZE = "the image has another size than the others"
 
 
@@ -109,7 +111,10 @@ def _why_none(
     for interval in finished.lost:
         for kind, frames in lost_gap(interval, sequence.stamps_ns, read, other_size).kinds:
             reasons[kind] += frames
-    return ", ".join(f"{kind} ({count} x)" for kind, count in reasons.most_common(3)) or "no frame could be used"
+    why = ", ".join(f"{kind} ({count} x)" for kind, count in reasons.most_common(3)) or "no frame could be used"
+    if sequence.rig.metric and set(reasons) == {STANDS_SHORT}:
+        return f"{why}: {_KEEP_ONE}"
+    return why
 
 
 def follow(

@@ -11,11 +11,35 @@ from .html import Section
 
 _KINDS = {"odometry": "odometry", "loop": "own loop", "separator": "match"}
 _NAMED = 3
+_LOOSE = 3.0
 
 
 def graph_lines(summary: Mapping[str, Any]) -> list[str]:
     """A warning for each group of agents whose graph does not fit, with the edges that fit worst; none where all do."""
     return [_line(graph) for graph in summary.get("graphs") or [] if not graph["fits"]]
+
+
+def odometry_lines(summary: Mapping[str, Any]) -> list[str]:
+    """For each group of agents, by its matches: how exact odometry is, and lengths that were mended; none where matches
+    tell nothing of it."""
+    return [line for graph in summary.get("graphs") or [] for line in _odometry(graph)]
+
+
+def _odometry(graph: Mapping[str, Any]) -> list[str]:
+    errors, lengths, out = graph.get("odometry_sigmas") or {}, graph.get("lengths") or [], []
+    whose = " ".join(f"agent_{agent:02d}" for agent in graph["agents"])
+    if errors:
+        values = ", ".join(f"{value:.2g}" for value in errors.values())
+        spans = ", ".join(str(span) for span in errors)
+        out.append(f"odometry       of {whose}, by matches: errors {values} x stated over {spans} key-frames")
+        if max(errors.values()) > _LOOSE:
+            out.append(
+                f"  more than {_LOOSE:g}: state less, --optimisation.odometry-sigma-share or -deg, or look for a cause"
+            )
+    if any(length != 1.0 for length in lengths):
+        off = ", ".join(f"{100 * (1 / length - 1):+.2f} %" for length in lengths)
+        out.append(f"  lengths      off by {off} (mended; what is common to all stays unknown)")
+    return out
 
 
 def warning_sections(summary: Mapping[str, Any]) -> list[Section]:

@@ -171,7 +171,8 @@ def _solve(states: Sequence[AgentState], accepted: Sequence[Match]) -> None:
     for state in states:
         for piece in state.pieces:
             edges += odometry_edges(state, piece.track)
-    edges += [match_edge(match, states[0].config.optimisation) for match in accepted]
+    weights = states[0].config.optimisation
+    edges += [match_edge(match, weights) for match in accepted]
     start = {NodeId(s.me, k): s.poses[k] for s in states for k in range(len(s.keyframes)) if not accepted}
     poses = spread_poses(start, edges)
     for state in states:
@@ -182,7 +183,7 @@ def _solve(states: Sequence[AgentState], accepted: Sequence[Match]) -> None:
     found: dict[NodeId, Sim3] = {}
     if len(metric) == len(states):
         # One that no other match agrees with is left out already; the loss is for what agrees by chance.
-        solved = optimise(graph, CentralConfig(cost="E", loss="cauchy")).graph
+        solved = optimise(graph, CentralConfig(cost="E", loss="cauchy", length_sigma=weights.solver.length_sigma)).graph
         found = {n: Sim3.from_se3(T) for n, T in solved.poses.items()}
     else:
         found = dict(optimise_similarity(graph, SimilarityConfig(), metric).poses)

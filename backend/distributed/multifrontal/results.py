@@ -49,7 +49,7 @@ def refused(share: Share, megabytes: float, most: float) -> SolverOutcome:
         robot=share.robot,
         accepted=False,
         reason=f"robots share so many poses that elimination may send {megabytes:.0f} MB and more each time "
-        f"(solver.multifrontal_most_mb: {most:g}); methods elected and rbcd send less there",
+        f"(solver.multifrontal_most_mb: {most:g}); methods two-level and elected send less there",
         poses={n: T.copy() for n, T in share.poses.items()},
         units=dict(zip(own, np.exp(share.log_units(own)).tolist(), strict=True)),
         cost_before=float("nan"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,7 @@ from .checked_camera import camera, refuse_other_names
 from .fields import Fields
 
 _FIRST = {"pinhole": (), "": (), "omni": ("xi",), "eucm": ("alpha", "beta"), "ds": ("xi", "alpha")}
+_SHIFT, _ONE_MOMENT_MS = "timeshift_cam_imu", 1.0
 _DISTORTIONS = {
     "pinhole": ("radtan", "radial-tangential", "equidistant", "fov", "none", ""),
     "omni": ("radtan", "radial-tangential", "none", ""),
@@ -30,8 +33,38 @@ def read(data: Fields) -> RawRig:
     cams = [data.inner(key) for key in ("cam0", "cam1") if key in data]
     cameras = [one_camera(cam, "distortion_coeffs") for cam in cams]
     if len(cams) == 1:
-        return RawRig(cameras[0], no_pair="a chain of one camera: cam1 with T_cn_cnm1 is missing")
-    return RawRig(cameras[0], cameras[1], _transform(*cams), rectified=False)
+        missing = "a chain of one camera: cam1 with T_cn_cnm1 is missing"
+        return RawRig(cameras[0], no_pair=missing, notes=_shift_notes(cams))
+    return RawRig(
+        cameras[0],
+        cameras[1],
+        _transform(*cams),
+        rectified=False,
+        notes=_shift_notes(cams),
+        doubts=_shift_doubts(*cams),
+    )
+
+
+def _shift_notes(cams: Sequence[Fields]) -> tuple[str, ...]:
+    """Clocks against the inertial sensor's, of which nothing is read."""
+    shifts = [cam.number(_SHIFT) for cam in cams if _SHIFT in cam]
+    text = ", ".join(f"{1000.0 * shift:+.4g}" for shift in shifts)
+    return (f"{_SHIFT} ({text} ms) is not used: times stay those of the images",) if any(shifts) else ()
+
+
+def _shift_doubts(cam0: Fields, cam1: Fields) -> tuple[str, ...]:
+    """Two cameras whose images with one time stamp are of two moments."""
+    if _SHIFT not in cam0 or _SHIFT not in cam1:
+        return ()
+    apart_ms = 1000.0 * (cam1.number(_SHIFT) - cam0.number(_SHIFT))
+    if abs(apart_ms) < _ONE_MOMENT_MS:
+        return ()
+    when = "after" if apart_ms > 0 else "before"
+    return (
+        f"{_SHIFT} of cam0 and cam1 differ by {abs(apart_ms):.4g} ms: a right image is taken that long {when} the left "
+        "one of the same time stamp, and pairs are used as of one moment: while the rig moves depth is off; "
+        "give each camera's times corrected, or use --rig mono",
+    )
 
 
 def _transform(cam0: Fields, cam1: Fields) -> NDArray[np.float64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +29,20 @@ def recognises(data: Fields) -> bool:
 
 def read(data: Fields) -> RawRig:
     """One camera, a rectified pair, or a raw one; the unit of depth where ``DepthMapFactor`` says it."""
+    return replace(_rig(data), notes=_new_size_notes(data))
+
+
+def _new_size_notes(data: Fields) -> tuple[str, ...]:
+    """ORB-SLAM3 scales images and intrinsics to this size; the camera is the same without."""
+    given = [key for key in ("Camera.newWidth", "Camera.newHeight") if key in data]
+    if not given:
+        return ()
+    text = " and ".join(f"{key} {data.number(key):.6g}" for key in given)
+    verb = "are" if len(given) > 1 else "is"
+    return (f"{text} {verb} not used: images stay of the size that Camera.width and Camera.height say",)
+
+
+def _rig(data: Fields) -> RawRig:
     left = _camera(data, "Camera" if "Camera.fx" in data else "Camera1")
     rate = data.number("Camera.fps") if "Camera.fps" in data else None
     if "LEFT.K" in data:

@@ -18,6 +18,7 @@ from ..images import list_images
 from ..truth import Truth
 from .bag import BAG_SUFFIXES, Bag, bags_in
 from .bag_cameras import camera_of_robot, depth_use, folders_beside
+from .bag_positions import read_fixes
 from .bag_truth import read_truth
 from .beside import truth_beside
 from .recorded import RecordedBag, recordings
@@ -113,7 +114,8 @@ def _open_robot(
         origin=_described(topics, bool(right), bool(depth)) + ("; depth moved to the image by tf" if sensor else ""),
     )
     sequence = assemble(found, choose_rig(available_rigs(bool(right), bool(depth)), rig, bag.path), problems)
-    return replace(sequence, notes=(*sequence.notes, *recorded.notes, *found_beside))
+    fixes, said = (None, []) if topics.gps is None else read_fixes(bag, topics.gps)
+    return replace(sequence, positions=fixes, notes=(*sequence.notes, *recorded.notes, *found_beside, *said))
 
 
 def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool, problems: Problems) -> Truth | None:
@@ -132,6 +134,7 @@ def _described(topics: RobotTopics, right: bool, depth: bool) -> str:
     parts = [f"{what}{t.name} ({t.type.rpartition('/')[2]}, {t.count})" for what, t in shown if t is not None]
     camera = [f"camera: {topics.infos[0].name}"] if topics.infos[0] is not None else []
     truth = [f"truth: {topics.truth.name}"] if topics.truth is not None else []
+    truth += [f"positions: {topics.gps.name} ({topics.gps.count})"] if topics.gps is not None else []
     others = [f"{topic.name} ({topic.type.rpartition('/')[2]}, {topic.count})" for topic in topics.unread]
     unread = [f"not read: {', '.join(others)}"] if others else []
     return "; ".join([*parts, *camera, *truth, *unread])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -20,13 +20,15 @@ FILM_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm"})
 _KEPT = 8  # frames decoded last: a key-frame's colours are asked for while reading is some frames ahead
 _CUT_SHARE = 0.01  # of the frames that the header promises: fewer missing may be how its duration was rounded
 _MS_NS = 1_000_000
+_HARDWARE_ONLY = ("av01", "av1 ")
 
 
 @dataclass(frozen=True)
 class FilmIndex:
     """Frames of a film without decoding: ``times_ms`` ``(N,)`` ascending, ``keys`` ``(M,)`` numbers of those from which
     decoding can begin. ``promised`` frames by its header. ``size`` ``(width, height)`` as stored, pixels; players turn
-    it by ``turn_deg`` clockwise. ``repeated``: packets with a time that another has."""
+    it by ``turn_deg`` clockwise. ``repeated``: packets with a time that another has. ``rate_hz`` by its header.
+    ``late_ms``: by how much a decoder's times are after these."""
 
     times_ms: NDArray[np.float64]
     keys: NDArray[np.int64]
@@ -34,6 +36,8 @@ class FilmIndex:
     size: tuple[int, int]
     turn_deg: int
     repeated: int
+    rate_hz: float = 0.0
+    late_ms: float = 0.0
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -47,8 +51,14 @@ class FilmIndex:
 
     @property
     def cut(self) -> bool:
-        """Whether the film ends before its header says."""
-        return self.promised - len(self.times_ms) - self.repeated > max(1.0, _CUT_SHARE * self.promised)
+        """Whether the film ends before its header says: in frames, and in time, since Matroska's header knows its
+        duration only, in which a variable rate has fewer frames."""
+        missing = self.promised - len(self.times_ms) - self.repeated
+        usual_ms = float(np.median(np.diff(self.times_ms))) if len(self.times_ms) > 1 else 0.0
+        lasts_ms = float(self.times_ms[-1] - self.times_ms[0]) + usual_ms if len(self.times_ms) else 0.0
+        whole_ms = 1e3 * self.promised / self.rate_hz if self.rate_hz > 0 else np.inf
+        share = max(1.0, _CUT_SHARE * self.promised)
+        return missing > share and lasts_ms < whole_ms * (1.0 - _CUT_SHARE)
 
 
 def index_film(path: Path) -> FilmIndex:
@@ -68,6 +78,7 @@ def index_film(path: Path) -> FilmIndex:
         raise FrontendError(f"{path}: its {len(stored)} frames have no times; write it anew as mp4 or mkv")
     begins = np.flatnonzero(np.isin(ascending, stored[np.array(keys, dtype=bool)]))
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+    late_ms = _late_ms(path, ascending) if path.suffix.lower() == ".avi" else 0.0
     turn = round(_open(path).get(cv2.CAP_PROP_ORIENTATION_META)) % 360  # known to decoders only
     promised = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     index = FilmIndex(
@@ -77,16 +88,23 @@ def index_film(path: Path) -> FilmIndex:
         size,
         turn,
         len(stored) - len(ascending),
+        float(capture.get(cv2.CAP_PROP_FPS)),
+        late_ms,
     )
     if index.cut:  # of the last frame, a part may be there
-        index = FilmIndex(ascending[:-1], begins[begins < len(ascending) - 1], *_rest(index))
+        index = replace(index, times_ms=ascending[:-1], keys=begins[begins < len(ascending) - 1])
     if not len(index.times_ms):
         raise FrontendError(f"{path}: no frame of this film can be read")
     return index
 
 
-def _rest(index: FilmIndex) -> tuple[int, tuple[int, int], int, int]:
-    return index.promised, index.size, index.turn_deg, index.repeated
+def _late_ms(path: Path, times_ms: NDArray[np.float64]) -> float:
+    """By how much the first frame decoded of an AVI is later than its first packet: packets have no times of their own
+    there, and with B frames the first picture comes out some packets later."""
+    capture = _open(path)
+    usual_ms = float(np.median(np.diff(times_ms))) if len(times_ms) > 1 else 0.0
+    late_ms = capture.get(cv2.CAP_PROP_POS_MSEC) - times_ms[0] if capture.grab() else 0.0
+    return float(late_ms) if late_ms > 0.5 * usual_ms else 0.0
 
 
 class Film:
@@ -131,11 +149,9 @@ class Film:
         capture = self._reach(k)
         while self._at_ms < wanted - self._near_ms and self._grab(capture):
             pass
-        if abs(self._at_ms - wanted) > self._near_ms:
-            raise FrontendError(f"{FilmFrame(self, k)}: cannot be decoded")
-        there, image = capture.retrieve()
+        there, image = capture.retrieve() if abs(self._at_ms - wanted) <= self._near_ms else (False, None)
         if not there or image is None or image.ndim != 3:
-            raise FrontendError(f"{FilmFrame(self, k)}: cannot be decoded")
+            raise FrontendError(f"{FilmFrame(self, k)}: cannot be decoded{_foreign_codec(capture)}")
         return image.astype(np.uint8, copy=False)
 
     def _reach(self, k: int) -> cv2.VideoCapture:
@@ -152,7 +168,8 @@ class Film:
 
     def _opened(self, first: int) -> cv2.VideoCapture:
         """A new decoder at frame ``first``, or near it."""
-        self._capture = capture = _open(self.path)
+        self._capture, self._at_ms = _open(self.path), -np.inf
+        capture = self._capture
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, int(self.turned))
         if first:
             capture.set(cv2.CAP_PROP_POS_FRAMES, first)
@@ -166,7 +183,10 @@ class Film:
         if not capture.grab():
             self._at_ms = np.inf
             return False
-        self._at_ms = capture.get(cv2.CAP_PROP_POS_MSEC)
+        before, self._at_ms = self._at_ms, capture.get(cv2.CAP_PROP_POS_MSEC) - self.index.late_ms
+        if self.index.late_ms and self._at_ms < before:  # the last pictures come out behind all packets, without a time
+            later = self.index.times_ms[self.index.times_ms > before + self._near_ms]
+            self._at_ms = float(later[0]) if len(later) else np.inf
         return True
 
 
@@ -201,6 +221,17 @@ class FilmFrame(StoredImage):
     def read_depth(self, unit_m: float) -> NDArray[np.float32]:
         """A film holds no depth: :class:`FrontendError`."""
         raise FrontendError(f"{self}: a film has 8 bits a channel: no depth can be read from it")
+
+
+def _foreign_codec(capture: cv2.VideoCapture) -> str:
+    """The kind of video and the cure, where it is one that OpenCV's FFmpeg decodes on some graphics cards only."""
+    name = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=False).decode("ascii", "replace")
+    if name.lower() not in _HARDWARE_ONLY:
+        return ""
+    return (
+        f": the video is {name.upper()}, which this OpenCV has no decoder for; "
+        "`ffmpeg -i FILM -c:v libx264 -crf 15 OTHER.mp4` makes one that is read, with the same times"
+    )
 
 
 def _open(path: Path, *parameters: int) -> cv2.VideoCapture:

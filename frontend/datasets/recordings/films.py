@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -59,6 +59,14 @@ class FilmReader(Reader):
             names = ", ".join(film.name for film in films)
             raise FrontendError(f"{folder}: {len(films)} films ({names}), one is expected here; name one of them")
         return _open_film(films[0], None, rig, folder.is_dir())
+
+
+def robots_note(names: Sequence[str]) -> str:
+    """What to know where each film of a folder is a robot of its own."""
+    return (
+        f"a robot for each of {len(names)} films: {', '.join(names)}; name one to read it alone, call two of one pair "
+        "left and right, join parts of one film to a single file"
+    )
 
 
 def _films(folder: Path) -> list[Path]:

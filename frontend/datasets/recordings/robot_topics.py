@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ...errors import FrontendError
 from ...recording_config import RecordingConfig
 from .bag_image import COMPRESSED_IMAGE, IMAGE
+from .bag_positions import NAV_SAT_FIX, choose_fixes
 from .bag_truth import POSE_TYPES
 from .camera_info import CAMERA_INFO
 from .message_file import Topic
@@ -24,8 +25,8 @@ _TYPES = (IMAGE, COMPRESSED_IMAGE, *sorted(VIDEO_TYPES))
 
 @dataclass(frozen=True)
 class RobotTopics:
-    """What is read of one robot. ``right``, ``depth``, ``infos`` (camera_info of left, right, depth), ``truth``: None
-    where there is none. ``warnings``: what was found and is not used; ``unread``: its other images;
+    """What is read of one robot. ``right``, ``depth``, ``infos`` (camera_info of left, right, depth), ``truth``,
+    ``gps``: None where there is none. ``warnings``: what was found and is not used; ``unread``: its other images;
     ``transforms``: tf of its name space and those above, static ones first."""
 
     left: Topic
@@ -33,6 +34,7 @@ class RobotTopics:
     depth: Topic | None = None
     infos: tuple[Topic | None, Topic | None, Topic | None] = (None, None, None)
     truth: Topic | None = None
+    gps: Topic | None = None
     rectified: bool = False
     warnings: tuple[str, ...] = field(default=())
     unread: tuple[Topic, ...] = ()
@@ -41,7 +43,7 @@ class RobotTopics:
     @property
     def all(self) -> tuple[Topic, ...]:
         """Those whose every message is needed."""
-        return tuple(topic for topic in (self.left, self.right, self.depth, self.truth) if topic is not None)
+        return tuple(topic for topic in (self.left, self.right, self.depth, self.truth, self.gps) if topic is not None)
 
 
 def find_robots(path: Path, topics: Sequence[Topic], config: RecordingConfig) -> dict[str, RobotTopics]:
@@ -64,7 +66,11 @@ def find_robots(path: Path, topics: Sequence[Topic], config: RecordingConfig) ->
         names += [
             name for name in images if name.is_derived and name not in names and (not robot or robot in name.parts)
         ]
-        found[robot] = _completed(path, topics, {name: images[name] for name in names}, left, right, config, head)
+        one = _completed(path, topics, {name: images[name] for name in names}, left, right, config, head)
+        fixes = [topic for topic in topics if topic.type == NAV_SAT_FIX]
+        shared = [_shared(topic.name, left) for topic in fixes]
+        gps, said = choose_fixes(path, fixes, config.gps_topic, shared, len(robots) == 1)
+        found[robot] = replace(one, gps=gps, warnings=(*one.warnings, *said))
     return found
 
 
@@ -177,6 +183,7 @@ def _completed(
         None if depth is None else images[depth],
         (infos[0], infos[1], infos[2]),
         truth,
+        None,
         left.is_rectified,
         tuple(warnings),
         tuple(topic for name, topic in images.items() if name not in (left, right, depth)),

@@ -1,0 +1,249 @@
+"""One robot's part in updates of a group that an elected robot has solved.
+
+Whoever finds a match, or closes a loop, sends the new edges to the elected robot. That one still has the whole graph:
+it solves it, and corrects the shared poses of as few robots as keep the cost at its optimum (up to a share). A
+corrected robot places the rest of its poses by its own edges; all others receive nothing. Incremental in what is sent,
+as iSAM2 (Kaess et al., 2012) is in what is computed.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from ...config import SolverConfig
+from ...errors import BackendError
+from ...geometry import Array
+from ...pose_graph.graph import Edge, NodeId
+from ..condense import Known, OwnGraph
+from ..contribution import Between
+from ..settled import Settled
+from ..share import Share, SolverOutcome
+from .additions import between_of, decode_edges, encode_edges
+from .corrections import chained, decode_correction
+from .estimate import GroupEstimate
+from .update_messages import UpdateKind, UpdateMessage
+
+_CHAIN = struct.Struct("<H")
+# Of a robot's messages of edges, or of its corrections; then the group is solved anew.
+_MOST = 0xFFFF
+
+
+class UpdateNode:
+    """``add`` new edges, ``handle`` every message addressed to it, in any order; send what they return.
+
+    ``lost`` is the reason why updates cannot go on, None as long as they do: then the group is solved anew. ``tick()``
+    sends again what was not received, and counts silence as the elected solver does.
+    """
+
+    def __init__(self, share: Share, outcome: SolverOutcome, settled: Settled, config: SolverConfig) -> None:
+        """``share``, ``outcome``, ``settled``: of the solution that updates go on from."""
+        if share.priors or outcome.positions:
+            raise BackendError("updates know no priors (GPS): the group is solved anew for each match")
+        if not outcome.accepted:
+            raise BackendError(f"robot {share.robot} has no solution for updates to go on from: {outcome.reason}")
+        self.lost: str | None = None
+        self.optimum = self.cost = outcome.cost_after
+        self._share = replace(share, poses=outcome.poses, units=outcome.units)
+        self._config = config
+        self._own = OwnGraph(self._share)
+        self._fineness = config.elected_fineness * self._own.exactness()
+        self._leader = settled.leader
+        self._epoch = zlib.crc32(struct.pack("<dd", outcome.cost_before, outcome.cost_after)) & 0xFFFF
+        self._places = Known(dict(outcome.poses), self._logs(outcome.units))
+        self._silent = 0
+        # A member's: places it knows, whatever their age, the corrections it has had, and edges on their way.
+        self._known = settled.places
+        self._version, self._chain = 0, self._epoch
+        self._unreceived: dict[int, UpdateMessage] = {}
+        self._added = 0
+        # The elected robot's: the group, and by robot what it has had and sent.
+        self._group: GroupEstimate | None = None
+        if share.robot == settled.leader:
+            self._group = GroupEstimate(
+                settled.contributions, settled.places, share.anchor, share.robot, share.arbitrary_scale
+            )
+        self._taken = dict.fromkeys(share.members, 0)
+        self._corrected = dict.fromkeys(share.members, 0)
+        self._chains = dict.fromkeys(share.members, self._epoch)
+        self._underway: dict[int, UpdateMessage] = {}
+        self._late = False
+
+    @property
+    def poses(self) -> dict[NodeId, Array]:
+        """Own poses ``T_O_i`` as they are now."""
+        return dict(self._places.poses)
+
+    @property
+    def log_units(self) -> dict[NodeId, float]:
+        """Logarithms of own poses' units as they are now."""
+        return dict(self._places.log_units)
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is the elected robot."""
+        return self._group is not None
+
+    @property
+    def settled(self) -> bool:
+        """Whether this robot waits for nothing."""
+        waits = self._group is not None and self._group.waits
+        return not (self._unreceived or self._underway or self._late or waits)
+
+    def add(self, edges: Iterable[Edge], poses: Mapping[NodeId, Array] | None = None) -> list[UpdateMessage]:
+        """Take new edges in: own ones, and those with other members, which these have as well.
+
+        ``poses``: of own nodes that are new, in this robot's present frame. An edge between two members is sent by the
+        lower one, and never to an elected robot that has it.
+        """
+        given, me = tuple(edges), self._share.robot
+        grown = {**self._places.poses, **(poses or {})}
+        self._share = replace(self._share, poses=grown, edges=(*self._share.edges, *given))
+        self._own = OwnGraph(self._share)
+        self._places = self._places.also(Known(dict(poses or {}), dict.fromkeys(poses or {}, 0.0)))
+        mine = [e for e in given if e.weight > 0 and self._answers_for(e)]
+        if self.lost is not None or not mine:
+            return []
+        between = between_of(mine, self._share.dimension)
+        if self._group is not None:
+            return self._take(between, me)
+        self._added += 1
+        if self._added > _MOST:
+            return self._lose("more updates than are counted")
+        body = encode_edges(between, self._fineness, self._share.scaled)
+        message = self._to(self._leader, UpdateKind.EDGES, self._added, body)
+        self._unreceived[self._added] = message
+        return [message]
+
+    def handle(self, message: UpdateMessage) -> list[UpdateMessage]:
+        """Receive a message; returns the messages to send because of it."""
+        me, sender = self._share.robot, message.sender
+        if message.receiver != me or sender not in self._share.members or sender == me:
+            raise BackendError(f"robot {me} was handed an update from {sender} for {message.receiver}")
+        leads = self._group is not None
+        if not leads and sender != self._leader:
+            raise BackendError(f"robot {me} was handed an update from {sender}, which is not elected")
+        if message.kind is UpdateKind.LOST:
+            if message.epoch == self._epoch:
+                self.lost = self.lost or f"robot {sender} no longer has what updates go on from"
+            return []
+        if message.epoch != self._epoch or self.lost is not None:
+            # Of another solution, an older one or one that this robot has not taken part in.
+            return [replace(self._to(sender, UpdateKind.LOST, 0), epoch=message.epoch)]
+        self._silent = 0
+        if message.kind is UpdateKind.RECEIVED:
+            return self._received(message)
+        if leads:
+            return self._take_edges(message) if message.kind is UpdateKind.EDGES else []
+        return self._take_correction(message) if message.kind is UpdateKind.CORRECTION else []
+
+    def tick(self) -> list[UpdateMessage]:
+        """Send again what was not received; out of patience, give up."""
+        waiting = [*self._unreceived.values(), *self._underway.values()]
+        if self.lost is not None or self.settled:
+            return []
+        self._silent += 1
+        if self._silent > 2 * self._config.elected_patience:
+            whose = (
+                f"robot {waiting[0].receiver} does not answer" if waiting else "poses that a match names do not come"
+            )
+            return self._lose(whose)
+        return waiting
+
+    def _answers_for(self, edge: Edge) -> bool:
+        """Whether this robot, and not the edge's other one, tells the elected robot of it."""
+        me, leads = self._share.robot, self._group is not None
+        other = edge.j.robot if edge.i.robot == me else edge.i.robot
+        return other == me or leads or (other != self._leader and me < other)
+
+    def _take_edges(self, message: UpdateMessage) -> list[UpdateMessage]:
+        assert self._group is not None
+        sender, serial = message.sender, message.serial
+        if serial > self._taken[sender] + 1:
+            return []  # One before it is on its way still, or will be sent again.
+        out = [self._to(sender, UpdateKind.RECEIVED, serial)]
+        if serial <= self._taken[sender]:
+            return out
+        try:
+            between = decode_edges(message.body, self._share.scaled)
+        except BackendError as error:
+            return self._lose(str(error))
+        self._taken[sender] = serial
+        corrections = self._take(between, sender)
+        return corrections if self.lost is not None else [*out, *corrections]
+
+    def _take(self, between: Between, sender: int) -> list[UpdateMessage]:
+        """As the elected robot: what new edges change."""
+        assert self._group is not None
+        try:
+            self._group.add(between, sender)
+        except BackendError as error:
+            return self._lose(str(error))
+        return self._correct()
+
+    def _lose(self, reason: str) -> list[UpdateMessage]:
+        """Give up, and tell the others."""
+        self.lost = reason
+        others = [r for r in self._share.members if r != self._share.robot]
+        return [self._to(r, UpdateKind.LOST, 0) for r in (others if self._group is not None else [self._leader])]
+
+    def _correct(self) -> list[UpdateMessage]:
+        """As the elected robot: corrections to those for whom it matters, except who has not received its last one."""
+        assert self._group is not None
+        found = self._group.corrected(self._config.update_tolerance, frozenset(self._underway))
+        self.optimum, self.cost, self._late = found.optimum, found.cost, bool(found.late)
+        self._places = self._places.also(self._group.place(sorted(self._places.poses)))
+        out = []
+        for c in found.corrections:
+            self._corrected[c.robot] += 1
+            if self._corrected[c.robot] > _MOST:
+                return self._lose("more updates than are counted")
+            body = _CHAIN.pack(self._chains[c.robot]) + c.body
+            self._chains[c.robot] = chained(self._chains[c.robot], body)
+            message = self._to(c.robot, UpdateKind.CORRECTION, self._corrected[c.robot], body)
+            self._underway[c.robot] = message
+            out.append(message)
+        return out
+
+    def _received(self, message: UpdateMessage) -> list[UpdateMessage]:
+        if self._group is None:
+            self._unreceived.pop(message.serial, None)
+            return []
+        on_its_way = self._underway.get(message.sender)
+        if on_its_way is None or on_its_way.serial != message.serial:
+            return []
+        del self._underway[message.sender]
+        return self._correct() if self._late else []
+
+    def _take_correction(self, message: UpdateMessage) -> list[UpdateMessage]:
+        received = self._to(message.sender, UpdateKind.RECEIVED, message.serial)
+        if message.serial <= self._version:
+            return [received]
+        if message.serial != self._version + 1 or message.body[:2] != _CHAIN.pack(self._chain):
+            return self._lose("corrections of this robot do not fit what it has")
+        me = self._share.robot
+        try:
+            read = decode_correction(message.body[2:], me, self._known, self._share.scaled)
+            strangers = [n for n in read.poses if n not in self._own.row]
+            if strangers:
+                raise BackendError(f"a correction of {strangers[0]}, which robot {me} does not have")
+        except BackendError as error:
+            return self._lose(str(error))
+        self._version, self._chain = message.serial, chained(self._chain, message.body)
+        self._known = self._known.also(read)
+        held = read
+        if me == self._share.anchor:
+            held = held.also(self._own.known(self._own.nodes[:1]))
+        poses, log_units, _ = self._own.completed(held)
+        nodes = self._own.nodes
+        self._places = Known(dict(zip(nodes, poses, strict=True)), dict(zip(nodes, log_units.tolist(), strict=True)))
+        return [received]
+
+    def _to(self, receiver: int, kind: UpdateKind, serial: int, body: bytes = b"") -> UpdateMessage:
+        return UpdateMessage(kind, self._epoch, serial, self._share.robot, receiver, body)
+
+    def _logs(self, units: Mapping[NodeId, float]) -> dict[NodeId, float]:
+        nodes = sorted(units)
+        return dict(zip(nodes, self._share.log_units(nodes).tolist(), strict=True))

@@ -1,0 +1,95 @@
+"""What the numbers of a trajectory tell of its conventions: which end of a quaternion is real, and whether positions
+are degrees of latitude and longitude."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maslam.backend.geometry import Array, rotation_from_quat_wxyz
+
+from .timestamps import NS_PER_S
+
+AS_DEGREES = (
+    "x and y look like degrees of latitude and longitude (as metres they hardly move); metres are meant: as positions, "
+    "put time, lat, lon and alt into gps.csv with a header"
+)
+_FEW, _MOST = 8, 400  # steps of a path: fewer tell nothing, more nothing new
+_AHEAD, _FAR = 0.05, 0.25
+_ASTRAY, _TIMES = 0.03, 10.0
+"""A vehicle's or a walker's steps keep one direction in its own axes. By how much of the path they fall short of that
+at most, and in the wrong order at least; or, of paths that bend little, at least and how many times as much."""
+_TURNED_RAD = 0.3  # of the path's direction: without a bend any order fits
+_DEGREE_M = 111_195.0  # of a great circle
+_SPEEDS_M_S = (0.3, 150.0)  # of what carries a camera across a map
+_CREEPS_M_S = 0.002  # as metres: what is seen to move goes faster
+_OFFSET = 30.0  # a place's degrees over the spread about it; metres mostly begin near zero
+_GOES_ON = 0.5  # correlation of neighbouring steps of a path; that of noise is negative
+
+
+def reads_as_other_order(cells: Array, positions: Array, wxyz: bool) -> bool:
+    """Whether rotations follow the path only if the other end of each quaternion is its real part.
+
+    ``cells`` ``(N, 4)`` quaternions as written, about to be read with the real part in front (``wxyz``) or at the end;
+    ``positions`` ``(N, 3)``, in order of time. A body moves ahead along an axis of its own; with the order mixed up its
+    steps go any way. False where the path is straight, and where neither order says anything: a camera in a hand.
+    """
+    if len(positions) <= _FEW:
+        return False
+    chosen = np.arange(0, len(positions), -(-len(positions) // _MOST))
+    steps = np.diff(positions[chosen], axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    moves = lengths > 0.1 * lengths.max(initial=0.0)
+    if moves.sum() < _FEW:
+        return False
+    ahead = steps[moves] / lengths[moves, None]
+    if float((ahead @ ahead[0]).min()) > np.cos(_TURNED_RAD):
+        return False
+    written = cells[chosen[:-1][moves]]
+    first, last = _astray(written, ahead), _astray(written[:, [3, 0, 1, 2]], ahead)
+    read, other = (first, last) if wxyz else (last, first)
+    return (read > _FAR and other < _AHEAD) or (read > _ASTRAY and read > _TIMES * other)
+
+
+def in_columns(cells: Array) -> NDArray[np.bool_]:
+    """Which rows of 16 numbers ``(N, 16)`` are 4x4 matrices column by column, as OpenGL and ARKit write them: the
+    bottom row stands last in each column of them, not in the end."""
+    bottom = cells[:, [3, 7, 11, 15]]
+    return np.asarray((bottom == (0.0, 0.0, 0.0, 1.0)).all(axis=1) & (cells[:, 12:15] != 0.0).any(axis=1))
+
+
+def order_note(wxyz: bool, named: bool) -> str:
+    """What to say where :func:`reads_as_other_order`; an order that a heading has ``named`` is believed."""
+    here, there = ("qw qx qy qz", "qx qy qz qw") if wxyz else ("qx qy qz qw", "qw qx qy qz")
+    why = f"rotations follow the path as {there}, and not as {here}"
+    if named:
+        return f"{why}, which the heading says and which is taken: is the heading right?"
+    return f"{why}: they are taken so; a first line '# time tx ty tz {there}' settles it"
+
+
+def _astray(quaternions: Array, ahead: Array) -> float:
+    """What the mean of unit steps ``ahead`` ``(n, 3)``, each in the body's own axes, lacks of length 1."""
+    own = np.einsum("nij,ni->nj", rotation_from_quat_wxyz(quaternions), ahead)
+    return 1.0 - float(np.linalg.norm(own.mean(axis=0)))
+
+
+def look_like_degrees(positions: Array, stamps_ns: NDArray[np.int64] | None) -> bool:
+    """Whether x and y of ``positions`` ``(N, 3)`` are degrees of latitude and longitude, in either order: as metres
+    they creep about a place far from zero, as degrees they go on at a vehicle's or a walker's speed.
+
+    ``stamps_ns`` ``(N,)`` ascending; None: ten positions a second.
+    """
+    xy = positions[:, :2]
+    seconds = np.arange(len(xy)) / 10.0 if stamps_ns is None else (stamps_ns - stamps_ns[:1]) / NS_PER_S
+    inside = (np.abs(xy) <= 180).all() and (np.abs(xy) <= 90).all(axis=0).any()
+    if not inside or len(xy) <= _FEW or seconds[-1] <= 0:
+        return False
+    other = np.concatenate([[True], (np.diff(xy, axis=0) != 0).any(axis=1)])
+    steps = np.diff(xy[other], axis=0)
+    spread = float(np.ptp(xy, axis=0).max())
+    if len(steps) < _FEW or float(np.abs(xy.mean(axis=0)).max()) < _OFFSET * spread:
+        return False
+    goes_on = float((steps[1:] * steps[:-1]).sum()) > _GOES_ON * float((steps**2).sum())
+    speed = float(np.linalg.norm(steps, axis=1).sum()) / float(seconds[-1])
+    fastest = min(_SPEEDS_M_S[1] / _DEGREE_M, _CREEPS_M_S)
+    return goes_on and _SPEEDS_M_S[0] / _DEGREE_M < speed < fastest
