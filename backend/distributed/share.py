@@ -116,8 +116,8 @@ class SolverOutcome:
     ``unreached``: own nodes that no chain of edges joins to the anchor. ``judged``: every edge of its share that robust
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
     ``positions``: whether priors of members had a say. ``length``: what its odometry's lengths were found to have to be
-    multiplied by. ``capped``: it ended because no more passes are allowed (method
-    multifrontal).
+    multiplied by. ``capped``: it ended because no more passes are allowed, or
+    because they lead nowhere (methods multifrontal, two-level).
     """
 
     robot: int

@@ -15,17 +15,11 @@ from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.message_bytes import decode, encode
 from maslam.backend.distributed.messages import Coded, Round, SolverStage
 from maslam.backend.distributed.places import SCALED, Places
+from maslam.backend.distributed.two_level.answers import CoarseAnswer, Then, differences, summed
 from maslam.backend.distributed.two_level.coded_places import CodedPlaces
 from maslam.backend.distributed.two_level.codes import read_steps, write_steps
+from maslam.backend.distributed.two_level.forces import read_forces, write_forces
 from maslam.backend.distributed.two_level.knots import Hats, arms, carried, gathered, hats_of
-from maslam.backend.distributed.two_level.leading import (
-    Answer,
-    Then,
-    differences,
-    read_forces,
-    summed,
-    write_forces,
-)
 from maslam.backend.distributed.two_level.tracks import tracks
 from maslam.backend.distributed.wire import pack, unpack
 from maslam.backend.errors import BackendError
@@ -229,13 +223,13 @@ def test_forces_come_back_and_the_one_on_the_whole_robot_most_exactly(width):
 def test_answers_and_places_come_back_and_damaged_ones_are_errors():
     rng = np.random.default_rng(6)
     steps = rng.integers(-40, 40, (7, 6))
-    answer = Answer(Then.SWEEP, False, 0.5, np.array([0.5, 0.25, 1.0]), steps)
-    found = Answer.decode(answer.encode(), 7, 6)
+    answer = CoarseAnswer(Then.SWEEP, False, 0.5, np.array([0.5, 0.25, 1.0]), steps)
+    found = CoarseAnswer.decode(answer.encode(), 7, 6)
     assert np.array_equal(found.steps, steps) and found.grid == 0.5 and found.sigmas.tolist() == [0.5, 0.25, 1.0]
-    assert Answer.decode(Answer(Then.END, True).encode(), 7, 6).capped
+    assert CoarseAnswer.decode(CoarseAnswer(Then.END, True).encode(), 7, 6).capped
     for bad in (b"", b"\x07", b"\x00" + np.float32(-1).tobytes(), answer.encode()[:-1]):
         with pytest.raises(BackendError):
-            Answer.decode(bad, 7, 6)
+            CoarseAnswer.decode(bad, 7, 6)
     places, known = random_places(rng, 10), rng.random(10) < 0.7
     coded = CodedPlaces.of(places, known, np.array([0.02, 0.002, 0.01]), 6)
     back = CodedPlaces.decode(coded.encode(), 10, 6)

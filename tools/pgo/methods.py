@@ -154,7 +154,10 @@ def caps_reached(request: Request, found: Solution) -> list[str]:
     elif request.method in TWO_STAGE and (found.pose_sweeps or 0) >= solver.pose_sweeps * solver.newton_steps:
         cap = (solver.pose_sweeps, "sweeps of a step", "--solver.pose-sweeps")
     if found.capped:
-        return ["the most passes allowed were made: the cost may still fall; elected ends at the optimum"]
+        return [
+            "it stopped on the way, at the most passes allowed or where they lead nowhere: the cost may still fall; "
+            "elected ends at the optimum"
+        ]
     if cap is None:
         return []
     better = "" if request.method == CENTRAL else "; elected and multifrontal end at the optimum"

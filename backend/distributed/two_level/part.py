@@ -10,12 +10,13 @@ from ...geometry import Array
 from ..compact import CompactReader, CompactWriter
 from ..local import LocalProblem
 from ..places import Places, move, places_of
+from .answers import CoarseAnswer, Then, summed
 from .block import Block
 from .coded_places import by_number, deviations_of, stiffness_of
 from .codes import read_steps, write_steps
+from .forces import write_forces
 from .knots import Hats, carried, gathered, hats_of, weight_bytes, weights_from
-from .leading import Answer, Then, summed, write_forces
-from .springs import End, Knots, Springs, rounded, write_knots, write_springs
+from .springs import Knots, SpringEnd, Springs, rounded, write_knots, write_springs
 from .tracks import tracks
 
 # Earlier moves that are mixed with the new one.
@@ -119,7 +120,7 @@ class Part:
         ends = problem.edges.ends[edges]
         ends = np.where((ends[:, 0] < problem.own_count)[:, None], ends, ends[:, ::-1])
         robots = np.array([n.robot for n in problem.nodes], dtype=np.intp)
-        a, b = (End(robots[r], self._hats.first[r], self._hats.weight[r]) for r in ends.T)
+        a, b = (SpringEnd(robots[r], self._hats.first[r], self._hats.weight[r]) for r in ends.T)
         middle = problem.places.poses[ends, :3, 3].mean(axis=1)
         return Springs((a, b), rounded(middle), stiffness_of(self._problem)[edges])
 
@@ -145,7 +146,7 @@ class Part:
         """What follows; a step of the coarse level moves own poses, and what neighbours' are expected to do."""
         problem, width = self._problem, self._problem.width
         asked = self._asked()
-        answer = Answer.decode(body, len(self._centres) + len(asked), width)
+        answer = CoarseAnswer.decode(body, len(self._centres) + len(asked), width)
         places = problem.places
         self.capped = answer.capped
         if answer.then is Then.END_AT_BEST:

@@ -31,7 +31,7 @@ def rounded(points: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class End:
+class SpringEnd:
     """One end of a spring: ``robot`` ``(m,)``, ``knot`` ``(m,)`` before it, ``weight`` ``(m,)`` of the one after."""
 
     robot: NDArray[np.intp]
@@ -44,7 +44,7 @@ class Springs:
     """Edges between two ends that go with knots, at a point between them ``(m, 3)``; ``stiffness`` ``(m, 3)`` of
     shift, turn and log unit."""
 
-    ends: tuple[End, End]
+    ends: tuple[SpringEnd, SpringEnd]
     point: Array
     stiffness: Array
 
@@ -146,8 +146,8 @@ def read_springs(source: CompactReader, sender: int, members: Sequence[int]) -> 
         raise BackendError("an edge of the coarse level names what is not there")
     mine, theirs = (weights_from(source.array(count, "u1").astype(np.uint8)) for _ in range(2))
     point = source.array(3 * count, "<f2").reshape(-1, 3)
-    a = End(np.full(count, sender, dtype=np.intp), numbers[:, 1], mine)
-    b = End(np.array(members, dtype=np.intp)[numbers[:, 2]], numbers[:, 3], theirs)
+    a = SpringEnd(np.full(count, sender, dtype=np.intp), numbers[:, 1], mine)
+    b = SpringEnd(np.array(members, dtype=np.intp)[numbers[:, 2]], numbers[:, 3], theirs)
     return Springs((a, b), point, stiffness[numbers[:, 0]])
 
 

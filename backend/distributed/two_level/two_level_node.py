@@ -1,6 +1,6 @@
 """Sweeps with a coarse level: block Gauss-Seidel for what is near, knots along all tracks for what is far.
 
-One sweep of block descent carries news from one robot to the next; a city of a hundred needs hundreds of sweeps. So
+One sweep of block descent carries a correction from one robot to the next; a city of a hundred needs hundreds. So
 before each sweep all robots' knots move together, as the root of the members finds from the forces on them (two-level
 Schwarz methods: Smith, Bjorstad, Gropp, 1996), and after it the sweep is mixed with the last two moves such that the
 model of F falls most (flexible conjugate gradients). The number of sweeps hardly grows with the number of robots.
@@ -24,8 +24,9 @@ from ..descent_node import DescentNode
 from ..messages import Coded, Decision, Round, SolverStage
 from ..rounds import Separators
 from ..share import Share, SolverOutcome
+from .answers import Then
 from .coded_places import CodedPlaces, deviations_of
-from .leading import Leading, Then
+from .leading import Leading
 from .part import Part
 
 
