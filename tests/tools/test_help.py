@@ -142,8 +142,8 @@ def test_a_wrong_name_is_a_usage_error_in_one_line(words: str, line: str, capsys
         (
             "run a b --config",
             "optimisation: {solver: {method: elcted}}\n",
-            ":1: optimisation.solver.method: input should be 'dgs', 'jor', 'sor', 'rbcd', 'rbcd-async', 'multifrontal', "
-            "'two-level' or 'elected', not 'elcted'; did you mean 'elected'?",
+            ":1: optimisation.solver.method: input should be 'dgs', 'jor', 'sor', 'rbcd', 'rbcd-async', "
+            "'multifrontal', 'two-level' or 'elected', not 'elcted'; did you mean 'elected'?",
         ),
         ("slam a b --config", "odometri: {}\n", ":1: unknown setting 'odometri'; did you mean 'odometry'?"),
         (
