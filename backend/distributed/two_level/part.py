@@ -121,8 +121,9 @@ class Part:
         ends = np.where((ends[:, 0] < problem.own_count)[:, None], ends, ends[:, ::-1])
         robots = np.array([n.robot for n in problem.nodes], dtype=np.intp)
         a, b = (SpringEnd(robots[r], self._hats.first[r], self._hats.weight[r]) for r in ends.T)
-        middle = problem.places.poses[ends, :3, 3].mean(axis=1)
-        return Springs((a, b), rounded(middle), stiffness_of(self._problem)[edges])
+        # An edge is measured in its first node's frame, which carries along what turns at its second node.
+        point = problem.places.poses[problem.edges.ends[edges, 1], :3, 3]
+        return Springs((a, b), rounded(point), stiffness_of(self._problem)[edges])
 
     # -- one sweep ---------------------------------------------------------------------------------------------------
 
