@@ -16,6 +16,8 @@ from .codes import Steps, read_steps, write_steps
 
 # Steps of one deviation.
 _FINENESS = 16.0
+# Share of the others' stiffness below which an edge hardly holds.
+_FIRM = 0.01
 # Whole steps beyond this do not travel; coarser ones do.
 _LARGEST = 2.0**28
 
@@ -34,6 +36,12 @@ def deviations_of(problem: LocalProblem) -> Array:
     if not len(weights):
         return np.ones(3)
     return np.asarray((np.median(weights, axis=0) ** -0.5).astype(np.float32), dtype=np.float64)
+
+
+def firm_edges(problem: LocalProblem) -> NDArray[np.bool_]:
+    """Edges ``(m,)`` that hold as most do: others join no track, as poses on both sides of them move by themselves."""
+    weights = stiffness_of(problem)
+    return np.asarray((weights >= _FIRM * np.median(weights, axis=0)).all(axis=1), dtype=bool)
 
 
 def by_number(sigmas: Array, width: int) -> Array:

@@ -46,7 +46,7 @@ class Leading:
         self._costs: list[float] = []
         self._gain = 0.0
         self._halvings = self._sweeps = 0
-        self._stale = False
+        self._stale = self._alone = False
         self._turn = 0.0
         self._left, self._stuck = 0.0, 0
 
@@ -80,7 +80,10 @@ class Leading:
         if then is not Then.SWEEP:
             self._forces.clear()
             return dict.fromkeys(self._members, CoarseAnswer(then, capped))
-        if self._stale:
+        # First a sweep alone takes away what no common move can; then the level begins anew.
+        alone = self._stale and not self._alone
+        if self._stale and self._alone:
+            self._alone = False
             self._knots, self._springs, self._level, self._stale = {}, [], None, False
             self._forces.clear()
             return dict.fromkeys(self._members, CoarseAnswer(Then.AGAIN))
@@ -96,6 +99,9 @@ class Leading:
         forces = np.concatenate([self._forces[r][1] for r in order])
         moves = level.step(forces)
         self._left = float((forces * moves).sum())
+        self._alone = alone
+        if alone:
+            moves = np.zeros(moves.shape)
         self._gain = self._left if fresh else min(self._gain, max(_LEFT * self._left, _KEPT * self._gain))
         shared = max(1, sum(k.shared for k in self._knots.values()))
         grid = float(np.float32(_FINENESS * np.sqrt(max(self._gain, _NOTHING) / (6 * shared))))
@@ -127,7 +133,7 @@ class Leading:
         self._gain = max(float(found @ total[-k:]), 0.0)
         turn, self._turn = abs(found[0]) * self._turn, 0.0
         found *= min(1.0, _MOST_TURN / max(turn, _NOTHING))
-        self._stale = bool(found[0] < _USELESS)
+        self._stale = self._alone or bool(found[0] < _USELESS)
         return tuple(float(np.float32(x)) for x in found)
 
     def _next(self, cost: float) -> tuple[Then, bool]:

@@ -25,7 +25,7 @@ from ..messages import Coded, Decision, Round, SolverStage
 from ..rounds import Separators
 from ..share import Share, SolverOutcome
 from .answers import Then
-from .coded_places import CodedPlaces, deviations_of
+from .coded_places import CodedPlaces, deviations_of, firm_edges
 from .leading import Leading
 from .part import Part
 
@@ -165,7 +165,7 @@ class TwoLevelNode(DescentNode):
             self._begun.renew()
             return
         own = self._problem.own_count
-        inner = (self._problem.edges.ends < own).all(axis=1)
+        inner = (self._problem.edges.ends < own).all(axis=1) & firm_edges(self._problem)
         label = parts(self._problem.edges.ends[inner], own)
         self._begun = Part(self._problem, self._descent.placed, label, self._config.two_level_spacing)
 
