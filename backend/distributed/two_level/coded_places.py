@@ -41,6 +41,8 @@ def deviations_of(problem: LocalProblem) -> Array:
 def firm_edges(problem: LocalProblem) -> NDArray[np.bool_]:
     """Edges ``(m,)`` that hold as most do: others join no track, as poses on both sides of them move by themselves."""
     weights = stiffness_of(problem)
+    if not len(weights):
+        return np.zeros(0, dtype=bool)
     return np.asarray((weights >= _FIRM * np.median(weights, axis=0)).all(axis=1), dtype=bool)
 
 

@@ -27,7 +27,7 @@ _KEPT = 0.001
 _NOTHING = 1e-9
 # Sweeps in a row that are of no use and lower the cost by less than this share: it leads nowhere.
 _HARDLY, _PATIENCE = 0.03, 8
-_LEAST_RATIO, _MOST_RATIO = 0.5, 0.9
+_LEAST_RATIO, _MOST_RATIO = 0.6, 0.9
 
 
 class Leading:
