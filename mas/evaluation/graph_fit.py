@@ -31,7 +31,7 @@ def graph_figures(agents: Sequence[Agent]) -> list[GraphFigures]:
             fits=fit.fits,
             worst=[MisfitFigures(ends=[str(m.i), str(m.j)], kind=m.kind.value, cost=m.cost) for m in fit.worst],
             lengths=[agents[i].state.odometry_length for i in group],
-            odometry_sigmas=dict(noise_of_odometry(graph.poses, graph.edges, graph.metric)),
+            odometry_sigmas={str(n): x for n, x in noise_of_odometry(graph.poses, graph.edges, graph.metric).items()},
         )
         for group, graph, fit in fits
         if fit.edges

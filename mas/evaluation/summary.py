@@ -137,7 +137,7 @@ class GraphFigures(_Figures):
     fits: bool
     worst: list[MisfitFigures]
     lengths: list[float] = []
-    odometry_sigmas: dict[int, float] = {}
+    odometry_sigmas: dict[str, float] = {}
 
 
 class TruthFigures(_Figures):
