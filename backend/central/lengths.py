@@ -12,7 +12,8 @@ of F at the solved poses, its matrix the Schur complement, a row and a column a 
 Loops tell how the robots' lengths stand to each other, and little of what is common to all. Factors that nothing calls
 for do harm: those of exact odometries are found up to the noise of a few matches, and stretch maps that were right. So
 they are used only where the evidence (the marginal likelihood of the factors over that of none, Laplace's
-approximation) is clear, with the deviations of the steps as large as the residuals say that they are.
+approximation) is clear, with the deviations of the steps as large as the residuals say that they are, and
+loops and separators fit what they state themselves.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from .trust_region import newton
 
 _CLEAR = 2.0
 """Logarithm of the odds for factors from which on they are used; 2: seven to one."""
+# Noise of loops and separators over what they state, beyond which they tell nothing of lengths.
+_FITTING = 1.3
 _ROUNDS = 6
 # A factor's last change, as a share of its deviation before anything is known.
 _SETTLED = 1e-3
@@ -121,7 +124,8 @@ def with_lengths(
             break
     noise, steps_freedom, others = at.noise(freedom)
     evidence = at.evidence(max(1.0, noise**2, others**2))
-    used = evidence > _CLEAR
+    # Matches that do not fit each other, as a liar's, are no evidence of lengths.
+    used = evidence > _CLEAR and others <= _FITTING
     doubt = at.doubt()
     if not used:
         return found, Lengths(False, np.ones(steps.count), doubt, evidence, noise, steps_freedom)
