@@ -131,7 +131,7 @@ def _holds(inside: Sequence[G2oLine], outside: Sequence[G2oLine]) -> bool:
     mine, theirs = _measured(inside), _measured(_distinct(outside))
     if len({line.file for line in outside if len(line.ids) == 2}) < 2 or _nodes(inside) < _nodes(outside):
         return False
-    if not len(mine) or mine.shape[1] != theirs.shape[1]:
+    if not len(mine) or not len(theirs) or mine.shape[1] != theirs.shape[1]:
         return False
     digits = _DIGITS * (1.0 + np.abs(theirs).max(axis=1))
     here = cKDTree(mine).query_ball_point(theirs, digits, return_length=True)
@@ -156,4 +156,4 @@ def _measured(lines: Iterable[G2oLine]) -> Array:
             values = line.values[: 3 if len(line.values) == 9 else 7].copy()
             values[3:] *= np.sign(values[6]) if len(values) == 7 and values[6] else 1.0
             rows.append(values)
-    return np.array(rows).reshape(len(rows), -1)
+    return np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 7))

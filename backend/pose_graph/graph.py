@@ -220,13 +220,16 @@ class PoseGraph:
 
     def partitioned(self, robots: int) -> PoseGraph:
         """A graph of one robot cut into ``robots`` blocks of consecutive nodes, equally long (the last may be
-        shorter).
+        shorter; where that would leave none for it, some are shorter by one).
         """
         nodes = self.nodes
         if len(self.robots) != 1 or not 1 <= robots <= len(nodes):
             raise BackendError(f"cannot cut {len(nodes)} poses of {len(self.robots)} robots into {robots} parts")
         size = -(-len(nodes) // robots)
-        new = {n: NodeId(k // size, n.index) for k, n in enumerate(nodes)}
+        block = np.arange(len(nodes)) // size
+        if block[-1] + 1 < robots:
+            block = np.arange(len(nodes)) * robots // len(nodes)
+        new = {n: NodeId(int(k), n.index) for n, k in zip(nodes, block, strict=True)}
         edges = []
         for e in self.edges:
             i, j = new[e.i], new[e.j]

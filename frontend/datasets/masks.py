@@ -23,14 +23,15 @@ _FEW = 0.1
 
 
 def with_masks(sequence: ImageSequence, folder: Path, given: Path | None, problems: Problems) -> ImageSequence:
-    """``sequence`` with the masks ``given`` (a file or a folder), or found in ``folder``; without any as it is.
+    """``sequence`` with the masks ``given`` (a file or a folder), or found in ``folder`` where it names none itself;
+    without any as it is.
 
     :class:`FrontendError` where those given are not there or belong to no image.
     """
     if given is not None and not given.exists():
         raise FrontendError(f"{given}: no such mask, nor folder of masks")
     source = given or next((p for name in _FOUND if (p := folder / name).is_dir() or p.is_file()), None)
-    if source is None or not len(sequence):
+    if source is None or not len(sequence) or (given is None and sequence.masks is not None):
         return sequence
     if source.is_file():
         masks, said = _of_all(sequence, (source,) * len(sequence), ()), f"{source}: masks every image"
@@ -68,6 +69,10 @@ def with_named_masks(
     used = _used(masks, problems)
     if used is None:
         return replace(sequence, problems=tuple(dict.fromkeys((*sequence.problems, *problems.found))))
+    if used < _FEW:
+        problems.warning(
+            f"{source}: mask_path leaves {100 * used:.1f} % of the pixels: white is used; are they inverted?"
+        )
     said = f"{source}: mask_path masks {sum(map(bool, left))} of {len(sequence)} images"
     note = f"{said}; {100 * (1 - used):.1f} % of the pixels give no points; place descriptors see the whole images"
     found = tuple(dict.fromkeys((*sequence.problems, *problems.found)))

@@ -338,6 +338,16 @@ def test_an_edge_to_a_vertex_that_is_not_there_names_line_and_vertex(ring, tmp_p
     assert "no VERTEX line" not in capsys.readouterr().out, "files without any are of a common kind"
 
 
+def test_a_file_of_vertices_alone_beside_others_is_read(ring, tmp_path, capsys):
+    """Three files, as sets with a joint graph have; one holds no edge."""
+    lines = lines_of(ring)
+    for name, some in (("a", lines), ("b", lines), ("c", [line for line in lines if line.startswith("VERTEX")])):
+        (tmp_path / f"{name}.g2o").write_text("\n".join(some) + "\n")
+    words = [str(tmp_path / f"{name}.g2o") for name in "abc"]
+    assert cli.main(["pgo", *words, str(tmp_path / "out"), "--method", "central"]) in (0, 1)
+    assert "unexpected" not in capsys.readouterr().err
+
+
 def test_odd_nodes_are_named(ring, tmp_path, capsys):
     path = tmp_path / "in.g2o"
     path.write_text("\n".join([*lines_of(ring), "VERTEX_SE3:QUAT 999 5 5 5 0 0 0 1"]) + "\n")

@@ -81,3 +81,11 @@ def test_a_graph_is_cut_into_consecutive_parts():
     assert {n.robot for n in own.poses} == {0, 1, 2} and len(own.edges) == 5
     with pytest.raises(BackendError, match="cannot cut"):
         graph.partitioned(12)
+
+
+@pytest.mark.parametrize(("poses", "robots"), [(36, 8), (36, 25), (36, 36)])
+def test_a_graph_is_cut_into_as_many_parts_as_asked_for(poses, robots):
+    """Also where parts of one length would leave none for the last ones."""
+    graph, _ = loops(np.random.default_rng(0), robots=1, length=poses)
+    counts = np.bincount([n.robot for n in graph.partitioned(robots).nodes])
+    assert len(counts) == robots and counts.sum() == poses and counts.min() >= 1

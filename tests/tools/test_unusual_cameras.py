@@ -174,13 +174,15 @@ def test_other_programs_calibrations_are_named(single: Path, name: str, text: st
     assert words in found and "not read: write its numbers into camera.yaml" in found
 
 
-def test_mask_path_of_transforms_is_used(single: Path) -> None:
+@pytest.mark.parametrize("where", ["robot", "masks"])
+def test_mask_path_of_transforms_is_used(single: Path, where: str) -> None:
+    """A folder that is called as masks are when nobody names them is not looked through again."""
     mask = np.full((180, 320), 255, np.uint8)
     mask[:, 240:] = 0
-    (single / "robot").mkdir()
-    assert cv2.imwrite(str(single / "robot" / "body.png"), mask)
+    (single / where).mkdir()
+    assert cv2.imwrite(str(single / where / "body.png"), mask)
     names = [path.name for path in files(single / "image_0")]
-    frames = [{"file_path": f"image_0/{name}", "mask_path": "robot/body.png"} for name in names]
+    frames = [{"file_path": f"image_0/{name}", "mask_path": f"{where}/body.png"} for name in names]
     data = {"fl_x": 250.0, "fl_y": 250.0, "cx": 159.5, "cy": 89.5, "w": 320, "h": 180, "frames": frames}
     (single / "camera.yaml").unlink()
     (single / "transforms.json").write_text(json.dumps(data))
@@ -188,7 +190,11 @@ def test_mask_path_of_transforms_is_used(single: Path) -> None:
     used = sequence.read(3).used
     assert used is not None and used[:, :230].all() and not used[:, 250:].any()
     assert any("mask_path masks 20 of 20 images; 25.0 %" in note for note in sequence.notes)
-    frames[0]["mask_path"] = "robot/none.png"
+    assert not any("mask" in problem.message for problem in inspect_dataset(single).sequences[0].problems)
+    assert cv2.imwrite(str(single / where / "body.png"), np.zeros_like(mask))
+    found = inspect_dataset(single).sequences[0].problems
+    assert any("mask_path leaves 0.0 % of the pixels" in problem.message for problem in found)
+    frames[0]["mask_path"] = f"{where}/none.png"
     (single / "transforms.json").write_text(json.dumps(data))
     found = inspect_dataset(single).sequences[0].problems
     assert any("none.png" in problem.message for problem in found)

@@ -167,8 +167,12 @@ def _matches(summary: dict[str, Any]) -> list[str]:
     counts = (
         f"{counted(matches['candidates'], 'candidate')}, {matches['verified']} verified, {matches['accepted']} accepted"
     )
+    doubt = (
+        "  all false      does the ground truth turn as the cameras do (the quaternion's order, inverse, other axes)?"
+    )
     return [
         f"matches        {counts}" + ("" if false is None else f", {false} of them false"),
+        *([doubt] if false and false == matches["accepted"] else []),
         *(f"  {kind:<13}{reasons}" for kind, reasons in others.items() if reasons),
         *_same_image(matches.get("same_image", 0)),
         *_wider(matches),
