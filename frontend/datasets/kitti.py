@@ -35,7 +35,8 @@ class KittiReader(Reader):
 
     def recognises(self, folder: Path) -> bool:
         """See :meth:`Reader.recognises`."""
-        return (folder / "calib.txt").is_file() and any((folder / f"image_{left}").is_dir() for left, _ in _PAIRS)
+        there = (folder / "calib.txt").is_file() and any((folder / f"image_{left}").is_dir() for left, _ in _PAIRS)
+        return there and not _is_of_numbers_alone(folder / "calib.txt")
 
     def open(self, folder: Path, rig: RigKind | None) -> ImageSequence:
         """See :meth:`Reader.open`."""
@@ -72,6 +73,12 @@ class KittiReader(Reader):
             missing=images.missing,
         )
         return assemble(found, kind, problems)
+
+
+def _is_of_numbers_alone(path: Path) -> bool:
+    """Whether a ``calib.txt`` is no KITTI one: it begins with ``fx fy cx cy``, or a row of a 3x3 matrix."""
+    first = next((line for line in text_tables.read_text(path).splitlines() if line.strip()), "")
+    return ":" not in first and len(first.split()) in (3, 4)
 
 
 def read_projections(path: Path) -> dict[int, Array]:

@@ -198,3 +198,13 @@ def test_mask_path_of_transforms_is_used(single: Path, where: str) -> None:
     (single / "transforms.json").write_text(json.dumps(data))
     found = inspect_dataset(single).sequences[0].problems
     assert any("none.png" in problem.message for problem in found)
+
+
+@pytest.mark.parametrize("text", ["250 250 159.5 89.5\n", "250 0 159.5\n0 250 89.5\n0 0 1\n"])
+def test_numbers_alone_beside_a_folder_called_as_kitti_s_are_read(single: Path, text: str) -> None:
+    (single / "camera.yaml").unlink()
+    (single / "calib.txt").write_text(text)
+    [sequence] = open_dataset(single).sequences
+    assert sequence.kind == "images"
+    camera = sequence.rig.camera
+    assert (camera.fx, camera.cy) == (250.0, 89.5)
