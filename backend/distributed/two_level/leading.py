@@ -17,16 +17,19 @@ from .springs import Knots, Springs, needed, read_knots, read_springs
 
 # Steps of the coarse level over the deviation of what is left to gain, a number of a shared pose.
 _FINENESS = 0.25
+# Times that a move is halved after which F is higher.
 _HALVINGS = 8
 # A sweep of which the mix takes less than this: the coarse level is that of another place.
 _USELESS = 0.3
 # Turns beyond this, rad, are not small: the move is cut.
 _MOST_TURN = 0.25
-_LEFT = 4.0
-_KEPT = 0.001
+# What is left to gain over what the coarse level alone would; and the least share of it that a sweep leaves.
+_LEFT, _KEPT = 4.0, 0.001
+# F counts squared standard deviations: a smaller fall matters to nobody.
 _NOTHING = 1e-9
 # Sweeps in a row that are of no use and lower the cost by less than this share: it leads nowhere.
 _HARDLY, _PATIENCE = 0.03, 8
+# Of one sweep's fall of F to the one's before, in judging what is left: it may get slower yet.
 _LEAST_RATIO, _MOST_RATIO = 0.6, 0.9
 
 

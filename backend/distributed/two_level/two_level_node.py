@@ -5,7 +5,8 @@ before each sweep all robots' knots move together, as the root of the members fi
 Schwarz methods: Smith, Bjorstad, Gropp, 1996), and after it the sweep is mixed with the last two moves such that the
 model of F falls most (flexible conjugate gradients). The number of sweeps hardly grows with the number of robots.
 
-The root sees knots and which of them are tied, no pose and no measurement of a robot that is not its neighbour.
+The root sees where knots are, how stiff tracks are between them, and where which of them are tied; no other pose, and no
+measurement, of a robot that is not its neighbour.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from .part import Part
 
 
 class Phase(IntEnum):
-    """Rounds of the stage, by their ``sweep``: the first two once, in its step 0; the others in each step."""
+    """Rounds of the stage, by their ``sweep``: the first two where the coarse level begins; the others in each step."""
 
     NEIGHBOURS = 0
     LEVEL = 1
