@@ -5,8 +5,8 @@ before each sweep all robots' knots move together, as the root of the members fi
 Schwarz methods: Smith, Bjorstad, Gropp, 1996), and after it the sweep is mixed with the last two moves such that the
 model of F falls most (flexible conjugate gradients). The number of sweeps hardly grows with the number of robots.
 
-The root sees where knots are, how stiff tracks are between them, and where which of them are tied; no other pose, and no
-measurement, of a robot that is not its neighbour.
+The root sees where knots are, how stiff tracks are between them, and where which of them are tied; of a robot that is
+not its neighbour no other pose, and no measurement.
 """
 
 from __future__ import annotations
