@@ -27,6 +27,9 @@ class Rounds(ABC):
     transports that lose messages.
     """
 
+    # Rounds with messages that others may still lack.
+    _ROUNDS_KEPT = 2
+
     def __init__(self, share: Share, first: Round) -> None:
         self.share = share
         self.outcome: SolverOutcome | None = None
@@ -123,7 +126,7 @@ class Rounds(ABC):
         return self._advance()
 
     def tick(self) -> list[NodeMessage]:
-        """Return the messages of the last two rounds again."""
+        """Return the messages of the last rounds again."""
         return [m for r in sorted(self._recent) for m in self._recent[r]]
 
     def again(self, message: NodeMessage) -> list[NodeMessage]:
@@ -175,7 +178,7 @@ class Rounds(ABC):
     def _emit(self, messages: Sequence[NodeMessage]) -> list[NodeMessage]:
         for message in messages:
             self._recent.setdefault(message.round, []).append(message)
-        for old in sorted(self._recent)[:-2]:
+        for old in sorted(self._recent)[: -self._ROUNDS_KEPT]:
             del self._recent[old]
         return list(messages)
 

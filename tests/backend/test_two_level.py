@@ -14,7 +14,9 @@ from maslam.backend.distributed import exchange
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.message_bytes import decode, encode
 from maslam.backend.distributed.messages import Coded, Round, SolverStage
+from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.places import SCALED, Places
+from maslam.backend.distributed.share import shares
 from maslam.backend.distributed.two_level.answers import CoarseAnswer, Then, differences, summed
 from maslam.backend.distributed.two_level.coded_places import CodedPlaces
 from maslam.backend.distributed.two_level.codes import read_steps, write_steps
@@ -91,6 +93,30 @@ def test_the_root_is_sent_no_pose_of_robots_that_are_not_its_neighbours():
             stages.add((m.round.stage, m.round.sweep))
     assert {stage for stage, _ in stages} == {SolverStage.TWO_LEVEL}
     assert {sweep for _, sweep in stages} == {1, 2, 3, 5, 6}
+
+
+@pytest.mark.parametrize("lost_at", [0, 1, 2, 3])
+def test_what_one_robot_lacks_is_sent_again_however_far_the_others_have_gone(lost_at):
+    """All first copies to one robot are lost, and who waits sends its last messages again, once to each other robot."""
+    graph, _ = loops(np.random.default_rng(7), robots=4, length=16)
+    expected, _ = exchange.solve_group(shares(graph), TWO_LEVEL)
+    nodes = {robot: node_for(share, TWO_LEVEL) for robot, share in shares(graph).items()}
+    queue, seen = [m for node in nodes.values() for m in node.start()], set()
+    for _ in range(400):
+        while queue:
+            message = queue.pop(0)
+            key = (message.name, message.place, message.sender, message.receiver)
+            if message.receiver == lost_at and key not in seen:
+                seen.add(key)
+                continue
+            queue += nodes[message.receiver].handle(message)
+        if all(node.outcome is not None for node in nodes.values()):
+            break
+        for node in nodes.values():
+            for message in {m.receiver: m for m in node.tick()}.values():
+                queue += [message, *nodes[message.receiver].again(message)]
+    for robot, outcome in expected.items():
+        assert all(np.array_equal(nodes[robot].outcome.poses[n], T) for n, T in outcome.poses.items())
 
 
 # -- the coarse level ------------------------------------------------------------------------------------------------

@@ -54,6 +54,9 @@ _FROM_ROOT = (Phase.ANSWER, Phase.WEIGHTS)
 class TwoLevelNode(DescentNode):
     """Places as block descent does, then sweeps with a coarse level; see :class:`Rounds` for its use."""
 
+    # What goes to the root takes a robot on, though neighbours may lack what went to them before: knots, level, forces.
+    _ROUNDS_KEPT = 4
+
     def __init__(self, share: Share, config: SolverConfig) -> None:
         super().__init__(share, config)
         self._leading: Leading | None = None
