@@ -19,11 +19,14 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 
 
 @pytest.fixture(autouse=True)
-def ctrl_c():
-    """Whoever runs the tests in the background may ignore it, and what they start would, too."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+def nothing_ignored():
+    """Whoever runs the tests in the background may ignore Ctrl-C, or under nohup a hang-up, and what they start would,
+    too."""
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, how) for number, how in usual.items()}
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, how in before.items():
+        signal.signal(number, how)
 
 
 POOL = """
