@@ -76,8 +76,8 @@ def test_who_may_not_go_on_says_so():
     assert excess(graph, result) > 1e-3
 
 
-def test_the_root_is_sent_no_pose_of_robots_that_are_not_its_neighbours():
-    """Its messages from them: knots, forces, sums. Whole poses travel between neighbours only."""
+def test_the_root_is_sent_only_knots_forces_and_sums_of_robots_that_are_not_its_neighbours():
+    """Shared poses travel between neighbours only."""
     graph, _ = loops(np.random.default_rng(6), robots=5, length=20)
     pairs = {frozenset((e.i.robot, e.j.robot)) for e in graph.edges if e.is_separator}
     stages = set()

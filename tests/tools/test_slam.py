@@ -16,6 +16,7 @@ from maslam.backend.geometry import se3
 from maslam.frontend.cameras.models import RigKind
 from maslam.frontend.files.trajectory import read_tum, write_kitti_poses
 from maslam.tools import cli
+from maslam.tools.report.summary_table import table
 
 FRAMES = 36
 pytestmark = pytest.mark.slow
@@ -113,6 +114,14 @@ def test_a_runs_own_configuration_repeats_it(run: Path, tmp_path: Path) -> None:
     assert cli.main(words) == 0
     for name in ("matches.csv", "traffic.csv", "config.yaml"):
         assert (tmp_path / "again" / name).read_bytes() == (run / name).read_bytes()
+
+
+def test_a_truth_that_all_matches_contradict_is_doubted(run: Path) -> None:
+    summary, timing = (json.loads((run / name).read_text()) for name in ("summary.json", "timing.json"))
+    accepted = summary["matches"]["accepted"]
+    for false in (0, accepted - 1, accepted):
+        summary["matches"]["false_accepted"] = false
+        assert ("all false" in table(summary, timing)) == (false == accepted)
 
 
 def test_eval_prints_the_figures(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
