@@ -70,6 +70,10 @@ class Agent:
 
     # -- what comes in ------------------------------------------------------------------------------------------------
 
+    def meet(self, other: int) -> None:
+        """Another agent is there: it can be called from now on."""
+        self.state.meet(other)
+
     def observe(self, keyframe: KeyFrame) -> None:
         """The sensors' next key-frame."""
         self.state.observe(keyframe)

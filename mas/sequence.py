@@ -277,13 +277,14 @@ def read_manifest(folder: Path) -> Manifest:
 def load_sequences(folder: Path) -> tuple[Manifest, list[AgentSequence]]:
     """Read a SEQS folder: the manifest, and each agent's sequence in its order; what does not fit is an error."""
     manifest = read_manifest(folder)
-    sequences = [_load_agent(folder / entry.name, entry, manifest) for entry in manifest.agents]
+    sequences = [load_agent(folder / entry.name, entry, manifest) for entry in manifest.agents]
     if not sequences:
         raise MasError(f"{folder / MANIFEST}: no agents in it")
     return manifest, sequences
 
 
-def _load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSequence:
+def load_agent(folder: Path, entry: AgentEntry, manifest: Manifest) -> AgentSequence:
+    """Read the folder of one agent; what does not fit its entry in the manifest is an error."""
     if not folder.is_dir():
         raise MasError(f"{folder}: missing, but {MANIFEST} names {entry.name}")
     from maslam.descriptors.container import PlaceVectors

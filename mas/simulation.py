@@ -7,8 +7,12 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from maslam._kernels import watch_compiling
 from maslam._replaced import replaced
@@ -21,16 +25,15 @@ from .agent import Agent
 from .config import AUTO_CODE, MasConfig
 from .contracts.effects import Effects, Event
 from .errors import MasError
-from .evaluation.georeference import datum_of, georeferences, position_figures
-from .evaluation.ground_truth import GroundTruthEvaluator, groups_of
-from .evaluation.summarise import FinishedRun, summarise
+from .evaluation.ground_truth import GroundTruthEvaluator
+from .evaluation.summarise import FinishedRun
 from .evaluation.summary import Summary, Timing
-from .output.run_folder import Recorder, match_errors
+from .output.run_folder import Recorder
+from .output.whole_run import record_run, timeline_row
 from .policies.cluster_owners import centres_before
 from .policies.foreign import PolicyLike
 from .policies.presets import policy_of
-from .protocol.accounting import Traffic
-from .sequence import AgentSequence, Manifest
+from .sequence import AgentEntry, AgentSequence, DescriptorEntry, Manifest
 from .state.agent_state import Ownership, Profile
 from .state.keyframe import KeyFrame, keyframes_of
 from .transport.choice import TransportLike, transport_of
@@ -172,22 +175,10 @@ def run(
         environment = Environment(agents, keyframes, carrier, config)
         recorder.begin_timeline(len(agents))
         steps = _play(environment, evaluator, recorder, progress)
-        errors = match_errors(agents, evaluator)
-        recorder.settings(config, manifest)
-        recorder.events(environment.events)
-        recorder.matches(agents, errors)
-        on_earth, datum = georeferences(agents), datum_of(manifest)
-        places = {me: one.T_E_F for one in on_earth for me in one.figures.agents}
-        for me in range(len(agents)):
-            recorder.agent(me, agents, sequences)
-            recorder.georeferenced(me, agents, sequences, places.get(me), datum)
         finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps, manifest.left_out)
-        summary = summarise(finished, evaluator, errors)
-        duration = max((k[-1].time_ns for k in keyframes if k), default=0) / 1e9
-        summary = replaced(summary, duration_s=duration, positions=position_figures(on_earth, datum, config))
-        recorder.summary(summary)
+        summary = record_run(recorder, manifest, finished, evaluator)
         wall = time.perf_counter() - started - compilations.seconds
-        recorder.timing(Timing(wall_s=wall, realtime_factor=duration / wall))
+        recorder.timing(Timing(wall_s=wall, realtime_factor=summary.duration_s / wall))
     log.info("done in %d steps, %.1f s", steps, wall)
     return summary
 
@@ -206,7 +197,6 @@ def make_agents(
     """One agent a sequence; sequences of different descriptor models do not go together."""
     if not sequences:
         raise MasError("no agents to run")
-    wanted = manifest.descriptor
     coder = coder_of(manifest, config.places.code)
     policies = [policy_of(config, me, policy) for me in range(len(sequences))]
     ownership = policies[0].ownership
@@ -217,19 +207,37 @@ def make_agents(
             "positions (GPS) are not used: method %s knows none; optimisation.solver.method elected does", method
         )
     centres = centres_before(manifest, sequences, config, coder) if clustered else None
+    common = CommonProfile(manifest.descriptor, coder, ownership, centres)
     agents = []
-    for me, sequence in enumerate(sequences):
-        if (sequence.places.sha256, sequence.places.dim) != (wanted.sha256, wanted.dim):
-            raise MasError(
-                f"{sequence.name}: place vectors of model {sequence.places.name} ({sequence.places.sha256[:12]}, "
-                f"{sequence.places.dim} numbers), the others have {wanted.name} ({wanted.sha256[:12]}, {wanted.dim})"
-            )
+    for me, (entry, sequence) in enumerate(zip(manifest.agents, sequences, strict=True)):
         others = tuple(a for a in range(len(sequences)) if a != me)
-        pixel_deg = degrees(1.0 / manifest.agents[me].camera.fx)
-        limits = (wanted.threshold, coder, ownership, centres, wanted.strict_threshold, pixel_deg)
-        profile = Profile(me, others, sequence.metric, wanted.sha256, *limits)
-        agents.append(Agent(profile, config, policies[me]))
+        agents.append(Agent(profile_of(me, others, entry, sequence, common), config, policies[me]))
     return agents
+
+
+@dataclass(frozen=True)
+class CommonProfile:
+    """What all agents' profiles share: see :class:`~.state.agent_state.Profile`."""
+
+    descriptor: DescriptorEntry
+    coder: Coder
+    ownership: Ownership
+    centres: NDArray[np.float32] | None = None
+
+
+def profile_of(
+    me: int, others: tuple[int, ...], entry: AgentEntry, sequence: AgentSequence, common: CommonProfile
+) -> Profile:
+    """Who agent ``me`` is, which knows of the ``others``; a sequence of another descriptor model is refused."""
+    wanted = common.descriptor
+    if (sequence.places.sha256, sequence.places.dim) != (wanted.sha256, wanted.dim):
+        raise MasError(
+            f"{sequence.name}: place vectors of model {sequence.places.name} ({sequence.places.sha256[:12]}, "
+            f"{sequence.places.dim} numbers), the others have {wanted.name} ({wanted.sha256[:12]}, {wanted.dim})"
+        )
+    pixel_deg = degrees(1.0 / entry.camera.fx)
+    limits = (wanted.threshold, common.coder, common.ownership, common.centres, wanted.strict_threshold, pixel_deg)
+    return Profile(me, others, sequence.metric, wanted.sha256, *limits)
 
 
 def coder_of(manifest: Manifest, code: str) -> Coder:
@@ -259,29 +267,10 @@ def _play(
         limit += round(_CLOSING_OPTIMISATIONS * config.optimisation.deadline_s / config.step_s)
     for number in range(limit):
         environment.step(number)
-        recorder.step(timeline_row(number, environment, evaluator))
+        recorder.step(timeline_row(number, environment.now_ns, environment.agents, environment.transport, evaluator))
         if progress is not None:
             progress(min(number + 1, total), total)
         if number + 1 >= total and environment.over:
             return number + 1
     log.info("ended after %d steps with work left", limit)
     return limit
-
-
-def timeline_row(number: int, environment: Environment, evaluator: GroundTruthEvaluator) -> list[object]:
-    """The row of ``timeline.csv`` for a step; errors are empty without truth."""
-    agents = environment.agents
-    own = [evaluator.keyframe_error(a) for a in agents]
-    maps = [evaluator.map_error(a) for a in agents]
-    accepted = len({m for a in agents for m in a.state.accepted})
-    counts = [environment.transport.by_operation[t] for t in Traffic]
-    return [
-        number,
-        environment.now_ns / 1e9,
-        sum(len(a.state.keyframes) for a in agents),
-        len(groups_of(agents)),
-        accepted,
-        *(None if e is None else e.rmse_m for e in own),
-        *(None if e is None else e.rmse_m for e in maps),
-        *(value for c in counts for value in (c.payload_bytes, c.wire_bytes)),
-    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 
@@ -47,7 +47,8 @@ class Ownership(StrEnum):
 
 @dataclass(frozen=True)
 class Profile:
-    """Identity of an agent, and the names of the others: all that it gets when it is set up.
+    """Identity of an agent, and the names of the others: all that it gets when it is set up. On a real network it
+    knows nobody at first, and meets the others one by one.
 
     ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance, ``strict_threshold``: the one
     at which appearance alone decides; ``coder``: how place vectors travel, the same for all; ``ownership``: who keeps
@@ -121,6 +122,11 @@ class AgentState:
     def me(self) -> int:
         """The agent's own number."""
         return self.profile.me
+
+    def meet(self, other: int) -> None:
+        """Another agent is there, which this one did not know of."""
+        if other != self.me and other not in self.profile.everyone:
+            self.profile = replace(self.profile, others=tuple(sorted({*self.profile.others, other})))
 
     def observe(self, keyframe: KeyFrame) -> None:
         """Add a key-frame: chained rigidly to the one before, in its unit, or the start of a new piece."""

@@ -1,0 +1,1 @@
+"""One agent on a real network: its journal, its link to the others, its own time."""

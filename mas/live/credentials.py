@@ -1,0 +1,136 @@
+"""Names that cannot be taken by others: certificates of one authority, made before the robots drive.
+
+Each agent has a certificate with its name, ``agent_03``, and the team's, signed by the team's authority, whose key is on
+no robot. Two agents that meet show them (:class:`Greeting`) and agree on a key that only they have (X25519, RFC 7748);
+from then on each frame between them carries a code (keyed BLAKE2b, 8 bytes, RFC 7693) that nobody else can make, over
+any number of relays. Frames are not encrypted end to end: on the links they are (TLS), relays can read them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from ..errors import MasError
+from ..protocol.ids import MAX_AGENTS
+from ..protocol.messages import VERSION
+from .seals import SessionKey
+
+if TYPE_CHECKING:
+    from cryptography.x509 import Certificate
+
+AUTHORITY, CERTIFICATE, KEY = "ca.pem", "cert.pem", "key.pem"
+"""Files of an agent's folder."""
+_SIGNED = b"maslam greeting 1"
+_MOST_BYTES = 8192
+INSTALL = "agents on a network need the extra 'network': pip install 'maslam[network]'"
+
+
+class CredentialsError(MasError):
+    """Certificates that are missing, of another team, or another's."""
+
+
+class Greeting(msgspec.Struct, frozen=True, array_like=True):
+    """What an agent shows when it meets another: its certificate (DER), a public key made for this session, the
+    signature that binds both; its version of the protocol, and the code of its descriptor model and place code."""
+
+    certificate: bytes
+    public: bytes
+    signature: bytes
+    version: int
+    language: int
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """Another agent, known by its certificate."""
+
+    number: int
+    public: bytes
+    version: int
+    language: int
+
+
+def name_of_agent(number: int) -> str:
+    """The name in a certificate."""
+    return f"agent_{number:02d}"
+
+
+class Credentials:
+    """The certificate of one agent, read from the folder that ``maslam keys`` made for it: ``ca.pem``, ``cert.pem``,
+    ``key.pem``. ``number``, ``team``: who it says that the agent is."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        try:
+            from cryptography import x509
+            from cryptography.hazmat.primitives import serialization
+        except ImportError as error:
+            raise CredentialsError(INSTALL) from error
+        read = {name: read_file(folder / name) for name in (AUTHORITY, CERTIFICATE, KEY)}
+        try:
+            self._authority = x509.load_pem_x509_certificate(read[AUTHORITY])
+            self._certificate = x509.load_pem_x509_certificate(read[CERTIFICATE])
+            self._key = serialization.load_pem_private_key(read[KEY], None)
+        except (ValueError, TypeError) as error:
+            raise CredentialsError(f"{folder}: not certificates that `maslam keys` made: {error}") from error
+        self.number, self.team = self._names(self._certificate, "its own certificate")
+
+    def greeting(self, session: SessionKey, language: int) -> bytes:
+        """What to show to another agent."""
+        from cryptography.hazmat.primitives import hashes, serialization
+        from cryptography.hazmat.primitives.asymmetric import ec
+
+        assert isinstance(self._key, ec.EllipticCurvePrivateKey)
+        certificate = self._certificate.public_bytes(serialization.Encoding.DER)
+        signature = self._key.sign(_SIGNED + session.public, ec.ECDSA(hashes.SHA256()))
+        return msgspec.msgpack.encode(Greeting(certificate, session.public, signature, VERSION, language))
+
+    def check(self, data: bytes) -> Stranger:
+        """Who another agent is by its greeting; :class:`CredentialsError` where it cannot be believed."""
+        from cryptography import x509
+        from cryptography.exceptions import InvalidSignature
+        from cryptography.hazmat.primitives import hashes
+        from cryptography.hazmat.primitives.asymmetric import ec
+
+        if len(data) > _MOST_BYTES:
+            raise CredentialsError(f"a greeting of {len(data)} bytes")
+        try:
+            greeting = msgspec.msgpack.decode(data, type=Greeting)
+            certificate = x509.load_der_x509_certificate(greeting.certificate)
+            key = certificate.public_key()
+            certificate.verify_directly_issued_by(self._authority)
+            if not isinstance(key, ec.EllipticCurvePublicKey):
+                raise CredentialsError("a certificate with a key of another kind")
+            key.verify(greeting.signature, _SIGNED + greeting.public, ec.ECDSA(hashes.SHA256()))
+        except InvalidSignature as error:
+            raise CredentialsError("a certificate of another authority, or a signature that is not its own") from error
+        except (msgspec.MsgspecError, ValueError, TypeError) as error:
+            raise CredentialsError(f"a greeting that cannot be read: {error}") from error
+        number, team = self._names(certificate, "a certificate")
+        if team != self.team:
+            raise CredentialsError(f"agent {number} is of team {team!r}, not {self.team!r}")
+        return Stranger(number, greeting.public, greeting.version, greeting.language)
+
+    def _names(self, certificate: Certificate, what: str) -> tuple[int, str]:
+        from cryptography.x509.oid import NameOID
+
+        names = [
+            str(attribute.value)
+            for oid in (NameOID.COMMON_NAME, NameOID.ORGANIZATION_NAME)
+            for attribute in certificate.subject.get_attributes_for_oid(oid)[:1]
+        ]
+        digits = names[0].removeprefix("agent_") if len(names) == 2 else ""
+        if not digits.isascii() or not digits.isdigit() or int(digits[:9]) >= MAX_AGENTS:
+            raise CredentialsError(f"{self.folder}: {what} names no agent of a team: {', '.join(names) or 'nobody'}")
+        return int(digits[:9]), names[1]
+
+
+def read_file(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise CredentialsError(f"{path}: missing; `maslam keys` makes the certificates of a team") from error

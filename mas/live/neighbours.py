@@ -1,0 +1,208 @@
+"""All other agents that can be reached: greetings, seals, frames. What comes in is a message of a proven sender."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, field
+
+from ..protocol.messages import VERSION
+from ..transport.link import Arrived, Link, Presence
+from .credentials import Credentials, CredentialsError, Stranger
+from .framing import FrameError, Phase, unpack_frame
+from .neighbour import FrameCount, Session
+from .seals import SealError, SessionKey
+
+GREETING, SEALED = b"\0", b"\1"
+_GREET_AGAIN_NS = 1_000_000_000
+# Greetings of one agent that are looked at, each second: a signature takes a tenth of a millisecond.
+_GREETINGS_A_SECOND = 5
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Received:
+    """Bytes of a message, of a proven sender."""
+
+    sender: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Met:
+    """Agent ``other`` is there, and who it says it is."""
+
+    other: int
+
+
+@dataclass
+class _Acquaintance:
+    """``here``: the link says so; ``session``: with the process that last proved itself; ``candidate``: with one that
+    has sent a greeting, and nothing sealed yet; ``refused``: what was wrong with it, said once."""
+
+    here: bool = False
+    session: Session | None = None
+    candidate: tuple[bytes, Session] | None = None
+    public: bytes = b""
+    greeted_ns: int | None = None
+    looked_at: list[int] = field(default_factory=list)
+    refused: str = ""
+
+
+class Neighbours:
+    """The link as an agent uses it. ``out``, ``into``: bytes by the other agent's number."""
+
+    def __init__(self, credentials: Credentials, language: int, link: Link, max_message_bytes: int) -> None:
+        self.me = credentials.number
+        self.phase = Phase.DRIVING
+        self.out: dict[int, FrameCount] = {}
+        self.into: dict[int, FrameCount] = {}
+        self.greeting_bytes = 0
+        self.refused = 0
+        self._credentials = credentials
+        self._link = link
+        self._limit = max_message_bytes
+        self._language = language
+        self._key = SessionKey()
+        self._greeting = credentials.greeting(self._key, language)
+        self._known: dict[int, _Acquaintance] = {}
+
+    # -- what an agent does -------------------------------------------------------------------------------------------
+
+    def send(self, other: int, message: bytes) -> None:
+        """Take a message on its way; one to an agent that is not there is lost."""
+        known = self._known.get(other)
+        if known is not None and known.session is not None and known.here:
+            known.session.put(message)
+            self.out.setdefault(other, FrameCount()).messages += len(message)
+
+    def announce(self, phase: Phase) -> None:
+        """Say to all how far I am."""
+        self.phase = phase
+        for session in self._sessions():
+            session.announce(phase)
+
+    def phases(self) -> dict[int, Phase]:
+        """How far the others are that are there, and have said so."""
+        there = {a: k.session.phase for a, k in sorted(self._known.items()) if k.here and k.session is not None}
+        return {a: phase for a, phase in there.items() if phase is not None}
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is on its way to an agent that is there."""
+        return any(session.busy for session in self._sessions())
+
+    def refusals(self) -> dict[int, str]:
+        """Why agents that are there are not talked to."""
+        return {a: k.refused for a, k in sorted(self._known.items()) if k.here and k.refused and k.session is None}
+
+    def flush(self) -> None:
+        """Send what is due."""
+        now_ns = time.monotonic_ns()
+        for other, known in self._known.items():
+            if not known.here:
+                continue
+            waits = known.session is None
+            if waits and (known.greeted_ns is None or now_ns - known.greeted_ns >= _GREET_AGAIN_NS):
+                self._greet(other, known, now_ns)
+            for session in (known.session, known.candidate[1] if known.candidate else None):
+                for frame in [] if session is None else session.outgoing(now_ns):
+                    self._send_sealed(other, session, frame)
+
+    def receive(self, wait_s: float) -> list[Received | Met] | None:
+        """What came in next; None when nothing has after ``wait_s``, seconds."""
+        came = self._link.receive(wait_s)
+        if came is None:
+            return None
+        known = self._known.setdefault(came.other if isinstance(came, Presence) else came.sender, _Acquaintance())
+        if isinstance(came, Presence):
+            known.here = came.here
+            if not came.here:
+                known.session = known.candidate = known.greeted_ns = None
+                known.public = b""
+            return []
+        if came.data[:1] == GREETING:
+            self._greeted(came, known)
+            return []
+        return list(self._opened(came, known)) if came.data[:1] == SEALED else []
+
+    # -- greetings and seals ------------------------------------------------------------------------------------------
+
+    def _sessions(self) -> list[Session]:
+        return [k.session for k in self._known.values() if k.here and k.session is not None]
+
+    def _greet(self, other: int, known: _Acquaintance, now_ns: int) -> None:
+        known.greeted_ns = now_ns
+        self.greeting_bytes += len(self._greeting) + 1
+        self._link.send(other, GREETING + self._greeting)
+
+    def _greeted(self, came: Arrived, known: _Acquaintance) -> None:
+        """A process says who it is. It is believed once it sends something sealed, which only it can."""
+        now_ns = time.monotonic_ns()
+        known.looked_at = [t for t in known.looked_at if now_ns - t < 1_000_000_000]
+        if len(known.looked_at) >= _GREETINGS_A_SECOND:
+            return
+        known.looked_at.append(now_ns)
+        try:
+            stranger = self._checked(came)
+            if stranger.public in (known.public, known.candidate[0] if known.candidate else b""):
+                self._greet(came.sender, known, now_ns)  # it goes on asking: mine was lost
+                return
+            seals = self._key.seals(self.me, came.sender, stranger.public)
+        except (CredentialsError, SealError) as error:
+            self.refused += 1
+            if str(error) != known.refused:
+                log.warning("agent %d is not talked to: %s", came.sender, error)
+            known.refused = str(error)
+            return
+        self._greet(came.sender, known, now_ns)
+        # What is sealed first says how far I am, until it is acknowledged; so it proves who I am.
+        session = Session(seals, self._limit)
+        session.announce(self.phase)
+        known.candidate = (stranger.public, session)
+
+    def _checked(self, came: Arrived) -> Stranger:
+        stranger = self._credentials.check(came.data[1:])
+        if stranger.number != came.sender:
+            raise CredentialsError(f"it shows the certificate of agent {stranger.number}")
+        if stranger.version != VERSION:
+            raise CredentialsError(f"it speaks version {stranger.version} of the protocol, this one {VERSION}")
+        if stranger.language != self._language:
+            raise CredentialsError("it has another descriptor model, or another place code (places.code)")
+        return stranger
+
+    def _opened(self, came: Arrived, known: _Acquaintance) -> list[Received | Met]:
+        """The messages in a sealed frame; none where nobody sealed it."""
+        met: list[Received | Met] = []
+        opened = self._unsealed(known.session, came.data)
+        if opened is None and known.candidate is not None:
+            opened = self._unsealed(known.candidate[1], came.data)
+            if opened is not None:
+                known.public, known.session = known.candidate
+                known.candidate, known.refused = None, ""
+                met = [Met(came.sender)]
+        if opened is None or known.session is None:
+            self.refused += 1
+            return []
+        count = self.into.setdefault(came.sender, FrameCount())
+        count.frames += len(came.data)
+        count.count += 1
+        try:
+            messages = known.session.incoming(unpack_frame(opened), time.monotonic_ns())
+        except FrameError as error:
+            self.refused += 1
+            log.warning("agent %d: %s", came.sender, error)
+            return met
+        count.messages += sum(len(m) for m in messages)
+        return [*met, *(Received(came.sender, m) for m in messages)]
+
+    def _unsealed(self, session: Session | None, data: bytes) -> bytes | None:
+        return None if session is None else session.seals.open(data[1:])
+
+    def _send_sealed(self, other: int, session: Session, frame: bytes) -> None:
+        data = SEALED + session.seals.seal(frame)
+        count = self.out.setdefault(other, FrameCount())
+        count.frames += len(data)
+        count.count += 1
+        self._link.send(other, data)
+

@@ -1,0 +1,180 @@
+"""The loop of one agent in its own process: images' times, messages and time go in, messages go out.
+
+Nobody keeps a common clock, a list of all agents, or a word that all is over. An agent's logical time is that of its own
+recording; times in messages travel as durations. It says how far it is (:class:`~.framing.Phase`): once nobody present
+drives any more it settles what it knows, and ends when nobody present has anything left to do.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ..config import MasConfig
+from ..contracts.effects import Effects
+from ..protocol.messages import decode, encode
+from ..protocol.tensors import MessageError
+from .config import LiveConfig
+from .durations import arrived, departing
+from .framing import Phase
+from .neighbours import Met, Neighbours, Received
+from .recorded_agent import RecordedAgent
+
+# So many messages are handled before time goes on.
+_AT_ONCE = 256
+_LONGEST_WAIT_S = 0.25
+# A neighbour with which the link works is said to be missing after this.
+_SILENT_S = 5.0
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class LiveProgress:
+    """``seen`` of ``frames`` key-frames; ``neighbours``: agents that are there."""
+
+    seen: int
+    frames: int
+    phase: Phase
+    neighbours: int
+
+
+class AgentProcess:
+    """``agent`` with its ``neighbours``. ``began_ns``: logical time at which this process begins: 0, or that of the
+    end of the journal that it goes on with."""
+
+    def __init__(
+        self, agent: RecordedAgent, neighbours: Neighbours, config: MasConfig, live: LiveConfig, began_ns: int = 0
+    ) -> None:
+        self.agent = agent
+        self.neighbours = neighbours
+        self.config = config
+        self.live = live
+        self._began_ns = began_ns
+        self._step_ns = round(config.step_s * 1e9)
+        self._next_tick = -(-began_ns // self._step_ns)
+        self._zero = time.monotonic()
+        self._reminded_ns = began_ns
+        self._met: set[int] = set()
+        self._still_since: float | None = None
+        self._warned: dict[int, str] = {}
+
+    @property
+    def now_ns(self) -> int:
+        """Logical time."""
+        return self._began_ns + round((time.monotonic() - self._zero) * self.live.speed * 1e9)
+
+    def run(self, progress: Callable[[LiveProgress], None], leave: Callable[[], bool]) -> None:
+        """Until nobody present has anything left to do, or ``leave`` says so."""
+        self._zero = time.monotonic()
+        while not (self._over() or leave()):
+            self._time_goes_on(progress)
+            self.neighbours.flush()
+            wait_s = self._wait_s()
+            for _ in range(_AT_ONCE):
+                came = self.neighbours.receive(wait_s)
+                if came is None:
+                    break
+                for one in came:
+                    self._take(one)
+                wait_s = 0.0
+        self.neighbours.announce(Phase.LEAVING)
+        self._wind_up()
+
+    # -- what goes in -------------------------------------------------------------------------------------------------
+
+    def _time_goes_on(self, progress: Callable[[LiveProgress], None]) -> None:
+        now_ns, agent = self.now_ns, self.agent
+        if now_ns >= self._next_tick * self._step_ns:
+            self._next_tick = now_ns // self._step_ns + 1
+            keyframes = agent.inputs.keyframes
+            while agent.inputs.seen < len(keyframes) and keyframes[agent.inputs.seen].time_ns <= now_ns:
+                agent.observe(now_ns)
+            self._note_phase(now_ns)
+            self._reminded_ns = now_ns
+            self._send(agent.tick(now_ns), now_ns)
+            progress(LiveProgress(agent.inputs.seen, len(keyframes), self.neighbours.phase, len(self._present())))
+        elif agent.agent.waiting and now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
+            self._remind(now_ns)
+
+    def _remind(self, now_ns: int) -> None:
+        self._reminded_ns = now_ns
+        self._send(self.agent.remind(now_ns), now_ns)
+
+    def _take(self, came: Received | Met) -> None:
+        now_ns = self.now_ns
+        if isinstance(came, Met):
+            if came.other not in self._met:
+                self._met.add(came.other)
+                self.agent.meet(came.other, now_ns)
+            return
+        try:
+            message = arrived(decode(came.data, self.agent.inputs.max_message_bytes), now_ns)
+            if message.sender != came.sender:
+                raise MessageError(f"a message in the name of agent {message.sender}")
+        except MessageError as error:
+            self._warn(came.sender, str(error))
+            return
+        self._still_since = None
+        # Contracts are judged by the time at which their messages come.
+        if now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
+            self._remind(now_ns)
+        self._send(self.agent.handle(message, now_ns), now_ns)
+
+    def _send(self, effects: Effects, now_ns: int) -> None:
+        for message in effects.messages:
+            self.neighbours.send(message.recipient, encode(departing(message, now_ns)))
+
+    # -- the end ------------------------------------------------------------------------------------------------------
+
+    def _present(self) -> dict[int, Phase]:
+        return {a: phase for a, phase in self.neighbours.phases().items() if phase is not Phase.LEAVING}
+
+    def _note_phase(self, now_ns: int) -> None:
+        """Say how far the agent is, where that has changed."""
+        inputs = self.agent.inputs
+        driven = inputs.seen == len(inputs.keyframes)
+        others = self._present().values()
+        if not driven:
+            phase = Phase.DRIVING
+        elif not inputs.agent.context.closing:
+            # Its neighbours must know that it has arrived before any of them can close.
+            phase = Phase.CLOSING
+            alone = not others and time.monotonic() - self._zero < self.live.alone_s
+            if not alone and Phase.DRIVING not in others:
+                self.agent.finish(now_ns)
+        else:
+            still = inputs.agent.quiet and not self.neighbours.busy
+            phase = Phase.RESTING if still else Phase.CLOSING
+        if phase is not self.neighbours.phase:
+            self.neighbours.announce(phase)
+
+    def _over(self) -> bool:
+        if self.neighbours.phase is not Phase.RESTING or any(p is not Phase.RESTING for p in self._present().values()):
+            self._still_since = None
+            return False
+        now = time.monotonic()
+        self._still_since = now if self._still_since is None else self._still_since
+        return now - self._still_since >= self.live.settle_s
+
+    def _wind_up(self) -> None:
+        """Let the last frames leave."""
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until and self.neighbours.busy:
+            self.neighbours.flush()
+            while self.neighbours.receive(0.02) is not None:
+                pass
+
+    def _wait_s(self) -> float:
+        until_tick = (self._next_tick * self._step_ns - self.now_ns) / 1e9 / self.live.speed
+        wait = min(until_tick, _LONGEST_WAIT_S)
+        if self.agent.agent.waiting or self.neighbours.busy:
+            wait = min(wait, self.config.link.repeat_s / self.live.speed, 0.05)
+        return max(wait, 0.0)
+
+    def _warn(self, other: int, text: str) -> None:
+        """Say once what is wrong with another agent."""
+        if self._warned.get(other) != text:
+            self._warned[other] = text
+            log.warning("agent %d: %s", other, text)

@@ -1,0 +1,39 @@
+"""A link to other agents on a real network: bytes for a number come and go; whose they are, only seals can prove."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """Bytes that came, by their own word from agent ``sender``."""
+
+    sender: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Agent ``other`` can be reached now, or cannot any more."""
+
+    other: int
+    here: bool
+
+
+class Link(ABC):
+    """Carries bytes as they are, at most once each, in any order, or not at all."""
+
+    @abstractmethod
+    def send(self, other: int, data: bytes) -> None:
+        """Put bytes on the way; never waits."""
+
+    @abstractmethod
+    def receive(self, wait_s: float) -> Arrived | Presence | None:
+        """What came next; None when nothing has come after ``wait_s``, seconds."""
+
+    @property
+    @abstractmethod
+    def connected(self) -> bool:
+        """Whether any other machine or process is connected, whoever it is."""

@@ -1,0 +1,144 @@
+"""A link over Zenoh (eclipse-zenoh): TCP, TLS or QUIC, over relays where agents do not reach each other directly.
+
+Every agent opens its session as a router, so each passes on what is for others. With a folder of credentials links are
+TLS in both directions (mutual): who has no certificate of the team's authority is not connected.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from ..errors import MasError
+from .link import Arrived, Link, Presence
+
+_MOST_BYTES = 8 * 2**20
+_LEASE_MS = 4000
+_SECURED = ("tls/", "quic/")
+_NUMBER = re.compile(r"\d{1,9}")
+
+
+class LinkError(MasError):
+    """An address that cannot be used, or a missing package."""
+
+
+@dataclass(frozen=True)
+class LinkAddresses:
+    """``listen``, ``connect``: like ``tls/0.0.0.0:7447``, ``quic/192.168.1.12:7447``, ``tcp/localhost:7447``; with
+    ``credentials``, the folder of ``ca.pem``, ``cert.pem`` and ``key.pem``, only tls and quic."""
+
+    listen: Sequence[str] = ()
+    connect: Sequence[str] = ()
+    credentials: Path | None = None
+
+
+class ZenohLink(Link):
+    """``with ZenohLink(me, team, addresses) as link``: the keys ``TEAM/m/TO/FROM`` are bytes, ``TEAM/here/NUMBER``
+    says that an agent is there."""
+
+    def __init__(self, me: int, team: str, addresses: LinkAddresses) -> None:
+        self.me = me
+        self._root = "maslam/" + re.sub(r"[^A-Za-z0-9_.-]", "_", team)
+        self._addresses = addresses
+        self._arrivals: queue.SimpleQueue[Arrived | Presence] = queue.SimpleQueue()
+        self._session: Any = None
+        self._kept: list[Any] = []
+
+    def __enter__(self) -> ZenohLink:
+        try:
+            import zenoh
+        except ImportError as error:
+            raise LinkError("agents on a network need the extra 'network': pip install 'maslam[network]'") from error
+        try:
+            self._session = zenoh.open(_settings(zenoh, self._addresses))
+        except zenoh.ZError as error:
+            raise LinkError(_in_words(str(error), self._addresses)) from error
+        here, session = f"{self._root}/here", self._session
+        # Callbacks run in the library's threads: they only put what came where the agent takes it.
+        self._kept = [
+            session.declare_subscriber(f"{self._root}/m/{self.me}/*", self._came),
+            session.liveliness().declare_token(f"{here}/{self.me}"),
+            session.liveliness().declare_subscriber(f"{here}/*", self._changed, history=True),
+        ]
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._kept.clear()
+        self._session.close()
+
+    def send(self, other: int, data: bytes) -> None:
+        self._session.put(f"{self._root}/m/{other}/{self.me}", data)
+
+    def receive(self, wait_s: float) -> Arrived | Presence | None:
+        try:
+            return self._arrivals.get(timeout=wait_s) if wait_s > 0 else self._arrivals.get_nowait()
+        except queue.Empty:
+            return None
+
+    @property
+    def connected(self) -> bool:
+        return bool(self._session.info.routers_zid() or self._session.info.peers_zid())
+
+    def _came(self, sample: Any) -> None:
+        sender = _number(str(sample.key_expr))
+        if sender is not None and sender != self.me:
+            self._arrivals.put(Arrived(sender, sample.payload.to_bytes()))
+
+    def _changed(self, sample: Any) -> None:
+        other = _number(str(sample.key_expr))
+        if other is not None and other != self.me:
+            self._arrivals.put(Presence(other, "PUT" in str(sample.kind)))
+
+
+def _number(key: str) -> int | None:
+    last = key.rpartition("/")[2]
+    return int(last) if _NUMBER.fullmatch(last) else None
+
+
+def _settings(zenoh: Any, addresses: LinkAddresses) -> Any:
+    """The session's settings; values are JSON."""
+    config = zenoh.Config()
+    values: dict[str, Any] = {
+        "mode": "router",
+        "listen/endpoints": list(addresses.listen),
+        "connect/endpoints": list(addresses.connect),
+        "connect/timeout_ms": 0,
+        "connect/exit_on_failure": False,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/autoconnect": {"router": [], "peer": []},
+        "timestamping/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/rx/max_message_size": _MOST_BYTES,
+        "transport/link/tx/lease": _LEASE_MS,
+    }
+    if addresses.credentials is not None:
+        folder = addresses.credentials
+        open_ones = [a for a in (*addresses.listen, *addresses.connect) if not a.startswith(_SECURED)]
+        if open_ones:
+            raise LinkError(f"{open_ones[0]}: with certificates addresses begin with tls/ or quic/")
+        for end in ("listen", "connect"):
+            values[f"transport/link/tls/{end}_certificate"] = str(folder / "cert.pem")
+            values[f"transport/link/tls/{end}_private_key"] = str(folder / "key.pem")
+        values["transport/link/tls/root_ca_certificate"] = str(folder / "ca.pem")
+        values["transport/link/tls/enable_mtls"] = True
+        values["transport/link/tls/verify_name_on_connect"] = False  # robots change addresses
+    for key, value in values.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def _in_words(error: str, addresses: LinkAddresses) -> str:
+    listen = ", ".join(addresses.listen)
+    if "in use" in error.lower() or "os error 98" in error.lower():
+        return f"{listen}: another process listens there already"
+    if "os error 99" in error.lower():
+        return f"{listen}: this machine has no such address"
+    return f"{listen or ', '.join(addresses.connect)}: {error.splitlines()[0][:300]}"
