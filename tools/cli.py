@@ -36,6 +36,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "run": (".pipeline.run", "the multi-agent system on agent sequences"),
     "slam": (".pipeline.slam", "preprocess, run, evaluate and report in one"),
+    "team": (".network.team", "slam with each agent as a process of its own, over a network of this machine"),
+    "agent": (".network.agent", "one agent of a team on a real network: this machine's"),
+    "keys": (".network.keys", "certificates of a team: who may talk to its agents, and under which name"),
     "eval": (".report.summary_table", "error, exploration and bytes of a run, against ground truth where there is any"),
     "report": (".report.command", "one self-contained HTML page of a run; optionally a recording for rerun"),
     "export": (

@@ -25,17 +25,16 @@ from .recorded_agent import RecordedAgent
 # So many messages are handled before time goes on.
 _AT_ONCE = 256
 _LONGEST_WAIT_S = 0.25
-# A neighbour with which the link works is said to be missing after this.
-_SILENT_S = 5.0
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class LiveProgress:
-    """``seen`` of ``frames`` key-frames; ``neighbours``: agents that are there."""
+    """``seen`` of ``keyframes``, at the logical time ``now_ns``; ``neighbours``: how many agents are there."""
 
+    now_ns: int
     seen: int
-    frames: int
+    keyframes: int
     phase: Phase
     neighbours: int
 
@@ -65,22 +64,28 @@ class AgentProcess:
         """Logical time."""
         return self._began_ns + round((time.monotonic() - self._zero) * self.live.speed * 1e9)
 
-    def run(self, progress: Callable[[LiveProgress], None], leave: Callable[[], bool]) -> None:
-        """Until nobody present has anything left to do, or ``leave`` says so."""
+    def run(self, progress: Callable[[LiveProgress], None]) -> None:
+        """Until nobody present has anything left to do. However it ends, the others get notice that the agent goes."""
         self._zero = time.monotonic()
-        while not (self._over() or leave()):
-            self._time_goes_on(progress)
-            self.neighbours.flush()
-            wait_s = self._wait_s()
-            for _ in range(_AT_ONCE):
-                came = self.neighbours.receive(wait_s)
-                if came is None:
-                    break
-                for one in came:
-                    self._take(one)
-                wait_s = 0.0
-        self.neighbours.announce(Phase.LEAVING)
-        self._wind_up()
+        try:
+            while not self._over():
+                self._time_goes_on(progress)
+                self._exchange()
+        finally:
+            self.neighbours.announce(Phase.LEAVING)
+            self._wind_up()
+
+    def _exchange(self) -> None:
+        """Send what is due, and act on what comes until it is time for the next step."""
+        self.neighbours.flush()
+        wait_s = self._wait_s()
+        for _ in range(_AT_ONCE):
+            came = self.neighbours.receive(wait_s)
+            if came is None:
+                return
+            for one in came:
+                self._take(one)
+            wait_s = 0.0
 
     # -- what goes in -------------------------------------------------------------------------------------------------
 
@@ -94,7 +99,7 @@ class AgentProcess:
             self._note_phase(now_ns)
             self._reminded_ns = now_ns
             self._send(agent.tick(now_ns), now_ns)
-            progress(LiveProgress(agent.inputs.seen, len(keyframes), self.neighbours.phase, len(self._present())))
+            progress(LiveProgress(now_ns, agent.inputs.seen, len(keyframes), self.neighbours.phase, len(self._present())))
         elif agent.agent.waiting and now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
             self._remind(now_ns)
 

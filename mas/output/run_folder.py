@@ -46,7 +46,7 @@ SUMMARY = "summary.json"
 TIMING = "timing.json"
 _EARLIER = "summary.json.old"  # an earlier run's, while its files are being replaced
 _OURS = re.compile(r"agent_\d+|(config|manifest|events|matches|traffic|timeline|timing)\.[a-z]+|report|recording\.rrd")
-_BESIDE = {"sequences", "town"}  # what a command may have put beside a run; left as it is
+_BESIDE = {"sequences", "town", "journals"}  # what a command may have put beside a run; left as it is
 _MATCH_COLUMNS = [
     "time_s",
     "query_agent",

@@ -16,7 +16,7 @@ from ..common.progress import counter, progress_on
 from ..common.yaml_lines import place_of
 
 if TYPE_CHECKING:
-    from maslam.mas.config import MasConfig
+    from maslam.mas.config import LinkConfig, MasConfig
 
 DEFAULT_PRESET = "maslam"
 
@@ -48,8 +48,12 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_options(parser, preset(DEFAULT_PRESET))
 
 
-def config_from(arguments: argparse.Namespace, file: Mapping[str, Any]) -> MasConfig:
-    """A preset, changed by the file's keys and then by the options given; the preset itself may stand in either."""
+def config_from(
+    arguments: argparse.Namespace, file: Mapping[str, Any], link: LinkConfig | None = None
+) -> MasConfig:
+    """A preset, changed by the file's keys and then by the options given; the preset itself may stand in either.
+    ``link``: settings of messages that get lost, in the place of the preset's."""
+    from maslam._replaced import replaced
     from maslam.mas.policies.presets import PRESETS, preset
 
     given = getattr(arguments, f"{DEST}preset", None)
@@ -57,7 +61,8 @@ def config_from(arguments: argparse.Namespace, file: Mapping[str, Any]) -> MasCo
     if name not in PRESETS:
         place = f"--preset {name}" if given else f"{place_of(arguments.config, ['preset'])}: preset"
         raise UnknownName(f"{place}: there is no preset '{name}'{did_you_mean(name, PRESETS)}")
-    config = build(preset(name), arguments, file, arguments.config)
+    base = preset(name) if link is None else replaced(preset(name), link=link)
+    config = build(base, arguments, file, arguments.config)
     _check_extensions(config, arguments)
     return config
 

@@ -1,0 +1,172 @@
+"""``maslam agent``: one agent of a team, as a process of its own on a real network."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..common.options import read_settings
+from ..common.progress import Progress, progress_on
+from ..pipeline.run import add_run_arguments, config_from
+
+if TYPE_CHECKING:
+    from maslam.mas.live.config import LiveConfig
+    from maslam.mas.live.neighbours import Neighbours
+    from maslam.mas.live.process import LiveProgress
+    from maslam.mas.sequence import AgentSequence
+
+JOURNAL = "journal.bin"
+LINK_KINDS = ("cable", "wifi", "radio")
+# A link on which nobody answers is said after this.
+_NOBODY_S = 5.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``SEQS OUT``, who the agent is and where others are, and everything that can be set."""
+    parser.add_argument(
+        "sequences", metavar="SEQS", type=Path, help="folder that `maslam preprocess` made; of it this agent's sequence"
+    )
+    parser.add_argument(
+        "out",
+        metavar="OUT",
+        type=Path,
+        help="for this agent's results and its journal; with a journal there, the agent goes on where it ended",
+    )
+    parser.add_argument(
+        "--credentials",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="the agent's folder that `maslam keys` made: who it is, and whom it talks to",
+    )
+    parser.add_argument(
+        "--listen", action="append", default=[], metavar="ADDRESS", help="e.g. tls/0.0.0.0:7447 or quic/0.0.0.0:7447"
+    )
+    parser.add_argument(
+        "--connect",
+        action="append",
+        default=[],
+        metavar="ADDRESS",
+        help="where another agent listens, e.g. tls/192.168.1.12:7447; one that is reached is enough",
+    )
+    add_live_arguments(parser)
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument("--json", action="store_true", help="print a line of JSON for each step: how far the agent is")
+    add_run_arguments(parser)
+
+
+def add_live_arguments(parser: argparse.ArgumentParser) -> None:
+    """What ``maslam agent`` and ``maslam team`` share."""
+    parser.add_argument(
+        "--link", choices=LINK_KINDS, default="cable", help="kind of network: how long to wait for answers"
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="play the recording so many times as fast as it was made (default: 1)",
+    )
+
+
+def live_config(arguments: argparse.Namespace) -> LiveConfig:
+    """The settings of :func:`add_live_arguments`."""
+    from pydantic import ValidationError
+
+    from maslam.mas.live.config import LiveConfig
+
+    from ..common.errors import UsageError
+
+    try:
+        return LiveConfig(link=arguments.link, speed=arguments.speed)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UsageError(f"--{first['loc'][0]} {first['input']}: {first['msg'].lower()}") from error
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from maslam.mas.kernels import agent_kernels
+    from maslam.mas.live.config import LINKS
+    from maslam.mas.live.credentials import Credentials
+    from maslam.mas.live.journal import Journal
+    from maslam.mas.live.neighbours import Neighbours
+    from maslam.mas.live.one_agent import check_live, digest_of, read_agent
+    from maslam.mas.live.process import AgentProcess
+    from maslam.mas.live.recorded_agent import RecordedAgent
+    from maslam.mas.live.restart import resume
+    from maslam.mas.transport.zenoh_link import LinkAddresses, ZenohLink
+
+    from ..common.compiling import compile_for
+    from ..common.writing import writing
+    from .own_results import write_own_results
+
+    live = live_config(arguments)
+    config = config_from(arguments, read_settings(arguments.config), LINKS[live.link])
+    check_live(config)
+    credentials = Credentials(arguments.credentials)
+    me = credentials.number
+    with progress_on(quiet=arguments.quiet or arguments.json) as progress, writing(arguments.out):
+        inputs = read_agent(arguments.sequences, me, config)
+        compile_for(agent_kernels(2), progress)
+        earlier = resume(inputs, arguments.out / JOURNAL)
+        if earlier.begun:
+            progress.say(f"goes on from its journal at {earlier.now_ns / 1e9:.1f} s")
+        addresses = LinkAddresses(arguments.listen, arguments.connect, arguments.credentials)
+        with ZenohLink(me, credentials.team, addresses) as link, Journal(arguments.out / JOURNAL) as journal:
+            language = inputs.agent.state.profile.language
+            neighbours = Neighbours(credentials, language, link, inputs.max_message_bytes)
+            agent = RecordedAgent(inputs, journal)
+            agent.begin(digest_of(inputs), earlier.now_ns)
+            process = AgentProcess(agent, neighbours, config, live, earlier.now_ns)
+            shown = _shown_as_json(neighbours) if arguments.json else _shown(progress, neighbours, lambda: link.connected)
+            process.run(shown)
+        write_own_results(arguments.out, inputs.agent, arguments.sequences)
+
+
+def _shown(progress: Progress, neighbours: Neighbours, connected: Callable[[], bool]) -> Callable[[LiveProgress], None]:
+    """Progress on the console, and what is wrong with the link, within seconds and once."""
+    task: list[int] = []
+    began, said = time.monotonic(), False
+
+    def show(now: LiveProgress) -> None:
+        nonlocal said
+        if not task:
+            task.append(progress.start("key-frames", now.keyframes))
+        progress.advance(task[0], now.seen)
+        if not said and not now.neighbours and time.monotonic() - began > _NOBODY_S and not neighbours.refusals():
+            said = True
+            reason = (
+                "connected, but no agent of this team is there"
+                if connected()
+                else "nobody is connected: not started yet, an address or firewall in the way, or a certificate of "
+                "another authority"
+            )
+            progress.say(f"warning: {reason}")
+
+    return show
+
+
+def _shown_as_json(neighbours: Neighbours) -> Callable[[LiveProgress], None]:
+    def show(now: LiveProgress) -> None:
+        sent = {
+            "message_bytes": sum(c.messages for c in neighbours.out.values()),
+            "frame_bytes": sum(c.frames for c in neighbours.out.values()),
+            "greeting_bytes": neighbours.greeting_bytes,
+        }
+        line = {
+            "time_s": now.now_ns / 1e9,
+            "seen": now.seen,
+            "keyframes": now.keyframes,
+            "phase": now.phase.name.lower(),
+            "neighbours": now.neighbours,
+            **sent,
+        }
+        print(json.dumps(line), flush=True)
+
+    return show

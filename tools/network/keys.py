@@ -1,0 +1,37 @@
+"""``maslam keys``: certificates of a team, so that no agent can take another's name."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..common.errors import UsageError
+from ..common.parser import at_least_one
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``DIR`` and who is in the team."""
+    parser.add_argument(
+        "folder",
+        metavar="DIR",
+        type=Path,
+        help="for the certificates: DIR/agent_00, ... go on the robots, one on each; DIR/authority stays at home, with "
+        "it agents can be added to the team",
+    )
+    parser.add_argument("--agents", type=at_least_one, default=2, metavar="N", help="agents 0 to N-1 (default: 2)")
+    parser.add_argument("--add", type=int, metavar="NUMBER", help="add this one agent to a team instead")
+    parser.add_argument("--team", default="team", metavar="NAME", help="the team's name (default: %(default)s)")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from maslam.mas.live.authority import make_team
+    from maslam.mas.protocol.ids import MAX_AGENTS
+
+    agents = list(range(arguments.agents)) if arguments.add is None else [arguments.add]
+    if not all(0 <= agent < MAX_AGENTS for agent in agents):
+        raise UsageError(f"agents have numbers from 0 to {MAX_AGENTS - 1}")
+    made = make_team(arguments.folder, arguments.team, agents)
+    for folder in made:
+        print(folder)
+    print(f"keep {arguments.folder / 'authority'} off the robots: who has it can add agents to team {arguments.team}")

@@ -1,0 +1,157 @@
+"""Processes of all agents of a team on this machine: started, watched, started again where one was killed."""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..common.errors import ToolError
+from ..common.progress import Progress
+
+if TYPE_CHECKING:
+    from maslam.mas.live.config import LiveConfig
+
+_RESTARTS = 3
+_GRACE_S = 5.0
+_POLL_S = 0.2
+
+
+@dataclass(frozen=True)
+class AgentCommand:
+    """What an agent's process is started with. ``over``: tls or quic."""
+
+    number: int
+    sequences: Path
+    out: Path
+    credentials: Path
+    settings: Path
+    live: LiveConfig
+    over: str
+
+    def arguments(self, ports: Sequence[int]) -> list[str]:
+        """Its command line; it listens on its own port, and connects to those of lower numbers."""
+        mine = f"{self.over}/127.0.0.1:{ports[self.number]}"
+        others = [f"{self.over}/127.0.0.1:{port}" for port in ports[: self.number]]
+        connect = [word for other in others for word in ("--connect", other)]
+        return [
+            *(sys.executable, "-m", "maslam", "agent", str(self.sequences), str(self.out)),
+            *("--credentials", str(self.credentials), "--config", str(self.settings), "--json"),
+            *("--link", self.live.link, "--speed", str(self.live.speed), "--listen", mine, *connect),
+        ]
+
+
+@dataclass
+class _Child:
+    process: subprocess.Popen[str]
+    restarts: int = 0
+    last_words: str = ""
+
+
+@dataclass(frozen=True)
+class _Line:
+    agent: int
+    text: str
+    is_error: bool
+
+
+def run_together(commands: Sequence[AgentCommand], keyframes: Sequence[int], progress: Progress) -> None:
+    """Run all agents to their end. One that is killed is started again, and goes on from its journal; ``ToolError``
+    where one fails. Whatever ends this ends them, too."""
+    ports = _free_ports(len(commands))
+    lines: queue.SimpleQueue[_Line] = queue.SimpleQueue()
+    task = progress.start("agents", sum(keyframes))
+    seen = [0] * len(commands)
+    children: dict[int, _Child] = {}
+    try:
+        for command in commands:
+            children[command.number] = _Child(_started(command, ports, lines))
+        while any(child.process.poll() is None for child in children.values()) or not lines.empty():
+            _take(lines, children, seen, progress)
+            progress.advance(task, sum(seen))
+            for command in commands:
+                _look_after(command, children[command.number], ports, lines, progress)
+        progress.advance(task, sum(keyframes))
+    finally:
+        _end([child.process for child in children.values()])
+
+
+def _free_ports(count: int) -> list[int]:
+    """Ports of this machine that nobody listens on."""
+    sockets = [socket.socket() for _ in range(count)]
+    try:
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [int(one.getsockname()[1]) for one in sockets]
+    finally:
+        for one in sockets:
+            one.close()
+
+
+def _started(command: AgentCommand, ports: Sequence[int], lines: queue.SimpleQueue[_Line]) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command.arguments(ports), stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True)
+
+    def read(is_error: bool) -> None:
+        stream = process.stderr if is_error else process.stdout
+        assert stream is not None
+        for text in stream:
+            lines.put(_Line(command.number, text.rstrip(), is_error))
+
+    for is_error in (False, True):
+        threading.Thread(target=read, args=(is_error,), daemon=True).start()
+    return process
+
+
+def _take(
+    lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: list[int], progress: Progress
+) -> None:
+    """What the agents print: how far they are, and what is wrong."""
+    until = time.monotonic() + _POLL_S
+    while (left := until - time.monotonic()) > 0:
+        try:
+            line = lines.get(timeout=left)
+        except queue.Empty:
+            return
+        if line.is_error:
+            children[line.agent].last_words = line.text
+            if "warning" in line.text:
+                progress.say(f"agent {line.agent}: {line.text}")
+        else:
+            seen[line.agent] = int(json.loads(line.text)["seen"])
+
+
+def _look_after(
+    command: AgentCommand, child: _Child, ports: Sequence[int], lines: queue.SimpleQueue[_Line], progress: Progress
+) -> None:
+    code = child.process.poll()
+    if not code:
+        return
+    if code > 0 or child.restarts >= _RESTARTS:
+        raise ToolError(f"agent {command.number} failed: {child.last_words.removeprefix('maslam: ')}")
+    child.restarts += 1
+    progress.say(f"warning: agent {command.number} was killed (signal {-code}); it goes on from its journal")
+    child.process = _started(command, ports, lines)
+
+
+def _end(processes: Sequence[subprocess.Popen[str]]) -> None:
+    """End those that still run: first kindly."""
+    for process in processes:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+    until = time.monotonic() + _GRACE_S
+    for process in processes:
+        try:
+            process.wait(max(until - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

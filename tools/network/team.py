@@ -1,0 +1,111 @@
+"""``maslam team``: all agents of a folder as processes on this machine, over a real network, to one RUN folder."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..common.folders import check_apart
+from ..common.options import read_settings
+from ..common.progress import Progress, progress_on
+from ..pipeline.predecessor import SEQUENCES
+from ..pipeline.preprocess import preprocess, summary_line
+from ..pipeline.preprocess_options import SECTIONS, add_preprocess_arguments, settings_from
+from ..pipeline.run import add_run_arguments, config_from
+from .agent import JOURNAL, add_live_arguments, live_config
+from .processes import AgentCommand, run_together
+
+if TYPE_CHECKING:
+    from maslam.mas.config import MasConfig
+    from maslam.mas.live.config import LiveConfig
+
+JOURNALS = "journals"
+"""In OUT: a folder for each agent, with its journal; with them an unfinished team goes on."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``SRC OUT``, the options of ``preprocess`` and ``run``, and those of agents on a network."""
+    parser.add_argument("source", metavar="SRC", type=Path, help="images, film or bag, or a folder of agent sequences")
+    parser.add_argument(
+        "out",
+        metavar="OUT",
+        type=Path,
+        help="for the results, as `maslam slam` writes them: a new folder, or an earlier run of the same source and "
+        "settings; one that was ended early goes on from its agents' journals",
+    )
+    parser.add_argument("--over", choices=["tls", "quic"], default="tls", help="what the network's links are")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, as for `maslam slam`")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
+    add_live_arguments(parser)
+    add_preprocess_arguments(parser)
+    add_run_arguments(parser)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """The command."""
+    from maslam.mas.config import MasConfig
+    from maslam.mas.live.config import LINKS
+    from maslam.mas.live.one_agent import check_live
+    from maslam.mas.output.run_folder import check_out
+    from maslam.mas.sequence import MANIFEST
+
+    from ..common.writing import writing
+    from ..pipeline.earlier_result import check_same_run
+    from ..report.command import write_report
+    from ..report.summary_table import json_of, table_of
+
+    content = read_settings(arguments.config, (*SECTIONS, *MasConfig.model_fields))
+    settings, live = settings_from(arguments, content), live_config(arguments)
+    of_run = {key: value for key, value in content.items() if key not in SECTIONS}
+    config = config_from(arguments, of_run, LINKS[live.link])
+    check_live(config)
+    source, out = arguments.source, arguments.out
+    check_apart(source, out)
+    check_out(out)
+    if not settings.overwrite:
+        check_same_run(out, config)
+    with progress_on(quiet=arguments.quiet) as progress, writing(out):
+        sequences = source
+        if not (source / MANIFEST).is_file():
+            sequences = out / SEQUENCES
+            progress.say(summary_line(preprocess(source, sequences, settings, progress), sequences))
+        _play(sequences, out, config, live, arguments.over, progress)
+        page = write_report(out)
+    print(json_of(out) if arguments.json else f"{table_of(out)}\n\nreport: {page}")
+
+
+def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over: str, progress: Progress) -> None:
+    """Let the agents run, and record what they did."""
+    import shutil
+
+    import yaml
+
+    from maslam.mas.kernels import agent_kernels
+    from maslam.mas.live.authority import make_team
+    from maslam.mas.live.team_run import record_team
+    from maslam.mas.output.run_folder import SUMMARY
+    from maslam.mas.sequence import load_sequences
+
+    from ..common.compiling import compile_for
+    from ..pipeline.earlier_result import check_same_run, of_manifest
+
+    manifest, loaded = load_sequences(sequences)
+    check_same_run(out, config, of_manifest(manifest))
+    if (out / SUMMARY).exists():
+        shutil.rmtree(out / JOURNALS, ignore_errors=True)  # of a run that came to its end
+    compile_for(agent_kernels(len(loaded)), progress)
+    numbers = list(range(len(loaded)))
+    folders = [out / JOURNALS / f"agent_{number:02d}" for number in numbers]
+    with tempfile.TemporaryDirectory(prefix="maslam-team-") as scratch:
+        credentials = make_team(Path(scratch), "team", numbers)
+        settings = Path(scratch) / "config.yaml"
+        settings.write_text(yaml.safe_dump(config.model_dump(mode="json")), encoding="utf-8")
+        commands = [
+            AgentCommand(number, sequences, folders[number], credentials[number], settings, live, over)
+            for number in numbers
+        ]
+        run_together(commands, [len(s.keyframe_stamps_ns) for s in loaded], progress)
+    record_team(manifest, loaded, config, [folder / JOURNAL for folder in folders], out)
