@@ -102,8 +102,7 @@ class Neighbours:
         for other, known in self._known.items():
             if not known.here:
                 continue
-            waits = known.session is None
-            if waits and (known.greeted_ns is None or now_ns - known.greeted_ns >= _GREET_AGAIN_NS):
+            if known.session is None:
                 self._greet(other, known, now_ns)
             for session in (known.session, known.candidate[1] if known.candidate else None):
                 for frame in [] if session is None else session.outgoing(now_ns):
@@ -132,6 +131,9 @@ class Neighbours:
         return [k.session for k in self._known.values() if k.here and k.session is not None]
 
     def _greet(self, other: int, known: _Acquaintance, now_ns: int) -> None:
+        """Show who I am, unless that was done just now."""
+        if known.greeted_ns is not None and now_ns - known.greeted_ns < _GREET_AGAIN_NS:
+            return
         known.greeted_ns = now_ns
         self.greeting_bytes += len(self._greeting) + 1
         self._link.send(other, GREETING + self._greeting)

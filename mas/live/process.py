@@ -24,7 +24,7 @@ from .recorded_agent import RecordedAgent
 
 # So many messages are handled before time goes on.
 _AT_ONCE = 256
-_LONGEST_WAIT_S = 0.25
+_LONGEST_WAIT_S, _SHORT_S, _LAST_FRAMES_S = 0.25, 0.02, 1.0
 log = logging.getLogger(__name__)
 
 
@@ -68,12 +68,24 @@ class AgentProcess:
         """Until nobody present has anything left to do. However it ends, the others get notice that the agent goes."""
         self._zero = time.monotonic()
         try:
-            while not self._over():
-                self._time_goes_on(progress)
-                self._exchange()
+            while self.step(progress):
+                pass
         finally:
-            self.neighbours.announce(Phase.LEAVING)
-            self._wind_up()
+            self.leave()
+
+    def step(self, progress: Callable[[LiveProgress], None]) -> bool:
+        """Let time go on, and exchange messages until the next step or reminder; whether there is more to do."""
+        self._time_goes_on(progress)
+        self._exchange()
+        return not self._over()
+
+    def leave(self) -> None:
+        """Give the others notice, and let the last frames go."""
+        self.neighbours.announce(Phase.LEAVING)
+        until = time.monotonic() + _LAST_FRAMES_S
+        while time.monotonic() < until and self.neighbours.busy:
+            self.neighbours.flush()
+            self.neighbours.receive(_SHORT_S)
 
     def _exchange(self) -> None:
         """Send what is due, and act on what comes until it is time for the next step."""
@@ -162,14 +174,6 @@ class AgentProcess:
         now = time.monotonic()
         self._still_since = now if self._still_since is None else self._still_since
         return now - self._still_since >= self.live.settle_s
-
-    def _wind_up(self) -> None:
-        """Let the last frames leave."""
-        until = time.monotonic() + 1.0
-        while time.monotonic() < until and self.neighbours.busy:
-            self.neighbours.flush()
-            while self.neighbours.receive(0.02) is not None:
-                pass
 
     def _wait_s(self) -> float:
         until_tick = (self._next_tick * self._step_ns - self.now_ns) / 1e9 / self.live.speed
