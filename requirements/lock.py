@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 HERE = Path(__file__).parent
-DEV_EXTRAS = ("train", "evo", "rerun", "bags", "docs", "dev")
+DEV_EXTRAS = ("train", "evo", "rerun", "bags", "network", "docs", "dev")
 LOCAL_VERSION = re.compile(r"\+.*$")  # "+cpu" names a build, not a release
 
 

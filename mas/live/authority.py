@@ -110,7 +110,10 @@ def _write(folder: Path, key: EllipticCurvePrivateKey, certificate: Certificate,
     encoding = serialization.Encoding.PEM
     secret = key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    for name, text in ((AUTHORITY, authority.public_bytes(encoding)), (CERTIFICATE, certificate.public_bytes(encoding))):
+    for name, text in (
+        (AUTHORITY, authority.public_bytes(encoding)),
+        (CERTIFICATE, certificate.public_bytes(encoding)),
+    ):
         (folder / name).write_bytes(text)
     # The key last, and for its owner alone.
     with os.fdopen(os.open(folder / KEY, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:

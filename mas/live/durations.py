@@ -23,12 +23,12 @@ def arrived(message: Message, now_ns: int) -> Message:
 def _shifted(message: Message, by_ns: int) -> Message:
     body = message.body
     if isinstance(body, Call):
-        changed = msgspec.structs.replace(body, deadline_ns=_bounded(body.deadline_ns + by_ns, by_ns))
-    elif isinstance(body, Bid):
-        changed = msgspec.structs.replace(body, ready_ns=_bounded(body.ready_ns + by_ns, by_ns))
-    else:
-        return message
-    return msgspec.structs.replace(message, body=changed)
+        deadline_ns = _bounded(body.deadline_ns + by_ns, by_ns)
+        return msgspec.structs.replace(message, body=msgspec.structs.replace(body, deadline_ns=deadline_ns))
+    if isinstance(body, Bid):
+        ready_ns = _bounded(body.ready_ns + by_ns, by_ns)
+        return msgspec.structs.replace(message, body=msgspec.structs.replace(body, ready_ns=ready_ns))
+    return message
 
 
 def _bounded(time_ns: int, by_ns: int) -> int:

@@ -157,7 +157,9 @@ def _checked(piece: MessagePiece) -> MessagePiece:
     if not piece.index < piece.count or not 0 < len(piece.data) <= PIECE_BYTES:
         raise FrameError(f"piece {piece.index} of {piece.count}, {len(piece.data)} bytes")
     if not last and len(piece.data) != PIECE_BYTES:
-        raise FrameError(f"piece {piece.index} of {piece.count} has {len(piece.data)} bytes, all but the last have more")
+        raise FrameError(
+            f"piece {piece.index} of {piece.count} has {len(piece.data)} bytes, all but the last have more"
+        )
     return piece
 
 

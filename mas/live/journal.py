@@ -66,7 +66,7 @@ class Journal:
 
     def __enter__(self) -> Journal:
         whole = _whole_bytes(self.path) if self.path.exists() else 0
-        file = open(self.path, "ab", buffering=0)  # noqa: SIM115 - closed in __exit__
+        file = open(self.path, "ab", buffering=0)
         file.truncate(whole)
         if whole == 0:
             file.write(_MAGIC)

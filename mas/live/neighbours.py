@@ -48,6 +48,11 @@ class _Acquaintance:
     looked_at: list[int] = field(default_factory=list)
     refused: str = ""
 
+    def sessions(self) -> list[Session]:
+        """With whom it may be: what is sealed for both reaches whoever it is."""
+        both = self.session, self.candidate[1] if self.candidate else None
+        return [session for session in both if session is not None]
+
 
 class Neighbours:
     """The link as an agent uses it. ``out``, ``into``: bytes by the other agent's number."""
@@ -104,8 +109,8 @@ class Neighbours:
                 continue
             if known.session is None:
                 self._greet(other, known, now_ns)
-            for session in (known.session, known.candidate[1] if known.candidate else None):
-                for frame in [] if session is None else session.outgoing(now_ns):
+            for session in known.sessions():
+                for frame in session.outgoing(now_ns):
                     self._send_sealed(other, session, frame)
 
     def receive(self, wait_s: float) -> list[Received | Met] | None:
@@ -207,4 +212,3 @@ class Neighbours:
         count.frames += len(data)
         count.count += 1
         self._link.send(other, data)
-

@@ -1,6 +1,6 @@
 """The loop of one agent in its own process: images' times, messages and time go in, messages go out.
 
-Nobody keeps a common clock, a list of all agents, or a word that all is over. An agent's logical time is that of its own
+There is no common clock, no list of all agents, no word that all is over. An agent's logical time is that of its own
 recording; times in messages travel as durations. It says how far it is (:class:`~.framing.Phase`): once nobody present
 drives any more it settles what it knows, and ends when nobody present has anything left to do.
 """
@@ -111,7 +111,9 @@ class AgentProcess:
             self._note_phase(now_ns)
             self._reminded_ns = now_ns
             self._send(agent.tick(now_ns), now_ns)
-            progress(LiveProgress(now_ns, agent.inputs.seen, len(keyframes), self.neighbours.phase, len(self._present())))
+            progress(
+                LiveProgress(now_ns, agent.inputs.seen, len(keyframes), self.neighbours.phase, len(self._present()))
+            )
         elif agent.agent.waiting and now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
             self._remind(now_ns)
 

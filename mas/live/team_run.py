@@ -1,4 +1,4 @@
-"""The RUN folder of a team on a network: its agents made anew from their journals, recorded as those of a simulation."""
+"""The RUN folder of a team on a network: its agents made anew from their journals, recorded as if simulated."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def test_a_run_folder_is_made_from_journals(journals: list[Path], tmp_path: Path
     assert len(rows) == summary.traffic["total"].messages > 20
     assert sum(int(row.rsplit(",", 1)[1]) for row in rows) == summary.traffic["total"].wire_bytes
     assert (tmp_path / "run" / "agent_01" / "trajectory.tum").is_file()
+    other = replaced(config, places=replaced(config.places, max_points=50, first_points=0))
     with pytest.raises(JournalError):
-        other = replaced(config, places=replaced(config.places, max_points=50, first_points=0))
         record_team(manifest, sequences, other, journals, tmp_path / "other")
     assert not (tmp_path / "other").exists()

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from maslam.mas.live.config import LiveConfig
     from maslam.mas.live.neighbours import Neighbours
     from maslam.mas.live.process import LiveProgress
-    from maslam.mas.sequence import AgentSequence
 
 JOURNAL = "journal.bin"
 LINK_KINDS = ("cable", "wifi", "radio")
@@ -124,7 +123,9 @@ def main(arguments: argparse.Namespace) -> None:
             agent = RecordedAgent(inputs, journal)
             agent.begin(digest_of(inputs), earlier.now_ns)
             process = AgentProcess(agent, neighbours, config, live, earlier.now_ns)
-            shown = _shown_as_json(neighbours) if arguments.json else _shown(progress, neighbours, lambda: link.connected)
+            shown = (
+                _shown_as_json(neighbours) if arguments.json else _shown(progress, neighbours, lambda: link.connected)
+            )
             process.run(shown)
         write_own_results(arguments.out, inputs.agent, arguments.sequences)
 

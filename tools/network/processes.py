@@ -112,9 +112,7 @@ def _started(command: AgentCommand, ports: Sequence[int], lines: queue.SimpleQue
     return process
 
 
-def _take(
-    lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: list[int], progress: Progress
-) -> None:
+def _take(lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: list[int], progress: Progress) -> None:
     """What the agents print: how far they are, and what is wrong."""
     until = time.monotonic() + _POLL_S
     while (left := until - time.monotonic()) > 0:

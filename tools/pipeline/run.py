@@ -48,9 +48,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_options(parser, preset(DEFAULT_PRESET))
 
 
-def config_from(
-    arguments: argparse.Namespace, file: Mapping[str, Any], link: LinkConfig | None = None
-) -> MasConfig:
+def config_from(arguments: argparse.Namespace, file: Mapping[str, Any], link: LinkConfig | None = None) -> MasConfig:
     """A preset, changed by the file's keys and then by the options given; the preset itself may stand in either.
     ``link``: settings of messages that get lost, in the place of the preset's."""
     from maslam._replaced import replaced
