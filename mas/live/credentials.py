@@ -1,9 +1,9 @@
 """Names that cannot be taken by others: certificates of one authority, made before the robots drive.
 
 Each agent has a certificate with its name, ``agent_03``, and the team's, signed by the team's authority, whose key is
-on no robot. Two agents that meet show them (:class:`Greeting`) and agree on a key that only they have (X25519, RFC 7748);
-from then on each frame between them carries a code (keyed BLAKE2b, 8 bytes, RFC 7693) that nobody else can make, over
-any number of relays. Frames are not encrypted end to end: on the links they are (TLS), relays can read them.
+on no robot. Two agents that meet show them (:class:`Greeting`) and agree on a key that only they have (X25519, RFC
+7748). From then on each frame between them carries a code (keyed BLAKE2b, 8 bytes, RFC 7693) that nobody else can
+make, over any number of relays. Frames are not encrypted end to end: on the links they are (TLS), relays can read them.
 """
 
 from __future__ import annotations
