@@ -130,6 +130,7 @@ class Credentials:
 
 
 def read_file(path: Path) -> bytes:
+    """A file of a team's; :class:`CredentialsError` where it is missing."""
     try:
         return path.read_bytes()
     except FileNotFoundError as error:

@@ -12,7 +12,7 @@ from ..errors import MasError
 PIECE_BYTES = 4000
 """Longer messages travel in pieces of so many bytes, which are sent again one by one."""
 FRAME_BYTES = 16_000
-"""Messages share a frame up to this length."""
+"""MessageBundle share a frame up to this length."""
 _PIECE = struct.Struct("<BIHH")
 _RECEIVED = struct.Struct("<BIHI")
 _PHASE = struct.Struct("<BHB")
@@ -33,7 +33,7 @@ class FrameKind(IntEnum):
     PHASE_RECEIVED = 4
 
 
-class Phase(IntEnum):
+class DrivePhase(IntEnum):
     """How far an agent is: it tells its neighbours, so that all know when all is over.
 
     ``DRIVING``: it still sees new images. ``CLOSING``: it settles what it knows. ``RESTING``: it has nothing left to
@@ -47,7 +47,7 @@ class Phase(IntEnum):
 
 
 @dataclass(frozen=True)
-class Messages:
+class MessageBundle:
     """Whole messages."""
 
     messages: tuple[bytes, ...]
@@ -78,7 +78,7 @@ class PhaseNotice:
     """The sender's phase; ``number`` grows with each."""
 
     number: int
-    phase: Phase
+    phase: DrivePhase
 
 
 @dataclass(frozen=True)
@@ -88,13 +88,13 @@ class PhaseReceived:
     number: int
 
 
-Frame = Messages | MessagePiece | PiecesReceived | PhaseNotice | PhaseReceived
+Frame = MessageBundle | MessagePiece | PiecesReceived | PhaseNotice | PhaseReceived
 
 
 def pack_frame(frame: Frame) -> bytes:
     """The bytes of a frame."""
     match frame:
-        case Messages(messages):
+        case MessageBundle(messages):
             parts = [bytes([FrameKind.MESSAGES])]
             for message in messages:
                 parts += [_length(len(message)), message]
@@ -114,7 +114,7 @@ def unpack_frame(data: bytes) -> Frame:
     kind = data[0] if data else None
     try:
         if kind == FrameKind.MESSAGES:
-            return Messages(tuple(_split(data)))
+            return MessageBundle(tuple(_split(data)))
         if kind == FrameKind.PIECE:
             _, number, index, count = _PIECE.unpack_from(data)
             return _checked(MessagePiece(number, index, count, data[_PIECE.size :]))
@@ -122,7 +122,7 @@ def unpack_frame(data: bytes) -> Frame:
             return PiecesReceived(*_RECEIVED.unpack(data)[1:])
         if kind == FrameKind.PHASE:
             _, number, phase = _PHASE.unpack(data)
-            return PhaseNotice(number, Phase(phase))
+            return PhaseNotice(number, DrivePhase(phase))
         if kind == FrameKind.PHASE_RECEIVED:
             return PhaseReceived(_PHASE_RECEIVED.unpack(data)[1])
     except (struct.error, ValueError) as error:
@@ -139,7 +139,7 @@ def cut(number: int, message: bytes) -> list[MessagePiece]:
     return [MessagePiece(number, i, count, part) for i, part in enumerate(parts)]
 
 
-def bundled(messages: Sequence[bytes]) -> list[Messages]:
+def bundled(messages: Sequence[bytes]) -> list[MessageBundle]:
     """Short messages in frames of at most :data:`FRAME_BYTES`, in order."""
     frames: list[list[bytes]] = []
     room = 0
@@ -149,7 +149,7 @@ def bundled(messages: Sequence[bytes]) -> list[Messages]:
             room = FRAME_BYTES
         frames[-1].append(message)
         room -= len(message) + 3
-    return [Messages(tuple(frame)) for frame in frames]
+    return [MessageBundle(tuple(frame)) for frame in frames]
 
 
 def _checked(piece: MessagePiece) -> MessagePiece:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from .framing import (
     PIECE_BYTES,
+    DrivePhase,
     Frame,
+    MessageBundle,
     MessagePiece,
-    Messages,
-    Phase,
     PhaseNotice,
     PhaseReceived,
     PiecesReceived,
@@ -38,7 +38,7 @@ class Session:
 
     def __init__(self, seals: Seals, max_message_bytes: int) -> None:
         self.seals = seals
-        self.phase: Phase | None = None
+        self.phase: DrivePhase | None = None
         self._phase_number = -1
         self._sender = PieceSender()
         self._receiver = PieceReceiver(max_message_bytes)
@@ -55,7 +55,7 @@ class Session:
         else:
             self._short.append(message)
 
-    def announce(self, phase: Phase) -> None:
+    def announce(self, phase: DrivePhase) -> None:
         """Say how far I am, until the other side has it."""
         self._notice, self._notice_ns = PhaseNotice(self._notices % 2**16, phase), None
         self._notices += 1
@@ -78,7 +78,7 @@ class Session:
     def incoming(self, frame: Frame, now_ns: int) -> list[bytes]:
         """Take a frame; returns the messages that it brings or completes."""
         match frame:
-            case Messages(messages):
+            case MessageBundle(messages):
                 return list(messages)
             case MessagePiece():
                 taken = self._receiver.take(frame)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from ..protocol.messages import VERSION
 from ..transport.link import Arrived, Link, Presence
 from .credentials import Credentials, CredentialsError, Stranger
-from .framing import FrameError, Phase, unpack_frame
+from .framing import DrivePhase, FrameError, unpack_frame
 from .neighbour import FrameCount, Session
 from .seals import SealError, SessionKey
 
@@ -59,7 +59,7 @@ class Neighbours:
 
     def __init__(self, credentials: Credentials, language: int, link: Link, max_message_bytes: int) -> None:
         self.me = credentials.number
-        self.phase = Phase.DRIVING
+        self.phase = DrivePhase.DRIVING
         self.out: dict[int, FrameCount] = {}
         self.into: dict[int, FrameCount] = {}
         self.greeting_bytes = 0
@@ -81,13 +81,13 @@ class Neighbours:
             known.session.put(message)
             self.out.setdefault(other, FrameCount()).messages += len(message)
 
-    def announce(self, phase: Phase) -> None:
+    def announce(self, phase: DrivePhase) -> None:
         """Say to all how far I am."""
         self.phase = phase
         for session in self._sessions():
             session.announce(phase)
 
-    def phases(self) -> dict[int, Phase]:
+    def phases(self) -> dict[int, DrivePhase]:
         """How far the others are that are there, and have said so."""
         there = {a: k.session.phase for a, k in sorted(self._known.items()) if k.here and k.session is not None}
         return {a: phase for a, phase in there.items() if phase is not None}

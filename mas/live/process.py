@@ -1,8 +1,8 @@
 """The loop of one agent in its own process: images' times, messages and time go in, messages go out.
 
 There is no common clock, no list of all agents, no word that all is over. An agent's logical time is that of its own
-recording; times in messages travel as durations. It says how far it is (:class:`~.framing.Phase`): once nobody present
-drives any more it settles what it knows, and ends when nobody present has anything left to do.
+recording; times in messages travel as durations. It says how far it is (:class:`~.framing.DrivePhase`): once nobody
+present drives any more it settles what it knows, and ends when nobody present has anything left to do.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..protocol.messages import decode, encode
 from ..protocol.tensors import MessageError
 from .config import LiveConfig
 from .durations import arrived, departing
-from .framing import Phase
+from .framing import DrivePhase
 from .neighbours import Met, Neighbours, Received
 from .recorded_agent import RecordedAgent
 
@@ -35,7 +35,7 @@ class LiveProgress:
     now_ns: int
     seen: int
     keyframes: int
-    phase: Phase
+    phase: DrivePhase
     neighbours: int
 
 
@@ -81,7 +81,7 @@ class AgentProcess:
 
     def leave(self) -> None:
         """Give the others notice, and let the last frames go."""
-        self.neighbours.announce(Phase.LEAVING)
+        self.neighbours.announce(DrivePhase.LEAVING)
         until = time.monotonic() + _LAST_FRAMES_S
         while time.monotonic() < until and self.neighbours.busy:
             self.neighbours.flush()
@@ -147,8 +147,8 @@ class AgentProcess:
 
     # -- the end ------------------------------------------------------------------------------------------------------
 
-    def _present(self) -> dict[int, Phase]:
-        return {a: phase for a, phase in self.neighbours.phases().items() if phase is not Phase.LEAVING}
+    def _present(self) -> dict[int, DrivePhase]:
+        return {a: phase for a, phase in self.neighbours.phases().items() if phase is not DrivePhase.LEAVING}
 
     def _note_phase(self, now_ns: int) -> None:
         """Say how far the agent is, where that has changed."""
@@ -156,21 +156,23 @@ class AgentProcess:
         driven = inputs.seen == len(inputs.keyframes)
         others = self._present().values()
         if not driven:
-            phase = Phase.DRIVING
+            phase = DrivePhase.DRIVING
         elif not inputs.agent.context.closing:
             # Its neighbours must know that it has arrived before any of them can close.
-            phase = Phase.CLOSING
+            phase = DrivePhase.CLOSING
             alone = not others and time.monotonic() - self._zero < self.live.alone_s
-            if not alone and Phase.DRIVING not in others:
+            if not alone and DrivePhase.DRIVING not in others:
                 self.agent.finish(now_ns)
         else:
             still = inputs.agent.quiet and not self.neighbours.busy
-            phase = Phase.RESTING if still else Phase.CLOSING
+            phase = DrivePhase.RESTING if still else DrivePhase.CLOSING
         if phase is not self.neighbours.phase:
             self.neighbours.announce(phase)
 
     def _over(self) -> bool:
-        if self.neighbours.phase is not Phase.RESTING or any(p is not Phase.RESTING for p in self._present().values()):
+        if self.neighbours.phase is not DrivePhase.RESTING or any(
+            p is not DrivePhase.RESTING for p in self._present().values()
+        ):
             self._still_since = None
             return False
         now = time.monotonic()

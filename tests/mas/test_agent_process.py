@@ -18,7 +18,7 @@ from maslam.mas.live import process as process_module
 from maslam.mas.live.authority import make_team
 from maslam.mas.live.config import LINKS, LiveConfig
 from maslam.mas.live.credentials import Credentials
-from maslam.mas.live.framing import Phase
+from maslam.mas.live.framing import DrivePhase
 from maslam.mas.live.journal import Journal
 from maslam.mas.live.neighbours import Neighbours
 from maslam.mas.live.one_agent import check_live, digest_of, inputs_of
@@ -138,7 +138,7 @@ def test_a_late_agent_joins_those_who_wait(tmp_path: Path, clock: Clock) -> None
     team = Team(tmp_path, MemoryNetwork(), clock)
     team.start(0)
     team.start(1)
-    team.go_on(60, lambda: team.processes[0].neighbours.phase is not Phase.DRIVING)
+    team.go_on(60, lambda: team.processes[0].neighbours.phase is not DrivePhase.DRIVING)
     team.start(2)
     team.go_on(120)
     assert sorted(team.ended) == [0, 1, 2]

@@ -11,7 +11,7 @@ from memory_links import MemoryNetwork
 
 from maslam.mas.live.authority import make_team
 from maslam.mas.live.credentials import Credentials, CredentialsError
-from maslam.mas.live.framing import Phase
+from maslam.mas.live.framing import DrivePhase
 from maslam.mas.live.neighbours import GREETING, SEALED, Met, Neighbours, Received
 from maslam.mas.live.seals import SealError, SessionKey
 
@@ -96,9 +96,9 @@ def test_two_agents_meet_and_know_each_other(team: list[Credentials]) -> None:
     agents[0].send(1, b"short")
     agents[0].send(1, b"long" * 5000)
     assert exchange(agents)[1] == [Received(0, b"short"), Received(0, b"long" * 5000)]
-    agents[1].announce(Phase.RESTING)
+    agents[1].announce(DrivePhase.RESTING)
     exchange(agents)
-    assert agents[0].phases() == {1: Phase.RESTING} and not agents[1].busy
+    assert agents[0].phases() == {1: DrivePhase.RESTING} and not agents[1].busy
 
 
 def test_they_meet_although_first_words_are_lost(team: list[Credentials], monkeypatch: pytest.MonkeyPatch) -> None:

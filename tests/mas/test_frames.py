@@ -12,11 +12,11 @@ from maslam.mas.live.durations import LONGEST_NS, arrived, departing
 from maslam.mas.live.framing import (
     FRAME_BYTES,
     PIECE_BYTES,
+    DrivePhase,
     Frame,
     FrameError,
+    MessageBundle,
     MessagePiece,
-    Messages,
-    Phase,
     PhaseNotice,
     PhaseReceived,
     PiecesReceived,
@@ -30,11 +30,11 @@ from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Bid, Call, Message
 
 FRAMES: list[Frame] = [
-    Messages((b"a", b"b" * 127, b"c" * 128, b"d" * 4000)),
+    MessageBundle((b"a", b"b" * 127, b"c" * 128, b"d" * 4000)),
     MessagePiece(7, 0, 2, b"x" * PIECE_BYTES),
     MessagePiece(7, 1, 2, b"x"),
     PiecesReceived(7, 3, 0b101),
-    PhaseNotice(65535, Phase.RESTING),
+    PhaseNotice(65535, DrivePhase.RESTING),
     PhaseReceived(3),
 ]
 
@@ -56,7 +56,7 @@ def test_mutated_frames_are_read_or_refused(frame: Frame, data: st.DataObject) -
             read = unpack_frame(bytes_)
         except FrameError:
             continue
-        if isinstance(read, Messages):
+        if isinstance(read, MessageBundle):
             assert sum(len(m) for m in read.messages) < len(bytes_)
 
 

@@ -43,14 +43,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the agent's folder that `maslam keys` made: who it is, and whom it talks to",
     )
     parser.add_argument(
-        "--listen", action="append", default=[], metavar="ADDRESS", help="e.g. tls/0.0.0.0:7447 or quic/0.0.0.0:7447"
+        "--listen",
+        action="append",
+        default=[],
+        metavar="ADDRESS",
+        help="e.g. tls/0.0.0.0:7447 or quic/0.0.0.0:7447 (default: nowhere)",
     )
     parser.add_argument(
         "--connect",
         action="append",
         default=[],
         metavar="ADDRESS",
-        help="where another agent listens, e.g. tls/192.168.1.12:7447; one that is reached is enough",
+        help="where another agent listens, e.g. tls/192.168.1.12:7447; one that is reached is enough (default: none)",
     )
     add_live_arguments(parser)
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings")
@@ -62,7 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     """What ``maslam agent`` and ``maslam team`` share."""
     parser.add_argument(
-        "--link", choices=LINK_KINDS, default="cable", help="kind of network: how long to wait for answers"
+        "--link",
+        choices=LINK_KINDS,
+        default="cable",
+        help="kind of network: how long to wait for answers (default: %(default)s)",
     )
     parser.add_argument(
         "--speed",

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for the results, as `maslam slam` writes them: a new folder, or an earlier run of the same source and "
         "settings; one that was ended early goes on from its agents' journals",
     )
-    parser.add_argument("--over", choices=["tls", "quic"], default="tls", help="what the network's links are")
+    parser.add_argument("--over", choices=["tls", "quic"], default="tls", help="kind of links (default: %(default)s)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, as for `maslam slam`")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
