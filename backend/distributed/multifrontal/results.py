@@ -62,7 +62,7 @@ def refused(share: Share, megabytes: float, most: float) -> SolverOutcome:
 
 def cost_aside(local: LocalProblem, front: Front) -> float:
     """F over the edges of poses that are not tied to the anchor, which stay: what this robot counts of it."""
-    lost = np.zeros(len(local.nodes), dtype=bool)
+    lost = np.zeros(len(local), dtype=bool)
     lost[: local.own_count] = ~front.reached[: front.own_count]
     aside = local.counted & lost[local.edges.ends].any(axis=1)
     costs = local.edges.only(aside).costs(local.places.poses, local.places.log_units)

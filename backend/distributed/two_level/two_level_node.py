@@ -61,10 +61,7 @@ class TwoLevelNode(DescentNode):
         super().__init__(share, config)
         self._leading: Leading | None = None
         if share.robot == share.members[0]:
-            fixed = frozenset(share.members) - share.arbitrary_scale
-            self._leading = Leading(
-                share.members, self._problem.width, fixed, config.two_level_tolerance, config.two_level_sweeps
-            )
+            self._leading = Leading(share, self._problem.width, config.two_level_tolerance, config.two_level_sweeps)
         self._then = Then.SWEEP
         self._exact_for: set[int] = set()
         self._begun: Part | None = None
