@@ -21,12 +21,13 @@ from ..compact import CompactReader, CompactWriter, numbers_of
 from ..local import LocalProblem
 from ..share import Share, SolverOutcome
 from .agreement import read_order, read_pairs, write_order, write_pairs
+from .boundary import Boundary
 from .equations import Matrices, StepFrom, Unknowns, shape_of
 from .front import Front, neighbours_by_edges
 from .frontal_messages import FrontalKind, FrontalMessage
 from .ordering import elimination_order
 from .passes import Passes
-from .reports import Boundary, Step, Sums, Update
+from .reports import Step, Sums, Update
 from .results import cost_aside, finished, refused
 from .schedule import Schedule
 
