@@ -293,5 +293,6 @@ class DescentNode(StagedNode):
     def _finish(self, cost_after: float) -> SolverOutcome:
         if not np.isfinite(cost_after):
             raise BackendError("the cost after block descent is not finite")
-        outcome = super()._finish(cost_after)
+        capped = len(self._costs) >= self._config.descent_sweeps
+        outcome = replace(super()._finish(cost_after), capped=capped)
         return outcome if self._selection is None else replace(outcome, judged=self._selection.judged())

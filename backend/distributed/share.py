@@ -125,7 +125,7 @@ class SolverOutcome:
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
     ``positions``: whether priors of members had a say. ``length``: what its odometry's lengths were found to have to be
     multiplied by. ``capped``: it ended because no more passes are allowed, or
-    because they lead nowhere (methods multifrontal, two-level).
+    because they lead nowhere (methods multifrontal, two-level, rbcd).
     """
 
     robot: int

@@ -75,8 +75,7 @@ class Prior:
 
     ``T_O_i`` ``(4, 4)`` rigid; ``information`` ``(6, 6)`` as an edge's; ``weight`` in [0, 1] multiplies it. ``lever``
     ``(3,)``: the point of the node's frame whose position was measured (an antenna), in the node's unit; ``bound``:
-    standard deviations beyond which a residual counts less and less, None: never. The elected solver alone knows
-    ``lever`` and ``bound``.
+    standard deviations beyond which a residual counts less and less, None: never.
     """
 
     node: NodeId

@@ -67,7 +67,7 @@ def above(graph: PoseGraph, method: str, **settings) -> float:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("robots", [None, {0}, {0, 3}], ids=["all", "one", "ends"])
 def test_a_chain_of_robots_with_a_fix_every_ten_metres(method, robots) -> None:
-    graph, truth = chain(4, 60)
+    graph, truth = chain(4, 40)
     gap = above(with_gps(graph, truth, 2.0, robots=robots), method)
     assert gap < {"multifrontal": 1e-4, "two-level": 1e-3, "rbcd": 1e-2}[method]
 
@@ -145,11 +145,11 @@ def test_a_track_that_only_its_priors_place(method) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_kernel_and_a_lever_as_the_elected_robot_has_them(method) -> None:
-    graph, truth = loops(np.random.default_rng(0), robots=3, length=40)
+    graph, truth = loops(np.random.default_rng(0), robots=2, length=30)
     lever = np.array([1.0, -2.0, 3.0])
     rng = np.random.default_rng(7)
     priors = []
-    for p in with_gps(graph, truth, 0.2, every=4, lever=lever, bound=3.0).priors:
+    for p in with_gps(graph, truth, 0.2, every=3, lever=lever, bound=3.0).priors:
         seen = p.T_O_i[:3, 3] + (T_ENU_W @ truth[p.node])[:3, :3] @ lever
         seen = seen + (rng.random() < 0.15) * rng.choice([-1.0, 1.0], 3) * 30.0
         priors.append(replace(p, T_O_i=se3(np.eye(3), seen)))
@@ -165,7 +165,7 @@ def test_a_kernel_and_a_lever_as_the_elected_robot_has_them(method) -> None:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("mono", [{0, 1, 2}, {0, 2}], ids=["all", "some"])
 def test_robots_with_one_camera_get_metres(method, mono) -> None:
-    graph, truth = loops(np.random.default_rng(14), robots=3, length=24, sigma_t=0.0, sigma_deg=0.0)
+    graph, truth = loops(np.random.default_rng(14), robots=3, length=16, sigma_t=0.0, sigma_deg=0.0)
     rng = np.random.default_rng(15)
     units = {n: np.exp(0.3 * n.robot + 0.01 * rng.normal()) if n.robot in mono else 1.0 for n in graph.nodes}
     measured = with_gps(drifting(graph, truth, units), truth, 0.01, every=3)
@@ -173,12 +173,14 @@ def test_robots_with_one_camera_get_metres(method, mono) -> None:
     assert all(o.accepted and o.positions for o in found.outcomes.values())
     for node in graph.nodes:
         np.testing.assert_allclose(found.graph.poses[node][:3, 3], (T_ENU_W @ truth[node])[:3, 3], atol=0.05)
-        assert found.units[node] == pytest.approx(units[node], rel=0.02)
+        assert found.units[node] == pytest.approx(units[node], rel=0.05)
+    elected = optimise_distributed(measured, SolverConfig(method="elected"), frozenset(mono))
+    assert found.outcomes[0].cost_after < elected.outcomes[0].cost_after * 1.001
 
 
 def test_robust_selection_by_message_keeps_what_the_central_one_keeps() -> None:
-    graph, truth = loops(np.random.default_rng(0), robots=3, length=40)
-    bad, wrong = with_wrong_edges(with_gps(graph, truth, 0.2), np.random.default_rng(5), 8)
+    graph, truth = loops(np.random.default_rng(0), robots=3, length=30)
+    bad, wrong = with_wrong_edges(with_gps(graph, truth, 0.2), np.random.default_rng(5), 6)
     central = optimise_robustly(bad, "gnc", CentralConfig(), RobustConfig())
     for method in ("rbcd", "elected"):
         found = optimise_distributed(bad, SolverConfig(method=method, robust="gnc"))
