@@ -162,7 +162,7 @@ def test_an_agent_without_positions_gains_by_its_matches(tmp_path: Path) -> None
     assert max(a / b for a, b in zip(summary.ate_rmse_m.agents, before, strict=True)) < 0.1
 
 
-@pytest.mark.parametrize("method", ["multifrontal", "two-level", "rbcd"])
+@pytest.mark.parametrize("method", ["multifrontal", "two-level"])
 def test_without_an_elected_agent_too_positions_bend_who_has_none(method: str, tmp_path: Path) -> None:
     team = [sequence(0, 0.02, True, 1), sequence(1, 0.015, False, 2)]
     before = [from_start_m(one.tracks[0].poses) for one in team]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,3 +78,12 @@ def bounded(count: int) -> int:
     if count > _MOST:
         raise BackendError(f"a message says that it has {count} parts")
     return count
+
+
+def complete(me: int, order: Sequence[int], neighbours: Iterable[int], boundaries: Sequence[Boundary]) -> bool:
+    """Whether every robot before ``me`` in the ``order`` that shares edges with it is among those that the
+    ``boundaries`` that came are about."""
+    rank = {robot: k for k, robot in enumerate(order)}
+    if me == order[-1]:
+        return 1 + sum(b.robots for b in boundaries) == len(order)
+    return sum(b.below.get(me, 0) for b in boundaries) == sum(rank[r] < rank[me] for r in neighbours)

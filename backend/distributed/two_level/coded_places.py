@@ -18,6 +18,8 @@ from .codes import Steps, read_steps, write_steps
 _FINENESS = 16.0
 # Share of the others' stiffness below which an edge hardly holds.
 _FIRM = 0.01
+# An edge that costs less may well be as it should be.
+_FAR = 1e4
 # Whole steps beyond this do not travel; coarser ones do.
 _LARGEST = 2.0**28
 
@@ -45,6 +47,13 @@ def firm_edges(problem: LocalProblem) -> NDArray[np.bool_]:
         return np.zeros(len(weights), dtype=bool)
     firm = weights >= _FIRM * np.median(weights[~problem.outside], axis=0)
     return np.asarray(firm.all(axis=1) & ~problem.outside, dtype=bool)
+
+
+def close_to(problem: LocalProblem, neighbour: int) -> bool:
+    """Whether edges with a neighbour may not be violated so much that their cost says all as it is."""
+    theirs = np.asarray(np.isin(problem.edges.ends, problem.received_rows[neighbour]).any(axis=1), dtype=bool)
+    costs = problem.edges.only(theirs).costs(problem.places.poses, problem.places.log_units)
+    return bool((costs < _FAR).any())
 
 
 def by_number(sigmas: Array, width: int) -> Array:
