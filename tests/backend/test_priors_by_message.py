@@ -19,7 +19,7 @@ from maslam.backend.distributed.places import Places
 from maslam.backend.distributed.share import shares
 from maslam.backend.distributed.wire import pack, unpack
 from maslam.backend.distributed.with_priors.alignment import origin_from, sums_of
-from maslam.backend.distributed.with_priors.course import Next, Tally, Then
+from maslam.backend.distributed.with_priors.course import Next, PriorSums, WhatNext
 from maslam.backend.distributed.with_priors.in_run import InRun
 from maslam.backend.distributed.with_priors.prior_messages import PriorKind, PriorMessage, body_of, numbers_in
 from maslam.backend.errors import BackendError
@@ -263,7 +263,7 @@ def test_the_place_of_a_frame_from_sums_of_two_robots() -> None:
 
 
 def test_messages_come_out_as_they_went_in_and_nonsense_is_refused() -> None:
-    step = Next(Then.RUN, widen=2.5, cost_before=3.0, cost_after=1.0)
+    step = Next(WhatNext.RUN, widen=2.5, cost_before=3.0, cost_after=1.0)
     message = PriorMessage(PriorKind.NEXT, 7, 1, 2, body_of(step.numbers()))
     read = unpack(1, 2, pack(message))
     assert read == message and read.decides and not read.asks
@@ -275,7 +275,7 @@ def test_messages_come_out_as_they_went_in_and_nonsense_is_refused() -> None:
         with pytest.raises(BackendError):
             Next.of(numbers_in(body))
         with pytest.raises(BackendError):
-            Tally.of(numbers_in(body))
+            PriorSums.of(numbers_in(body))
     graph, truth = loops(np.random.default_rng(4), robots=3, length=12)
     node = node_for(shares(with_gps(graph, truth, 0.2))[0], SolverConfig(method="rbcd"))
     node.start()

@@ -16,7 +16,7 @@ from maslam._replaced import replaced
 from ...config import SolverConfig
 from ...errors import BackendError
 from ..share import Share, SolverOutcome
-from .course import Course, Next, Tally, Then
+from .course import Course, Next, PriorSums, WhatNext
 from .in_run import InRun
 from .prior_messages import PriorKind, PriorMessage, body_of, numbers_in
 from .prior_part import PriorPart
@@ -57,7 +57,7 @@ class PriorNode:
         self._last: Next | None = None
         self._running: _Method | None = None
         self._before: SolverOutcome | None = None
-        self._tallies: dict[int, dict[int, Tally]] = {}
+        self._tallies: dict[int, dict[int, PriorSums]] = {}
         self._decisions: dict[int, Next] = {}
         self._early: dict[int, list[InRun]] = {}
         self._reported = False
@@ -85,7 +85,7 @@ class PriorNode:
             return []
         numbers = numbers_in(message.body)
         if message.kind is PriorKind.SUMS:
-            self._tallies.setdefault(message.number, {})[message.sender] = Tally.of(numbers)
+            self._tallies.setdefault(message.number, {})[message.sender] = PriorSums.of(numbers)
         else:
             self._decisions[message.number] = Next.of(numbers)
         return self._advance()
@@ -133,12 +133,12 @@ class PriorNode:
             out += self._wrapped(self._running.handle(message.message))
         return out
 
-    def _config_for(self, then: Then) -> SolverConfig:
+    def _config_for(self, then: WhatNext) -> SolverConfig:
         """Where priors are to be laid on a solution, that need not be exact."""
         config = self._config
-        if then is Then.RUN:
+        if then is WhatNext.RUN:
             return replaced(config, start="warm")
-        if then is Then.ALONE:
+        if then is WhatNext.ALONE:
             return config
         return replaced(
             config,
@@ -169,7 +169,7 @@ class PriorNode:
             out += self._follow(step)
         return out
 
-    def _report(self, below: dict[int, Tally]) -> list[PriorMessage | InRun]:
+    def _report(self, below: dict[int, PriorSums]) -> list[PriorMessage | InRun]:
         tally = self._part.tally(self._last)
         for child in self._children:
             tally = tally.also(below[child])
@@ -188,11 +188,11 @@ class PriorNode:
         self._tallies.pop(self._number, None)
         self._decisions.pop(self._number, None)
         self._number, self._reported, self._last = self._number + 1, False, step
-        if step.then.without or step.then is Then.RUN:
+        if step.then.without or step.then is WhatNext.RUN:
             return [*out, *self._begin(step)]
-        if step.then is not Then.ALIGN:
+        if step.then is not WhatNext.ALIGN:
             assert self._before is not None
-            whole = step.then is Then.END
+            whole = step.then is WhatNext.END
             self.outcome = self._part.ended(step, self._before) if whole else self._before
         return out
 

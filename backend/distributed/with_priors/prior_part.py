@@ -15,7 +15,7 @@ from ..held import HeldPriors
 from ..places import Places
 from ..share import JudgedEdge, Share, SolverOutcome
 from .alignment import origin_from, sums_of
-from .course import Next, Tally
+from .course import Next, PriorSums
 
 
 class PriorPart:
@@ -40,7 +40,7 @@ class PriorPart:
 
     # -- what it tells -----------------------------------------------------------------------------------------------
 
-    def tally(self, last: Next | None) -> Tally:
+    def tally(self, last: Next | None) -> PriorSums:
         """What goes up the tree; ``last``: what was decided before."""
         used = (self._joined if self._held is None else self.kept)[self._rows]
         priors, rows = self._priors.only(used), self._rows[used]
@@ -55,7 +55,7 @@ class PriorPart:
         if anchor:
             first, now = self._start.numbers(7)[0], self.places.numbers(7)[0]
         before, self._before = self._before, 0.0
-        return Tally(sums, before, self._held_cost(), first, now, largest)
+        return PriorSums(sums, before, self._held_cost(), first, now, largest)
 
     def _held_cost(self) -> float:
         """What the priors held in the last run cost now, as the method sees it."""
