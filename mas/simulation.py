@@ -36,6 +36,7 @@ from .policies.presets import policy_of
 from .sequence import AgentEntry, AgentSequence, DescriptorEntry, Manifest
 from .state.agent_state import Ownership, Profile
 from .state.keyframe import KeyFrame, keyframes_of
+from .state.positions import not_used
 from .transport.choice import TransportLike, transport_of
 from .transport.faults import FaultyTransport, gone, present
 from .transport.transport import Sent, Transport
@@ -201,11 +202,8 @@ def make_agents(
     policies = [policy_of(config, me, policy) for me in range(len(sequences))]
     ownership = policies[0].ownership
     clustered = ownership is Ownership.CLUSTERS
-    method = config.optimisation.solver.method
-    if any(sequence.positions is not None for sequence in sequences) and method != "elected":
-        log.warning(
-            "positions (GPS) are not used: method %s knows none; optimisation.solver.method elected does", method
-        )
+    for warning in not_used(config.optimisation, any(sequence.positions is not None for sequence in sequences)):
+        log.warning(warning)
     centres = centres_before(manifest, sequences, config, coder) if clustered else None
     common = CommonProfile(manifest.descriptor, coder, ownership, centres)
     agents = []

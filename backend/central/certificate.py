@@ -20,7 +20,8 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
 from ..errors import BackendError
 from ..geometry import Array
-from ..pose_graph.graph import EdgeArrays, PoseGraph
+from ..pose_graph.edge_arrays import EdgeArrays
+from ..pose_graph.graph import PoseGraph
 from .costs import frobenius_weights
 from .laplacian import best_translations, connection_laplacian, multipliers, rotation_diagonal, stacked
 from .linear import edge_costs

@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 
 from ..geometry import Array, se3_inverse, se3_log
-from ..pose_graph.graph import EdgeArrays, PoseGraph
+from ..pose_graph.edge_arrays import EdgeArrays
+from ..pose_graph.graph import PoseGraph
 from .linear import edge_costs, isotropic_weights, positive_information
 
 Convention = Literal["F", "U", "E"]

@@ -9,7 +9,8 @@ import numpy as np
 from ..config import CentralConfig
 from ..errors import BackendError
 from ..geometry import Array, se3_inverse
-from ..pose_graph.graph import EdgeArrays, EdgeKind, PoseGraph
+from ..pose_graph.edge_arrays import EdgeArrays
+from ..pose_graph.graph import EdgeKind, PoseGraph
 from .costs import frobenius_weights
 from .trust_region import anchors
 

@@ -14,7 +14,8 @@ from ..components import parts
 from ..config import CentralConfig
 from ..errors import BackendError
 from ..geometry import Array, se3_inverse, umeyama
-from ..pose_graph.graph import EdgeArrays, PoseGraph, Prior
+from ..pose_graph.edge_arrays import EdgeArrays
+from ..pose_graph.graph import PoseGraph, Prior
 from .chordal import two_stage_poses
 from .costs import cost, frobenius_weights
 from .gtsam_adapter import levenberg_marquardt

@@ -73,6 +73,34 @@ class OriginPriors:
         joined = [np.concatenate(pair) for pair in zip(mine, more, strict=True)]
         return OriginPriors(self.nodes + other.nodes, *joined)
 
+    def weighted(self, weight: Array) -> OriginPriors:
+        """With both weights multiplied by ``weight`` ``(m,)``."""
+        return replace(self, kappa=self.kappa * weight, tau=self.tau * weight)
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """Those ``(m,)`` that tell a rotation, and so place a part by themselves."""
+        return np.asarray(self.kappa > _ROTATES * self.tau)
+
+    def points(self, poses: Array, log_units: Array) -> Array:
+        """Where the measured points are in the group's frame, ``(m, 3)``, with their nodes at ``poses`` ``(m, 4, 4)``
+        and ``log_units`` ``(m,)``."""
+        turned = np.einsum("mij,mj->mi", poses[:, :3, :3], self.lever)
+        return np.asarray(poses[:, :3, 3] + np.exp(log_units)[:, None] * turned)
+
+    def residuals(self, poses: Array, log_units: Array, origin: Sim3) -> Array:
+        """In standard deviations, ``(m,)``, with the ``origin`` of their frame at that place in the group's."""
+        seen = (self.points(poses, log_units) - origin.translation) @ origin.rotation / origin.scale
+        square = self.tau * ((seen - self.measured[:, :3, 3]) ** 2).sum(axis=1)
+        turn = poses[:, :3, :3] - origin.rotation @ self.measured[:, :3, :3]
+        return np.asarray(np.sqrt(square + self.kappa * (turn**2).sum(axis=(1, 2))))
+
+    def cost(self, residual: Array) -> float:
+        """Their share of F with these residuals ``(m,)``, each bounded by its kernel."""
+        finite = np.isfinite(self.bound)
+        bound = np.where(finite, self.bound, 1.0)
+        return float(np.where(finite, bound**2 * np.log1p((residual / bound) ** 2), residual**2).sum())
+
 
 NO_PRIORS = OriginPriors((), np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
 
@@ -102,24 +130,15 @@ class _PriorsProblem:
 
     def points(self, poses: Array, log_units: Array) -> Array:
         """Where the measured points are in the group's frame, ``(m, 3)``."""
-        units = np.exp(log_units[self.rows])[:, None]
-        turned = np.einsum("mij,mj->mi", poses[self.rows, :3, :3], self.priors.lever)
-        return np.asarray(poses[self.rows, :3, 3] + units * turned)
+        return self.priors.points(poses[self.rows], log_units[self.rows])
 
     def residuals(self, poses: Array, log_units: Array, origin: Sim3) -> Array:
         """In standard deviations, ``(m,)``."""
-        p = self.priors
-        seen = (self.points(poses, log_units) - origin.translation) @ origin.rotation / origin.scale
-        square = p.tau * ((seen - p.measured[:, :3, 3]) ** 2).sum(axis=1)
-        turn = poses[self.rows, :3, :3] - origin.rotation @ p.measured[:, :3, :3]
-        return np.asarray(np.sqrt(square + p.kappa * (turn**2).sum(axis=(1, 2))))
+        return self.priors.residuals(poses[self.rows], log_units[self.rows], origin)
 
     def cost(self, poses: Array, log_units: Array, origin: Sim3) -> float:
         """The priors' share of F, each bounded by its kernel."""
-        r, c = self.residuals(poses, log_units, origin), self.priors.bound
-        finite = np.isfinite(c)
-        bounded = np.where(finite, c, 1.0) ** 2 * np.log1p((r / np.where(finite, c, 1.0)) ** 2)
-        return float(np.where(finite, bounded, r**2).sum())
+        return self.priors.cost(self.residuals(poses, log_units, origin))
 
     def as_edges(self, poses: Array, log_units: Array, origin: Sim3, weight: Array) -> SimilarityEdges:
         """Edges from the origin, row n, with the levers turned as the nodes stand now."""
@@ -177,7 +196,7 @@ def origin_of(
     best, cost = origin, problem.cost(poses, log_units, origin)
     for _ in range(_LAST_ROUNDS + 2):
         every, units = _stacked(poses, log_units, best)
-        weight = _kernel(problem.residuals(poses, log_units, best), priors.bound)
+        weight = kernel(problem.residuals(poses, log_units, best), priors.bound)
         fixed = np.append(problem.fixed, not free_unit)
         step = descend(problem.as_edges(poses, log_units, best, weight), every, units, held, fixed)
         moved = _origin_in(step.poses[n], step.log_units[n])
@@ -188,9 +207,13 @@ def origin_of(
     return best, cost
 
 
+def places_a_part(turning: int, priors: int) -> bool:
+    """Whether so many ``priors``, ``turning`` of them, place a part as a whole."""
+    return turning > 0 or priors >= _ENOUGH
+
+
 def _places(priors: OriginPriors, mine: NDArray[np.bool_]) -> bool:
-    turning = (priors.kappa > _ROTATES * priors.tau) & mine
-    return bool(turning.any() or mine.sum() >= _ENOUGH)
+    return places_a_part(int((priors.turning & mine).sum()), int(mine.sum()))
 
 
 def _part(problem: _PriorsProblem, label: NDArray[np.intp], k: int) -> _PriorsProblem:
@@ -214,7 +237,7 @@ def _aligned(problem: _PriorsProblem, poses: Array, log_units: Array) -> Sim3:
             break
         weight = again
     best.append(origin)
-    turning = np.flatnonzero(p.kappa > _ROTATES * p.tau)
+    turning = np.flatnonzero(p.turning)
     for k in turning[:: max(1, len(turning) // 8)]:
         best.append(Sim3.from_se3(poses[problem.rows[k]] @ se3_inverse(p.measured[k])))
     return min(best, key=lambda one: problem.cost(poses, log_units, one))
@@ -242,7 +265,7 @@ def _descended(
     steps = 0
     for number in range(_ROUNDS):
         last = widen <= 1.0
-        weight = _kernel(problem.residuals(poses, log_units, origin), p.bound * widen)
+        weight = kernel(problem.residuals(poses, log_units, origin), p.bound * widen)
         edges = problem.edges.and_also(problem.as_edges(poses, log_units, origin, weight))
         every, units = _stacked(poses, log_units, origin)
         if kept.all():
@@ -272,6 +295,6 @@ def _origin_in(pose: Array, log_unit: float) -> Sim3:
     return Sim3(pose[:3, :3], pose[:3, 3], float(np.exp(log_unit)))
 
 
-def _kernel(residual: Array, bound: Array) -> Array:
+def kernel(residual: Array, bound: Array) -> Array:
     """Weights ``(m,)`` of Cauchy's kernel; 1 where there is no bound."""
     return np.where(np.isfinite(bound), 1.0 / (1.0 + (residual / np.where(np.isfinite(bound), bound, 1.0)) ** 2), 1.0)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..components import parts
 from ..errors import BackendError
 from ..geometry import Array, project_to_so3, se3, skew, so3_exp
-from ..pose_graph.graph import EdgeArrays
+from ..pose_graph.edge_arrays import EdgeArrays
 from .laplacian import by_node, connection_laplacian, multipliers, stacked
 from .large_system import pose_system
 from .linear import BlockSystem, edge_costs

@@ -34,7 +34,7 @@ class BlockDescent:
     def __init__(self, problem: LocalProblem, warm: bool, trusted: NDArray[np.bool_], bound: float | None) -> None:
         """``trusted`` ``(m,)``: edges the local start may build on; ``bound``: see :meth:`Pieces.place`."""
         self.problem = problem
-        n, own = len(problem.nodes), problem.own_count
+        n, own = len(problem), problem.own_count
         self.placed = np.ones(n, dtype=bool)
         self.edge_weights = np.ones(len(problem.edges.ends))
         self.shared = np.array(sorted({r for rows in problem.sent_rows.values() for r in rows}), dtype=np.intp)
@@ -52,7 +52,7 @@ class BlockDescent:
     def metric(self) -> Array:
         """Square roots of the diagonal ``(own, width)`` of the Gauss-Newton matrix, roughly: what a move weighs."""
         problem = self.problem
-        edges, diagonal = problem.edges, np.zeros((len(problem.nodes), 3))
+        edges, diagonal = problem.edges, np.zeros((len(problem), 3))
         tau = edges.tau * np.exp(-2.0 * problem.places.log_units[edges.ends[:, 0]])
         for side in range(2):
             np.add.at(diagonal[:, 0], edges.ends[:, side], tau)
@@ -78,7 +78,7 @@ class BlockDescent:
         problem = self.problem
         free = np.flatnonzero(self.placed[: problem.own_count])
         free = np.setdiff1d(free, problem.given)
-        is_free = np.zeros(len(problem.nodes), dtype=bool)
+        is_free = np.zeros(len(problem), dtype=bool)
         is_free[free] = True
         ends = problem.edges.ends
         used = np.asarray(self.placed[ends].all(axis=1) & is_free[ends].any(axis=1))
@@ -103,7 +103,7 @@ class BlockDescent:
         R = places.poses[:, :3, :3]
         hessian, rhs = pose_blocks(R[i], R[j], edges.measured, edges.kappa, edges.tau)
         system = BlockSystem(edges.ends, hessian, rhs, free, np.ones(len(i), dtype=bool))
-        values = np.zeros((len(problem.nodes), 6, 1))
+        values = np.zeros((len(problem), 6, 1))
         values[:, :3, 0] = places.poses[:, :3, 3]
         solved: Array = system.solve(values)[:, :, 0]
         solved[:, :3] -= places.poses[free, :3, 3]

@@ -70,6 +70,12 @@ class DescentNode(StagedNode):
         if self._selection is not None and not self._warm and not self.share.scaled:
             self._vote = PieceVote(self._problem, self._descent.pieces, self._selection.odometry)
             return Round(SolverStage.VOTE)
+        if self._selection is not None and self.share.believed:
+            # Solve with what was believed before, then test all edges in the solution.
+            self._selection.begin_with(np.array(self.share.believed, dtype=bool))
+            self._descent.edge_weights = self._selection.weights
+            self._final = True
+            return Round(SolverStage.DESCENT, 1, 1)
         return Round(SolverStage.DESCENT, 1 if self._warm and self._selection is not None else 0)
 
     def _enter(self) -> None:
@@ -287,5 +293,6 @@ class DescentNode(StagedNode):
     def _finish(self, cost_after: float) -> SolverOutcome:
         if not np.isfinite(cost_after):
             raise BackendError("the cost after block descent is not finite")
-        outcome = super()._finish(cost_after)
+        capped = len(self._costs) >= self._config.descent_sweeps
+        outcome = replace(super()._finish(cost_after), capped=capped)
         return outcome if self._selection is None else replace(outcome, judged=self._selection.judged())

@@ -14,12 +14,12 @@ from ..components import parts
 from ..config import SolverConfig
 from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
-from .elected_messages import ElectedMessage
-from .message_bytes import decode, encode
+from .envelope import Envelope
 from .messages import Coded, Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values
 from .methods import node_for
-from .multifrontal.frontal_messages import FrontalMessage
 from .share import JudgedEdge, Share, SolverOutcome, shares
+from .wire import from_whole, whole
+from .with_priors.in_run import InRun
 
 # Ticks of a group that works without rounds, for each version a robot may make, before it counts as stuck.
 _MOST_TICKS = 20
@@ -84,27 +84,24 @@ class _Post:
 
     def __init__(self, method: str) -> None:
         self.queue: deque[bytes] = deque()
-        self._enveloped: type[ElectedMessage] | type[FrontalMessage] | None = None
-        if method in ("elected", "multifrontal"):
-            self._enveloped = ElectedMessage if method == "elected" else FrontalMessage
         self._descends = method.startswith("rbcd")
         self._messages = self._payload = self._wire = 0
         self._trace: list[tuple[int, float]] = []
 
     def send(self, messages: Sequence[Any]) -> None:
         for message in messages:
-            data = encode(message) if self._enveloped is None else message.encode()
+            data = whole(message)
             self.queue.append(data)
             self._messages, self._wire = self._messages + 1, self._wire + len(data)
-            if self._enveloped is not None:
-                self._payload += message.payload_bytes
+            inner = message.message if isinstance(message, InRun) else message
+            if isinstance(inner, Envelope):
+                self._payload += inner.payload_bytes
             else:
-                self._count(message)
+                self._count(inner)
 
     def next(self) -> Any:
         """The oldest message in transit."""
-        data = self.queue.popleft()
-        return decode(data) if self._enveloped is None else self._enveloped.decode(data)
+        return from_whole(self.queue.popleft())
 
     def _count(self, message: NodeMessage) -> None:
         stage = message.round.stage
@@ -173,9 +170,9 @@ def optimise_distributed(
     units = {node: unit for outcome in outcomes.values() for node, unit in outcome.units.items()}
     poses = {node: T for outcome in outcomes.values() for node, T in outcome.poses.items()}
     solved = graph.in_one_unit(poses, units)
-    if graph.priors and all(outcome.accepted for outcome in outcomes.values()):
-        unreached = {n for outcome in outcomes.values() for n in outcome.unreached}
-        solved = in_frame_of_priors(solved, units, unreached, set(graph.robots) <= arbitrary_scale)
+    for group in joined_robots(graph) if graph.priors else []:
+        if all(outcomes[robot].accepted for robot in group):
+            solved = in_frame_of_priors(solved, units, outcomes, group, group <= arbitrary_scale)
     lengths = {robot: outcome.length for robot, outcome in outcomes.items() if outcome.length != 1.0}
     return GroupResult(solved, outcomes, traffic, units, lengths)
 
@@ -191,12 +188,17 @@ def joined_robots(graph: PoseGraph) -> list[frozenset[int]]:
 
 
 def in_frame_of_priors(
-    graph: PoseGraph, units: Mapping[NodeId, float], unreached: Set[NodeId], free_unit: bool
+    graph: PoseGraph,
+    units: Mapping[NodeId, float],
+    outcomes: Mapping[int, SolverOutcome],
+    group: Set[int],
+    free_unit: bool,
 ) -> PoseGraph:
-    """The graph moved to where its priors fit best: robots keep the frame of their anchor, a reader of the whole graph
-    wants that of the priors. ``unreached`` poses stay."""
-    nodes = [n for n in graph.nodes if n not in unreached]
-    priors = [p for p in graph.priors if p.node not in unreached]
+    """A group of robots moved to where its priors fit best: robots keep the frame of their anchor, a reader of the
+    whole graph wants that of the priors. Poses that were not reached stay, and groups without priors."""
+    unreached = {n for robot in group for n in outcomes[robot].unreached}
+    nodes = [n for n in graph.nodes if n.robot in group and n not in unreached]
+    priors = [p for p in graph.priors if p.node.robot in group and p.node not in unreached]
     if not priors:
         return graph
     poses = np.array([graph.poses[n] for n in nodes])

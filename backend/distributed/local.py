@@ -12,14 +12,17 @@ from ..central.relaxation import Relaxation
 from ..central.similarity_edges import edges_of
 from ..geometry import Array, project_to_so3, se3, so3_exp
 from ..pose_graph.graph import NodeId
+from .held import HeldPriors
 from .places import RIGID, SCALED, Places, places_of
 from .share import Share
 
 
 class LocalProblem:
-    """``places`` of own nodes (the first ``own_count`` rows) and of neighbours' separators (NaN until received of).
+    """``places`` of own nodes (the first ``own_count`` rows), of neighbours' separators (NaN until received of), and
+    where held priors say that nodes are.
 
-    ``fixed`` ``(n,)``: nodes whose unit of length is no variable; ``width``: unknowns of a node.
+    ``nodes`` names the rows but the last ones, of held priors, whose edges come last, too: those ``outside`` ``(m,)``.
+    ``fixed`` ``(n,)``: rows whose unit of length is no variable; ``width``: unknowns of a node.
     """
 
     def __init__(self, share: Share) -> None:
@@ -37,15 +40,33 @@ class LocalProblem:
         self.places = Places(np.full((len(self.nodes), 4, 4), np.nan), np.zeros(len(self.nodes)))
         self.places.poses[: self.own_count] = [share.poses[n] for n in own]
         self.places.log_units[: self.own_count] = share.log_units(own)
+        self.robots = np.array([n.robot for n in self.nodes], dtype=np.intp)
         self.fixed = np.array([n.robot not in share.arbitrary_scale for n in self.nodes], dtype=bool)
+        self.outside = np.zeros(len(self.edges.ends), dtype=bool)
+        if share.held is not None:
+            self._hold(share.held, row)
         self.sent_rows: dict[int, list[int]] = {}
         self.received_rows: dict[int, list[int]] = {}
         for neighbour in share.neighbours:
             mine, theirs = share.separators_with(neighbour)
             self.sent_rows[neighbour] = [row[n] for n in mine]
             self.received_rows[neighbour] = [row[n] for n in theirs]
-        # The anchor's first node stays where it is.
-        self.given = [0] if share.robot == share.anchor else []
+        # The anchor's first node stays where it is, unless priors say where all are.
+        self.given = [0] if share.robot == share.anchor and share.held is None else []
+
+    def _hold(self, held: HeldPriors, row: dict[NodeId, int]) -> None:
+        m, rows = len(held), np.array([row[n] for n in held.priors.nodes], dtype=np.intp)
+        more = held.edges(rows, len(self.nodes), self.places.at(rows), self.share.scaled)
+        self.edges = self.edges.and_also(more)
+        self.counted = np.append(self.counted, np.ones(m, dtype=bool))
+        self.outside = np.append(self.outside, np.ones(m, dtype=bool))
+        self.places = self.places.and_also(held.places)
+        self.robots = np.append(self.robots, np.full(m, self.share.robot))
+        self.fixed = np.append(self.fixed, np.ones(m, dtype=bool))
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.places.poses)
 
     def cost(self) -> float:
         """F over the edges this robot counts; edges to nodes without a pose are left out."""

@@ -15,6 +15,10 @@ from .multifrontal.frontal_node import FrontalNode
 from .node import Node
 from .share import Share, SolverOutcome
 from .two_level.two_level_node import TwoLevelNode
+from .with_priors.prior_node import PriorNode
+
+USE_PRIORS = ("elected", "multifrontal", "two-level", "rbcd")
+"""Methods that use priors."""
 
 
 class SolverNode(Protocol):
@@ -41,14 +45,21 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
     """One robot's part in the method that ``config`` names: start, handle, tick, outcome."""
     if config.robust != "none" and config.method not in ("rbcd", "elected"):
         raise BackendError(f"robust selection ({config.robust}) works with rbcd and elected, not {config.method}")
-    if share.priors and config.method != "elected":
-        raise BackendError(f"priors (GPS) are used by the methods central and elected, not by {config.method}")
+    if (share.priors or share.positions) and config.method not in USE_PRIORS:
+        known = ", ".join(("central", *USE_PRIORS))
+        raise BackendError(f"priors (GPS) are used by the methods {known}, not by {config.method}")
     if share.length_sigma and config.method != "elected":
         raise BackendError(
             f"lengths as unknowns (length_sigma) are known to central and elected, not to {config.method}"
         )
     if share.length_sigma and config.robust != "none":
         raise BackendError(f"lengths as unknowns (length_sigma) do not go with robust selection ({config.robust})")
+    if share.positions and config.method != "elected":
+        return PriorNode(share, config, _plain_node)
+    return _plain_node(share, config)
+
+
+def _plain_node(share: Share, config: SolverConfig) -> SolverNode:
     match config.method:
         case "rbcd":
             return DescentNode(share, config)

@@ -35,6 +35,11 @@ class Places:
         self.poses[rows] = places.poses
         self.log_units[rows] = places.log_units
 
+    def and_also(self, other: Places) -> Places:
+        """These, then the other's."""
+        poses = np.concatenate([self.poses, other.poses])
+        return Places(poses, np.append(self.log_units, other.log_units))
+
     @property
     def known(self) -> NDArray[np.bool_]:
         """Mask ``(n,)`` of those that have a pose."""

@@ -21,7 +21,7 @@ _MANY = 1000
 
 
 class Selection:
-    """``weights`` ``(m,)`` of the robot's edges; odometry always 1."""
+    """``weights`` ``(m,)`` of the robot's edges; of odometry and held priors always 1."""
 
     def __init__(self, problem: LocalProblem, confidence: float, noise: float) -> None:
         """``noise``: how many of the stated standard deviations one true one is."""
@@ -29,7 +29,8 @@ class Selection:
         freedom = problem.width if problem.share.dimension == 3 else problem.width - 3
         self.bound = noise**2 * truncation(confidence, freedom)
         self._worst = noise**2 * chi_square.exceeded((1.0 - confidence) / _MANY, freedom)
-        self.odometry = np.array([e.kind is EdgeKind.ODOMETRY for e in problem.share.edges], dtype=bool)
+        odometry = np.array([e.kind is EdgeKind.ODOMETRY for e in problem.share.edges], dtype=bool)
+        self.odometry = np.append(odometry, problem.outside[len(odometry) :])
         self.weights = np.ones(len(self.odometry))
         self._open = ~self.odometry
         self._mu: float | None = None
@@ -41,6 +42,7 @@ class Selection:
 
     def begin_with(self, candidates: NDArray[np.bool_]) -> None:
         """Judge only ``candidates`` ``(m,)`` at first; what else is judged weighs nothing until :meth:`look_again`."""
+        candidates = np.append(candidates, np.ones(len(self.odometry) - len(candidates), dtype=bool))
         self._open = candidates & ~self.odometry
         self.weights = np.where(candidates | self.odometry, 1.0, 0.0)
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import BackendError
 from ..geometry import Array
 from ..pose_graph.graph import Edge, NodeId, PoseGraph, Prior
+from .held import HeldPriors
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,10 +22,14 @@ class Share:
     own nodes, and every edge it shares with another member, exactly as that member holds it. ``arbitrary_scale``: the
     members whose units are their own (monocular), one for each node, as they drift; the others' are 1 and stay.
     ``members`` and ``arbitrary_scale`` are the same for everyone. ``priors``: of its own nodes, in one frame for all
-    members, whose place is found. ``length_sigma``: deviation of the factor by which all odometry of a metric member
-    may be too long or too short, the same for everyone; 0: of none. The elected solver alone knows it.
+    members, whose place is found; ``positions``: whether any member has priors, the same for everyone; ``held``: priors
+    whose frame has its place already, of every member or of none. ``length_sigma``: deviation of the factor by which
+    all odometry of a metric member may be too long or too short, the same for everyone; 0: of none. The elected solver
+    alone knows it. ``believed``: of each edge, whether an earlier run of robust selection believed it, none: it begins
+    with all.
 
-    The first node of the :attr:`anchor` keeps its pose and unit: the result is in the frame of its poses.
+    The first node of the :attr:`anchor` keeps its pose and unit: the result is in the frame of its poses. Where priors
+    are ``held`` no node is given: these say where all are.
     """
 
     robot: int
@@ -36,6 +41,9 @@ class Share:
     units: Mapping[NodeId, float] = field(default_factory=dict)
     priors: tuple[Prior, ...] = ()
     length_sigma: float = 0.0
+    positions: bool = False
+    held: HeldPriors | None = None
+    believed: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         for prior in self.priors:
@@ -117,7 +125,7 @@ class SolverOutcome:
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
     ``positions``: whether priors of members had a say. ``length``: what its odometry's lengths were found to have to be
     multiplied by. ``capped``: it ended because no more passes are allowed, or
-    because they lead nowhere (methods multifrontal, two-level).
+    because they lead nowhere (methods multifrontal, two-level, rbcd).
     """
 
     robot: int
@@ -156,6 +164,7 @@ def shares(
             arbitrary_scale=arbitrary_scale,
             dimension=graph.dimension,
             priors=tuple(p for p in graph.priors if p.node.robot == robot),
+            positions=bool(graph.priors),
             length_sigma=length_sigma,
         )
         for robot in members

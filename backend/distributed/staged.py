@@ -22,7 +22,7 @@ class StagedNode(Rounds):
         self._config = config
         self._problem = LocalProblem(share)
         self._warm = config.start == "warm"
-        self._reached: NDArray[np.bool_] = np.zeros(len(self._problem.nodes), dtype=bool)
+        self._reached: NDArray[np.bool_] = np.zeros(len(self._problem), dtype=bool)
         self._sweeps = {SolverStage.ROTATION: 0, SolverStage.POSE: 0}
         self._cost_before = 0.0
         self._before = self._problem.places.at(slice(self._problem.own_count))

@@ -20,6 +20,7 @@ from ..errors import BackendError
 from ..geometry import Array, quat_wxyz_from_rotation, so3_log
 from .g2o_fixed import pinned_lines
 from .g2o_ids import Ids, symbol
+from .g2o_landmarks import needs_offset, sighting_lines, vertex_lines
 from .g2o_lines import PLANAR, G2oLine, Remarks, measurement_of, pose_of, read_lines
 from .g2o_sets import SharedEdges, without_the_whole
 from .graph import Edge, EdgeKind, NodeId, PoseGraph, Prior, spread_poses
@@ -36,9 +37,10 @@ def read_g2o(
 
     Lines are rigid: where nodes have units of length of their own, loops and edges between robots say nothing of them.
     Edges that stand in two files of a set count once, also inverted or in other digits; what stands twice in one file
-    counts twice. Nodes without a VERTEX line get their pose from the edges, odometry first. Landmarks are left out. A
-    line that makes no sense raises :class:`BackendError` with its number; where ``skipped`` is given, it is left out
-    and the message is appended there. What else a user should know goes to ``notes``, without them to the log.
+    counts twice. Nodes without a VERTEX line get their pose from the edges, odometry first. Landmarks are kept beside
+    the poses. A line that makes no sense raises :class:`BackendError` with its number; where ``skipped`` is given, it
+    is left out and the message is appended there. What else a user should know goes to ``notes``, without them to the
+    log.
     """
     files = [paths] if isinstance(paths, Path) else list(paths)
     if not files:
@@ -58,7 +60,9 @@ def read_g2o(
     if skipped is not None:
         skipped += map(str, errors)
     graph = reading.graph(files[0])
-    found += remarks.lines() + reading.shared.lines() + reading.conflicts() + reading.without_vertex()
+    landmarks, of_landmarks = remarks.landmarks.landmarks(reading.ids, {line.file for line in lines}, graph)
+    graph = replace(graph, landmarks=landmarks)
+    found += of_landmarks + remarks.lines() + reading.shared.lines() + reading.conflicts() + reading.without_vertex()
     found += pinned_lines({reading.ids.node(*one): one[2] for one in remarks.fixed}, graph)
     if notes is None:
         for note in found:
@@ -187,12 +191,14 @@ def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
         tag = "VERTEX_SE2" if flat else "VERTEX_SE3:QUAT"
         for node, pose in zip(graph.nodes, _pose_texts([graph.poses[n] for n in graph.nodes], flat), strict=True):
             out.write(f"{tag} {_id(node, plain_ids)} {pose}\n")
+        out.writelines(f"{line}\n" for line in vertex_lines(graph, plain_ids))
         tag = "EDGE_SE2" if flat else "EDGE_SE3:QUAT"
         for e, pose in zip(graph.edges, _pose_texts([e.T_i_j for e in graph.edges], flat), strict=True):
             pair = f"{_id(e.i, plain_ids)} {_id(e.j, plain_ids)}"
             out.write(f"{tag} {pair} {pose} {_upper_text(e.information, flat)}\n")
-        if graph.priors and not flat:
+        if (graph.priors or needs_offset(graph)) and not flat:
             out.write("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n")
+        out.writelines(f"{line}\n" for line in sighting_lines(graph, plain_ids))
         tag, which = ("EDGE_PRIOR_SE2", "") if flat else ("EDGE_SE3_PRIOR", "0 ")
         for p, pose in zip(graph.priors, _pose_texts([p.T_O_i for p in graph.priors], flat), strict=True):
             out.write(f"{tag} {_id(p.node, plain_ids)} {which}{pose} {_upper_text(p.information, flat)}\n")

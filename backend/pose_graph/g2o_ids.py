@@ -38,13 +38,13 @@ class Ids:
                 holders.setdefault(ids[0], set()).add(file)
             else:
                 edges.update((file, i) for i in ids)
-        self._own_numbers = _count_from_0(holders)
+        self.own_numbers = _count_from_0(holders)
         self._owner = {i: min(files, key=lambda file: (-edges[file, i], file)) for i, files in holders.items()}
 
     def node(self, file: int, number: int, where: str) -> NodeId:
         """The node that ``number`` means in ``file``; ``where`` for the error message."""
         if not self.symbols:
-            return NodeId(file if self._own_numbers else self._owner.get(number, file), number)
+            return NodeId(file if self.own_numbers else self._owner.get(number, file), number)
         if number >> SYMBOL_SHIFT == 0:
             return NodeId(0, number)
         robot = _letter(number)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import BackendError
 from ..geometry import Array, rotation_from_quat_wxyz, se3, so3_exp
+from .g2o_landmarks import LandmarkLine, LandmarkLines
 
 _IGNORED = ("#", "PARAMS_")
 _NO_OFFSET = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -28,9 +29,6 @@ _FIELDS = {
     "EDGE_SE2": (11, 2, 6),
     "EDGE_PRIOR_SE2": (10, 1, 6),
 }
-# Points, and what was measured of them: pose graphs have none.
-_LANDMARKS = ("VERTEX_XY", "VERTEX_TRACKXYZ", "VERTEX_POINTXYZ")
-_OF_LANDMARKS = re.compile(r"EDGE_(SE2_(POINT)?XY|SE3_(TRACK|POINT)?XYZ|BEARING_SE2_XY|RANGE_SE2_XY|SE3_PROJECT)\w*")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 _ID = re.compile(r"\d{1,20}", re.ASCII)
 _LONGEST = 1e12
@@ -59,8 +57,7 @@ class G2oLine(NamedTuple):
 class Remarks:
     """What a user should know of lines that were read without an error."""
 
-    landmarks: int = 0
-    of_landmarks: int = 0
+    landmarks: LandmarkLines = field(default_factory=LandmarkLines)
     without_information: Counter[str] = field(default_factory=Counter)
     fixed: list[tuple[int, int, str]] = field(default_factory=list)
     """File, id and place of each vertex that a FIX line pins."""
@@ -68,9 +65,6 @@ class Remarks:
     def lines(self) -> list[str]:
         """A sentence for each."""
         out = []
-        if self.landmarks or self.of_landmarks:
-            what = f"{self.landmarks} landmarks and {self.of_landmarks} measurements of them"
-            out.append(f"{what} left out: poses alone are optimised")
         for tag, count in sorted(self.without_information.items()):
             out.append(f"{count} {tag} lines without an information matrix: the identity is taken")
         return out
@@ -85,11 +79,7 @@ def read_lines(file: int, path: Path, errors: list[BackendError], remarks: Remar
                 _check_parameters(where, tag, fields)
             elif tag == "FIX":
                 remarks.fixed += [(file, i, where) for i in _ids(where, fields)]
-            elif tag in _LANDMARKS:
-                remarks.landmarks += 1
-            elif _OF_LANDMARKS.fullmatch(tag):
-                remarks.of_landmarks += 1
-            else:
+            elif not remarks.landmarks.take(LandmarkLine(file, where, tag, tuple(fields))):
                 out.append(_parsed(file, where, tag, fields, remarks))
         except BackendError as error:
             errors.append(error)

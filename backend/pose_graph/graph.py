@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import BackendError
 from ..geometry import Array, is_se3, se3_inverse
+from .edge_arrays import EdgeArrays
+from .landmarks import Landmark
 from .node import NodeId
 
 
@@ -75,8 +76,7 @@ class Prior:
 
     ``T_O_i`` ``(4, 4)`` rigid; ``information`` ``(6, 6)`` as an edge's; ``weight`` in [0, 1] multiplies it. ``lever``
     ``(3,)``: the point of the node's frame whose position was measured (an antenna), in the node's unit; ``bound``:
-    standard deviations beyond which a residual counts less and less, None: never. The elected solver alone knows
-    ``lever`` and ``bound``.
+    standard deviations beyond which a residual counts less and less, None: never.
     """
 
     node: NodeId
@@ -95,32 +95,10 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeArrays:
-    """A graph as arrays: ``poses`` ``(n, 4, 4)``; for each edge ``ends`` ``(m, 2)`` rows into them, ``measured``
-    ``(m, 4, 4)``, weighted ``information`` ``(m, 6, 6)`` and the ``weight`` ``(m,)`` itself.
-
-    Priors are edges from the origin frame, after the others; the origin is then a node of its own: the identity in
-    row ``origin``, the last one, which has no name in ``nodes``.
-    """
-
-    nodes: list[NodeId]
-    poses: Array
-    ends: NDArray[np.intp]
-    measured: Array
-    information: Array
-    weight: Array
-    origin: int | None = None
-
-    def named(self, poses: Array) -> dict[NodeId, Array]:
-        """Rows of ``poses`` by node, the origin left out."""
-        return dict(zip(self.nodes, poses[: len(self.nodes)], strict=True))
-
-
-@dataclass(frozen=True, eq=False)
 class PoseGraph:
     """Poses ``T_O_i`` ``(4, 4)`` by node, edges, and priors (which fix the frame O: without any it is free).
     ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero). ``symbols``: robots are letters of gtsam's
-    symbols in the file that this was read from, also where there is one robot only.
+    symbols in the file that this was read from, also where there is one robot only. ``landmarks``: kept along.
     """
 
     poses: Mapping[NodeId, Array]
@@ -128,6 +106,7 @@ class PoseGraph:
     dimension: int = 3
     priors: tuple[Prior, ...] = ()
     symbols: bool = False
+    landmarks: tuple[Landmark, ...] = ()
 
     def __post_init__(self) -> None:
         for edge in self.edges:
@@ -187,7 +166,9 @@ class PoseGraph:
             u_i, u_j = units.get(e.i, 1.0), units.get(e.j, 1.0)
             stretched, information = _stretched(e.T_i_j, u_i), _of_longer_unit(e.information, u_i)
             edges.append(replace(e, T_i_j=stretched, information=information, scale=e.scale * u_i / u_j))
-        return replace(self, poses={**self.poses, **poses}, edges=tuple(edges))
+        # Their measurements are in the units of the poses that made them.
+        landmarks = self.landmarks if all(unit == 1.0 for unit in units.values()) else ()
+        return replace(self, poses={**self.poses, **poses}, edges=tuple(edges), landmarks=landmarks)
 
     def with_weights(self, weights: Iterable[float]) -> PoseGraph:
         """The same graph with one weight in [0, 1] an edge, in the order of ``edges``."""
@@ -216,7 +197,11 @@ class PoseGraph:
         edges = tuple(e for e in self.edges if robot in (e.i.robot, e.j.robot))
         kept = {n for e in edges for n in (e.i, e.j)} | {n for n in self.poses if n.robot == robot}
         priors = tuple(p for p in self.priors if p.node.robot == robot)
-        return replace(self, poses={n: self.poses[n] for n in sorted(kept)}, edges=edges, priors=priors)
+        own = [n for n in self.poses if n.robot == robot] if self.landmarks else []
+        seen = (mark.seen_by(own, self.poses) for mark in self.landmarks)
+        landmarks = tuple(mark for mark in seen if mark is not None)
+        poses = {n: self.poses[n] for n in sorted(kept)}
+        return replace(self, poses=poses, edges=edges, priors=priors, landmarks=landmarks)
 
     def partitioned(self, robots: int) -> PoseGraph:
         """A graph of one robot cut into ``robots`` blocks of consecutive nodes, equally long (the last may be
@@ -235,7 +220,9 @@ class PoseGraph:
             i, j = new[e.i], new[e.j]
             edges.append(replace(e, i=i, j=j, kind=EdgeKind.SEPARATOR if i.robot != j.robot else e.kind))
         priors = tuple(replace(p, node=new[p.node]) for p in self.priors)
-        return replace(self, poses={new[n]: T for n, T in self.poses.items()}, edges=tuple(edges), priors=priors)
+        landmarks = tuple(mark.renamed(new) for mark in self.landmarks)
+        poses = {new[n]: T for n, T in self.poses.items()}
+        return replace(self, poses=poses, edges=tuple(edges), priors=priors, landmarks=landmarks)
 
     def rescaled(self, scales: Mapping[int, float]) -> PoseGraph:
         """Robots' units of length multiplied out: translations of robot r times ``scales[r]`` (1 where not named).

@@ -11,7 +11,8 @@ from ..central.trust_region import anchors, named_parts
 from ..config import CentralConfig
 from ..errors import BackendError
 from ..geometry import Array, se3_inverse, se3_log
-from ..pose_graph.graph import EdgeArrays, PoseGraph
+from ..pose_graph.edge_arrays import EdgeArrays
+from ..pose_graph.graph import PoseGraph
 from .chains import adjoint
 
 # Edges looked at together, which bounds the memory.

@@ -14,6 +14,7 @@ from maslam.backend.geometry import Array, Sim3, skew, so3_exp, umeyama
 from ..agent import Agent
 from ..config import MasConfig
 from ..sequence import Manifest
+from ..state.positions import knows_positions
 from .ground_truth import groups_of
 from .summary import DatumFigures, GeoreferenceFigures, PositionFigures
 
@@ -81,7 +82,7 @@ def position_figures(
     """For ``summary.json``; None where no agent had positions."""
     if not groups:
         return None
-    used = config.optimisation.solver.method == "elected" and config.optimisation.positions
+    used = knows_positions(config.optimisation)
     return PositionFigures(datum=datum, used=used, groups=[one.figures for one in groups])
 
 

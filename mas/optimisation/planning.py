@@ -79,13 +79,15 @@ def plan(
     arbitrary = tuple(a for a in members if not all(terms[t].metric for t in component if t[0] == a))
     inside = {m: j for m, j in joints.items() if j.match.track in component and j.query.track in component}
     placed = _placements(frame, inside, in_metres)
+    positions = any(terms[t].positions for t in component)
     tasks = {}
     for agent in members:
         tracks = tuple(sorted(t for a, t in component if a == agent))
         mine = tuple(sorted(m for m in inside if agent in m.agents))
         present = tuple(sorted({terms[agent, t].frame for t in tracks} & set(placed)))
         where = pack_sim3s([placed[f] for f in present])
-        tasks[agent] = OptimiseTask(members, frame, frame in in_metres, tracks, mine, present, where, arbitrary)
+        metric = frame in in_metres
+        tasks[agent] = OptimiseTask(members, frame, metric, tracks, mine, present, where, arbitrary, positions)
     return Plan(members, tasks, wrong, frozenset(set(joints) - set(inside)))
 
 

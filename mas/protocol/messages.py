@@ -50,12 +50,14 @@ class Links(msgspec.Struct, frozen=True, array_like=True):
 
 class PieceTerms(msgspec.Struct, frozen=True, array_like=True):
     """A track that its agent would bring into an optimisation, and the coordinates it is in. ``metric``: the agent's
-    unit is the metre; ``frame_metric``: that of the coordinates is, even if the agent's is not."""
+    unit is the metre; ``frame_metric``: that of the coordinates is, even if the agent's is not; ``positions``: its
+    solver has positions measured from outside (GPS) of it."""
 
     track: Index
     frame: FrameId
     metric: bool
     frame_metric: bool
+    positions: bool = False
 
     def __post_init__(self) -> None:
         if self.metric and not self.frame_metric:

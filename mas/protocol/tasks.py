@@ -138,7 +138,7 @@ class OptimiseTask(Counted, frozen=True, array_like=True, tag=3):
 
     The result is in ``frame``; ``metric``: in metres. ``placements`` ``(n, 8)``: how the recipient's ``present``
     coordinates stand in that frame before optimising, ``T_frame_present``. ``arbitrary``: members with one camera,
-    whose key-frames' units of length are looked for, too.
+    whose key-frames' units of length are looked for, too. ``positions``: some member brings positions (GPS).
     """
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.DOPT
@@ -151,6 +151,7 @@ class OptimiseTask(Counted, frozen=True, array_like=True, tag=3):
     present: Annotated[tuple[FrameId, ...], msgspec.Meta(max_length=4096)]
     placements: Tensor
     arbitrary: Members = ()
+    positions: bool = False
 
     def __post_init__(self) -> None:
         check_sim3s("placements", self.placements, len(self.present))

@@ -47,7 +47,10 @@ def terms(state: AgentState, now_ns: int, peer: int | None = None) -> Bid:
         cost_bytes=0,
         ready_ns=now_ns,
         links=_links(state, matches),
-        pieces=tuple(PieceTerms(p.track, p.frame, state.profile.metric, p.metric) for p in state.pieces),
+        pieces=tuple(
+            PieceTerms(p.track, p.frame, state.profile.metric, p.metric, bool(position_priors(state, p.track)))
+            for p in state.pieces
+        ),
         peer_to_peer=peer is not None,
     )
 
@@ -89,7 +92,8 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
             if not state.profile.metric:
                 units[NodeId(state.me, index)] = T_F_present.scale * state.units[index]
         edges += within_fixes(state, odometry_edges(state, track), track)
-        priors += position_priors(state, track)
+        # Of what came since the bid the others know nothing.
+        priors += position_priors(state, track) if task.positions else []
     missing = [m for m in task.matches if m not in state.verified]
     if missing:
         raise UnknownPart(f"a match it does not know: {missing[0]}")
@@ -103,6 +107,7 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         units=units,
         arbitrary_scale=frozenset(task.arbitrary),
         priors=tuple(priors),
+        positions=task.positions,
         length_sigma=solver.length_sigma if solver.method == "elected" and solver.robust == "none" else 0.0,
     )
 

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from maslam.backend.distributed.methods import USE_PRIORS
 from maslam.backend.geometry import Array, se3
 from maslam.backend.pose_graph.graph import Edge, NodeId, Prior
 
+from ..config import OptimisationConfig
 from .agent_state import AgentState, stretched
 
 # Fewer positions do not tell odometry's length.
@@ -19,17 +21,38 @@ _LENGTH_PRIOR, _QUARTERS = 0.02, 3
 _MOST_LENGTH, _SETTLED_LENGTH, _LENGTH_CHANGES = 0.06, 0.001, 30
 
 
+def knows_positions(config: OptimisationConfig) -> bool:
+    """Whether the solver that is set uses positions."""
+    return config.solver.method in USE_PRIORS and config.positions
+
+
+def not_used(config: OptimisationConfig, with_positions: bool) -> list[str]:
+    """What the solver that is set leaves aside of what was asked for, in a sentence each; ``with_positions``: of which
+    agents have any."""
+    solver, out = config.solver, []
+    if with_positions and solver.method not in USE_PRIORS:
+        known = ", ".join(USE_PRIORS)
+        out.append(
+            f"positions (GPS) are not used: method {solver.method} knows none; optimisation.solver.method {known} do"
+        )
+    if solver.length_sigma > 0 and (solver.method != "elected" or solver.robust != "none"):
+        beside = "" if solver.robust == "none" else f" with robust {solver.robust}"
+        out.append(
+            "optimisation.solver.length_sigma is not used: lengths of odometry are found by method elected without "
+            f"robust selection, not by {solver.method}{beside}"
+        )
+    return out
+
+
 def uses_positions(state: AgentState) -> bool:
     """Whether the agent has enough positions for its solver to use."""
-    config = state.config.optimisation
-    usable = config.solver.method == "elected" and config.positions
-    return usable and sum(len(k.fixes) for k in state.keyframes) >= _LEAST_FIXES
+    return knows_positions(state.config.optimisation) and sum(len(k.fixes) for k in state.keyframes) >= _LEAST_FIXES
 
 
 def position_priors(state: AgentState, track: int) -> list[Prior]:
     """The fixes of a track's key-frames, where the solver knows what to do with them."""
     config = state.config.optimisation
-    if config.solver.method != "elected" or not config.positions:
+    if not knows_positions(config):
         return []
     return [
         Prior(

@@ -247,7 +247,7 @@ def test_fix_beside_priors_is_said(ring, tmp_path):
     assert "FIX of 0:0 is not held: priors say where the graph lies" in note
 
 
-def test_landmarks_are_left_out_and_a_missing_matrix_is_the_identity_and_both_are_said(ring, tmp_path, capsys):
+def test_landmarks_are_kept_beside_and_a_missing_matrix_is_the_identity_and_both_are_said(ring, tmp_path, capsys):
     truth, edges = ring
     bare = [edge(i, j, T, weights="").strip() for i, j, T in edges]
     points = ["VERTEX_TRACKXYZ 100 1 2 3", "EDGE_SE3_TRACKXYZ 0 100 0 1 2 3 1 0 0 1 0 1"]
@@ -258,7 +258,7 @@ def test_landmarks_are_left_out_and_a_missing_matrix_is_the_identity_and_both_ar
     assert lowest(path) == pytest.approx(lowest(whole), rel=1e-12)
     assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o")]) == 0
     said = capsys.readouterr().out
-    assert "1 landmarks and 1 measurements of them left out" in said
+    assert "1 landmarks and 1 measurements of them are kept beside the poses" in said
     assert "15 EDGE_SE3:QUAT lines without an information matrix: the identity is taken" in said
     flat = tmp_path / "flat.g2o"
     flat.write_text(

@@ -14,7 +14,6 @@ from maslam.backend.distributed.condense import OwnGraph
 from maslam.backend.distributed.contribution import contribution, decode, encode
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.share import shares
-from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3, se3_exp, se3_inverse, so3_exp
 from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior
 
@@ -169,12 +168,3 @@ def test_priors_travel_and_are_counted() -> None:
     without = shares(replace(graph, priors=()))[0]
     alone = encode(contribution(without, OwnGraph(without), 0, 1, 10.0))
     assert 20 * 30 < len(data) - len(alone) < 20 * 60
-
-
-@pytest.mark.parametrize("method", ["dgs", "rbcd", "rbcd-async", "sor"])
-def test_the_other_methods_refuse_priors(method: str) -> None:
-    truth = path(3)[:10]
-    poses, edges = odometry(0, truth)
-    graph = PoseGraph(poses, tuple(edges), priors=tuple(fixes(0, truth)))
-    with pytest.raises(BackendError, match=r"priors .* not by"):
-        optimise_distributed(graph, SolverConfig(method=method))  # type: ignore[arg-type]

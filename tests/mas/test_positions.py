@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from factory import DIM, MODEL, SHA256, World, _track, manifest_of
 
+from maslam._replaced import replaced
+from maslam.backend.config import SolverConfig
 from maslam.backend.geometry import rotation_angle_deg, se3, se3_inverse, so3_exp, transform_points
 from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.files.geodesy import enu_of
@@ -19,6 +22,7 @@ from maslam.mas.evaluation.summary import Summary
 from maslam.mas.policies.presets import preset
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import run
+from maslam.mas.state.positions import not_used
 from maslam.tools.report.summary_table import table_of
 
 STEP_M, COUNT, SIGMA_M, ANTENNA = 5.0, 400, 2.0, np.array([0.5, -1.5, -0.4])
@@ -156,6 +160,33 @@ def test_an_agent_without_positions_gains_by_its_matches(tmp_path: Path) -> None
     assert summary.positions is not None and summary.positions.datum is not None
     assert summary.positions.datum.altitude_m == 500.0
     assert max(a / b for a, b in zip(summary.ate_rmse_m.agents, before, strict=True)) < 0.1
+
+
+def test_without_an_elected_agent_too_positions_bend_who_has_none(tmp_path: Path) -> None:
+    team = [sequence(0, 0.02, True, 1), sequence(1, 0.015, False, 2)]
+    before = [from_start_m(one.tracks[0].poses) for one in team]
+    summary = played(team, tmp_path / "run", solver=SolverConfig(method="multifrontal", start="warm"))
+    assert summary.positions is not None and summary.positions.used
+    assert max(a / b for a, b in zip(summary.ate_rmse_m.agents, before, strict=True)) < 0.1
+    for name in ("agent_00", "agent_01"):
+        assert_on_earth(tmp_path / "run" / name)
+
+
+def test_what_the_solver_leaves_aside_is_said(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    alone = sequence(0, 0.02, True, 1)
+    solver = SolverConfig(method="dgs", length_sigma=0.01)
+    config = preset("maslam")
+    settings = config.optimisation.model_copy(update={"solver": solver})
+    assert not not_used(config.optimisation, True)
+    positions, lengths = not_used(settings, True)
+    assert "positions (GPS) are not used: method dgs" in positions and "two-level" in positions
+    assert "length_sigma is not used" in lengths and "method elected" in lengths
+    assert not_used(settings, False) == [lengths]
+    robust = config.optimisation.model_copy(update={"solver": replaced(config.optimisation.solver, robust="gnc")})
+    assert "with robust gnc" in not_used(robust, True)[0]
+    with caplog.at_level(logging.WARNING):
+        played([alone], tmp_path / "run", solver=solver)
+    assert positions in caplog.text and lengths in caplog.text
 
 
 def test_a_frame_is_laid_on_positions_whatever_its_unit() -> None:

@@ -235,7 +235,12 @@ def optimise_graph(
         rejected_edges=len(found.rejected),
         unreached_poses=found.unreached_poses,
         rejected=found.rejected,
-        warnings=[*notes, *look_at(graph).lines(), *([] if proof[0] else caps_reached(request, found))],
+        warnings=[
+            *notes,
+            *look_at(graph).lines(),
+            *_without_landmarks(graph, solved),
+            *([] if proof[0] else caps_reached(request, found)),
+        ],
         refused=None if _nothing_to_do(found, *proof) else found.refused,
         updates=found.updates,
         monocular=sorted(request.monocular),
@@ -245,6 +250,12 @@ def optimise_graph(
     if not all(map(math.isfinite, report.cost.values())):
         raise ToolError("the optimised graph's cost is not finite")
     return solved, report, found.units
+
+
+def _without_landmarks(graph: PoseGraph, solved: PoseGraph) -> list[str]:
+    """A sentence where landmarks that were read are not written."""
+    lost = bool(graph.landmarks) and not solved.landmarks
+    return ["landmarks are left out of the result: they are measured in units of the poses that see them"] * lost
 
 
 def _nothing_to_do(found: Solution, certified: bool | None, gap: float | None) -> bool:

@@ -149,11 +149,11 @@ def caps_reached(request: Request, found: Solution) -> list[str]:
         if found.iterations >= request.central.iterations:
             cap = (request.central.iterations, "iterations", "--central.iterations")
     elif request.method in ("rbcd", "rbcd-async"):
-        if (found.pose_sweeps or 0) >= solver.descent_sweeps:
+        if found.capped:
             cap = (solver.descent_sweeps, "sweeps", "--solver.descent-sweeps")
     elif request.method in TWO_STAGE and (found.pose_sweeps or 0) >= solver.pose_sweeps * solver.newton_steps:
         cap = (solver.pose_sweeps, "sweeps of a step", "--solver.pose-sweeps")
-    if found.capped:
+    if found.capped and cap is None:
         return [
             "it stopped on the way, at the most passes allowed or where they lead nowhere: the cost may still fall; "
             "elected ends at the optimum"

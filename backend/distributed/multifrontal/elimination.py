@@ -108,7 +108,7 @@ class Elimination:
         return np.asarray(self._factor.solve(rest)).reshape(inner.shape)
 
     def _flat(self, values: Array) -> Array:
-        return values.reshape(len(values) * self._width, -1)
+        return values.reshape(len(values) * self._width, values.shape[2])
 
 
 def _joined(parts: Sequence[NDArray[np.generic]], kind: type) -> NDArray[np.generic]:

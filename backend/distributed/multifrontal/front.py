@@ -12,18 +12,19 @@ from ...central.similarity_edges import SimilarityEdges, edges_of
 from ...components import parts
 from ...errors import BackendError
 from ...pose_graph.graph import Edge, NodeId
+from ..held import HeldPriors
 from ..places import Places
 from ..share import Share
+from .boundary import Boundary
 from .ordering import smallest_cover
-from .reports import Boundary
 
 
 class Front:
-    """``nodes``: own ones first, then guests; rows count in these.
+    """``nodes``: own ones first, then guests; rows count in these, then in the places of held priors, which stay.
 
     ``edges``: those that this robot answers for. Rows that are eliminated here (``inner``), passed on (``outer``), or
     passed on by robots before (``brought``); ``shared`` ``(n,)``: rows of which others need to know.
-    ``reached`` ``(n,)``: rows that are, or may yet be, tied to the anchor.
+    ``reached`` ``(n,)``: rows that are, or may yet be, tied to the anchor; ``last``: whether this robot is it.
     """
 
     def __init__(self, share: Share, order: Sequence[int], below: Mapping[int, Boundary]) -> None:
@@ -43,17 +44,22 @@ class Front:
         ends = [(self.row[e.i], self.row[e.j]) for e, m in zip(usable, mine, strict=True) if m]
         self.edges = _placed(arrays.only(mine), ends)
         self.fixed = np.array([n.robot not in share.arbitrary_scale for n in self.nodes], dtype=bool)
-        self.given = self.row[own[0]] if me == order[-1] else None
+        self.last = me == order[-1]
+        self._held = share.held
+        self.given = np.array([self.row[own[0]]] if self.last and share.held is None else [], dtype=np.intp)
+        if share.held is not None:
+            self._hold(share.held, self.places(share), share.scaled)
         touching = self._touching(usable, me, rank, pushed, below)
-        outer = sorted((n, k) for k, n in enumerate(self.nodes) if touching[k])
+        outer = sorted((n, k) for n, k in self.row.items() if touching[k])
         self.outer = np.array([k for _, k in outer], dtype=np.intp)
         self.brought = {
             robot: np.array([self.row[n] for n in b.nodes], dtype=np.intp) for robot, b in sorted(below.items())
         }
-        self.shared = np.zeros(len(self.nodes), dtype=bool)
+        self.shared = np.zeros(len(self), dtype=bool)
         for rows in self.brought.values():
             self.shared[rows] = True
         self.label = self._parts(below)
+        self.grounded = self._grounded(below)
         seen: dict[int, int] = dict.fromkeys(
             (n.robot for e in usable for n in (e.i, e.j) if rank[n.robot] > rank[me]), 1
         )
@@ -61,27 +67,31 @@ class Front:
             for robot, count in b.below.items():
                 if robot != me:
                     seen[robot] = seen.get(robot, 0) + count
+        labels, renamed = np.unique(self.label[self.outer], return_inverse=True)
         self.boundary = Boundary(
             tuple(self.nodes[k] for k in self.outer),
             tuple(frozenset(touching[k]) for k in self.outer),
-            np.unique(self.label[self.outer], return_inverse=True)[1].astype(np.intp),
+            renamed.astype(np.intp),
             seen,
             1 + sum(b.robots for b in below.values()),
+            frozenset(k for k, label in enumerate(labels.tolist()) if label in self.grounded),
         )
         later = {robot for t in touching for robot in t}
-        self.next_robot = None if self.given is not None else min(later, key=lambda r: rank[r], default=order[-1])
-        self.reached = np.ones(len(self.nodes), dtype=bool)
-        self._lose(self._ends_here())
+        self.next_robot = None if self.last else min(later, key=lambda r: rank[r], default=order[-1])
+        self.reached = np.ones(len(self), dtype=bool)
+        if share.held is None:
+            self._lose(self._ends_here())
 
     @property
     def inner(self) -> NDArray[np.intp]:
-        """Rows that are eliminated here: tied to the rest, and not given."""
-        return np.setdiff1d(np.flatnonzero(self.reached), [*self.outer, *([] if self.given is None else [self.given])])
+        """Rows that are eliminated here: tied to the rest, and neither given nor of held priors."""
+        rows = np.flatnonzero(self.reached[: len(self.nodes)])
+        return np.setdiff1d(rows, [*self.outer, *self.given])
 
     @property
     def held(self) -> NDArray[np.intp]:
         """Rows that others find, or that are given."""
-        rows = self.outer if self.given is None else np.array([self.given], dtype=np.intp)
+        rows = self.given if self.last else self.outer
         return rows[self.reached[rows]]
 
     def usable_edges(self) -> SimilarityEdges:
@@ -93,19 +103,35 @@ class Front:
         self._lose(np.unique(self.label[rows]))
 
     def places(self, share: Share) -> Places:
-        """Own poses where they are; guests unknown."""
+        """Own poses where they are, and held priors; guests unknown."""
         out = Places(np.full((len(self.nodes), 4, 4), np.nan), np.zeros(len(self.nodes)))
         own = self.nodes[: self.own_count]
         out.poses[: self.own_count] = [share.poses[n] for n in own]
         out.log_units[: self.own_count] = share.log_units(own)
-        return out
+        return out if self._held is None else out.and_also(self._held.places)
+
+    def __len__(self) -> int:
+        """Number of rows: of nodes, then of held priors."""
+        return len(self.fixed)
+
+    def _grounded(self, below: Mapping[int, Boundary]) -> frozenset[int]:
+        """Labels of parts that priors hold, held here or by robots before."""
+        rows = [np.arange(len(self.nodes), len(self))]
+        for robot, b in below.items():
+            rows.append(self.brought[robot][np.isin(b.label, sorted(b.grounded))])
+        return frozenset(self.label[np.concatenate(rows).astype(np.intp)].tolist())
+
+    def _hold(self, held: HeldPriors, places: Places, scaled: bool) -> None:
+        rows = np.array([self.row[n] for n in held.priors.nodes], dtype=np.intp)
+        self.edges = self.edges.and_also(held.edges(rows, len(self.nodes), places.at(rows), scaled))
+        self.fixed = np.append(self.fixed, np.ones(len(held), dtype=bool))
 
     def _lose(self, labels: NDArray[np.intp]) -> None:
         self.reached &= ~np.isin(self.label, labels)
 
     def _ends_here(self) -> NDArray[np.intp]:
         """Parts that nothing ties to poses that are passed on, nor to the anchor."""
-        kept = self.label[self.outer if self.given is None else [self.given]]
+        kept = self.label[self.given if self.last else self.outer]
         return np.setdiff1d(self.label, kept)
 
     def _touching(
@@ -117,7 +143,7 @@ class Front:
         below: Mapping[int, Boundary],
     ) -> list[set[int]]:
         """For each row the robots to come that have edges with it."""
-        out: list[set[int]] = [set() for _ in self.nodes]
+        out: list[set[int]] = [set() for _ in range(len(self))]
         for b in below.values():
             for node, robots in zip(b.nodes, b.touching, strict=True):
                 out[self.row[node]] |= robots
@@ -141,7 +167,7 @@ class Front:
             first = np.unique(b.label, return_index=True)[1]
             head = dict(zip(b.label[first].tolist(), rows[first].tolist(), strict=True))
             ends.append(np.array([(head[k], row) for k, row in zip(b.label.tolist(), rows.tolist(), strict=True)]))
-        return parts(np.concatenate([e.reshape(-1, 2) for e in ends]).astype(np.intp), len(self.nodes))
+        return parts(np.concatenate([e.reshape(-1, 2) for e in ends]).astype(np.intp), len(self))
 
 
 def neighbours_by_edges(share: Share) -> dict[int, int]:

@@ -17,18 +17,19 @@ from ...config import SolverConfig
 from ...errors import BackendError
 from ...geometry import Array
 from ...pose_graph.graph import NodeId
-from ..compact import CompactReader, CompactWriter, numbers_of
-from ..local import LocalProblem
+from ..compact import numbers_of
 from ..share import Share, SolverOutcome
 from .agreement import read_order, read_pairs, write_order, write_pairs
+from .boundary import Boundary, complete
 from .equations import Matrices, StepFrom, Unknowns, shape_of
 from .front import Front, neighbours_by_edges
 from .frontal_messages import FrontalKind, FrontalMessage
 from .ordering import elimination_order
 from .passes import Passes
-from .reports import Boundary, Step, Sums, Update
-from .results import cost_aside, finished, refused
+from .reports import Step, Sums, Update
+from .results import finished, refused
 from .schedule import Schedule
+from .starting import StartingPoses
 
 # Whole steps that are one standard deviation of the residuals: what their rounding costs is 1e-7 of F.
 _FINENESS = 2048.0
@@ -53,7 +54,7 @@ class FrontalNode:
         self._problem, self._number = self._schedule.first, 0
         self._matrices = Matrices.OLD if self._warm else Matrices.GAUSS_NEWTON
         self._neighbours = neighbours_by_edges(share)
-        self._local = LocalProblem(share)
+        self._starting = StartingPoses(share, self._warm)
         rank = share.members.index(share.robot)
         self._parent = share.members[(rank - 1) // 2] if rank else None
         self._children = [share.members[c] for c in (2 * rank + 1, 2 * rank + 2) if c < len(share.members)]
@@ -70,10 +71,7 @@ class FrontalNode:
 
     def start(self) -> list[FrontalMessage]:
         """Return the first messages."""
-        out = []
-        if not self._warm:
-            lower = [n for n in self.share.neighbours if n < self.share.robot]
-            out = [self._send(FrontalKind.START, 0, n, self._start_for(n)) for n in lower]
+        out = [self._send(FrontalKind.START, 0, n, body) for n, body in self._starting.bodies().items()]
         return [*out, *self._advance()]
 
     def handle(self, message: FrontalMessage) -> list[FrontalMessage]:
@@ -101,7 +99,7 @@ class FrontalNode:
         if self.outcome is not None:
             return []
         me = self.share.robot
-        missing = [r for r in self._starting() if r not in self._inbox.get((FrontalKind.START, 0), {})]
+        missing = [r for r in self._starting.awaited if r not in self._inbox.get((FrontalKind.START, 0), {})]
         asked = [(FrontalKind.START, 0, r) for r in missing if self._number == 0]
         if self._order is None:
             if (FrontalKind.PAIRS, 0, self._parent) in self._said and self._parent is not None:
@@ -170,18 +168,15 @@ class FrontalNode:
 
     # -- up ----------------------------------------------------------------------------------------------------------
 
-    def _starting(self) -> list[int]:
-        """Neighbours whose poses are needed to know the cost before."""
-        return [] if self._warm else [n for n in self.share.neighbours if n > self.share.robot]
-
     def _try_up(self) -> list[FrontalMessage] | None:
         assert self._order is not None
         given = self._inbox.get((FrontalKind.UPDATE, self._number), {})
         if self._passes is None:
-            if any(r not in self._inbox.get((FrontalKind.START, 0), {}) for r in self._starting()):
+            if any(r not in self._inbox.get((FrontalKind.START, 0), {}) for r in self._starting.awaited):
                 return None
             below = {r: self._decode(r, body) for r, body in sorted(given.items())}
-            if not self._complete(below):
+            boundaries = [u.boundary for u in below.values() if u.boundary is not None]
+            if not complete(self.share.robot, self._order, self._neighbours, boundaries):
                 return None
             self._begin(below)
         else:
@@ -194,23 +189,13 @@ class FrontalNode:
         carried = None if self._passes is None else self._passes.carried_of(robot, self._problem)
         return Update.decode(body, self._problem, carried, self._matrices is not Matrices.OLD, self.share.scaled)
 
-    def _complete(self, below: dict[int, Update]) -> bool:
-        """Whether every robot before this one that shares edges with it is among those that what came is about."""
-        assert self._order is not None
-        me, rank = self.share.robot, {robot: k for k, robot in enumerate(self._order)}
-        boundaries = [u.boundary for u in below.values() if u.boundary is not None]
-        if me == self._order[-1]:
-            return 1 + sum(b.robots for b in boundaries) == len(self.share.members)
-        return sum(b.below.get(me, 0) for b in boundaries) == sum(rank[r] < rank[me] for r in self._neighbours)
-
     def _begin(self, below: dict[int, Update]) -> None:
         assert self._order is not None
         self._below = {r: u.boundary for r, u in below.items() if u.boundary is not None}
         front = Front(self.share, self._order, self._below)
         self._passes = Passes(self.share, front, self._below, self._warm, self._depth)
-        if not self._warm:
-            for neighbour in self._starting():
-                self._take_start(neighbour, self._inbox[FrontalKind.START, 0][neighbour])
+        for neighbour in self._starting.awaited:
+            self._starting.take(neighbour, self._inbox[FrontalKind.START, 0][neighbour])
 
     def _go_up(self, below: dict[int, Update]) -> list[FrontalMessage]:
         assert self._passes is not None
@@ -223,7 +208,7 @@ class FrontalNode:
             places = passes.sent_places(places)
         hessian, b, sums = passes.up(self._problem, below, self._matrices)
         if self._number == 0 and not self._warm:
-            sums = Sums(self._local.cost())
+            sums = Sums(self._starting.cost())
         elif self._problem is Unknowns.POSE:
             sums = replace(sums, cost=sums.cost + self._aside)
         # What comes back is about as much as right-hand sides are.
@@ -293,7 +278,7 @@ class FrontalNode:
         else:
             passes.go_to_best()
         if moves and self._number == 0:
-            self._aside = cost_aside(self._local, passes.front)
+            self._aside = self._starting.cost_aside(passes.front)
         out = []
         for robot in sorted(self._below):
             passed = step
@@ -311,15 +296,3 @@ class FrontalNode:
             self._problem, self._matrices = step.next_problem, step.matrices
             self._number, self._went_up = self._number + 1, False
         return out
-
-    # -- poses as they are -------------------------------------------------------------------------------------------
-
-    def _start_for(self, neighbour: int) -> bytes:
-        out = CompactWriter()
-        out.array(self._local.separator_places(neighbour), "<f4")
-        return out.bytes()
-
-    def _take_start(self, neighbour: int, body: bytes) -> None:
-        rows = len(self._local.received_rows[neighbour])
-        values = CompactReader(body).array(rows * self._local.width, "<f4")
-        self._local.receive_places(neighbour, values.reshape(rows, -1))

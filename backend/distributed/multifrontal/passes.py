@@ -11,11 +11,12 @@ from ...geometry import Array
 from ...pose_graph.graph import NodeId
 from ..places import moved
 from ..share import Share
+from .boundary import Boundary
 from .elimination import Elimination
 from .equations import Equations, Matrices, Unknowns, put_solution, shape_of, solution_at
 from .front import Front
 from .memory import Memory
-from .reports import Boundary, Step, Sums, Update, put_sent, sent
+from .reports import Step, Sums, Update, put_sent, sent
 from .shared_poses import LocalCoordinates
 
 # Share of Gauss-Newton's step that is taken from a mix.
@@ -37,6 +38,7 @@ class Passes:
         self._b = np.zeros((0, 0, 0))
         self._brought = front.brought
         self._labels = {robot: b.label for robot, b in below.items()}
+        self._grounded = {robot: b.grounded for robot, b in below.items()}
         self._before, self._moves, self._part = self.places, np.zeros((0, 0)), 1.0
         self._memory, self._best = Memory(depth), self.places
 
@@ -48,7 +50,7 @@ class Passes:
         rows = front.held if robot is None else self._brought[robot]
         if problem is not Unknowns.POSE:
             return np.ones(len(rows) * shape_of(problem, self._scaled)[0], dtype=bool)
-        return self._coordinates(rows, front.label[rows] if robot is None else self._labels[robot]).carried
+        return self._coordinates(rows, robot).carried
 
     def up(
         self, problem: Unknowns, below: Mapping[int, Update], matrices: Matrices
@@ -60,7 +62,7 @@ class Passes:
         front, equations = self.front, self._equations
         fresh = matrices is not Matrices.OLD
         width, columns = shape_of(problem, self._scaled)
-        own = equations.right_hand_sides(problem, self.places, len(front.nodes))
+        own = equations.right_hand_sides(problem, self.places, len(front))
         b = own.copy()
         blocks = [(equations.edges.ends, equations.blocks(problem, self.places)[0])] if fresh else []
         for robot, update in sorted(below.items()):
@@ -76,8 +78,8 @@ class Passes:
         self._b = b
         outer, gain = self._elimination.pushed(b)
         left, flat = self._elimination.left, outer.reshape(-1, columns)
-        if problem is Unknowns.POSE and front.given is None:
-            coordinates = self._coordinates(front.held, front.label[front.held])
+        if problem is Unknowns.POSE and not front.last:
+            coordinates = self._coordinates(front.held, None)
             left, local = coordinates.local(left, flat[:, 0])
             flat = local[:, None]
         edges = equations.edges
@@ -92,7 +94,7 @@ class Passes:
         return (left if fresh else None), flat, Sums(cost, gain, *largest, freedom, products=products)
 
     def _eliminate(self, matrices: Matrices, blocks: list[tuple[NDArray[np.intp], Array]], width: int) -> Elimination:
-        front, n = self.front, len(self.front.nodes)
+        front, n = self.front, len(self.front)
         if matrices is Matrices.EXACT and not self._scaled:
             ends, hessian = blocks[0]
             exact = hessian + self._equations.curvature(self.places)
@@ -104,13 +106,16 @@ class Passes:
     def _whole(self, problem: Unknowns, robot: int, update: Update) -> tuple[Array | None, Array]:
         if problem is not Unknowns.POSE:
             return update.hessian, update.b
-        coordinates = self._coordinates(self._brought[robot], self._labels[robot])
+        coordinates = self._coordinates(self._brought[robot], robot)
         hessian = None if update.hessian is None else coordinates.matrix(update.hessian)
         return hessian, coordinates.vector(update.b[:, 0])
 
-    def _coordinates(self, rows: NDArray[np.intp], label: NDArray[np.intp]) -> LocalCoordinates:
-        width = shape_of(Unknowns.POSE, self._scaled)[0]
-        return LocalCoordinates(self.places.at(rows), label, width, self.front.fixed[rows])
+    def _coordinates(self, rows: NDArray[np.intp], robot: int | None) -> LocalCoordinates:
+        """Of a robot before this one, or (None) of what this one passes on."""
+        width, front = shape_of(Unknowns.POSE, self._scaled)[0], self.front
+        label = front.label[rows] if robot is None else self._labels[robot]
+        grounded = front.grounded if robot is None else self._grounded[robot]
+        return LocalCoordinates(self.places.at(rows), label, width, front.fixed[rows], grounded)
 
     # -- down --------------------------------------------------------------------------------------------------------
 
@@ -119,17 +124,17 @@ class Passes:
         whole steps where poses move."""
         front = self.front
         held = front.held
-        if front.given is None:
+        if not front.last:
             front.lose(held[~step.known])
             self._equations = Equations(front.usable_edges(), front.fixed, self._scaled)
         if problem is Unknowns.POSE:
             return self._move(held, step)
-        known = held if front.given is not None else held[step.known]
-        if front.given is None:
+        known = held if front.last else held[step.known]
+        if not front.last:
             put_sent(problem, self.places, known, step.numbers)
         if problem is not Unknowns.KNOWN:
             self._find(problem, held)
-        return sent(problem, self.places, np.arange(len(front.nodes)))
+        return sent(problem, self.places, np.arange(len(front)))
 
     def _find(self, problem: Unknowns, held: NDArray[np.intp]) -> None:
         assert self._elimination is not None
@@ -148,8 +153,8 @@ class Passes:
         front = self.front
         width = shape_of(Unknowns.POSE, self._scaled)[0]
         sizes = np.repeat([step.grid[0], step.grid[1]], (3, width - 3))
-        steps, moves = np.zeros((len(front.nodes), width)), np.zeros((len(front.nodes), width))
-        if front.given is None:
+        steps, moves = np.zeros((len(front), width)), np.zeros((len(front), width))
+        if not front.last:
             steps[held] = step.numbers
             moves[held] = step.numbers * sizes
         rows = self._elimination.rows

@@ -13,63 +13,9 @@ from ...geometry import Array
 from ...pose_graph.graph import NodeId
 from ..compact import CompactReader, CompactWriter, numbers_of, poses_of
 from ..places import Places
+from .boundary import Boundary, bounded
 from .equations import Matrices, StepFrom, Unknowns, shape_of
 from .shared_poses import read_function, write_function
-
-_MOST = 1 << 20
-
-
-@dataclass(frozen=True, eq=False)
-class Boundary:
-    """Poses that a robot does not eliminate, sorted, and what those who do must know.
-
-    ``touching``: of each, the robots that still have edges with it. ``label`` ``(k,)``: equal for those that are joined
-    by what is eliminated. ``robots``: how many are eliminated so far; ``below``: with how many of these each robot to
-    come shares edges.
-    """
-
-    nodes: tuple[NodeId, ...]
-    touching: tuple[frozenset[int], ...]
-    label: NDArray[np.intp]
-    below: Mapping[int, int]
-    robots: int
-
-    def write(self, out: CompactWriter) -> None:
-        """Its bytes."""
-        out.count(self.robots)
-        out.count(len(self.nodes))
-        robot = index = 0
-        for node, touching, label in zip(self.nodes, self.touching, self.label.tolist(), strict=True):
-            index = index if node.robot == robot else 0
-            out.signed(node.robot - robot)
-            out.signed(node.index - index)
-            robot, index = node.robot, node.index
-            out.count(label)
-            out.count(len(touching))
-            for other in sorted(touching):
-                out.count(other)
-        out.count(len(self.below))
-        for other, count in sorted(self.below.items()):
-            out.count(other)
-            out.count(count)
-
-    @classmethod
-    def read(cls, source: CompactReader) -> Boundary:
-        """Inverse of :meth:`write`."""
-        robots = source.count()
-        nodes, touching, label = [], [], []
-        robot = index = 0
-        for _ in range(_bounded(source.count())):
-            other = robot + source.signed()
-            index = source.signed() + (index if other == robot else 0)
-            robot = other
-            nodes.append(NodeId(robot, index))
-            label.append(_bounded(source.count()))
-            touching.append(frozenset(source.count() for _ in range(_bounded(source.count()))))
-        pairs = [(source.count(), source.count()) for _ in range(_bounded(source.count()))]
-        if nodes != sorted(set(nodes)):
-            raise BackendError("an eliminating robot sent its poses twice or in disorder")
-        return cls(tuple(nodes), tuple(touching), np.array(label, dtype=np.intp), dict(pairs), robots)
 
 
 @dataclass(frozen=True)
@@ -116,7 +62,7 @@ class Sums:
         """Inverse of :meth:`write`."""
         numbers = (source.number(), source.rough(), source.rough(), source.rough())
         counts = (source.signed(), source.count(), source.count())
-        return cls(*numbers, *counts, tuple(source.array(_bounded(source.count()), "<f8").tolist()))
+        return cls(*numbers, *counts, tuple(source.array(bounded(source.count()), "<f8").tolist()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +106,7 @@ class Update:
         boundary, places = None, {}
         if carried is None:
             boundary = Boundary.read(source)
-            for _ in range(_bounded(source.count())):
+            for _ in range(bounded(source.count())):
                 node = NodeId(source.count(), source.count())
                 places[node] = source.array(7, "<f8")
             carried = np.ones(len(boundary.nodes) * width, dtype=bool)
@@ -235,14 +181,14 @@ class Step:
         known = np.ones(count, dtype=bool)
         numbers, grid, weights = np.zeros((0, 0)), (1.0, 1.0), np.zeros(0)
         if next_problem is not None and place.moves:
-            lost = [source.count() for _ in range(_bounded(source.count()))]
+            lost = [source.count() for _ in range(bounded(source.count()))]
             if any(k >= count for k in lost):
                 raise BackendError("an eliminating robot was sent a pose that it does not share")
             known[lost] = False
             width = columns_of(problem, scaled)
             if problem is Unknowns.POSE:
                 grid = (source.rough(), source.rough())
-                weights = source.array(_bounded(source.count()), "<f4")
+                weights = source.array(bounded(source.count()), "<f4")
                 numbers = np.array(source.steps(int(known.sum()) * width), dtype=np.float64).reshape(-1, width)
             else:
                 numbers = source.array(int(known.sum()) * width, "<f8" if problem is Unknowns.KNOWN else "<f4")
@@ -296,9 +242,3 @@ def put_sent(problem: Unknowns, places: Places, rows: NDArray[np.intp], numbers:
 def _whole(source: CompactReader) -> None:
     if not source.empty:
         raise BackendError("a message of an eliminating robot is longer than what it says")
-
-
-def _bounded(count: int) -> int:
-    if count > _MOST:
-        raise BackendError(f"a message says that it has {count} parts")
-    return count

@@ -6,10 +6,8 @@ import numpy as np
 
 from ...geometry import Array
 from ..compact import poses_of
-from ..local import LocalProblem
 from ..places import Places
 from ..share import Share, SolverOutcome
-from .front import Front
 from .passes import Passes
 from .reports import Step
 
@@ -58,15 +56,6 @@ def refused(share: Share, megabytes: float, most: float) -> SolverOutcome:
         pose_sweeps=0,
         unreached=(),
     )
-
-
-def cost_aside(local: LocalProblem, front: Front) -> float:
-    """F over the edges of poses that are not tied to the anchor, which stay: what this robot counts of it."""
-    lost = np.zeros(len(local.nodes), dtype=bool)
-    lost[: local.own_count] = ~front.reached[: front.own_count]
-    aside = local.counted & lost[local.edges.ends].any(axis=1)
-    costs = local.edges.only(aside).costs(local.places.poses, local.places.log_units)
-    return float(costs[np.isfinite(costs)].sum())
 
 
 def _carried(places: Places, origin: Array) -> Places:

@@ -85,9 +85,10 @@ class Schedule:
         near = sums.gain <= self._tolerance * sums.cost and sums.cost <= self.best * (1.0 + self._tolerance)
         if near or self._passes >= _MOST_PASSES or self._returns >= _MOST_RETURNS:
             return Decided(None, place=StepFrom.BEST, capped=not near)
-        if weights and self._raised == 1 and mixed < self.best:
+        # The same matrices where it was best lead to the same step: after a return it is too long.
+        if weights and self._raised == 1 and mixed < self.best and not self._returns:
             return Decided(Unknowns.POSE, Matrices.OLD, StepFrom.FURTHER, weights)
-        if not sums.products and self._halvings < _MOST_HALVINGS:
+        if (self._returns or not sums.products) and self._halvings < _MOST_HALVINGS:
             self._halvings += 1
             return Decided(Unknowns.POSE, Matrices.OLD, StepFrom.HALFWAY)
         self._returns += 1

@@ -8,6 +8,8 @@ nothing, and stands apart.
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
@@ -26,14 +28,22 @@ _TYPES = {_BYTE: "<i1", _HALF: "<f2", _SINGLE: "<f4"}
 
 class LocalCoordinates:
     """``moves = T local``: moves ``(k w,)`` of poses from local ones; ``kept`` ``(k w,)``: numbers that mean anything;
-    ``carried`` ``(n,)``, of those kept: not of a part's first pose."""
+    ``carried`` ``(n,)``, of those kept: not of the first pose of a part that nothing holds."""
 
-    def __init__(self, places: Places, label: NDArray[np.intp], width: int, fixed: NDArray[np.bool_]) -> None:
+    def __init__(
+        self,
+        places: Places,
+        label: NDArray[np.intp],
+        width: int,
+        fixed: NDArray[np.bool_],
+        grounded: Set[int] = frozenset(),
+    ) -> None:
         """``places`` of the k poses, ``label`` ``(k,)`` of the part that each hangs together with; ``fixed`` ``(k,)``:
-        those whose unit is no variable."""
+        those whose unit is no variable; ``grounded``: parts that priors hold."""
         k = len(label)
         first = np.zeros(k, dtype=bool)
         first[np.unique(label, return_index=True)[1]] = True
+        first &= ~np.isin(label, sorted(grounded))
         free, carried = np.ones((2, k, width), dtype=bool)
         carried[first] = False
         if width == SCALED:

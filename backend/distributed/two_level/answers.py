@@ -107,3 +107,15 @@ def _carried_on(steps: Steps, arm: Array, lever: float) -> Steps:
         b, c = (a + 1) % 3, (a + 2) % 3
         out[:, a] += np.rint(lever * (steps[:, 3 + b] * arm[:, c] - steps[:, 3 + c] * arm[:, b])).astype(np.int64)
     return out
+
+
+def sums_as_bytes(values: tuple[float, ...]) -> bytes:
+    """Sums over edges, or the weights of a mix, in single precision."""
+    out = CompactWriter()
+    out.array(np.array(values), "<f4")
+    return out.bytes()
+
+
+def sums_from(body: bytes) -> tuple[float, ...]:
+    """Inverse of :func:`sums_as_bytes`."""
+    return tuple(CompactReader(body).array(len(body) // 4, "<f4").tolist())

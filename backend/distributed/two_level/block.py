@@ -21,7 +21,7 @@ class Block:
 
     def __init__(self, problem: LocalProblem, placed: NDArray[np.bool_], shared: NDArray[np.intp]) -> None:
         self._width, self._own, self._shared = problem.width, problem.own_count, shared
-        n, w = len(problem.nodes), problem.width
+        n, w = len(problem), problem.width
         used = np.asarray(placed[problem.edges.ends].all(axis=1))
         edges = problem.edges.only(used)
         self._ends, self._counted = edges.ends, problem.counted[used]

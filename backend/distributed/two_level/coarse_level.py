@@ -21,7 +21,8 @@ _FLOOR = 1e-9
 
 
 class CoarseLevel:
-    """``knots`` of each robot in the order of ``members``, ``springs`` between them.
+    """``knots`` of each robot in the order of ``members``, ``springs`` between them; ``grounds`` ``(k, w, w)``: what
+    holds each of a robot's knots by itself.
 
     ``held``: (robot, knot) that stays; ``fixed``: robots whose unit is no variable.
     """
@@ -30,6 +31,7 @@ class CoarseLevel:
         self,
         knots: Mapping[int, Knots],
         springs: Sequence[Springs],
+        grounds: Mapping[int, Array],
         width: int,
         held: tuple[int, int] | None,
         fixed: frozenset[int],
@@ -50,7 +52,7 @@ class CoarseLevel:
             for r in fixed & set(robots):
                 free[self.start[r] : self.start[r] + self.count[r], 6] = False
         self._free = np.flatnonzero(free.ravel())
-        elements = [*self._tracks(knots), *self._edges(springs)]
+        elements = [*self._tracks(knots), *self._edges(springs), *self._held(grounds)]
         matrix = self._assembled(elements)
         inner = csc_array(matrix[self._free][:, self._free])
         diagonal = inner.diagonal()
@@ -82,6 +84,13 @@ class CoarseLevel:
                 index += [base, np.where(end.weight > 0, base + 1, base)]
                 weight += [sign_ * (1.0 - end.weight), sign_ * end.weight]
             out.append((np.stack(index, axis=1), np.stack(weight, axis=1), s.point, self._isotropic(s.stiffness)))
+        return out
+
+    def _held(self, grounds: Mapping[int, Array]) -> list[_Element]:
+        out = []
+        for robot, own in sorted(grounds.items()):
+            at = self.start[robot] + np.arange(len(own), dtype=np.intp)
+            out.append((at[:, None], np.ones((len(at), 1)), self.centres[at], own))
         return out
 
     def _isotropic(self, stiffness: Array) -> Array:

@@ -18,6 +18,8 @@ from .codes import Steps, read_steps, write_steps
 _FINENESS = 16.0
 # Share of the others' stiffness below which an edge hardly holds.
 _FIRM = 0.01
+# An edge that costs less may well be as it should be.
+_FAR = 1e4
 # Whole steps beyond this do not travel; coarser ones do.
 _LARGEST = 2.0**28
 
@@ -32,7 +34,7 @@ def stiffness_of(problem: LocalProblem) -> Array:
 def deviations_of(problem: LocalProblem) -> Array:
     """``(3,)``: of a shift, a turn and a log unit, as most of a robot's edges have them, as they are sent."""
     weights = stiffness_of(problem)
-    weights = weights[(weights > 0).all(axis=1)]
+    weights = weights[(weights > 0).all(axis=1) & ~problem.outside]
     if not len(weights):
         return np.ones(3)
     return np.asarray((np.median(weights, axis=0) ** -0.5).astype(np.float32), dtype=np.float64)
@@ -41,9 +43,17 @@ def deviations_of(problem: LocalProblem) -> Array:
 def firm_edges(problem: LocalProblem) -> NDArray[np.bool_]:
     """Edges ``(m,)`` that hold as most do: others join no track, as poses on both sides of them move by themselves."""
     weights = stiffness_of(problem)
-    if not len(weights):
-        return np.zeros(0, dtype=bool)
-    return np.asarray((weights >= _FIRM * np.median(weights, axis=0)).all(axis=1), dtype=bool)
+    if problem.outside.all():
+        return np.zeros(len(weights), dtype=bool)
+    firm = weights >= _FIRM * np.median(weights[~problem.outside], axis=0)
+    return np.asarray(firm.all(axis=1) & ~problem.outside, dtype=bool)
+
+
+def close_to(problem: LocalProblem, neighbour: int) -> bool:
+    """Whether edges with a neighbour may not be violated so much that their cost says all as it is."""
+    theirs = np.asarray(np.isin(problem.edges.ends, problem.received_rows[neighbour]).any(axis=1), dtype=bool)
+    costs = problem.edges.only(theirs).costs(problem.places.poses, problem.places.log_units)
+    return bool((costs < _FAR).any())
 
 
 def by_number(sigmas: Array, width: int) -> Array:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ...errors import BackendError
 from ...geometry import Array
 from ..compact import CompactReader
+from ..share import Share
 from .answers import CoarseAnswer, Then, differences
 from .coarse_level import CoarseLevel
 from .coded_places import by_number
 from .forces import read_forces
+from .grounds import read_grounds
 from .springs import Knots, Springs, needed, read_knots, read_springs
 
 # Steps of the coarse level over the deviation of what is left to gain, a number of a shared pose.
@@ -34,13 +34,15 @@ _LEAST_RATIO, _MOST_RATIO = 0.6, 0.9
 
 
 class Leading:
-    """What the root gathers and decides; ``width``: numbers of a move."""
+    """What the root, whose ``share`` it is, gathers and decides; ``width``: numbers of a move."""
 
-    def __init__(self, members: Sequence[int], width: int, fixed: frozenset[int], tolerance: float, most: int) -> None:
-        self._members, self._width, self._fixed = members, width, fixed
+    def __init__(self, share: Share, width: int, tolerance: float, most: int) -> None:
+        self._members, self._width = share.members, width
+        self._fixed, self._grounded = frozenset(share.members) - share.arbitrary_scale, share.held is not None
         self._tolerance, self._most = tolerance, most
         self._knots: dict[int, Knots] = {}
         self._springs: list[Springs] = []
+        self._grounds: dict[int, Array] = {}
         self._held: tuple[int, int] | None = None
         self._forces: dict[int, tuple[float, Array]] = {}
         self._sums: list[tuple[float, ...]] = []
@@ -59,6 +61,9 @@ class Leading:
         held = source.count()
         self._knots[robot] = read_knots(source, self._width)
         self._springs.append(read_springs(source, robot, self._members))
+        if self._grounded:
+            knots = self._knots[robot]
+            self._grounds[robot] = read_grounds(source, len(knots.centres), knots.sigmas, self._width)
         if not source.empty:
             raise BackendError(f"robot {robot} sent more than its part of the coarse level")
         if held:
@@ -92,7 +97,7 @@ class Leading:
             return dict.fromkeys(self._members, CoarseAnswer(Then.AGAIN))
         fresh = self._level is None
         if self._level is None:
-            self._level = CoarseLevel(self._knots, self._springs, self._width, self._held, self._fixed)
+            self._level = CoarseLevel(self._knots, self._springs, self._grounds, self._width, self._held, self._fixed)
             self._asked = needed(self._springs)
         level = self._level
         middle = np.median([self._knots[r].sigmas for r in self._members], axis=0)

@@ -15,6 +15,7 @@ from .block import Block
 from .coded_places import by_number, deviations_of, stiffness_of
 from .codes import read_steps, write_steps
 from .forces import write_forces
+from .grounds import grounds_of, write_grounds
 from .knots import Hats, carried, gathered, hats_of, weight_bytes, weights_from
 from .springs import Knots, SpringEnd, Springs, rounded, write_knots, write_springs
 from .tracks import tracks
@@ -39,7 +40,7 @@ class Part:
         key[problem.given] = True
         key &= placed[:own]
         hats, rows = hats_of(label, key, spacing)
-        n = len(problem.nodes)
+        n = len(problem)
         self._hats = Hats(np.full(n, -1, dtype=np.intp), np.zeros(n))
         self._hats.first[:own], self._hats.weight[:own] = hats.first, hats.weight
         self._rows = rows
@@ -112,15 +113,24 @@ class Part:
         write_knots(out, Knots(self._centres, linked, links, self._sigmas, len(self._shared)))
         rest = np.flatnonzero(used & ~along & problem.counted)
         write_springs(out, self._springs(rest), problem.share.robot, problem.share.members)
+        if problem.share.held is not None:
+            write_grounds(out, self._grounds(), self._sigmas)
         return out.bytes()
+
+    def _grounds(self) -> Array:
+        """Of own knots, by the priors held."""
+        problem = self._problem
+        ends = problem.edges.ends[problem.outside]
+        rows = ends.min(axis=1)
+        points, stiffness = problem.places.poses[rows, :3, 3], stiffness_of(problem)[problem.outside]
+        return grounds_of(self._hats.at(rows), self._centres, points, stiffness, problem.width)
 
     def _springs(self, edges: NDArray[np.intp]) -> Springs:
         """Of some edges; the own end first."""
         problem = self._problem
         ends = problem.edges.ends[edges]
         ends = np.where((ends[:, 0] < problem.own_count)[:, None], ends, ends[:, ::-1])
-        robots = np.array([n.robot for n in problem.nodes], dtype=np.intp)
-        a, b = (SpringEnd(robots[r], self._hats.first[r], self._hats.weight[r]) for r in ends.T)
+        a, b = (SpringEnd(problem.robots[r], self._hats.first[r], self._hats.weight[r]) for r in ends.T)
         # An edge is measured in its first node's frame, which carries along what turns at its second node.
         point = problem.places.poses[problem.edges.ends[edges, 1], :3, 3]
         return Springs((a, b), rounded(point), stiffness_of(self._problem)[edges])
@@ -172,7 +182,7 @@ class Part:
 
     def _take_step(self, steps: Array, asked: list[tuple[int, int]]) -> None:
         problem, places = self._problem, self._problem.places
-        self._coarse = np.zeros((len(problem.nodes), problem.width))
+        self._coarse = np.zeros((len(problem), problem.width))
         rows = self._shared
         self._coarse[rows] = carried(
             self._hats.at(rows), self._centres, steps[: len(self._centres)], places.at(rows), problem.fixed[rows]

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from ...components import parts
 from ...config import SolverConfig
 from ...errors import BackendError
-from ..compact import CompactReader, CompactWriter
+from ..compact import CompactReader
 from ..descent_node import DescentNode
 from ..messages import Coded, Decision, Round, SolverStage
 from ..rounds import Separators
 from ..share import Share, SolverOutcome
-from .answers import Then
-from .coded_places import CodedPlaces, deviations_of, firm_edges
+from .answers import Then, sums_as_bytes, sums_from
+from .coded_places import CodedPlaces, close_to, deviations_of, firm_edges
 from .leading import Leading
 from .part import Part
 
@@ -45,8 +45,6 @@ class Phase(IntEnum):
 
 # Rounds of the start, by their sweep: who needs it exactly, and that.
 _ASK, _EXACTLY = 1, 2
-# An edge that costs less may well be as it should be.
-_FAR = 1e4
 _TO_ROOT = (Phase.LEVEL, Phase.FORCES, Phase.SUMS)
 _FROM_ROOT = (Phase.ANSWER, Phase.WEIGHTS)
 
@@ -61,10 +59,7 @@ class TwoLevelNode(DescentNode):
         super().__init__(share, config)
         self._leading: Leading | None = None
         if share.robot == share.members[0]:
-            fixed = frozenset(share.members) - share.arbitrary_scale
-            self._leading = Leading(
-                share.members, self._problem.width, fixed, config.two_level_tolerance, config.two_level_sweeps
-            )
+            self._leading = Leading(share, self._problem.width, config.two_level_tolerance, config.two_level_sweeps)
         self._then = Then.SWEEP
         self._exact_for: set[int] = set()
         self._begun: Part | None = None
@@ -156,9 +151,9 @@ class TwoLevelNode(DescentNode):
                 self._part.solve()
                 self._bodies = {n: self._part.swept_for(n) for n in self.share.neighbours}
             case Phase.SUMS:
-                self._to_root(_numbers(self._part.sums()))
+                self._to_root(sums_as_bytes(self._part.sums()))
             case Phase.WEIGHTS if leading is not None:
-                self._bodies = dict.fromkeys(self.share.members, _numbers(leading.weights()))
+                self._bodies = dict.fromkeys(self.share.members, sums_as_bytes(leading.weights()))
                 self._take_weights_of(self._bodies[me])
             case _:
                 pass
@@ -206,7 +201,7 @@ class TwoLevelNode(DescentNode):
             case Phase.FORCES:
                 self._leading.take_forces(robot, body)
             case _:
-                self._leading.take_sums(_read(body))
+                self._leading.take_sums(sums_from(body))
 
     def _say(self, neighbour: int) -> Separators:
         body = self._bodies.get(neighbour, b"")
@@ -220,19 +215,12 @@ class TwoLevelNode(DescentNode):
         """Where this robot was before, roughly, as most starts are far from any frame of all; exactly where a neighbour
         asks for it."""
         if self._asking:
-            return bytes([1]) if self._close_to(neighbour) else b""
+            return bytes([1]) if close_to(self._problem, neighbour) else b""
         if self._round.sweep == _EXACTLY:
             exactly = self._problem.separator_places(neighbour).astype("<f8").tobytes()
             return exactly if neighbour in self._exact_for else b""
         rows = np.array(self._problem.sent_rows[neighbour], dtype=np.intp)
         return self._coded(rows).encode()
-
-    def _close_to(self, neighbour: int) -> bool:
-        """Whether edges with it may not be violated so much that their cost says all as it is."""
-        problem = self._problem
-        theirs = np.asarray(np.isin(problem.edges.ends, problem.received_rows[neighbour]).any(axis=1), dtype=bool)
-        costs = problem.edges.only(theirs).costs(problem.places.poses, problem.places.log_units)
-        return bool((costs < _FAR).any())
 
     def _receive(self, neighbour: int, message: Separators) -> None:
         if not isinstance(message, Coded):
@@ -277,7 +265,7 @@ class TwoLevelNode(DescentNode):
             self._descent.placed[rows[coded.known]] = True
 
     def _take_weights_of(self, body: bytes) -> None:
-        self._part.take_weights(_read(body))
+        self._part.take_weights(sums_from(body))
 
     # -- what follows ------------------------------------------------------------------------------------------------
 
@@ -305,13 +293,3 @@ class TwoLevelNode(DescentNode):
 
     def _finish(self, cost_after: float) -> SolverOutcome:
         return replace(super()._finish(cost_after), capped=self._part.capped)
-
-
-def _numbers(values: tuple[float, ...]) -> bytes:
-    out = CompactWriter()
-    out.array(np.array(values), "<f4")
-    return out.bytes()
-
-
-def _read(body: bytes) -> tuple[float, ...]:
-    return tuple(CompactReader(body).array(len(body) // 4, "<f4").tolist())
