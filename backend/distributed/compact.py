@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +13,6 @@ from ..errors import BackendError
 from ..geometry import Array, se3, se3_inverse, so3_exp, so3_log
 
 _NUMBER, _ROUGH, _POSE = struct.Struct("<d"), struct.Struct("<f"), struct.Struct("<6d")
-# No cost, weight or position of a map is beyond this.
-_LARGEST = 1e30
 _START = struct.Struct("<6f")
 # Bits of a whole number, at most.
 _LONGEST = 63
@@ -30,7 +29,9 @@ class CompactWriter:
         return bytes(self._out)
 
     def count(self, value: int) -> None:
-        """A whole number from 0: 7 bits per byte."""
+        """A whole number from 0, below 2^63: 7 bits per byte."""
+        if value >> _LONGEST:
+            raise BackendError("a whole number is too large for a message")
         while value > 0x7F:
             self._out.append(value & 0x7F | 0x80)
             value >>= 7
@@ -91,7 +92,7 @@ class CompactReader:
         while True:
             if self.empty:
                 raise self._too_short()
-            if shift > _LONGEST:
+            if shift >= _LONGEST:
                 raise BackendError("a message has a whole number that is too large")
             byte = self._data[self._at]
             self._at += 1
@@ -141,10 +142,10 @@ class CompactReader:
         return self._take(len(self._data) - self._at)
 
     def _numbers(self, layout: struct.Struct) -> tuple[float, ...]:
-        """Finite numbers, and none that geometry cannot bear."""
+        """Finite numbers."""
         numbers: tuple[float, ...] = layout.unpack(self._take(layout.size))
-        if not all(-_LARGEST <= number <= _LARGEST for number in numbers):
-            raise BackendError("a message has a number that is not finite, or too large")
+        if not all(map(isfinite, numbers)):
+            raise BackendError("a message has a number that is not finite")
         return numbers
 
     def _take(self, size: int) -> bytes:

@@ -67,6 +67,8 @@ class Contribution:
 
 # Longest measurement, and largest logarithm of a scale or unit, that a member may send.
 _FARTHEST, _MOST_LOG_SCALE = 1e9, 14.0
+# Largest cost of a member.
+_MOST_COST = 1e30
 # Of measurements nothing is predicted.
 _NOTHING = (np.eye(4), 0.0)
 
@@ -177,6 +179,9 @@ def _check(c: Contribution) -> None:
             raise BackendError("a contribution with a weight or scale that cannot be")
         if not np.isfinite(edges.measured).all() or np.abs(edges.measured).max(initial=0.0) > _FARTHEST:
             raise BackendError("a contribution with a measurement that is not finite, or too long")
+    places = np.array([T[:3, 3] for T in (*c.first.poses.values(), *c.start.poses.values())])
+    if c.cost > _MOST_COST or np.abs(places).max(initial=0.0) > _FARTHEST:
+        raise BackendError("a contribution of a cost or place that cannot be")
     logs = np.array([*c.first.log_units.values(), *c.start.log_units.values()])
     if np.abs(logs).max(initial=0.0) > _MOST_LOG_SCALE:
         raise BackendError("a contribution with a unit that cannot be")

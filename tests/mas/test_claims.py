@@ -117,8 +117,8 @@ def test_a_number_without_end_is_refused_at_once() -> None:
     assert reader._at < 16, "a longer one takes no longer"
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf, 1e35])
-def test_numbers_of_solvers_are_finite_and_bounded(number: float) -> None:
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_numbers_of_solvers_are_finite(number: float) -> None:
     out = CompactWriter()
     out.number(number)
     with pytest.raises(BackendError, match="not finite"):
