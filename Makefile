@@ -10,7 +10,7 @@ CORE := $(VENV)/.core-installed
 WORLDS := $(VENV)/.worlds-installed
 DEV := $(VENV)/.dev-installed
 
-.PHONY: demo test lint docs coverage lock resolve clean
+.PHONY: demo test lint docs coverage fuzz lock resolve clean
 demo: $(WORLDS)
 	$(BIN)/maslam demo --out $(OUT)
 
@@ -51,6 +51,12 @@ lock: $(DEV)
 # Which lines the tests run, worker processes included; compiled kernels are left out.
 coverage: $(DEV)
 	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered
+
+# So many changed messages to agents in true states: what escapes (N=… for another number, SEED=…).
+N ?= 100000
+SEED ?= 0
+fuzz: $(DEV)
+	$(BIN)/python tests/mas/fuzz_messages.py $(N) $(SEED)
 
 # Whether the dependencies can be installed for each Python that is supported, without having it.
 resolve: $(CORE)

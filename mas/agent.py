@@ -27,6 +27,7 @@ from .place_recognition.candidates import Candidates
 from .place_recognition.operation import PlaceRecognition
 from .place_recognition.verification import Verification, tell_group
 from .policies.base import Outlook, Policy
+from .protocol.claims import false_claim
 from .protocol.ids import REASON_LENGTH, ContractId, MatchId, OperationKind
 from .protocol.messages import (
     Award,
@@ -102,6 +103,10 @@ class Agent:
         except ProtocolError as error:
             effects = self.context.refuse(message.sender, str(error))
         return self._settled(there + effects)
+
+    def refuse(self, sender: int, reason: str) -> Effects:
+        """The transport brought bytes of an agent that are no message, or one in another's name."""
+        return self._settled(self.context.refuse(sender, reason))
 
     def tick(self, now_ns: int) -> Effects:
         """Logical time goes on: contracts expire, and the policy is asked what to do next."""
@@ -198,8 +203,10 @@ class Agent:
     def _dispatch(self, message: Message) -> Effects:
         """Effects of a message; :class:`ProtocolError`, before anything has changed, if it makes no sense."""
         sender, identity, body = message.sender, message.contract, message.body
-        if isinstance(body, GroupNotice | Call):
-            self._check_known(body.members)
+        if not isinstance(body, Result):  # a result that may not be is an objection: it ends its contract
+            objection = false_claim(sender, body, self.state.profile.everyone)
+            if objection:
+                raise ProtocolError(objection)
         if isinstance(body, GroupNotice):
             return self._join(body.members, known_by_sender=frozenset(body.members))
         if isinstance(body, MapNotice):
@@ -215,11 +222,6 @@ class Agent:
             return self._called(sender, identity, body)
         return self._advance(sender, identity, body)
 
-    def _check_known(self, members: tuple[int, ...]) -> None:
-        strangers = set(members) - self.state.profile.everyone
-        if strangers:
-            raise ProtocolError(f"there is no agent {min(strangers)}")
-
     def _join(self, members: tuple[int, ...], known_by_sender: frozenset[int] = frozenset()) -> Effects:
         """More agents are joined by matches: the group gets a notice, unless the sender knows as much."""
         known = set(self.state.group)
@@ -229,6 +231,7 @@ class Agent:
         """A call for proposals: bid or refuse."""
         if body.deadline_ns < self.context.now_ns:
             raise LateMessage(f"call of agent {sender} came after its deadline")
+        body = self.context.capped(body)
         taken = self.context.ledger.called(sender, identity, body)
         effects = self._wound_up(self.context.ended(taken.superseded)) + self._join(body.members)
         return effects + self.call_queue.take(taken.contract, body)
@@ -254,7 +257,8 @@ class Agent:
     def _objection(self, contract: Contract, outcome: Outcome) -> str:
         if outcome.belongs_to is not contract.operation:
             return f"{outcome.kind} is no result of {contract.operation.name.lower()}"
-        return self._operations[contract.operation].objection(contract, outcome)[:REASON_LENGTH]
+        objection = false_claim(contract.contractor, Result(outcome), self.state.profile.everyone)
+        return (objection or self._operations[contract.operation].objection(contract, outcome))[:REASON_LENGTH]
 
     def _work(self, contract: Contract, award: Award) -> Effects:
         try:
@@ -282,8 +286,9 @@ class Agent:
         return out
 
     def _end(self, contract: Contract) -> Effects:
-        closed = self._wound_up(self.context.close_account(contract))
-        return closed + self._operations[contract.operation].on_end(contract)
+        operation = self._operations[contract.operation]
+        closed = self._wound_up(self.context.close_account(contract, operation.answers_for(contract)))
+        return closed + operation.on_end(contract)
 
     def _change(self, change: Change) -> Effects:
         """One operation did something that others act on."""
@@ -292,7 +297,10 @@ class Agent:
             return NOTHING
         if isinstance(change, TrustChange):
             return self._trust(change)
-        self.pending.used(change.matches, change.elsewhere)
+        if change.borne_out:
+            self.pending.used(change.matches, change.elsewhere)
+        else:
+            self.pending.refused(len(self.state.profile.others))
         self.final_round.reopen()
         return self.maps.realign(change)
 

@@ -53,7 +53,9 @@ class PlacesConfig(Settings):
     features: Literal["descriptors", "words"] = Field(
         default="descriptors", description="what a verification sends for each point"
     )
-    max_points: int = Field(default=500, ge=20, description="map points of a key-frame sent for verification, at most")
+    max_points: int = Field(
+        default=500, ge=20, le=20_000, description="map points of a key-frame sent for verification, at most"
+    )
     first_points: int = Field(
         default=0,
         ge=0,

@@ -39,7 +39,7 @@ from .state.keyframe import KeyFrame, keyframes_of
 from .state.positions import not_used
 from .transport.choice import TransportLike, transport_of
 from .transport.faults import FaultyTransport, gone, present
-from .transport.transport import Sent, Transport
+from .transport.transport import RefusedMessage, Sent, Transport
 
 # Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
 # expire.
@@ -87,7 +87,7 @@ class Environment:
             for agent in self.agents:
                 agent.finish()
         for agent in self._there():
-            self._act_on(agent.tick(self.now_ns))
+            self._act_on(agent.tick(self.now_ns), agent)
         self._deliver()
         if self.config.faults.any:
             self._live_until((number + 1) * self._step_ns)
@@ -99,7 +99,7 @@ class Environment:
             self._advance(self.now_ns + between)
             self._deliver()
             for agent in self._there():
-                self._act_on(agent.remind(self.now_ns))
+                self._act_on(agent.remind(self.now_ns), agent)
             self._deliver()
 
     def _advance(self, now_ns: int) -> None:
@@ -125,16 +125,20 @@ class Environment:
             agent.observe(keyframes[self._next[me]])
             self._next[me] += 1
 
-    def _act_on(self, effects: Effects) -> None:
-        """Send an agent's messages, and log its events."""
+    def _act_on(self, effects: Effects, agent: Agent) -> None:
+        """Send an agent's messages, and log its events. Who hands a message over is known here, whatever it says."""
         self.events += effects.events
         for message in effects.messages:
-            self.transport.send(message, self.now_ns)
+            self.transport.send(message, self.now_ns, agent.state.me)
 
     def _deliver(self) -> None:
         delivered = 0
-        while (message := self.transport.receive()) is not None:
-            self._act_on(self.agents[message.recipient].handle(message))
+        while (arrived := self.transport.receive()) is not None:
+            agent = self.agents[arrived.recipient]
+            if isinstance(arrived, RefusedMessage):
+                self._act_on(agent.refuse(arrived.sender, arrived.reason), agent)
+            else:
+                self._act_on(agent.handle(arrived), agent)
             delivered += 1
             if delivered > self.config.max_messages_a_step:
                 raise MasError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +12,10 @@ from numpy.typing import ArrayLike
 from ..errors import BackendError
 from ..geometry import Array, se3, se3_inverse, so3_exp, so3_log
 
-_POSE = struct.Struct("<6d")
+_NUMBER, _ROUGH, _POSE = struct.Struct("<d"), struct.Struct("<f"), struct.Struct("<6d")
 _START = struct.Struct("<6f")
+# Bits of a whole number, at most.
+_LONGEST = 63
 
 
 class CompactWriter:
@@ -26,7 +29,9 @@ class CompactWriter:
         return bytes(self._out)
 
     def count(self, value: int) -> None:
-        """A whole number from 0: 7 bits per byte."""
+        """A whole number from 0, below 2^63: 7 bits per byte."""
+        if value >> _LONGEST:
+            raise BackendError("a whole number is too large for a message")
         while value > 0x7F:
             self._out.append(value & 0x7F | 0x80)
             value >>= 7
@@ -41,8 +46,11 @@ class CompactWriter:
         self._out += struct.pack("<d", value)
 
     def rough(self, value: float) -> None:
-        """In single precision."""
-        self._out += struct.pack("<f", value)
+        """In single precision; :class:`BackendError` for one that is too large for it."""
+        try:
+            self._out += struct.pack("<f", value)
+        except OverflowError as error:
+            raise BackendError(f"{value:.3g} is too large for a message") from error
 
     def pose(self, T: Array) -> None:
         """In full."""
@@ -84,6 +92,8 @@ class CompactReader:
         while True:
             if self.empty:
                 raise self._too_short()
+            if shift >= _LONGEST:
+                raise BackendError("a message has a whole number that is too large")
             byte = self._data[self._at]
             self._at += 1
             value |= (byte & 0x7F) << shift
@@ -98,19 +108,19 @@ class CompactReader:
 
     def number(self) -> float:
         """See :meth:`CompactWriter.number`."""
-        return float(struct.unpack("<d", self._take(8))[0])
+        return self._numbers(_NUMBER)[0]
 
     def rough(self) -> float:
         """See :meth:`CompactWriter.rough`."""
-        return float(struct.unpack("<f", self._take(4))[0])
+        return self._numbers(_ROUGH)[0]
 
     def pose(self) -> Array:
         """See :meth:`CompactWriter.pose`."""
-        return poses_of(_POSE.unpack(self._take(_POSE.size)))
+        return poses_of(self._numbers(_POSE))
 
     def rough_pose(self) -> tuple[float, ...]:
         """The six numbers of a pose."""
-        return _START.unpack(self._take(_START.size))
+        return self._numbers(_START)
 
     def weights(self, count: int) -> tuple[float, ...]:
         """See :meth:`CompactWriter.weights`."""
@@ -130,6 +140,13 @@ class CompactReader:
     def rest(self) -> bytes:
         """All that was not read yet."""
         return self._take(len(self._data) - self._at)
+
+    def _numbers(self, layout: struct.Struct) -> tuple[float, ...]:
+        """Finite numbers."""
+        numbers: tuple[float, ...] = layout.unpack(self._take(layout.size))
+        if not all(map(isfinite, numbers)):
+            raise BackendError("a message has a number that is not finite")
+        return numbers
 
     def _take(self, size: int) -> bytes:
         part = self._data[self._at : self._at + size]

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..central.origin import NO_PRIORS, OriginPriors
 from ..central.similarity_edges import SimilarityEdges, edges_of
+from ..errors import BackendError
 from ..geometry import Array
 from ..pose_graph.graph import NodeId
 from .compact import CompactReader, CompactWriter, numbers_of, poses_of
@@ -63,6 +65,10 @@ class Contribution:
         return 7 if self.scaled else 6
 
 
+# Longest measurement, and largest logarithm of a scale or unit, that a member may send.
+_FARTHEST, _MOST_LOG_SCALE = 1e9, 14.0
+# Largest cost of a member.
+_MOST_COST = 1e30
 # Of measurements nothing is predicted.
 _NOTHING = (np.eye(4), 0.0)
 
@@ -144,7 +150,44 @@ def encode(c: Contribution) -> bytes:
 
 
 def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
-    """Inverse of :func:`encode`, measurements and weights as they were rounded."""
+    """Inverse of :func:`encode`, measurements and weights as they were rounded; :class:`BackendError` for bytes that
+    are no contribution."""
+    try:
+        c = _decode(data, robot, scaled)
+    except (IndexError, OverflowError) as error:  # a row that is not there, a number beyond all
+        raise BackendError(f"not a contribution: {len(data)} bytes, {error}") from error
+    _check(c)
+    return c
+
+
+def _check(c: Contribution) -> None:
+    """:class:`BackendError` for what no member can mean: nodes out of order, edges of nowhere or of others, wild
+    numbers."""
+    indices = [n.index for n in c.graph.nodes]
+    if not indices or any(b <= a for a, b in pairwise(indices)):
+        raise BackendError(f"a contribution of {len(indices)} nodes, which do not ascend")
+    ends, between = c.graph.edges.ends, c.between
+    if len(ends) and (ends.min() < 0 or ends.max() >= len(indices) or (ends[:, 0] == ends[:, 1]).any()):
+        raise BackendError("a contribution with an edge of nodes that are not in it")
+    if any((i.robot == c.robot) == (j.robot == c.robot) for i, j in between.nodes):
+        raise BackendError(f"a contribution of robot {c.robot} with an edge that is not its own to another")
+    if c.fineness <= 0 or c.cost < 0:
+        raise BackendError("a contribution of a fineness or cost that cannot be")
+    for edges in (c.graph.edges, between.edges):
+        weights = np.stack([edges.kappa, edges.tau, edges.precision])
+        if (weights < 0).any() or np.abs(edges.log_scale).max(initial=0.0) > _MOST_LOG_SCALE:
+            raise BackendError("a contribution with a weight or scale that cannot be")
+        if not np.isfinite(edges.measured).all() or np.abs(edges.measured).max(initial=0.0) > _FARTHEST:
+            raise BackendError("a contribution with a measurement that is not finite, or too long")
+    places = np.array([T[:3, 3] for T in (*c.first.poses.values(), *c.start.poses.values())])
+    if c.cost > _MOST_COST or np.abs(places).max(initial=0.0) > _FARTHEST:
+        raise BackendError("a contribution of a cost or place that cannot be")
+    logs = np.array([*c.first.log_units.values(), *c.start.log_units.values()])
+    if np.abs(logs).max(initial=0.0) > _MOST_LOG_SCALE:
+        raise BackendError("a contribution with a unit that cannot be")
+
+
+def _decode(data: bytes, robot: int, scaled: bool) -> Contribution:
     source = CompactReader(data)
     width = 7 if scaled else 6
     fineness = source.rough()

@@ -35,6 +35,8 @@ _DECISION = struct.Struct("<?ddHB")
 _POSITIONS, _LENGTHS = 1, 2
 """In the last byte of a decision: what had a say, or was found."""
 _WAIT = struct.Struct("<B")
+# Messages of a member that are kept until it is known who is elected.
+_EARLY = 16
 # How often what was rounded off is asked for: each time it is 128 times less.
 _MOST_REMAINDERS = 3
 
@@ -103,7 +105,8 @@ class ElectedNode:
             if not self._order:
                 return self._elect() if len(self._sizes) == len(self.share.members) else []
         elif not self._order and message.term == self._term:
-            self._early.append(message)
+            if sum(m.sender == message.sender for m in self._early) < _EARLY:
+                self._early.append(message)
             return []
         out = self._join(message.term) if message.term > self._term else []
         if message.term < self._term:
@@ -128,7 +131,8 @@ class ElectedNode:
 
     def again(self, message: ElectedMessage) -> list[ElectedMessage]:
         """What the sender of a message that came before may have missed: it asks for that, nothing else tells."""
-        return self._answer(message) if message.kind is Kind.WAIT else []
+        asks = isinstance(message, ElectedMessage) and message.kind is Kind.WAIT
+        return self._answer(message) if asks else []
 
     def _awaited(self) -> list[tuple[Kind, list[int]]]:
         """What has not come, and from whom."""
@@ -212,8 +216,10 @@ class ElectedNode:
                 self._costs[message.sender] = _unpack(_COST, message.body)[0]
                 return self._try_decide()
             if message.sender not in self._contributions:
+                given = parcel.decode(message.body, message.sender, self.share.scaled)
+                self._check_own_edges(given)
                 self._silent = 0
-                self._contributions[message.sender] = parcel.decode(message.body, message.sender, self.share.scaled)
+                self._contributions[message.sender] = given
             return self._try_solve()
         if message.sender != self.leader or leads:
             return []
@@ -225,6 +231,13 @@ class ElectedNode:
         if message.kind is Kind.DECISION:
             self._end(*_unpack(_DECISION, message.body))
         return []
+
+    def _check_own_edges(self, given: Contribution) -> None:
+        """Edges with the elected robot are its own to state; those of two others the lower one's."""
+        for i, j in given.between.nodes:
+            other = j.robot if i.robot == given.robot else i.robot
+            if other == self.share.robot or other < given.robot or other not in self.share.members:
+                raise BackendError(f"robot {given.robot} states an edge that is not its own to state: {i} - {j}")
 
     def _others(self) -> list[int]:
         return [r for r in self.share.members if r != self.share.robot]

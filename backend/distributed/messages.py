@@ -193,8 +193,8 @@ class Report(_SolverMessage):
         return 16 + 4 * len(self.numbers)
 
     def check(self) -> None:
-        if np.isnan(self.change) or not np.isfinite(self.cost):
-            raise BackendError("a report of NaN, or an infinite cost")
+        if np.isnan(self.change) or not np.isfinite(self.cost) or self.cost < 0 or self.change < 0:
+            raise BackendError("a report of NaN, or of a cost that is infinite or below 0")
         _check_sums(self.numbers, self.round.stage)
 
 

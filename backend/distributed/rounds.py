@@ -9,7 +9,7 @@ into them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ..errors import BackendError
 from .messages import Coded, Decision, Deltas, NodeMessage, Report, Round, Values, width_of
@@ -29,6 +29,8 @@ class Rounds(ABC):
 
     # Rounds with messages that others may still lack.
     _ROUNDS_KEPT = 2
+    # Rounds to come with messages that are kept.
+    _ROUNDS_AHEAD = 256
 
     def __init__(self, share: Share, first: Round) -> None:
         self.share = share
@@ -116,14 +118,21 @@ class Rounds(ABC):
         match message:
             case Values() | Deltas() | Coded():
                 self._check(message)
+                self._check_near(message.round, self._received)
                 self._received.setdefault(message.round, {})[message.sender] = message
             case Report():
                 self._check_tree(message.sender, self._children)
+                self._check_near(message.round, self._reports)
                 self._reports.setdefault(message.round, {})[message.sender] = message
             case Decision():
                 self._check_tree(message.sender, [self._parent])
                 self._decisions[message.round] = message
         return self._advance()
+
+    def _check_near(self, round_: Round, kept: Mapping[Round, object]) -> None:
+        """A neighbour is a few rounds ahead at most; what it sends of many more is not kept."""
+        if len(kept) >= self._ROUNDS_AHEAD and round_ not in kept and round_ != self._round:
+            raise BackendError(f"robot {self.share.robot} was handed messages of too many rounds to come")
 
     def tick(self) -> list[NodeMessage]:
         """Return the messages of the last rounds again."""
@@ -153,7 +162,7 @@ class Rounds(ABC):
             raise BackendError(f"robot {message.sender} sent coded numbers, which this method has none of")
         values = message.values if isinstance(message, Values) else message.steps
         expected = (rows, width_of(stage, self.share.scaled))
-        if values.shape != expected and len(values):
+        if values.shape != expected and (len(values) or isinstance(message, Deltas)):
             raise BackendError(
                 f"robot {message.sender} sent {values.shape} values to robot {self.share.robot}, "
                 f"which expected {expected}: the two hold different edges between them"

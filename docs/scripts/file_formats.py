@@ -74,6 +74,8 @@ EVENTS = {
     "peer_to_peer": "a member offers matches with the manager alone: `bidder`",
     "map_bought": "a map copy came in: `seller`, `owner`, `version`, `keyframes`, `new_keyframes`, `points`, `route`",
     "map_checked": "a held copy was compared with place matches: `owner`, `version`, `final`, matches and distances",
+    "optimisation_refused": "a solution was not adopted, as odometry speaks against it: `reason`, `members`, `by` (who "
+    "spoilt it, where that is known)",
     "map_refused": "a copy was rejected: `seller`, `owner`, `version`, `reason`",
     "contradicted": "matches contradicted by the other matches of a group: `reported_by`, `matches`",
     "reputation": "the reputation of another agent changed: `of`, `trust`, `reliability`, `consistency`, `silent`",

@@ -6,7 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..protocol.ids import ContractId, OperationKind
+import msgspec
+
+from ..protocol.ids import REASON_LENGTH, ContractId, OperationKind
 from ..protocol.messages import Body, Call, Cancel, ContractBody, Message
 from ..state.agent_state import AgentState
 from .contract import Contract
@@ -19,6 +21,8 @@ from .retransmission import Retransmitter
 _ROUNDS = 150
 # And at most so many times the usual time.
 _LONGEST = 4.0
+# Refused messages of each other agent that are logged one by one; later those whose number is a power of two.
+_LOGGED = 100
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,15 @@ class AgentContext:
         longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
         return self.now_ns + round(longest * max(1.0, len(others) / 2))
 
+    def capped(self, call: Call) -> Call:
+        """The call with a deadline that this agent itself could have set at most."""
+        config = self.state.config
+        longest = config.deadline_s
+        if call.operation is OperationKind.DOPT:
+            longest = _LONGEST * config.optimisation.deadline_s * max(1.0, len(self.state.profile.others) / 2)
+        latest_ns = self.now_ns + round(longest * 1e9)
+        return call if call.deadline_ns <= latest_ns else msgspec.structs.replace(call, deadline_ns=latest_ns)
+
     def calling(self, operation: OperationKind) -> bool:
         """Whether a contract of this kind runs that I manage."""
         return any(c.manager == self.me for c in self.ledger.running(operation))
@@ -76,6 +89,8 @@ class AgentContext:
         """Whether a call to the other is worth its bytes. Probes of agents that are not trusted are small questions,
         never a part in an optimisation or a sale, and end with the sequences."""
         small = operation not in (OperationKind.DOPT, OperationKind.MAPMERGE)
+        if not small and self.reputation.stalls(other, self.now_ns):
+            return False
         if self.closing or not small:
             return self.reputation.trust(other) is Trust.GOOD or (small and other in self._last_probes)
         return self.reputation.may_call(other, self.now_ns)
@@ -89,7 +104,10 @@ class AgentContext:
 
     def serves(self, other: int, operation: OperationKind) -> bool:
         """Whether to work for the other: questions about places always, they let it come back."""
-        return operation in (OperationKind.DVPR, OperationKind.RELPOSE) or self.reputation.trust(other) is Trust.GOOD
+        if operation in (OperationKind.DVPR, OperationKind.RELPOSE):
+            return True
+        stalls = operation is OperationKind.DOPT and self.reputation.stalls(other, self.now_ns)
+        return self.reputation.trust(other) is Trust.GOOD and not stalls
 
     # -- contracts ----------------------------------------------------------------------------------------------------
 
@@ -144,11 +162,16 @@ class AgentContext:
         """Contracts among these that are over."""
         return Effects(ended=tuple(c for c in contracts if c.ended))
 
-    def close_account(self, contract: Contract) -> Effects:
-        """A contract has ended: count it for the other side's reputation; its manager logs the event."""
+    def close_account(self, contract: Contract, answers_for: int) -> Effects:
+        """A contract has ended: count it for the other side's reputation, or, where its failure is another agent's
+        fault, for that of the one that ``answers_for`` it; its manager logs the event."""
         if contract.manager != self.me:
-            return Effects(changes=self.reputation.left_waiting(contract, self.now_ns))
-        return Effects(changes=self.reputation.ended(contract, self.now_ns)) + self.event(
+            return Effects(changes=self.reputation.served(contract, self.now_ns))
+        if answers_for != contract.contractor:
+            changes = self.reputation.misled(answers_for, self.now_ns)
+        else:
+            changes = self.reputation.ended(contract, self.now_ns)
+        return Effects(changes=changes) + self.event(
             "contract",
             operation=contract.operation.name.lower(),
             contract=f"{contract.manager}:{contract.id.number}",
@@ -172,5 +195,12 @@ class AgentContext:
         return Effects(events=(Event(self.now_ns, self.me, kind, fields),))
 
     def refuse(self, sender: int, reason: str) -> Effects:
-        """Log a message that cannot be believed or acted on."""
-        return self.event("refused", sender=sender, reason=reason)
+        """Log a message that cannot be believed or acted on, and count it against its sender. Of many only some are
+        logged: whoever sends them shall not fill the disk."""
+        if sender not in self.state.profile.others:
+            return self.event("refused", sender=sender, reason=reason[:REASON_LENGTH])
+        changes, count = self.reputation.refused(sender, self.now_ns), self.reputation.of(sender).refused
+        if count > _LOGGED and count & (count - 1):
+            return Effects(changes=changes)
+        more = {"count": count} if count > _LOGGED else {}
+        return Effects(changes=changes) + self.event("refused", sender=sender, reason=reason[:REASON_LENGTH], **more)

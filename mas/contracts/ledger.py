@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -11,9 +11,11 @@ from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Call, Cancel, ContractBody, Rejection, Result
 from ..protocol.tasks import Outcome
 from .contract import Contract, ContractState, LateMessage, Repeated, advance, expire, failed
+from .reputation import CALLED_ANEW
 
-# Ended contracts an agent remembers, to tell a late message from a wrong one.
-_REMEMBERED = 10_000
+# Ended contracts an agent remembers with each other one, to tell a late message from a wrong one: nobody can make it
+# forget those with others.
+_REMEMBERED = 2000
 # Contracts of a kind that run at once with each other agent and direction. Questions about places do not depend on each
 # other's answers, and where answers take long more key-frames come than could be asked about one after the other.
 _AT_ONCE = {OperationKind.DVPR: 8}
@@ -46,6 +48,7 @@ class Ledger:
         self._running: dict[tuple[ContractId, int], Contract] = {}
         self._newest_call: dict[tuple[int, OperationKind], int] = {}
         self._ended: dict[tuple[ContractId, int], Contract | None] = {}
+        self._ended_with: dict[int, deque[tuple[ContractId, int]]] = {}
 
     def call(
         self, operation: OperationKind, contractors: Iterable[int], deadline_ns: int
@@ -79,8 +82,7 @@ class Ledger:
         running = [c for c in self.running(call.operation) if c.manager == sender and c.contractor == self.me]
         running.sort(key=lambda c: c.id, reverse=True)
         superseded = tuple(
-            replace(old, state=ContractState.CANCELLED, reason="its manager calls anew")
-            for old in running[several - 1 :]
+            replace(old, state=ContractState.CANCELLED, reason=CALLED_ANEW) for old in running[several - 1 :]
         )
         for old in superseded:
             self._keep(old)
@@ -168,6 +170,11 @@ class Ledger:
             self._running[key] = contract
 
     def _forget(self, key: tuple[ContractId, int], contract: Contract | None) -> None:
+        identity, contractor = key
+        other = contractor if identity.manager == self.me else identity.manager
+        keys = self._ended_with.setdefault(other, deque())
+        if key not in self._ended:
+            keys.append(key)
         self._ended[key] = contract
-        if len(self._ended) > _REMEMBERED:
-            del self._ended[next(iter(self._ended))]
+        if len(keys) > _REMEMBERED:
+            del self._ended[keys.popleft()]

@@ -65,6 +65,10 @@ class Operation(ABC, Generic[AnyTask, AnyOutcome]):
         """Manager: take a result that there is no objection to. Of an optimisation every member knows it by itself."""
         return NOTHING
 
+    def answers_for(self, contract: Contract) -> int:
+        """Manager: the agent that is to blame where the contractor has declared a contract failed."""
+        return contract.contractor
+
     def on_confirmation(self, contract: Contract) -> Effects:
         """Manager: the contractor is committed. Most operations have nothing to do here."""
         return NOTHING

@@ -22,9 +22,14 @@ from .contract import Contract, ContractState
 
 # Weight of a contract that ended without its result: not delivered, declared failed, or stuck among several members.
 _NOT_DELIVERED, _FAILED, _STUCK = 1.0, 0.25, 0.5
+# Weight of a message that was refused; of an answer that led to a key-frame that is not there, more than the answer's
+# own.
+_REFUSED, _MISLED = 0.5, 3.0
 # Contracts without a single message that make an agent silent.
 _SILENT_AFTER = 2
 SILENT = "silent"
+CALLED_ANEW = "its manager calls anew"
+NEVER_BEGAN = "the optimisation never began"
 
 
 class Trust(StrEnum):
@@ -48,6 +53,9 @@ class Reputation:
     t: float = 0.0
     f: float = 0.0
     blamed: float = 0.0
+    refused: int = 0
+    stalled: int = 0
+    stalls_until_ns: int = 0
     unanswered: int = 0
     probe_ns: int = 0
     trust: Trust = Trust.GOOD
@@ -118,20 +126,54 @@ class ReputationBook:
                 record.unanswered += 1
         return self._changed(contract.contractor, now_ns)
 
-    def left_waiting(self, contract: Contract, now_ns: int) -> tuple[TrustChange, ...]:
-        """An optimisation that I took part in never ended: its manager answers for that."""
-        if (
-            contract.operation is OperationKind.DOPT
-            and contract.state is ContractState.EXPIRED
-            and Confirmation in contract.exchanged
-        ):
-            self._count(self.of(contract.manager), poor=_STUCK)
+    def served(self, contract: Contract, now_ns: int) -> tuple[TrustChange, ...]:
+        """A contract in which I was the contractor has ended. An optimisation that never ended, began or was awarded:
+        its manager answers for that."""
+        if contract.operation is not OperationKind.DOPT:
+            return ()
+        record = self.of(contract.manager)
+        if contract.state is ContractState.DONE:
+            record.stalled = 0
+        never_ended = contract.state is ContractState.EXPIRED and Confirmation in contract.exchanged
+        if never_ended or contract.reason == NEVER_BEGAN:
+            self._count(record, poor=_STUCK)
+            self._stall(record, now_ns)
+        left_hanging = contract.state is ContractState.EXPIRED or contract.reason == CALLED_ANEW
+        if left_hanging and Bid in contract.exchanged and Award not in contract.exchanged:
+            self._stall(record, now_ns)
         return self._changed(contract.manager, now_ns)
+
+    def stalled(self, other: int, now_ns: int) -> None:
+        """Because of the other an optimisation came to nothing."""
+        self._stall(self.of(other), now_ns)
+
+    def stalls(self, other: int, now_ns: int) -> bool:
+        """Whether optimisations with the other are left alone for now, as they came to nothing."""
+        return now_ns < self.of(other).stalls_until_ns
+
+    def _stall(self, record: Reputation, now_ns: int) -> None:
+        """Longer each time that it happens without a good end in between."""
+        record.stalled += 1
+        record.stalls_until_ns = now_ns + round(record.stalled * self.config.probe_s * 1e9)
+
+    def misled(self, other: int, now_ns: int) -> tuple[TrustChange, ...]:
+        """The other named a key-frame of a third agent that this one does not have."""
+        record = self.of(other)
+        record.failed += 1
+        self._count(record, poor=_MISLED)
+        return self._changed(other, now_ns)
 
     def judged(self, other: int, borne_out: int, contradicted: int, now_ns: int) -> tuple[TrustChange, ...]:
         """Set how many of the other's results agree with the rest of what is known, and how many do not."""
         record = self.of(other)
         record.t, record.f = float(borne_out), float(contradicted)
+        return self._changed(other, now_ns)
+
+    def refused(self, other: int, now_ns: int) -> tuple[TrustChange, ...]:
+        """A message of the other could not be believed or acted on."""
+        record = self.of(other)
+        record.refused += 1
+        self._count(record, poor=_REFUSED)
         return self._changed(other, now_ns)
 
     def blame(self, other: int, now_ns: int) -> tuple[TrustChange, ...]:

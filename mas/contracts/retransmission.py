@@ -26,7 +26,7 @@ _OWED = (ContractState.CALLED, ContractState.AWARDED, ContractState.WORKING)
 _CONTRACTOR_ENDS = (ContractState.DONE, ContractState.FAILED, ContractState.REFUSED)
 _MANAGER_ENDS = (ContractState.REJECTED, ContractState.CANCELLED)
 # So many waits in vain until a contractor is given up, where answers are slow.
-_TRIES = 20
+ANSWERS = 20
 
 
 @dataclass
@@ -104,7 +104,7 @@ class Retransmitter:
         shortest = round(self.config.silence_s * 1e9)
         # Who works was there a moment ago, and giving it up costs all other members of an optimisation their work.
         times = 2 if contract.state is ContractState.WORKING else 1
-        return times * max(shortest, _TRIES * self.rtt.wait_ns(self._other(contract)))
+        return times * max(shortest, ANSWERS * self.rtt.wait_ns(self._other(contract)))
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
         """Answer to a repeated message, or to one that came after the end; None: nothing. ``contract``: my

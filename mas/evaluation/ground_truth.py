@@ -182,6 +182,8 @@ class GroundTruthEvaluator:
         """The match against the truth, None without; one of one camera is scaled as its track was around it."""
         i = match.id
         ends = ((i.match_agent, i.match), (i.query_agent, i.query))
+        if any(k >= len(agents[a].state.keyframes) for a, k in ends):
+            return None  # a claim about a key-frame that is not there
         poses = [self._true_pose(a, agents[a].state.keyframes[k].time_ns) for a, k in ends]
         if poses[0] is None or poses[1] is None:
             return None
@@ -280,9 +282,12 @@ def _trajectory_of(keyframes: Sequence[KeyFrame]) -> Trajectory:
 
 
 def of_same_image(match: MatchId, agents: Sequence[Agent]) -> bool:
-    """Whether both key-frames of a candidate were made from one and the same image."""
-    query = agents[match.query_agent].state.keyframes[match.query]
-    return agents[match.match_agent].state.keyframes[match.match].is_image(query.recording, query.stamp_ns)
+    """Whether both key-frames of a candidate are there, and were made from one and the same image."""
+    queries, matches = agents[match.query_agent].state.keyframes, agents[match.match_agent].state.keyframes
+    if match.query >= len(queries) or match.match >= len(matches):
+        return False
+    query = queries[match.query]
+    return matches[match.match].is_image(query.recording, query.stamp_ns)
 
 
 def groups_of(agents: Sequence[Agent]) -> list[list[int]]:

@@ -54,7 +54,7 @@ class Original:
 
     def off(self, copy: MapCopy, holder: AgentState) -> float | None:
         """Median distance of a copy's points from where their owner has them, in the unit of their frame; None where
-        the two are in different coordinates, or the copy has no points.
+        the two are in different coordinates, or the copy has no points; key-frames that the owner lacks are left out.
 
         A copied point is the one of the owner's key-frame that is nearest to it in the camera.
         """
@@ -62,7 +62,7 @@ class Original:
             return None
         apart: list[Array] = []
         rows = np.linspace(0, len(copy.keyframes) - 1, min(_SAMPLE, len(copy.keyframes))).astype(int)
-        for row in rows.tolist():
+        for row in [r for r in rows.tolist() if 0 <= copy.keyframes[r] < len(self.owner.keyframes)]:
             copied, tree = copy.points_C[copy.references == row], self._points(int(copy.keyframes[row]))
             if len(copied) and tree.n:
                 own = self.owner.pose(int(copy.keyframes[row])) @ tree.data[tree.query(copied)[1]]

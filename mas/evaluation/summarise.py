@@ -103,7 +103,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         graphs=graph_figures(agents),
         truths=truth_figures(sequences),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
-        refused_messages=len(transport.refused) + sum(e.kind == "refused" for e in run.events),
+        refused_messages=sum(r.refused for a in agents for r in a.context.reputation.records.values()),
         reputation=reputations(agents),
         faults=fault_figures(agents, transport),
     )

@@ -47,6 +47,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         self.announcements = Announcements()
         self._again = RetryBudget(context.state.config.link.retries)
         self._tenders: dict[ContractId, MapTender] = {}
+        self._ordered: dict[tuple[ContractId, int], frozenset[int]] = {}
         self._rejected: set[SoldVersion] = set()
         self._spoilt: set[int] = set()
         self._checked: dict[int, tuple[int, int]] = {}
@@ -86,6 +87,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         """A sale that came to nothing is still wanted."""
         if contract.manager != self.state.me:
             return NOTHING
+        self._ordered.pop((contract.id, contract.contractor), None)
         effects = self._answered(contract)
         if self._again.wanted(contract, OperationKind.MAPMERGE):
             self.stale.add(contract.contractor)
@@ -132,6 +134,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         versions = tuple(0 if c is None or c.map_version is None else c.version for c in copies)
         known = tuple(() if c is None or c.map_version is not None else runs_of(c.keyframes) for c in copies)
         order = MapOrder(owners, versions, self.state.frame, known if any(known) else ())
+        self._ordered[contract.id, contract.contractor] = frozenset(owners)
         return self.context.send(contract, Award(order))
 
     def _wants(self, seller: int, offer: Offer) -> bool:
@@ -157,6 +160,14 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         if offer.version == copy.version and copy.frame == self.state.frame:
             placement = Sim3(np.eye(3), np.zeros(3), copy.map_version.map.unit)
             self.copies[owner] = replace(copy, placement=placement)
+
+    def objection(self, contract: Contract, outcome: MapDelivery) -> str:
+        """Only what was ordered is taken, each map once."""
+        owners = [m.owner for m in outcome.maps] + [p.owner for p in outcome.parcels]
+        ordered = self._ordered.get((contract.id, contract.contractor), frozenset())
+        if not ordered.issuperset(owners) or len(set(owners)) != len(owners):
+            return f"maps of agents {sorted(owners)[:8]}, ordered were {sorted(ordered)[:8]}"
+        return ""
 
     def on_result(self, contract: Contract, outcome: MapDelivery) -> Effects:
         seller = contract.contractor

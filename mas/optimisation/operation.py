@@ -4,7 +4,9 @@ only."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
+from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.distributed.wire import SolverMessage
 from maslam.backend.errors import BackendError
 
@@ -12,6 +14,8 @@ from ..contracts.context import AgentContext
 from ..contracts.contract import Contract, ContractState
 from ..contracts.effects import NOTHING, Effects, MembersMissed, total
 from ..contracts.operation import Answer, Operation, WorkError
+from ..contracts.reputation import NEVER_BEGAN
+from ..contracts.retransmission import ANSWERS
 from ..errors import ProtocolError
 from ..policies.utility import ENVELOPE_BYTES
 from ..protocol.ids import REASON_LENGTH, ContractId, MatchId, OperationKind
@@ -22,8 +26,13 @@ from ..protocol.tensors import MessageError
 from ..state.pose_graph import UnknownPart, adopt, believable, share_of
 from .bidding import BidEstimator, bids_to_lower, engaged
 from .contradictions import hold_against
+from .own_judgement import CLEARLY_WORSE, judged
 from .planning import Plan, plan
 from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
+from .suspicion import Suspicion
+
+# How many times as long as a silent contractor is waited for members of an optimisation wait for each other.
+_PATIENCE = 2
 
 
 class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
@@ -47,6 +56,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._missed = False
         self._bid_ns: dict[int, int] = {}
         self._before = SessionHistory()
+        self.suspicion = Suspicion(self.state.me)
         self._estimator = BidEstimator(context)
         self._rtt = context.retransmitter.rtt
 
@@ -65,11 +75,13 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
 
     def start(self, members: list[int], fresh: Iterable[MatchId] = ()) -> Effects:
         """Call for an optimisation with these agents, alone if no other is named; ``fresh``: matches not used yet."""
-        others = [a for a in members if a != self.state.me and self.context.may_call(a, OperationKind.DOPT)]
+        without = {self.state.me, self.suspicion.left_out}
+        others = [a for a in members if a not in without and self.context.may_call(a, OperationKind.DOPT)]
         mine = self._estimator.bid()
         if not others:
             return self._award(OptimisationTender(None, set(), {self.state.me: mine}, fresh=frozenset(fresh)))
-        call = self.context.call(OperationKind.DOPT, others, tuple(sorted(members)))
+        asked = tuple(sorted(set(members) - {self.suspicion.left_out}))
+        call = self.context.call(OperationKind.DOPT, others, asked)
         if call.contractors:
             called, bids = set(call.contractors), {self.state.me: mine}
             self.tender = OptimisationTender(call.identity, called, bids, set(others) - called, frozenset(fresh))
@@ -137,6 +149,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return Answer(None)
         if not self.state.keyframes:
             return Answer(Refusal("nothing to optimise yet"))
+        if self.suspicion.left_out in (contract.manager, *call.members):
+            return Answer(Refusal("optimisations with one of these were spoilt"))
         effects = NOTHING
         if self.tender is not None:
             if contract.manager > self.state.me:
@@ -164,7 +178,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
         except (BackendError, UnknownPart) as error:
             raise WorkError(f"cannot take part: {error}") from error
-        self.session = OptimisationSession(contract.id, task, node, contract)
+        self.session = OptimisationSession(contract.id, task, node, contract, agreed_ns=self.context.now_ns)
         return self.context.send(contract, Confirmation())
 
     def begin(self, sender: int, identity: ContractId | None) -> Effects:
@@ -231,8 +245,10 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def resend(self) -> Effects:
         """Send again what other members may have missed, if nothing goes on; give up where there is no end in sight."""
         session = self.session
-        if session is None or not session.begun:
+        if session is None:
             return NOTHING
+        if not session.begun:
+            return self._await_beginning(session)
         others = set(session.task.members) - {self.state.me}
         patience_ns = self.context.deadline_ns(OperationKind.DOPT, others) - self.context.now_ns
         if others and self.context.now_ns > session.began_ns + patience_ns:
@@ -242,8 +258,29 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             if session.contract is not None:
                 effects += self.context.send(session.contract, Failure("the last message did not arrive"))
             return effects
+        silent = session.silent(self.context.now_ns, self._patience_ns(others))
+        if silent:
+            sure = (
+                silent[0] if len(silent) == 1 else self.suspicion.spoilt(session.task.members, self._manager(session))
+            )
+            if sure is not None:
+                self.context.reputation.stalled(sure, self.context.now_ns)
+            return self._give_up(session, f"agents {silent} send nothing")
         due = session.link.due(session.node, self.context.now_ns, self._rtt)
         return self._repeat(session, due) + self._finish_if_done(session)
+
+    def _await_beginning(self, session: OptimisationSession) -> Effects:
+        """A contractor waits for the manager's word that all have confirmed as long as the manager may wait for it."""
+        if session.contract is None:
+            return NOTHING
+        if self.context.now_ns <= session.agreed_ns + self._patience_ns([session.contract.manager]):
+            return NOTHING
+        return self._leave(session) + self.context.send(session.contract, Failure(NEVER_BEGAN))
+
+    def _patience_ns(self, others: Iterable[int]) -> int:
+        """How long members may be silent: a manager may have to give up another one first."""
+        answers = max((ANSWERS * self._rtt.wait_ns(other) for other in others), default=0)
+        return _PATIENCE * max(round(self.state.config.link.silence_s * 1e9), answers)
 
     def _run(self, session: OptimisationSession) -> Effects:
         start = session.begin(self.context.now_ns)
@@ -256,7 +293,10 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         try:
             reply = session.receive(message, self.context.now_ns, self._rtt)
         except BackendError as error:
-            return self.context.refuse(message.sender, f"solver message of agent {message.sender}: {error}")
+            # The others wait for what this message should have been: rather begin anew without its sender.
+            self.context.reputation.stalled(message.sender, self.context.now_ns)
+            refused = self.context.refuse(message.sender, f"solver message of agent {message.sender}: {error}")
+            return refused + self._give_up(session, f"agent {message.sender} sent what makes no sense")
         effects = self._repeat(session, reply.again) + self._send(session, reply.messages)
         return effects + self._finish_if_done(session)
 
@@ -282,17 +322,42 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self.repeated += len(messages)
         return self._send(session, messages)
 
+    def _judged(self, session: OptimisationSession, outcome: SolverOutcome) -> tuple[SolverOutcome, Effects]:
+        """The outcome as far as the agent's own measurements bear it out; who solved it answers for the rest."""
+        members = session.task.members
+        mine = judged(self.state, session.task, session.node.share, outcome)
+        if mine is outcome:
+            good = outcome.accepted and len(members) > 1
+            return outcome, self._held_against(self.suspicion.ended_well(members) if good else None)
+        leader = getattr(session.node, "leader", None)
+        suspect = self.suspicion.spoilt(members, self._manager(session), leader)
+        figures = {"reason": CLEARLY_WORSE, "members": list(members), "by": suspect}
+        return mine, self._held_against(suspect) + self.context.event("optimisation_refused", **figures)
+
+    def _manager(self, session: OptimisationSession) -> int:
+        return self.state.me if session.contract is None else session.contract.manager
+
+    def _held_against(self, suspect: int | None) -> Effects:
+        """An agent that spoilt an optimisation is left alone for a while, and trusted less."""
+        if suspect is None:
+            return NOTHING
+        self.context.reputation.stalled(suspect, self.context.now_ns)
+        return Effects(changes=self.context.reputation.blame(suspect, self.context.now_ns))
+
     def _finish_if_done(self, session: OptimisationSession) -> Effects:
         outcome = session.node.outcome
         if outcome is None or self.session is not session:
             return NOTHING
         if not believable(outcome):
             return self._give_up(session, "the solution is not finite")
+        outcome, effects = self._judged(session, outcome)
         self.session = None
         self.attempts.succeeded()
         self._before.remember(session.identity, session)
         self._estimator.ended(session)
-        effects = Effects(changes=(adopt(self.state, session.task, outcome, session.elsewhere),)) + self._idle()
+        adopted = adopt(self.state, session.task, outcome, session.elsewhere)
+        adopted = replace(adopted, borne_out=outcome.reason != CLEARLY_WORSE)
+        effects += Effects(changes=(adopted,)) + self._idle()
         if session.contract is None:
             return effects + self.context.event("optimised", **session.figures(outcome))
         sweeps = outcome.rotation_sweeps + outcome.pose_sweeps

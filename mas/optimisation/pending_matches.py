@@ -18,6 +18,7 @@ class PendingMatches:
         self._once_used: set[MatchId] = set()
         self._offered: set[MatchId] = set()
         self._called_again = 0
+        self._refused = 0
 
     @property
     def matches(self) -> set[MatchId]:
@@ -32,12 +33,20 @@ class PendingMatches:
 
     def used(self, matches: frozenset[MatchId], elsewhere: frozenset[MatchId] = frozenset()) -> None:
         """An optimisation was adopted; matches ``elsewhere`` join other tracks, and stay what they were."""
+        self._refused = 0
         if matches - self._once_used:
             self._called_again = 0
         self._once_used |= matches
         before = self._used & elsewhere
         self._used = set(matches) | ((self._offered - elsewhere | before) & self.state.accepted)
         self.optimised_at = len(self.state.keyframes)
+
+    def refused(self, most: int) -> None:
+        """The agent kept its poses, as a member must have lied: it calls again, at most ``most`` times running."""
+        self.optimised_at = len(self.state.keyframes)
+        self._refused += 1
+        if self._refused > most:
+            self._used = set(self.state.accepted)
 
     def call_again(self) -> None:
         """Some member missed the optimisation or its end: what was used is pending once more, a few times."""

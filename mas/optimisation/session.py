@@ -19,6 +19,8 @@ from ..protocol.tasks import OptimiseTask
 from .solver_retransmission import SolverLink
 
 _REMEMBERED = 16
+# Messages of a member that are kept until the beginning.
+_EARLY = 64
 
 
 @dataclass
@@ -53,7 +55,8 @@ class SessionStart:
 class OptimisationSession:
     """One optimisation this agent takes part in. ``unconfirmed``: members the manager waits for before it begins;
     ``link``: what the others may have missed; ``sent_bytes``, ``began_ns``: what it cost, for the next bid;
-    ``elsewhere``: matches of the group that join other tracks, as far as the manager knows."""
+    ``elsewhere``: matches of the group that join other tracks, as far as the manager knows; ``agreed_ns``: when the
+    contractor confirmed; ``received_ns``: when each member has sent something last."""
 
     identity: ContractId | None
     task: OptimiseTask
@@ -64,12 +67,15 @@ class OptimisationSession:
     begun: bool = False
     sent_bytes: int = 0
     began_ns: int = 0
+    agreed_ns: int = 0
     link: SolverLink = field(default_factory=SolverLink)
+    received_ns: dict[int, int] = field(default_factory=dict)
     _early: list[SolverMessage] = field(default_factory=list)
 
     def keep(self, message: SolverMessage) -> None:
-        """A message came before the start."""
-        self._early.append(message)
+        """A message came before the start; of each member a few are kept, who begins sends the rest again."""
+        if sum(m.sender == message.sender for m in self._early) < _EARLY:
+            self._early.append(message)
 
     def begin(self, now_ns: int) -> SessionStart:
         """Start the node."""
@@ -79,6 +85,7 @@ class OptimisationSession:
 
     def receive(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> SolverReply:
         """Hand a message to the node; :class:`~maslam.backend.errors.BackendError` where it makes no sense."""
+        self.received_ns[message.sender] = now_ns
         out = self.node.handle(message)
         if message.asks:  # an answer is larger than the question, and brings this node no further
             return SolverReply(again=tuple(self.link.answered(message.sender, out, now_ns, rtt)))
@@ -87,6 +94,15 @@ class OptimisationSession:
         if out:
             self.link.goes_on(now_ns)
         return SolverReply(messages=tuple(out))
+
+    def silent(self, now_ns: int, patience_ns: int) -> list[int]:
+        """Members that share edges with this one and have sent nothing for longer than ``patience_ns``: those that are
+        silent longest. An elected group goes on without silent members by itself."""
+        if hasattr(self.node, "leader") or now_ns - self.began_ns <= patience_ns:
+            return []
+        since = {n: self.received_ns.get(n, -1) for n in self.node.share.neighbours}
+        longest = min(since.values(), default=now_ns)
+        return [n for n, at in sorted(since.items()) if at == longest] if now_ns - longest > patience_ns else []
 
     def late(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
         """Answer to another member that still works on what is over here. All it can lack is the last decision: nobody

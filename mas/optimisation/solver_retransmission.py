@@ -15,6 +15,9 @@ from maslam.backend.distributed.wire import SolverMessage
 
 from ..contracts.rtt import RttEstimator
 
+# Messages that are known again, at most.
+_SEEN = 50_000
+
 
 @dataclass
 class SolverLink:
@@ -33,6 +36,8 @@ class SolverLink:
         """Whether this very message came before; remembers it."""
         key = (message.sender, message.name, *message.place)
         known = key in self._seen
+        if len(self._seen) >= _SEEN:
+            self._seen.clear()  # what comes again is then taken for new, and only not answered
         self._seen.add(key)
         return known
 

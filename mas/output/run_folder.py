@@ -180,10 +180,7 @@ class Recorder:
             for c in agent.candidates.by_id.values():
                 outcome, reason = agent.candidates.outcome_of(c)
                 i, check, error = c.id, c.check, errors.get(c.id)
-                stamps = [
-                    agents[a].state.keyframes[k].stamp_ns
-                    for a, k in ((i.query_agent, i.query), (i.match_agent, i.match))
-                ]
+                stamps = [_stamp_of(agents[a], k) for a, k in ((i.query_agent, i.query), (i.match_agent, i.match))]
                 head = [seconds(c.now_ns), i.query_agent, i.query, stamps[0], i.match_agent, i.match, stamps[1]]
                 row = [
                     int(of_same_image(i, agents)),
@@ -251,6 +248,12 @@ class Recorder:
         file = open(self.folder / name, "w", newline="", encoding="utf-8")  # noqa: SIM115 - closed in __exit__
         self._files.append(file)
         return csv.writer(file, lineterminator="\n")
+
+
+def _stamp_of(agent: Agent, keyframe: int) -> int | str:
+    """Nothing for a key-frame that another agent claims it has, and it has not."""
+    keyframes = agent.state.keyframes
+    return keyframes[keyframe].stamp_ns if keyframe < len(keyframes) else ""
 
 
 def later(trajectory: Trajectory, by_ns: int) -> Trajectory:

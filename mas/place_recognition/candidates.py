@@ -37,7 +37,8 @@ class Candidate:
     """A place match on its way: a row of ``matches.csv``.
 
     ``distance`` of the vectors, None where nobody compared them; ``check``: its verification, as far as there was one;
-    ``wider``: it lies beyond the strict distance, and was considered because the two agents are not in one frame.
+    ``wider``: it lies beyond the strict distance, and was considered because the two agents are not in one frame;
+    ``named_by``: a third agent that said so.
     """
 
     id: MatchId
@@ -45,6 +46,7 @@ class Candidate:
     distance: float | None
     check: MatchCheck = MatchCheck()
     wider: bool = False
+    named_by: int | None = None
 
 
 @dataclass

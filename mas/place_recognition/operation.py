@@ -181,6 +181,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
 
     def _consider(self, keyframe: int, other: int, answer: Found) -> Effects:
         """Have the match that an answer names verified, if it is near enough."""
+        said_by = other
         if isinstance(answer, EarlierAnswer):
             keyframe = answer.query
         elif isinstance(answer, PlaceRedirect) and answer.agent is not None:
@@ -188,7 +189,8 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         if answer.keyframe is None or answer.distance >= self.wide_threshold:
             return NOTHING
         match = MatchId(self.state.me, keyframe, other, answer.keyframe)
-        candidate = Candidate(match, self.context.now_ns, answer.distance)
+        named_by = said_by if other != said_by else None
+        candidate = Candidate(match, self.context.now_ns, answer.distance, named_by=named_by)
         if answer.distance < self.threshold:
             return self.verification.request(candidate)
         self.wider.keep(candidate)

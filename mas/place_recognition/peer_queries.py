@@ -12,6 +12,9 @@ from .candidates import Candidates
 
 Vector = NDArray[np.float32]
 
+# Key-frames of one agent that a log has room for.
+_MOST_KEYFRAMES = 100_000
+
 # By how much squared distances made of products may be off, far more than they are: vectors are of unit length.
 _ROUGH = 1e-3
 
@@ -41,6 +44,7 @@ class ClusterIndex:
 
     _who: list[tuple[int, int]] = field(default_factory=list)
     _known: set[tuple[int, int]] = field(default_factory=set)
+    _counts: dict[int, int] = field(default_factory=dict)
     # Room for vectors (n, d), whose they are (n,) and their squared lengths (n,), doubled when it is full.
     _vectors: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.float32))
     _agents: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -48,8 +52,9 @@ class ClusterIndex:
 
     def remember(self, agent: int, keyframe: int, vector: Vector) -> None:
         """Log a key-frame, decoded ``(d,)``; one that is known stays as it is."""
-        if (agent, keyframe) in self._known:
+        if (agent, keyframe) in self._known or self._counts.get(agent, 0) >= _MOST_KEYFRAMES:
             return
+        self._counts[agent] = self._counts.get(agent, 0) + 1
         row = len(self._who)
         if row == len(self._agents):
             room = np.empty((max(2 * row, 64), len(vector)), dtype=np.float32)

@@ -28,8 +28,16 @@ from ..state.place_match import Match, MatchEnd, SkipReason
 from .candidates import Candidate, Candidates, MatchCheck
 from .comparison import answer_to, descriptor_width, kind_of, match_end, task_of, verify, view_of_task
 
-# Views of which only the first points have come, at most.
-_KEPT = 256
+# Views of which only the first points have come, at most, and points of all of them.
+_KEPT, _KEPT_POINTS = 256, 200_000
+# Matches with one other agent, at most: who replays one view for ever fills no memory.
+_MATCHES = 5000
+# How many times as deep as the own view of a place the other's may be, or how much less.
+_DEPTHS = 10.0
+# Why an agent cannot verify a match of a key-frame that it does not have: whoever named it is to blame.
+_NO_KEYFRAME = "no such key-frame"
+# How many times as far as this agent another one may have come, as far as tolerances go.
+_WAYS = 4.0
 # Only who has both images can tell that they are one: the match agent, before it looks at the geometry.
 _NO_EVIDENCE = Verdict(False, SkipReason.SAME_IMAGE.value, None, 0, 0, np.nan, None)
 
@@ -66,7 +74,18 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         return self.context.send(contract, Award(task_of(self.state, match, rest=match in self._promising)))
 
     def objection(self, contract: Contract, outcome: VerifyAnswer) -> str:
-        return "" if outcome.match == self._running.get(contract.id) else "not the answer to this verification"
+        match = self._running.get(contract.id)
+        if match is None or outcome.match != match:
+            return "not the answer to this verification"
+        if not outcome.accepted or outcome.T_M_Q is None:
+            return ""
+        if outcome.keyframes <= match.match:
+            return f"key-frame {match.match} of {outcome.keyframes}"
+        # Both see the same place: how deep it is they can only say alike, or tolerances would be what a peer likes.
+        depth = self.state.keyframes[match.query].depth * unpack_sim3(outcome.T_M_Q).scale
+        if not depth / _DEPTHS <= outcome.depth <= depth * _DEPTHS:
+            return f"a place {outcome.depth:.3g} deep that is {depth:.3g} deep here"
+        return ""
 
     def on_result(self, contract: Contract, outcome: VerifyAnswer) -> Effects:
         match_id = outcome.match
@@ -91,9 +110,15 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         if not outcome.accepted or transform is None or outcome.information is None:
             return NOTHING
         query = match_end(self.state, self.state.keyframes[match_id.query])
-        match = MatchEnd(outcome.track, unpack_poses(outcome.T_T_M.array()), outcome.way)
+        way = self._believed_way(outcome.way, match_id.query, transform.scale)
+        match = MatchEnd(outcome.track, unpack_poses(outcome.T_T_M.array()), way)
         information = unpack_information(outcome.information)
         return self.learn(Match.of(match_id, query, match, transform, information, outcome.inliers, outcome.depth))
+
+    def answers_for(self, contract: Contract) -> int:
+        match = self._running.get(contract.id) if contract.manager == self.state.me else None
+        named_by = None if match is None else self.candidates.by_id[match].named_by
+        return contract.contractor if named_by is None or contract.reason != _NO_KEYFRAME else named_by
 
     def on_end(self, contract: Contract) -> Effects:
         match = self._running.pop(contract.id, None) if contract.manager == self.state.me else None
@@ -138,7 +163,9 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         if task.match.query_agent != contract.manager:
             raise WorkError("not a verification of the manager's own key-frame")
         if task.match.match_agent != self.state.me or task.match.match >= len(self.state.keyframes):
-            raise WorkError("no such key-frame")
+            raise WorkError(_NO_KEYFRAME)
+        if sum(contract.manager in m.agents for m in self.state.verified) >= _MATCHES:
+            raise WorkError("enough matches with this agent")
         mine = self.state.keyframes[task.match.match]
         try:
             query = self._view_of(task)
@@ -153,7 +180,8 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         effects = self.context.send(contract, Confirmation()) + self.context.send(contract, Result(answer))
         if not verdict.accepted or verdict.T_M_Q is None or answer.information is None:
             return effects
-        asked = MatchEnd(task.track, unpack_poses(task.T_T_Q.array()), task.way)
+        way = self._believed_way(task.way, mine.index, 1.0 / verdict.T_M_Q.scale)
+        asked = MatchEnd(task.track, unpack_poses(task.T_T_Q.array()), way)
         known = match_end(self.state, mine)
         # The information as it travels, so that both owners weigh the match alike.
         information = unpack_information(answer.information)
@@ -177,10 +205,17 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         if task.rest:
             self._first.pop(task.match, None)
         else:
-            while len(self._first) >= _KEPT:
+            while len(self._first) >= _KEPT or sum(len(v.points_C) for v in self._first.values()) > _KEPT_POINTS:
                 del self._first[next(iter(self._first))]
         if first is not None:
             self._first[task.match] = first
+
+    def _believed_way(self, claimed: float, mine: int, unit: float) -> float:
+        """How far another agent says it has come, in its unit, of which an own one is ``unit``: no farther than a few
+        times what this one has come, as odometry's drift is allowed for on the way."""
+        keyframe = self.state.keyframes[mine]
+        own = self.state.travelled[-1] + _DEPTHS * keyframe.depth
+        return min(claimed, _WAYS * own * unit)
 
     # -- both ---------------------------------------------------------------------------------------------------------
 

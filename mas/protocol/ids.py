@@ -10,6 +10,7 @@ import msgspec
 # Bounds of single fields: generous for any real run, small enough that a hostile message cannot fill the memory.
 MAX_AGENTS = 4096
 MAX_POINTS = 1_000_000
+MAX_VIEW_POINTS = 20_000
 MAX_VECTOR_BYTES = 65_536
 AgentId = Annotated[int, msgspec.Meta(ge=0, lt=MAX_AGENTS)]
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**31)]

@@ -41,6 +41,8 @@ class MapOrder(Counted, frozen=True, array_like=True, tag=4):
     known: Annotated[tuple[Runs, ...], msgspec.Meta(max_length=MAX_AGENTS)] = ()
 
     def __post_init__(self) -> None:
+        if len(set(self.owners)) != len(self.owners):
+            raise MessageError("owners: a map that is ordered twice")
         if self.versions and len(self.versions) != len(self.owners):
             raise MessageError(f"versions: {len(self.versions)} of them for {len(self.owners)} owners")
         if self.known and len(self.known) != len(self.owners):
@@ -88,8 +90,11 @@ class SubMap(msgspec.Struct, frozen=True, array_like=True):
         check("descriptors", self.descriptors, "|u1", (len(references), 32))
         if len(references) and (references.min() < 0 or references.max() >= k):
             raise MessageError(f"references: a point refers to a key-frame beyond the {k} there are")
-        if k and (np.diff(self.keyframes.array()) <= 0).any():
-            raise MessageError("keyframes: not ascending")
+        if k and ((np.diff(self.keyframes.array()) <= 0).any() or self.keyframes.array()[0] < 0):
+            raise MessageError("keyframes: not ascending from 0")
+        stamps = self.stamps_ns.array()
+        if (stamps[1:] <= stamps[:-1]).any():
+            raise MessageError("stamps_ns: not ascending")
         check_sim3s("transforms", self.transforms, len(self.matches))
         self._check_known(references)
 

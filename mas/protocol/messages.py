@@ -219,6 +219,8 @@ def decode(data: bytes, max_bytes: int) -> Message:
         raise MessageError(f"message of {len(data)} bytes, at most {max_bytes} are taken")
     try:
         return _decoder.decode(data)
+    except RecursionError:
+        raise MessageError(f"message of {len(data)} bytes is nested too deeply") from None
     except (msgspec.MsgspecError, MessageError, UnicodeDecodeError) as error:
         # msgspec takes a check's ValueError or TypeError for bad data. Checks raise MessageError: it is our own.
         if isinstance(error.__cause__, ValueError | TypeError):

@@ -13,8 +13,8 @@ from maslam.backend.relpose.verification import DESCRIPTOR_BYTES
 
 from .accounting import Counted
 from .ids import (
-    MAX_POINTS,
     MAX_VECTOR_BYTES,
+    MAX_VIEW_POINTS,
     AgentId,
     FrameId,
     Index,
@@ -34,6 +34,7 @@ from .tensors import (
     MessageError,
     Tensor,
     check,
+    check_finite,
     check_information,
     check_points,
     check_poses,
@@ -100,8 +101,9 @@ class VerifyTask(Counted, frozen=True, array_like=True, tag=2):
 
     def __post_init__(self) -> None:
         n = self._check_points()
+        check_finite("way", self.way)
         check_poses("T_T_Q", self.T_T_Q, "<f8", ())
-        if n > MAX_POINTS or (self.descriptors is None) == (self.words is None):
+        if n > MAX_VIEW_POINTS or (self.descriptors is None) == (self.words is None):
             raise MessageError(f"points: {n} of them, with exactly one of descriptors and words")
         if self.descriptors is not None:
             check("descriptors", self.descriptors, "|u1", (n, None))
@@ -231,7 +233,7 @@ class VerifyAnswer(Counted, frozen=True, array_like=True, tag=2):
     reason: Reason
     matches: Index
     inliers: Index
-    rmse: float | None
+    rmse: Annotated[float, msgspec.Meta(ge=0, le=180)] | None
     T_M_Q: Tensor | None
     information: Tensor | None
     track: Index
@@ -244,6 +246,7 @@ class VerifyAnswer(Counted, frozen=True, array_like=True, tag=2):
 
     def __post_init__(self) -> None:
         check_poses("T_T_M", self.T_T_M, "<f8", ())
+        check_finite("rmse, way, depth", self.rmse or 0.0, self.way, self.depth)
         if self.accepted and (self.T_M_Q is None or self.information is None):
             raise MessageError("T_M_Q: an accepted match without its transform or information")
         if self.T_M_Q is not None:

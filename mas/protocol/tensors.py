@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Annotated, Any
 
 import msgspec
@@ -63,6 +64,12 @@ def check(name: str, tensor: Tensor, dtype: str, shape: Shape, finite: bool = Tr
     if finite and dtype[1] == "f" and not np.isfinite(values).all():
         raise MessageError(f"{name}: NaN or infinity")
     return values
+
+
+def check_finite(name: str, *values: float) -> None:
+    """Bounds of single numbers let NaN through; this does not."""
+    if not all(isfinite(value) for value in values):
+        raise MessageError(f"{name}: NaN or infinity")
 
 
 POSE_WIDTH = 7
@@ -157,6 +164,7 @@ def check_sim3(name: str, tensor: Tensor) -> None:
 
 
 _TRIANGLES = {21: 6, 28: 7}
+_MOST_INFORMATION = 1e18
 
 
 def pack_information(matrix: NDArray[np.float64]) -> Tensor:
@@ -174,5 +182,8 @@ def unpack_information(tensor: Tensor) -> NDArray[np.float64]:
 
 def check_information(name: str, tensor: Tensor) -> None:
     """A triangle as :func:`pack_information` makes it."""
-    if len(check(name, tensor, "<f4", (None,))) not in _TRIANGLES:
+    numbers = check(name, tensor, "<f4", (None,))
+    if len(numbers) not in _TRIANGLES:
         raise MessageError(f"{name}: {tensor.shape[0]} numbers, not a triangle of 21 or 28")
+    if np.abs(numbers).max() > _MOST_INFORMATION:
+        raise MessageError(f"{name}: more certain than any measurement")

@@ -22,6 +22,8 @@ from .positions import learn_length, position_priors, within_fixes
 
 # 1 sigma of the log scale of a match that says nothing about it.
 _UNKNOWN_SCALE = 100.0
+# By how much the scale between coordinates that are both in metres may differ from 1, by rounding.
+_SAME_UNIT = 1e-6
 
 
 class UnknownPart(MasError):
@@ -31,11 +33,13 @@ class UnknownPart(MasError):
 @dataclass(frozen=True, eq=False)
 class Adoption:
     """Effect of an optimisation on the agent: key-frame poses before, ``T_F_C`` as Sim(3), and the matches it used;
-    ``elsewhere``: those that it left for another one, because they join other tracks."""
+    ``elsewhere``: those that it left for another one, because they join other tracks; ``borne_out``: False where the
+    agent's own odometry says otherwise, so that it kept its poses."""
 
     before: dict[int, Sim3]
     matches: frozenset[MatchId]
     elsewhere: frozenset[MatchId] = frozenset()
+    borne_out: bool = True
 
 
 def terms(state: AgentState, now_ns: int, peer: int | None = None) -> Bid:
@@ -80,7 +84,11 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
     strange = set(task.tracks) - {p.track for p in state.pieces}
     if strange:
         raise UnknownPart(f"a track it does not have: {min(strange)}")
+    if len(set(task.tracks)) != len(task.tracks) or len(set(task.matches)) != len(task.matches):
+        raise UnknownPart("a track or match that is named twice")
     placed = dict(zip(task.present, unpack_sim3s(task.placements), strict=True))
+    if state.profile.metric and any(abs(T.scale - 1.0) > _SAME_UNIT for T in placed.values()):
+        raise UnknownPart("coordinates in another unit than the metre, which this agent has")
     poses: dict[NodeId, Array] = {}
     units: dict[NodeId, float] = {}
     edges: list[Edge] = []

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import FaultsConfig
-from ..protocol.messages import Message
-from .transport import Sent, Transport
+from .transport import Arrival, Sent, Transport
 
 # A message out of order falls behind at most so many others that were sent later.
 _BEHIND = 16
@@ -24,6 +23,7 @@ class _HeldMessage:
     due_ns: int
     place: int
     number: int
+    sender: int
     recipient: int
     data: bytes
 
@@ -41,19 +41,14 @@ class FaultyTransport(Transport):
         self.lost = self.doubled = 0
         self._rng = np.random.default_rng([seed, 0xFA])
         self._now_ns = 0
-        self._sender = -1
         self._number = 0
         self._held: list[_HeldMessage] = []
 
-    def send(self, message: Message, now_ns: int) -> None:
-        self._sender = message.sender
-        super().send(message, now_ns)
-
-    def carry(self, recipient: int, data: bytes) -> None:
+    def carry(self, sender: int, recipient: int, data: bytes) -> None:
         # Always the same number of draws a message, so that one setting does not change what another one does.
         lost, doubled, disorder, *late = self._rng.random(5)
         config = self.config
-        if lost < config.loss or not present(config, self._sender, self._now_ns):
+        if lost < config.loss or not present(config, sender, self._now_ns):
             self.lost += 1
             return
         behind = 1 + int(disorder / config.reorder * _BEHIND) if disorder < config.reorder else 0
@@ -61,15 +56,15 @@ class FaultyTransport(Transport):
         self.doubled += copies - 1
         for drawn in late[:copies]:
             due = self._now_ns + round((config.delay_s + config.jitter_s * drawn) * 1e9)
-            held = _HeldMessage(due, self._number + behind, self._number, recipient, data)
+            held = _HeldMessage(due, self._number + behind, self._number, sender, recipient, data)
             heapq.heappush(self._held, held)
             self._number += 1
 
-    def arrive(self) -> tuple[int, bytes] | None:
+    def arrive(self) -> Arrival | None:
         while self._held and self._held[0].due_ns <= self._now_ns:
             held = heapq.heappop(self._held)
             if present(self.config, held.recipient, self._now_ns):
-                self.inner.carry(held.recipient, held.data)
+                self.inner.carry(held.sender, held.recipient, held.data)
                 break
             self.lost += 1
         return self.inner.arrive()

@@ -28,6 +28,25 @@ class Sent:
     wire_bytes: int
 
 
+@dataclass(frozen=True)
+class Arrival:
+    """Bytes that have arrived: who handed them over, as the transport knows it (on a network by its certificate, never
+    by the bytes), and for whom."""
+
+    sender: int
+    recipient: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class RefusedMessage:
+    """Bytes that are no message, or one in another's name: who handed them over, to whom, and what is wrong."""
+
+    sender: int
+    recipient: int
+    reason: str
+
+
 @dataclass
 class TrafficCount:
     """Messages and bytes so far."""
@@ -45,7 +64,7 @@ class TrafficCount:
 
 class Transport(ABC):
     """Takes typed messages, carries bytes, delivers typed messages; each message is encoded, counted and checked
-    once.
+    once. It knows who hands a message over, whatever the message says: one in another's name is not delivered.
 
     A user's own derives from this class, says how bytes travel (:meth:`carry`, :meth:`arrive`), and is given as
     ``maslam.run(..., transport=...)`` or by an entry point of the group ``maslam.transports``.
@@ -63,41 +82,46 @@ class Transport(ABC):
         self.by_operation: dict[Traffic, TrafficCount] = {t: TrafficCount() for t in Traffic}
         self.by_pair: dict[tuple[int, int], TrafficCount] = {}
         self.by_contract: dict[ContractId, TrafficCount] = {}
-        self.refused: list[tuple[int, str]] = []
+        self.refused = 0
         self._record = record
 
-    def send(self, message: Message, now_ns: int) -> None:
-        """Encode, count and take on the way. A message longer than any recipient would take is an error of the
-        sender."""
+    def send(self, message: Message, now_ns: int, handed_by: int | None = None) -> None:
+        """Encode, count and take on the way. ``handed_by``: the agent that hands it over, if that is not the sender
+        that it names. A message longer than any recipient would take is an error of the sender."""
         data = encode(message)
         body = message.body
         if len(data) > self.max_message_bytes:
             raise MessageError(
                 f"agent {message.sender}: {body.kind} of {len(data)} bytes, at most {self.max_message_bytes} travel"
             )
-        ends = (now_ns, message.sender, message.recipient)
+        sender = message.sender if handed_by is None else handed_by
+        ends = (now_ns, sender, message.recipient)
         sent = Sent(*ends, body.traffic, body.kind, body.payload_bytes, len(data))
         self.by_operation[sent.operation].add(sent)
-        self.by_pair.setdefault((message.sender, message.recipient), TrafficCount()).add(sent)
+        self.by_pair.setdefault((sender, message.recipient), TrafficCount()).add(sent)
         if message.contract is not None:
             self.by_contract.setdefault(message.contract, TrafficCount()).add(sent)
         if self._record is not None:
             self._record(sent)
-        self.carry(message.recipient, data)
+        self.carry(sender, message.recipient, data)
 
-    def receive(self) -> Message | None:
-        """The next message to deliver, None when nothing is on the way; what cannot be believed is dropped and
-        counted in ``refused`` with recipient and reason."""
-        while (arrived := self.arrive()) is not None:
-            recipient, data = arrived
-            try:
-                message = decode(data, self.max_message_bytes)
-                if message.recipient != recipient:
-                    raise MessageError(f"message for agent {message.recipient} came to agent {recipient}")
-                return message
-            except MessageError as error:
-                self.refused.append((recipient, str(error)))
-        return None
+    def receive(self) -> Message | RefusedMessage | None:
+        """The next message to deliver, or what is wrong with bytes that cannot be believed, which count in ``refused``;
+        None when nothing is on the way."""
+        arrived = self.arrive()
+        if arrived is None:
+            return None
+        sender, recipient = arrived.sender, arrived.recipient
+        try:
+            message = decode(arrived.data, self.max_message_bytes)
+            if message.recipient != recipient:
+                raise MessageError(f"message for agent {message.recipient} came to agent {recipient}")
+            if message.sender != sender:
+                raise MessageError(f"agent {sender} sends in the name of agent {message.sender}")
+            return message
+        except MessageError as error:
+            self.refused += 1
+            return RefusedMessage(sender, recipient, str(error))
 
     def advance(self, now_ns: int) -> None:  # noqa: B027 - most transports need not know
         """Logical time goes on; what is due by now arrives."""
@@ -108,12 +132,13 @@ class Transport(ABC):
         return False
 
     @abstractmethod
-    def carry(self, recipient: int, data: bytes) -> None:
-        """Put bytes on the way to the agent ``recipient``; they may not change on it."""
+    def carry(self, sender: int, recipient: int, data: bytes) -> None:
+        """Put bytes that the agent ``sender`` hands over on the way to the agent ``recipient``; they may not change on
+        it."""
 
     @abstractmethod
-    def arrive(self) -> tuple[int, bytes] | None:
-        """Recipient and bytes of the next message that has arrived, None when none is due by now."""
+    def arrive(self) -> Arrival | None:
+        """The next message that has arrived, None when none is due by now."""
 
 
 class InProcessTransport(Transport):
@@ -123,10 +148,10 @@ class InProcessTransport(Transport):
         self, max_message_bytes: int = MAX_MESSAGE_BYTES, record: Callable[[Sent], None] | None = None
     ) -> None:
         super().__init__(max_message_bytes, record)
-        self._queue: deque[tuple[int, bytes]] = deque()
+        self._queue: deque[Arrival] = deque()
 
-    def carry(self, recipient: int, data: bytes) -> None:
-        self._queue.append((recipient, data))
+    def carry(self, sender: int, recipient: int, data: bytes) -> None:
+        self._queue.append(Arrival(sender, recipient, data))
 
-    def arrive(self) -> tuple[int, bytes] | None:
+    def arrive(self) -> Arrival | None:
         return self._queue.popleft() if self._queue else None

@@ -19,7 +19,7 @@ from maslam.mas.protocol.messages import Bid, encode
 from maslam.mas.protocol.tensors import MessageError
 from maslam.mas.simulation import make_agents, run
 from maslam.mas.state.keyframe import keyframes_of
-from maslam.mas.transport.transport import Sent
+from maslam.mas.transport.transport import RefusedMessage, Sent
 
 AGENTS = 3
 
@@ -246,6 +246,15 @@ class TransportContract:
         transport.begin(2**20)
         assert not transport.by_pair and not transport.refused
         assert sum(c.messages for c in transport.by_operation.values()) == 0
+
+    def test_a_message_in_anothers_name_is_not_delivered(self) -> None:
+        transport = self.begun()
+        transport.send(examples()[0], 0, handed_by=3)
+        transport.send(examples()[1], 0, handed_by=0)
+        refused = transport.receive()
+        assert isinstance(refused, RefusedMessage) and (refused.sender, refused.recipient) == (3, 1)
+        assert transport.receive() == examples()[1] and transport.receive() is None
+        assert transport.by_pair[3, 1].messages == 1, "what it sends counts for who sends it"
 
     def test_a_sender_cannot_send_what_nobody_would_take(self) -> None:
         with pytest.raises(MessageError, match="at most 20 travel"):

@@ -115,19 +115,19 @@ class SocketPair(maslam.Transport):
     def __init__(self) -> None:
         super().__init__()
         self._out, self._in = socket.socketpair()
-        self._sent: list[tuple[int, int]] = []
+        self._sent: list[tuple[int, int, int]] = []
         for end in (self._out, self._in):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2**22)
 
-    def carry(self, recipient: int, data: bytes) -> None:
-        self._sent.append((recipient, len(data)))
+    def carry(self, sender: int, recipient: int, data: bytes) -> None:
+        self._sent.append((sender, recipient, len(data)))
         self._out.sendall(data)
 
-    def arrive(self) -> tuple[int, bytes] | None:
+    def arrive(self) -> maslam.Arrival | None:
         if not self._sent:
             return None
-        recipient, length = self._sent.pop(0)
-        return recipient, self._in.recv(length, socket.MSG_WAITALL)
+        sender, recipient, length = self._sent.pop(0)
+        return maslam.Arrival(sender, recipient, self._in.recv(length, socket.MSG_WAITALL))
 
 
 class TestOwnTransport(TransportContract):

@@ -135,8 +135,8 @@ def _overheard(transport: Transport, listen: Callable[[Message, int], None]) -> 
     """Have ``listen`` hear every message that is sent, whether it arrives or not, with its wire bytes."""
     send = transport.send
 
-    def heard(message: Message, now_ns: int) -> None:
-        send(message, now_ns)
+    def heard(message: Message, now_ns: int, handed_by: int | None = None) -> None:
+        send(message, now_ns, handed_by)
         listen(message, len(encode(message)))
 
     transport.send = heard  # type: ignore[method-assign]

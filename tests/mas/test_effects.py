@@ -337,7 +337,7 @@ def test_trust_that_changes_is_logged_by_the_message_that_changes_it() -> None:
         Contract(ContractId(0, 0), 1, OperationKind.DVPR, 10), state=ContractState.CANCELLED, reason=SILENT
     )
     for _ in range(2):
-        effects = context.close_account(silent)
+        effects = context.close_account(silent, silent.contractor)
     assert [c.trust for c in effects.changes if isinstance(c, TrustChange)] == [Trust.SILENT]
     back = agents[0].handle(Message(1, 0, None, MapNotice(())))
     assert [(e.kind, e.fields["of"], e.fields["trust"]) for e in back.events] == [("reputation", 1, "good")]

@@ -19,7 +19,7 @@ from maslam.mas.protocol.ids import ContractId, MatchId, OperationKind
 from maslam.mas.protocol.messages import Award, Begin, Call, Failure, Message, Result, encode
 from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import make_agents, run
-from maslam.mas.transport.transport import InProcessTransport
+from maslam.mas.transport.transport import InProcessTransport, RefusedMessage
 
 DEFAULT = preset("default")
 
@@ -203,7 +203,8 @@ def test_a_claim_about_a_key_frame_that_is_not_there_fails_politely() -> None:
 def test_corrupt_bytes_between_agents_cost_only_their_message() -> None:
     transport = InProcessTransport(2**20)
     good = encode(examples()[0])
-    transport.carry(1, good[:-3])
-    transport.carry(1, good)
+    transport.carry(0, 1, good[:-3])
+    transport.carry(0, 1, good)
+    assert isinstance(transport.receive(), RefusedMessage)
     assert transport.receive() == examples()[0]
-    assert len(transport.refused) == 1
+    assert transport.refused == 1

@@ -11,7 +11,7 @@ from maslam.mas.protocol.messages import Award, Bid, Result, encode
 from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.protocol.tasks import EarlierAnswer, MapDelivery, OwnerQuery, PlaceAnswer, PlaceQuery, PlaceRedirect
 from maslam.mas.protocol.tensors import Tensor
-from maslam.mas.transport.transport import InProcessTransport
+from maslam.mas.transport.transport import InProcessTransport, RefusedMessage
 
 
 class TestInProcess:
@@ -19,12 +19,16 @@ class TestInProcess:
 
     def test_what_cannot_be_read_is_dropped_and_counted(self) -> None:
         transport = InProcessTransport(2**20)
-        transport.carry(1, b"nonsense")
-        transport.carry(2, encode(examples()[0]))
+        transport.carry(0, 1, b"nonsense")
+        transport.carry(0, 2, encode(examples()[0]))
+        transport.carry(3, 1, encode(examples()[0]))
         transport.send(examples()[1], 0)
-        assert transport.receive() == examples()[1]
-        assert [recipient for recipient, _ in transport.refused] == [1, 2]
-        assert "came to agent 2" in transport.refused[1][1]
+        refused = [transport.receive() for _ in range(3)]
+        assert transport.receive() == examples()[1] and transport.receive() is None
+        assert all(isinstance(r, RefusedMessage) for r in refused)
+        assert [(r.sender, r.recipient) for r in refused] == [(0, 1), (0, 2), (3, 1)]
+        assert "came to agent 2" in refused[1].reason and "in the name of agent 0" in refused[2].reason
+        assert transport.refused == 3
 
 
 def test_payload_is_counted_as_the_published_tables_do() -> None:

@@ -190,6 +190,8 @@ def decode(
     )
     if any(a.size and max(a.max(), -a.min()) > _LARGEST for a in (made.poses, made.cells, made.depths, made.ticks)):
         raise CodingError("numbers that no map holds")
+    if (np.diff(made.ticks) <= 0).any():
+        raise CodingError("time stamps out of order")
     if made.drifting and np.abs(made.poses[:, RIGID]).max(initial=0) * size(base.steps.rotation) > np.log(MAX_SCALE):
         raise CodingError("a key-frame whose unit is out of range")
     if len(keyframes) and (keyframes[0] <= before or (np.diff(keyframes) <= 0).any() or keyframes[-1] > _LOW):

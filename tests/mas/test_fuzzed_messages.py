@@ -1,0 +1,51 @@
+"""No message of any content ends an agent: real ones, changed, to live agents in the states in which those came."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from fuzz_messages import Moment, fuzzed, moments, systems
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maslam.mas.protocol.messages import decode
+from maslam.mas.protocol.tensors import MessageError
+
+LIMIT = 2**24
+
+
+@cache
+def some(name: str) -> list[Moment]:
+    return moments(systems()[name], 2, agents=2, keyframes=8)
+
+
+@pytest.mark.parametrize("name", ["maslam", "default", "rbcd", "multifrontal", "two-level"])
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=6, deadline=None)
+def test_nothing_escapes_and_most_changes_pass_decoding(name: str, seed: int) -> None:
+    found = fuzzed(some(name), 16, seed)
+    assert not found.escaped
+    assert found.tried == 16 and found.decoded >= 4, "what decoding refuses tests nothing behind it"
+
+
+def test_half_of_all_changed_messages_pass_decoding() -> None:
+    found = fuzzed(some("default"), 120, 0)
+    assert not found.escaped and found.decoded >= 60
+
+
+@given(kinds=st.integers(0, 10**6), depth=st.integers(1, 3000), array=st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_nesting_of_any_depth_is_an_error_and_no_crash(kinds: int, depth: int, array: bool) -> None:
+    chosen = some("default")
+    data = chosen[kinds % len(chosen)].data
+    nested = (b"\x91" if array else b"\x81\x01") * depth + b"\xc0"
+    for bad in (data[:-1] + nested, b"\x96" + data[1:] + nested):
+        with pytest.raises(MessageError):
+            raise_unless_whole(bad)
+
+
+def raise_unless_whole(data: bytes) -> None:
+    """Decode; a further element at the end is skipped where it is not too deep, which is no crash either."""
+    decode(data, LIMIT)
+    raise MessageError("skipped")
