@@ -40,6 +40,8 @@ class EntryKind(IntEnum):
     REMIND = 5
     FINISH = 6
     """Nobody present has anything new to see."""
+    REFUSE = 7
+    """Bytes of another agent that are no message of its own; data: its number, and what is wrong."""
 
 
 @dataclass(frozen=True)

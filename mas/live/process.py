@@ -130,10 +130,13 @@ class AgentProcess:
             return
         try:
             message = arrived(decode(came.data, self.agent.inputs.max_message_bytes), now_ns)
+            if message.recipient != self.neighbours.me:
+                raise MessageError(f"a message for agent {message.recipient}")
             if message.sender != came.sender:
                 raise MessageError(f"a message in the name of agent {message.sender}")
         except MessageError as error:
             self._warn(came.sender, str(error))
+            self._send(self.agent.refuse(came.sender, str(error), now_ns), now_ns)
             return
         self._still_since = None
         # Contracts are judged by the time at which their messages come.

@@ -14,6 +14,7 @@ from ..state.keyframe import KeyFrame
 from .journal import EntryKind, Journal, JournalEntry, JournalError
 
 _NUMBER = struct.Struct("<I")
+_REASON = 300
 
 
 @dataclass
@@ -43,6 +44,9 @@ class AgentInputs:
                 return agent.remind(entry.now_ns)
             case EntryKind.MESSAGE:
                 return agent.handle(decode(entry.data, self.max_message_bytes))
+            case EntryKind.REFUSE:
+                (sender,) = _NUMBER.unpack_from(entry.data)
+                return agent.refuse(sender, entry.data[_NUMBER.size :].decode("utf-8", "replace"))
             case EntryKind.MEET:
                 agent.meet(_NUMBER.unpack(entry.data)[0])
             case EntryKind.OBSERVE:
@@ -82,6 +86,10 @@ class RecordedAgent:
     def handle(self, message: Message, now_ns: int) -> Effects:
         """A message that the link has delivered."""
         return self._enter(EntryKind.MESSAGE, now_ns, encode(message))
+
+    def refuse(self, sender: int, reason: str, now_ns: int) -> Effects:
+        """The link brought bytes of an agent that are no message, or one in another's name."""
+        return self._enter(EntryKind.REFUSE, now_ns, _NUMBER.pack(sender) + reason[:_REASON].encode())
 
     def tick(self, now_ns: int) -> Effects:
         """Logical time goes on by a step."""

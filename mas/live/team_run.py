@@ -16,7 +16,7 @@ from ..evaluation.summary import Summary, Timing
 from ..output.run_folder import Recorder
 from ..output.whole_run import record_run, timeline_row
 from ..sequence import AgentSequence, Manifest
-from ..transport.transport import Transport
+from ..transport.transport import Arrival, Transport
 from .journal import read_journal
 from .one_agent import inputs_of
 from .recorded_agent import AgentInputs, Replayed, replay
@@ -25,10 +25,10 @@ from .recorded_agent import AgentInputs, Replayed, replay
 class SentMessages(Transport):
     """Counts what agents sent, and carries nothing: it has arrived already, or was lost."""
 
-    def carry(self, recipient: int, data: bytes) -> None:
+    def carry(self, sender: int, recipient: int, data: bytes) -> None:
         return None
 
-    def arrive(self) -> tuple[int, bytes] | None:
+    def arrive(self) -> Arrival | None:
         return None
 
 
