@@ -37,6 +37,12 @@ SPLIT_CURE = (
     "pair (ffmpeg -i IN -vf crop=iw/2:ih:0:0 image_0/%06d.png, and crop=iw/2:ih:iw/2:0 for image_1)"
 )
 
+STACKED_CURE = (
+    "cut each into its upper half, in a folder image_0, and its lower half, in image_1, with the calibration of the "
+    "pair (ffmpeg -i IN -vf crop=iw:ih/2:0:0 image_0/%06d.png, and crop=iw:ih/2:0:ih/2 for image_1; the other way "
+    "round where the upper one is the right camera's)"
+)
+
 
 def check_count(images: int, kind: RigKind, folder: Path, problems: Problems) -> None:
     """Check that there are images to follow a camera of this kind through."""
@@ -153,6 +159,8 @@ def check_size(
         line += ": turned by 90 degrees"
     elif stored == (2 * calibrated[0], calibrated[1]):
         line += f": two pictures side by side? {SPLIT_CURE}"
+    elif stored == (calibrated[0], 2 * calibrated[1]):
+        line += f": two pictures one above the other? {STACKED_CURE}"
     elif abs(calibrated[0] * stored[1] / (calibrated[1] * stored[0]) - 1.0) < _SAME_SHAPE:
         line += f": images scaled by {stored[0] / calibrated[0]:.4g} after calibration need their own calibration"
     problems.error(line)
