@@ -24,6 +24,12 @@ from .images import natural_key
 from .truth_rows import LEFT_OUT, frame_truth, truth_of_images, truth_of_numbers
 
 _SUFFIXES = (".txt", ".tum", ".csv")
+_UNREAD = frozenset(
+    (
+        *(".xlsx", ".xls", ".ods", ".jsonl", ".ndjson", ".gz", ".zip", ".tgz", ".7z", ".pkl", ".pickle", ".mat", ".h5"),
+        *(".hdf5", ".parquet", ".feather", ".pt", ".pth", ".kml", ".dat", ".yaml", ".yml", ".xml", ".log"),
+    )
+)
 _BY_NAME = "trajectory"
 _NAMES = ("poses", "groundtruth", "ground_truth", "gt", "gt_poses", "gt_pose", "traj", _BY_NAME)
 POSE_FOLDERS, _POSE_SUFFIXES = ("poses", "pose"), (".txt", *ARRAY_SUFFIXES)
@@ -79,6 +85,12 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
                     f"{found[0]}: taken as the ground truth by its name; if it is an estimate, move it away"
                 )
         return truth
+    unread = _of_unread_forms(folder)
+    if unread:
+        problems.warning(
+            f"{folder}: {', '.join(unread)}: by the name a ground truth, in a form that is not read "
+            f"({', '.join((*_SUFFIXES, *ARRAY_SUFFIXES))} are)"
+        )
     estimated = [path.name for path in files if _ESTIMATED.fullmatch(path.stem.lower())]
     if estimated:
         problems.warning(
@@ -87,6 +99,17 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
         )
     inside = next((folder / name for name in POSE_FOLDERS if (folder / name).is_dir()), None)
     return None if inside is None else _of_single_files(inside, images, problems)
+
+
+def _of_unread_forms(folder: Path) -> list[str]:
+    """Names of files that are called as ground truth is, with suffixes of data that no reader of it takes."""
+    found = []
+    for path in folder.iterdir():
+        stem = path.name.partition(".")[0].lower()
+        true = (stem in _NAMES and stem != _BY_NAME) or _LOOKS_TRUE.search(stem)
+        if true and path.suffix.lower() in _UNREAD and path.is_file():
+            found.append(path.name)
+    return sorted(found)
 
 
 def read_truth(path: Path, images: TimedImages, problems: Problems, wxyz: bool = False) -> Truth | None:

@@ -84,7 +84,7 @@ def test_no_layout_and_no_suffix_is_there_that_nobody_reads() -> None:
     assert kinds == set(LISTS_OF["layouts"])
     suffixes = {name for text in tables().values() for name in named(text) if re.fullmatch(r"\.[a-z0-9]+", name)}
     known = {*images.IMAGE_SUFFIXES, *image_headers.UNREAD, *depth_files.FLOAT_SUFFIXES, *film.FILM_SUFFIXES}
-    assert suffixes <= known | {*bag.BAG_SUFFIXES, *truth._SUFFIXES, *ARRAY_SUFFIXES, ".freiburg"}
+    assert suffixes <= known | {*bag.BAG_SUFFIXES, *truth._SUFFIXES, *truth._UNREAD, *ARRAY_SUFFIXES, ".freiburg"}
 
 
 LISTS_OF = {"layouts": tuple(reader.kind for reader in (*readers.OURS, readers.ANY_IMAGES))}
