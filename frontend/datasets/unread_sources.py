@@ -32,6 +32,8 @@ def cure_of_file(path: Path) -> str:
 
 def hint_in(folder: Path) -> str:
     """What a folder holds that may be meant, though nothing in it is read as it is; empty where there is nothing."""
+    if any((place / "manifest.json").is_file() for place in (folder, folder.parent)):
+        return "agent sequences, which `maslam preprocess` made: name the images; `maslam run` takes sequences"
     for path in sorted(folder.iterdir()):
         cure = cure_of_file(path) if path.is_file() and path.suffix.lower() in (_ARCHIVES | _FILMS) else ""
         if cure:

@@ -65,6 +65,11 @@ def find_columns(where: str, headings: Sequence[str], values: Array, wxyz: bool)
         turned = _named_angles(where, headings, values)
         if turned is not None:
             return turned
+        if _is_planar(headings):
+            raise FrontendError(
+                f"{where}: x, y and an angle, of a plane, are not read: write time x y z roll_deg pitch_deg yaw_deg, "
+                "with z, roll and pitch of 0"
+            )
     timed = width in (8, 13, 17) or (wxyz and width > 8)
     first = int(timed)
     if width in (7, 8) or (wxyz and width == 17):
@@ -148,6 +153,14 @@ def _named_angles(where: str, headings: Sequence[str], values: Array) -> tuple[P
     named = "degrees" if unit != 1.0 else "radians"
     note = f"roll, pitch and yaw are taken in {named}{why}, R = Rz(yaw) Ry(pitch) Rx(roll)"
     return PoseColumns(_time(bare), at, angles=angles, angle_unit=unit, named=True), [note]
+
+
+def _is_planar(headings: Sequence[str]) -> bool:
+    """Whether a position in a plane and its angle are named."""
+    bare = _bare(headings)
+    x, y, z = _position(bare)
+    angle = _find(bare, r"(.*[_.])?(theta|yaw|heading|phi|angle)(_?(deg|degrees?|rad|radians?))?")
+    return None not in (x, y, angle) and z is None
 
 
 def _angle_unit(where: str, headings: Sequence[str], positions: Array, angles: Array) -> tuple[float, str]:

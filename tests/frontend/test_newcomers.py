@@ -111,6 +111,7 @@ def being(name: str) -> Callable[[Path], Path]:
         (being("drive.tar.gz"), "unpack it, and name the folder"),
         (being("drive.wmv"), "ffmpeg -i drive.wmv"),
         (being("0001.png"), "one image; name its folder"),
+        (holding("manifest.json"), "agent sequences, which `maslam preprocess` made"),
         (holding("notes.md"), "no images of a known layout here"),
     ],
 )

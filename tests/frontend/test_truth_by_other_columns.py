@@ -219,6 +219,12 @@ def test_roll_pitch_and_yaw_are_read_in_the_unit_that_something_tells(
     assert found.notes[-1].startswith(f"roll, pitch and yaw are taken in {why}")
 
 
+def test_poses_in_a_plane_are_refused_with_what_to_write(tmp_path: Path) -> None:
+    (tmp_path / "gt.csv").write_text("time,x,y,theta\n0,1,2,0.1\n1,2,2,0.2\n")
+    with pytest.raises(FrontendError, match=r"gt.csv:2: x, y and an angle, of a plane, .* roll_deg pitch_deg yaw_deg"):
+        read_poses(tmp_path / "gt.csv")
+
+
 def test_small_degrees_are_seen_by_the_path(tmp_path: Path) -> None:
     """A body that turns by a few degrees at a time, and whose angles were wrapped to less than 2 pi in degrees."""
     turn = np.deg2rad(6.0) * np.sin(np.arange(80) / 5.0)
