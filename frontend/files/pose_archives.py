@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 _WIDTHS = (7, 8, 12, 13, 16, 17)
 _POSES = ("poses", "pose", "trajectory", "groundtruth", "ground_truth", "gt", "traj", *MATRIX_KEYS)
 _INVERSE = ("poses_w2c", "w2cs", *INVERSE_KEYS)
+_DIRECTION_OPEN = re.compile("extrinsic|view_?mat", re.IGNORECASE)  # some mean T_W_C by it, others T_C_W
 _TIMES = ("timestamps", "times", "stamps", "timestamps_ns", "stamps_ns", "times_ns", *TIME_KEYS)
 _NUMBERS = (
     *("ids", "id", "frame_ids", "image_ids", "indices", "index", "frames", "frame_indices", "names", "image_names"),
@@ -89,7 +91,7 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, tuple
     shaped = [name for name, array in arrays.items() if _is_poses(array)]
     inverse = [name for name in _named(arrays, _INVERSE) if name in shaped and arrays[name].ndim == 3]
     known = [name for name in _named(arrays, _POSES) if name in shaped]
-    others = [name for name in shaped if name not in (*known, *inverse)]
+    others = [name for name in shaped if name not in (*known, *inverse) and not _DIRECTION_OPEN.search(name)]
     if known or (len(others) == 1 and not inverse):
         name = known[0] if known else others[0]
         return rows_of_array(path, arrays[name]), () if known else (f"its array {name!r} is taken as the poses",)
@@ -102,7 +104,7 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, tuple
         return made
     listed = ", ".join(f"{name} {array.shape}" for name, array in sorted(arrays.items())) or "none"
     which = "which of its arrays are the poses?" if others else "no poses among its arrays:"
-    raise FrontendError(f"{path}: {which} {listed}; one called poses, (N, 4, 4), is meant")
+    raise FrontendError(f"{path}: {which} {listed}; one called poses or c2w (T_W_C), or w2c, (N, 4, 4), is meant")
 
 
 def _of_parts(arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, tuple[str, ...]] | None:

@@ -18,7 +18,7 @@ _NUMBER_KEYS = ("id", "image_id", "frame_id", "frame", "index", "frame_index", "
 TIME_KEYS = ("time", "timestamp", "stamp", "t", "timestamp_ns", "time_ns", "timestamp_us", "timestamp_ms", "time_s")
 MATRIX_KEYS = (
     *("pose", "matrix", "transform", "transform_matrix", "transformation", "T", "T_W_C", "T_wc", "Twc", "c2w"),
-    *("camera_to_world", "cam_to_world", "cam2world", "T_cam2world", "extrinsic", "extrinsics"),
+    *("camera_to_world", "cam_to_world", "cam2world", "T_cam2world"),
 )
 INVERSE_KEYS = ("w2c", "world_to_camera", "world_to_cam", "world2cam", "T_C_W", "T_cw", "Tcw", "cam_from_world")
 _POSITION_KEYS = ("position", "translation", "trans", "tvec", "t", "p", "xyz", "location", "center", "centre")

@@ -78,6 +78,10 @@ def test_poses_in_an_archive_are_the_truth(folder: Path, form: str) -> None:
     ("arrays", "said"),
     [
         ({"a": SCENE.poses, "b": SCENE.poses}, "which of its arrays are the poses? a (6, 4, 4), b (6, 4, 4)"),
+        (
+            {"extrinsics": SCENE.poses},
+            "no poses among its arrays: extrinsics (6, 4, 4); one called poses or c2w (T_W_C), or",
+        ),
         ({"depth": np.zeros((4, 5))}, "no poses among its arrays: depth (4, 5)"),
         ({"poses": np.array([{}], dtype=object)}, "damaged, or not such a file"),
     ],
@@ -146,6 +150,7 @@ def test_positions_and_orientations_in_json_are_the_truth(folder: Path, form: st
     ("content", "said"),
     [
         (entries(t=CENTRES, rotation=CENTRES), "pose 1: rotation has 3 numbers: angles, or a rotation vector?"),
+        (entries(extrinsic=SCENE.poses), "pose 1: in a form that is not read (its keys: extrinsic)"),
         (entries(a=CENTRES, b=XYZW), "pose 1: in a form that is not read (its keys: a, b)"),
         (
             [{"position": [1, 2, 3], "orientation": {"roll": 1, "yaw": 2}}],
