@@ -3,12 +3,17 @@ motion."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ._quiet_import import signals_kept
 
 Array = NDArray[np.float64]
 
@@ -25,6 +30,13 @@ class RansacLimits:
     max_trials: int
 
 
+def _library() -> ModuleType:
+    """pycolmap, imported when first needed, without its handlers of signals."""
+    with signals_kept() if "pycolmap" not in sys.modules else nullcontext():
+        import pycolmap
+    return pycolmap
+
+
 def absolute_pose(
     points: Array, uv: Array, pinhole: tuple[float, float, float, float], limits: RansacLimits, seed: int, refine: bool
 ) -> Array | None:
@@ -35,8 +47,7 @@ def absolute_pose(
     its key-points move together, nothing needs to be converted. ``refine``: by least squares on the inliers at the end.
     Same points and seed, same pose. LO-RANSAC: Chum, Matas and Kittler, DAGM 2003.
     """
-    import pycolmap
-
+    pycolmap = _library()
     if len(points) < limits.min_inliers:
         return None
     width, height = (int(2 * c) + 2 for c in pinhole[2:])
@@ -81,8 +92,8 @@ class SelfCalibrator:
         self, images: Sequence[NDArray[np.uint8]], centre: tuple[float, float], folder: Path, features: int = 1500
     ) -> None:
         import cv2
-        import pycolmap
 
+        pycolmap = _library()
         pycolmap.logging.minloglevel = 3
         self._images, self._made, self._database = folder / "images", folder / "made", folder / "database.db"
         self._images.mkdir()
@@ -108,8 +119,7 @@ class SelfCalibrator:
 
     def run(self, focal_px: float) -> SelfCalibration | None:
         """Begin with this focal length; None where nothing could be reconstructed."""
-        import pycolmap
-
+        pycolmap = _library()
         with pycolmap.Database.open(self._database) as database:
             camera = database.read_all_cameras()[0]
             camera.params = [focal_px, *self._centre, 0.0]

@@ -18,6 +18,7 @@ from maslam._atomic import replacing
 
 from ..errors import BackendError
 from ..geometry import Array, quat_wxyz_from_rotation, so3_log
+from .g2o_copies import check_given_once, copies
 from .g2o_fixed import pinned_lines
 from .g2o_ids import Ids, symbol
 from .g2o_landmarks import needs_offset, sighting_lines, vertex_lines
@@ -45,10 +46,13 @@ def read_g2o(
     files = [paths] if isinstance(paths, Path) else list(paths)
     if not files:
         raise BackendError("no g2o file given")
+    check_given_once(files)
     errors: list[BackendError] = []
     remarks = Remarks()
     lines = [line for k, path in enumerate(files) for line in read_lines(k, path, errors, remarks)]
+    alike = copies(files, lines)
     lines, found = without_the_whole(files, lines)
+    found += alike
     reading = _Reading(Ids([(line.file, line.is_vertex, line.ids) for line in lines]))
     for line in lines:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -36,6 +37,8 @@ _LONGEST = 1e12
 _HEAVIEST = 1e24
 """Of an information matrix's numbers."""
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_GZIP, _MOST_BYTES = b"\x1f\x8b", 1 << 30
+_LARGEST_ID = (1 << 64) - 1
 
 
 class G2oLine(NamedTuple):
@@ -87,15 +90,35 @@ def read_lines(file: int, path: Path, errors: list[BackendError], remarks: Remar
 
 
 def _split(path: Path) -> Iterator[tuple[str, str, list[str]]]:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise BackendError(f"{path}: cannot be read: {error.strerror}") from error
+    data = _unpacked(path)
     # PowerShell writes UTF-16; editors on Windows a byte order mark.
     text = data.decode("utf-16" if data.startswith(_UTF16) else "utf-8-sig", errors="replace")
     for number, line in enumerate(text.splitlines(), 1):
         tag, *fields = line.split() or ["#"]
         yield f"{path}:{number}", tag, fields
+
+
+def _unpacked(path: Path) -> bytes:
+    """The file's bytes, unpacked where it is gzip's, whatever its name."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BackendError(f"{path}: cannot be read: {error.strerror}") from error
+    if not data.startswith(_GZIP):
+        return data
+    text = b""
+    while data:
+        unpacker = zlib.decompressobj(wbits=31)
+        try:
+            text += unpacker.decompress(data, _MOST_BYTES)
+        except zlib.error as error:
+            raise BackendError(f"{path}: damaged gzip file: {error}") from error
+        if unpacker.unconsumed_tail or len(text) > _MOST_BYTES:
+            raise BackendError(f"{path}: more than {_MOST_BYTES >> 30} GiB when unpacked")
+        if not unpacker.eof:
+            raise BackendError(f"{path}: gzip file is cut off")
+        data = unpacker.unused_data
+    return text
 
 
 def _check_parameters(where: str, tag: str, fields: list[str]) -> None:
@@ -128,6 +151,8 @@ def _ids(where: str, fields: list[str]) -> tuple[int, ...]:
     for text in fields:
         if not _ID.fullmatch(text):
             raise BackendError(f"{where}: {text!r} is not a node id (a whole number from 0)")
+        if int(text) > _LARGEST_ID:
+            raise BackendError(f"{where}: {text} is not a node id: it is beyond 64 bits ({_LARGEST_ID})")
     return tuple(map(int, fields))
 
 

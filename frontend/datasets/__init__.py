@@ -20,6 +20,7 @@ from .reading_config import ReadingConfig
 from .recordings.films import FilmReader, robots_note
 from .robots import SubFolders, agent_folders, only_sequence, sub_folders, without_images
 from .selection import select
+from .unread_sources import cure_of_file, hint_in
 
 __all__ = ["Dataset", "ImageSequence", "Problem", "Reader", "ReadingConfig", "Severity", "open_dataset"]
 
@@ -166,7 +167,10 @@ def _reader(path: Path, readers: Sequence[Reader]) -> Reader:
             if suffix in reader.suffixes:
                 return reader
         known = sorted(suffix for reader in readers for suffix in reader.suffixes)
-        raise FrontendError(f"{path}: not a folder, and no recording of a known kind ({', '.join(known)})")
+        cure = cure_of_file(path)
+        raise FrontendError(
+            f"{path}: not a folder, and no recording of a known kind ({', '.join(known)}){cure and f': {cure}'}"
+        )
     for reader in readers:
         if reader.recognises(path):
             return reader
@@ -189,7 +193,7 @@ def _why_unknown(folder: Path, found: SubFolders, readers: Sequence[Reader]) -> 
             f"holds several sequences ({_names(names)}); name one of them, or take each as a robot: "
             "--images.robots true"
         )
-    foreign = _foreign(folder)
+    foreign = _foreign(folder) or hint_in(folder)
     if foreign:
         return foreign
     return f"no images of a known layout here ({', '.join(reader.kind for reader in readers)})"

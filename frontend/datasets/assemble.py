@@ -73,6 +73,7 @@ def assemble(found: FoundSequence, kind: RigKind, problems: Problems) -> ImageSe
     checks.check_files(found.images, "image", problems)
     checks.check_files(right, "right image", problems)
     checks.check_files(depth, "depth image", problems)
+    checks.check_kinds([path.name for path in found.images], folder_of(found.images[0]), problems)
     checks.check_numbers(found.missing, folder_of(found.images[0]), problems)
     checks.check_stamps(found.stamps_ns, [path.name for path in found.images], found.stamps_source, problems)
     size = first_size(found.images)

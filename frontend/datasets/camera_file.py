@@ -18,9 +18,9 @@ from ..cameras.calibration_files import (
 from ..cameras.calibration_files.registry import CalibrationFormat, format_of
 from ..errors import FrontendError
 
-_SUFFIXES = (".yaml", ".yml", ".xml", ".json")
+_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".npz")
 _NOT_CAMERAS = ("metadata.yaml",)  # of a ROS 2 bag
-_OFTEN_OTHERS = (".json", ".xml")  # passed over where they hold no camera
+_OFTEN_OTHERS = (".json", ".xml", ".npz")  # passed over where they hold no camera
 _USUAL = ("camera", "calibration", "camera_info", "camchain", "calib")
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("camera0", "camera1"))
 _MODELS = (".", "sparse", "sparse/0", "colmap/sparse/0")  # folders where COLMAP's cameras lie beside images

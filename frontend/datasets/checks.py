@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,10 +32,17 @@ _IN_CENTRE = 0.06  # of the width or height: nearly every principal point is nea
 _SLOW_HZ = 0.5  # a rate below is seldom a camera's that is followed from image to image
 _CENTRE_SHARE = 0.25  # of the width or height: farther from the centre, it is probably of another image size
 
+_TWICE = 0.5  # of the images: more under the name of another are no chance
 
 SPLIT_CURE = (
     "cut each into its left half, in a folder image_0, and its right half, in image_1, with the calibration of the "
     "pair (ffmpeg -i IN -vf crop=iw/2:ih:0:0 image_0/%06d.png, and crop=iw/2:ih:iw/2:0 for image_1)"
+)
+
+STACKED_CURE = (
+    "cut each into its upper half, in a folder image_0, and its lower half, in image_1, with the calibration of the "
+    "pair (ffmpeg -i IN -vf crop=iw:ih/2:0:0 image_0/%06d.png, and crop=iw:ih/2:0:ih/2 for image_1; the other way "
+    "round where the upper one is the right camera's)"
 )
 
 
@@ -45,6 +53,20 @@ def check_count(images: int, kind: RigKind, folder: Path, problems: Problems) ->
     elif images == _FEW and kind is RigKind.MONO:
         problems.warning(
             f"{folder}: {images} images: too few to track where these alone do not tell the motion of one camera"
+        )
+
+
+def check_kinds(names: Sequence[str], folder: Path, problems: Problems) -> None:
+    """Check that images do not stand twice in a folder, under the same names in two formats."""
+    suffixes = Counter(os.path.splitext(name)[1] for name in names)
+    if len(suffixes) < 2:
+        return
+    twice = [stem for stem, count in Counter(os.path.splitext(name)[0] for name in names).items() if count > 1]
+    if len(twice) > _TWICE * len(names) / 2:
+        kinds = " and ".join(sorted(suffixes))
+        problems.error(
+            f"{folder}: {len(twice)} of its {len(names)} images have the name of another ({twice[0]}), as {kinds}: the "
+            "same images in two formats? move one of them away"
         )
 
 
@@ -153,6 +175,8 @@ def check_size(
         line += ": turned by 90 degrees"
     elif stored == (2 * calibrated[0], calibrated[1]):
         line += f": two pictures side by side? {SPLIT_CURE}"
+    elif stored == (calibrated[0], 2 * calibrated[1]):
+        line += f": two pictures one above the other? {STACKED_CURE}"
     elif abs(calibrated[0] * stored[1] / (calibrated[1] * stored[0]) - 1.0) < _SAME_SHAPE:
         line += f": images scaled by {stored[0] / calibrated[0]:.4g} after calibration need their own calibration"
     problems.error(line)

@@ -12,6 +12,7 @@ from ..errors import FrontendError
 from .base import ImageSequence, Problems
 from .images import MASK_FILES, list_images
 from .mask_files import FrameMasks
+from .mask_names import masks_by_number_or_order
 from .stored_image import ImageRef
 
 _FOUND = ("masks", "mask", *MASK_FILES)
@@ -39,6 +40,10 @@ def with_masks(sequence: ImageSequence, folder: Path, given: Path | None, proble
         inside = source / sequence.name if given is not None and (source / sequence.name).is_dir() else source
         left = _of_images(inside, _paths(sequence.left, folder), folder, [inside])
         right = _of_images(inside, _paths(sequence.right, folder), folder, [])
+        if not any(left):
+            left, how = masks_by_number_or_order(inside, sequence.left)
+            if how:
+                problems.warning(f"{inside}: masks of other names than the images: {how}")
         if not any(left):
             first = sequence.left[0].name
             where = f"{inside}: no mask of any image; that of {first} would be {first}.png, or {first}"

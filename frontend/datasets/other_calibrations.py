@@ -11,6 +11,14 @@ _SURE = (
     (re.compile(r"reconstruction(\.meshed)?\.json"), "OpenSfM's reconstruction"),
     (re.compile(r"perspective\.txt|image_0[0-3]\.yaml|calib_cam_to_pose\.txt"), "KITTI-360's calibration"),
     (re.compile(r"camera\.txt|pcalib\.txt"), "DSO's calibration"),
+    (
+        re.compile(
+            r"(.*calib.*|.*intrinsics?.*|cam(era)?_?(mat(rix)?|params?|info)?|.*dist(ortion)?_?coef.*|mtx|dist|k)"
+            r"\.(npy|pkl|pickle|p|mat|h5|hdf5|ini|cal|csv|toml)",
+            re.IGNORECASE,
+        ),
+        "a calibration by its name",
+    ),
 )
 _PLACES = (".", "..", "calibration", "calib", "../calibration", "../calib")
 _SECTION = re.compile(rb"^\[(LEFT|RIGHT|STEREO)_?CAM|^\[STEREO\]", re.MULTILINE)

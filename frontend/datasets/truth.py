@@ -15,15 +15,21 @@ from maslam.backend.geometry import product
 
 from ..errors import FrontendError
 from ..files.pose_arrays import ARRAY_SUFFIXES
-from ..files.pose_table import PoseTable, read_poses
-from ..files.timestamps import NS_PER_S, span_text
+from ..files.pose_table import read_poses
+from ..files.timestamps import span_text
 from ..files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
 from .base import Problems
-from .image_times import TimedImages, rows_of_images
+from .image_times import TimedImages
 from .images import natural_key
-from .numbering import numbers_of
+from .truth_rows import LEFT_OUT, frame_truth, truth_of_images, truth_of_numbers
 
 _SUFFIXES = (".txt", ".tum", ".csv")
+_UNREAD = frozenset(
+    (
+        *(".xlsx", ".xls", ".ods", ".jsonl", ".ndjson", ".gz", ".zip", ".tgz", ".7z", ".pkl", ".pickle", ".mat", ".h5"),
+        *(".hdf5", ".parquet", ".feather", ".pt", ".pth", ".kml", ".dat", ".yaml", ".yml", ".xml", ".log"),
+    )
+)
 _BY_NAME = "trajectory"
 _NAMES = ("poses", "groundtruth", "ground_truth", "gt", "gt_poses", "gt_pose", "traj", _BY_NAME)
 POSE_FOLDERS, _POSE_SUFFIXES = ("poses", "pose"), (".txt", *ARRAY_SUFFIXES)
@@ -32,7 +38,6 @@ _ESTIMATED = re.compile(
 )
 _LOOKS_TRUE = re.compile(r"ground.?truth|(?:^|[^a-z])gt(?:[^a-z]|$)")
 _MANY, _AHEAD = 10, 0.9  # poses, and the share of their path ahead, from which axes are a body's
-_LEFT_OUT = "ground truth left out, errors cannot be known"
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,12 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
                     f"{found[0]}: taken as the ground truth by its name; if it is an estimate, move it away"
                 )
         return truth
+    unread = _of_unread_forms(folder)
+    if unread:
+        problems.warning(
+            f"{folder}: {', '.join(unread)}: by the name a ground truth, in a form that is not read "
+            f"({', '.join((*_SUFFIXES, *ARRAY_SUFFIXES))} are)"
+        )
     estimated = [path.name for path in files if _ESTIMATED.fullmatch(path.stem.lower())]
     if estimated:
         problems.warning(
@@ -90,21 +101,32 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
     return None if inside is None else _of_single_files(inside, images, problems)
 
 
+def _of_unread_forms(folder: Path) -> list[str]:
+    """Names of files that are called as ground truth is, with suffixes of data that no reader of it takes."""
+    found = []
+    for path in folder.iterdir():
+        stem = path.name.partition(".")[0].lower()
+        true = (stem in _NAMES and stem != _BY_NAME) or _LOOKS_TRUE.search(stem)
+        if true and path.suffix.lower() in _UNREAD and path.is_file():
+            found.append(path.name)
+    return sorted(found)
+
+
 def read_truth(path: Path, images: TimedImages, problems: Problems, wxyz: bool = False) -> Truth | None:
     """The ground truth in ``path``; poses without times are those of the images, in order or by the numbers in the
     names. None, and a warning, where it cannot be used. ``wxyz``: see :func:`read_poses`."""
     try:
         table = read_poses(path, wxyz)
     except FrontendError as error:
-        problems.warning(f"{error}: {_LEFT_OUT}")
+        problems.warning(f"{error}: {LEFT_OUT}")
         return None
     notes = [*table.notes]
-    trajectory = _of_numbers(table, images)
+    trajectory = truth_of_numbers(table, images)
     if trajectory is not None:
         notes = [note for note in notes if note != table.doubt]
         notes += ["its first column counts and is no time of the images: taken as their numbers"]
     elif table.stamps_ns is None:
-        trajectory = _of_images(path, table, images, problems)
+        trajectory = truth_of_images(path, table, images, problems)
     else:
         trajectory, more = table.in_time()
         notes += more
@@ -167,68 +189,6 @@ def frames_covered(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> int:
     return int((truth.nearest(stamps_ns, TRUTH_TOLERANCE_NS) >= 0).sum())
 
 
-def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:
-    """Ground truth from ``poses`` ``(N, 4, 4)`` ``T_W_C``, one per frame, at ``stamps_ns`` ``(N,)``; None where the
-    stamps do not ascend, which is listed as a problem of its own."""
-    return Trajectory(stamps_ns, poses) if (np.diff(stamps_ns) > 0).all() else None
-
-
-def _of_images(path: Path, table: PoseTable, images: TimedImages, problems: Problems) -> Trajectory | None:
-    """Poses without times, one an image."""
-    if table.names:
-        return _of_named(path, table, images, problems)
-    rows = rows_of_images(table.count, images.files)
-    if rows is None:
-        problems.warning(
-            f"{path}: {table.count} poses without times for {len(images.files)} images: which is whose? {_LEFT_OUT}"
-        )
-        return None
-    place = np.full(table.count, -1)
-    place[table.rows] = np.arange(len(table.rows))
-    known = place[rows] >= 0
-    return frame_truth(images.stamps_ns[known], table.poses[place[rows][known]])
-
-
-def _of_numbers(table: PoseTable, images: TimedImages) -> Trajectory | None:
-    """Poses whose times count 0, 1, 2 …, or from 1, and as seconds are not the images': they are the numbers of the
-    images in order, or in their names. None where they are times, or fit no image."""
-    stamps = table.stamps_ns
-    if stamps is None or len(stamps) < 2 or stamps[0] not in (0, NS_PER_S):
-        return None
-    numbers, rest = np.divmod(stamps, NS_PER_S)
-    first, last = images.stamps_ns[0] - NS_PER_S, images.stamps_ns[-1] + NS_PER_S
-    inside = (stamps >= first) & (stamps <= last)
-    if rest.any() or (np.diff(numbers) < 1).any() or np.median(np.diff(numbers)) != 1 or inside.mean() > 0.5:
-        return None
-    named, count = numbers_of([one.stem for one in images.files]), len(images.files)
-    in_order = len(numbers) == count == numbers[-1] - numbers[0] + 1
-    if not in_order and named is not None and np.isin(numbers, named).all():
-        own = named
-    elif in_order or numbers[-1] - numbers[0] < count:
-        own = np.arange(count) + numbers[0]
-    else:
-        return None
-    row = {int(number): k for k, number in enumerate(numbers)}
-    rows = np.array([row.get(int(number), -1) for number in own])
-    known = rows >= 0
-    return frame_truth(images.stamps_ns[known], table.poses[rows[known]]) if known.any() else None
-
-
-def _of_named(path: Path, table: PoseTable, images: TimedImages, problems: Problems) -> Trajectory | None:
-    """Poses with the images' names, with or without folders and suffixes."""
-    row = {Path(name).name: k for k, name in enumerate(table.names)}
-    row = {Path(name).stem: k for name, k in row.items()} | row
-    rows = np.array([row.get(one.name, row.get(one.stem, -1)) for one in images.files])
-    place = np.full(table.count, -1)
-    place[table.rows] = np.arange(len(table.rows))
-    known = rows >= 0
-    known[known] = place[rows[known]] >= 0
-    if not known.any():
-        problems.warning(f"{path}: names no image here (first: {table.names[0]!r}): {_LEFT_OUT}")
-        return None
-    return frame_truth(images.stamps_ns[known], table.poses[place[rows[known]]])
-
-
 def _of_single_files(inside: Path, images: TimedImages, problems: Problems) -> Truth | None:
     """A 4x4 or 3x4 matrix in a file of its own for each image, of the same name, or in the same order."""
     files = sorted(
@@ -242,7 +202,7 @@ def _of_single_files(inside: Path, images: TimedImages, problems: Problems) -> T
     if matched is None:
         problems.warning(
             f"{inside}: {len(files)} pose files of other names for {len(images.files)} images: which is whose? "
-            f"{_LEFT_OUT}"
+            f"{LEFT_OUT}"
         )
         return None
     return truth_of_files(inside, matched, images.stamps_ns, problems)

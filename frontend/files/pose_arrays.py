@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,63 +12,66 @@ import numpy as np
 
 from ..errors import FrontendError
 from .headed_table import HeadedTable, is_number
+from .pose_archives import cells_of_arrays, has_columns, read_archive, read_times_archive, rows_of_array
+from .pose_entries import NAME_KEYS, POSES_MEANT, TIME_KEYS, first_of, flat_cells, pose_of_entry
 from .text_tables import read_text
 
-ARRAY_SUFFIXES = (".json", ".npy")
+ARRAY_SUFFIXES = (".json", ".npy", ".npz")
 _MOST = 50_000_000  # characters of JSON
 _LISTS = ("poses", "frames", "trajectory", "times", "timestamps", "stamps")
-_MATRICES = ("pose", "matrix", "transform", "transform_matrix", "T_W_C", "T_wc", "c2w", "camera_to_world", "cam2world")
-_NAMES = ("name", "file", "file_name", "filename", "file_path", "image", "image_name", "image_path", "path")
-_TIMES = ("time", "timestamp", "stamp", "t", "timestamp_ns", "time_ns", "timestamp_us", "timestamp_ms", "time_s")
-_POSES_MEANT = "a list of 4x4 matrices T_W_C, or one by each image's name, is read; or lines time tx ty tz qx qy qz qw"
 _TIMES_MEANT = "a list of times, or one by each image's name, is read"
 
 
-def read_pose_cells(path: Path) -> tuple[HeadedTable, tuple[str, ...]]:
-    """Poses of ``.npy`` (N matrices, or N rows as in a text file) or ``.json`` (N matrices in a list, by the images'
-    names, or in entries with names or times; or one matrix) as a table, row k counted as line k + 1, and the images'
-    names or none. :class:`FrontendError` for anything else."""
-    if path.suffix.lower() == ".npy":
-        array = _array(path)
-        if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[1:] not in ((4, 4), (3, 4))):
-            raise FrontendError(f"{path}: numbers of shape {array.shape}; N matrices, (N, 4, 4), are meant")
-        if array.shape in ((4, 4), (3, 4)):
-            array = array[None]
-        return _table([[repr(v) for v in row] for row in array.reshape(len(array), -1).tolist()]), ()
-    entries = _entries(path)
-    if len(entries) in (3, 4) and all(len(_flat(entry)) == 4 for _, entry in entries):
-        return _table([[cell for _, row in entries for cell in _flat(row)]]), ()
-    names, times, rows = [], [], []
-    for name, entry in entries:
-        matrix, own = entry, name
-        if isinstance(entry, Mapping):
-            matrix = _first(entry, _MATRICES)
-            own = name or str(_first(entry, _NAMES) or "")
-            times += [str(time)] if (time := _first(entry, _TIMES)) is not None else []
-        cells = _flat(matrix)
-        if len(cells) not in (12, 16):
-            raise FrontendError(f"{path}: poses in a form that is not read; {_POSES_MEANT}")
-        names += [own] if own else []
-        rows.append(cells)
-    timed = len(times) == len(rows)
-    rows = [[time, *row] for time, row in zip(times, rows, strict=True)] if timed else rows
-    return _table(rows), () if timed or len(names) != len(rows) else tuple(names)
+@dataclass(frozen=True)
+class PoseCells:
+    """Poses as a ``table``, row k counted as line k + 1; ``names`` of their images, or their numbers, or none;
+    ``notes``: what to know."""
+
+    table: HeadedTable
+    names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def read_pose_cells(path: Path) -> PoseCells:
+    """Poses of ``.npy`` (N matrices, or N rows as in a text file), ``.npz`` (:mod:`.pose_archives`) or ``.json`` (N
+    matrices in a list, by the images' names, or in entries of :mod:`.pose_entries`; or one matrix).
+    :class:`FrontendError` for anything else."""
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return PoseCells(_table([[repr(v) for v in row] for row in rows_of_array(path, _array(path)).tolist()]))
+    data = None if suffix == ".npz" else _loaded(path)
+    columns = _columns(data)
+    if data is None or has_columns(columns):
+        rows, names, notes = read_archive(path) if data is None else cells_of_arrays(path, columns)
+        return PoseCells(_table(rows), names, notes)
+    entries = _entries(data)
+    if len(entries) in (3, 4) and all(len(flat_cells(entry)) == 4 for _, entry in entries):
+        return PoseCells(_table([[cell for _, row in entries for cell in flat_cells(row)]]))
+    read = [pose_of_entry(f"{path}: pose {k + 1}", name, entry) for k, (name, entry) in enumerate(entries)]
+    if len({(one.headings, len(one.cells)) for one in read}) > 1:
+        raise FrontendError(f"{path}: poses in several forms; {POSES_MEANT}")
+    timed, named = (bool(read) and all(getattr(one, what) for one in read) for what in ("time", "name"))
+    headings = (*(("time",) if timed and read[0].headings else ()), *(read[0].headings if read else ()))
+    table = _table([[one.time, *one.cells] if timed else list(one.cells) for one in read])
+    notes = tuple(dict.fromkeys(note for one in read for note in one.notes))
+    names = tuple(one.name for one in read) if named and not timed else ()
+    return PoseCells(HeadedTable(headings, table.rows, table.lines), names, notes)
 
 
 def read_time_cells(path: Path) -> HeadedTable:
-    """Times of ``.npy`` (N numbers) or ``.json`` (N in a list, by the images' names, or in entries with them) as a
-    table. :class:`FrontendError` for anything else."""
-    if path.suffix.lower() == ".npy":
-        array = _array(path)
+    """Times of ``.npy`` or ``.npz`` (N numbers) or ``.json`` (N in a list, by the images' names, or in entries with
+    them) as a table. :class:`FrontendError` for anything else."""
+    if path.suffix.lower() in (".npy", ".npz"):
+        array = _array(path) if path.suffix.lower() == ".npy" else read_times_archive(path)
         if array.ndim != 1:
             raise FrontendError(f"{path}: numbers of shape {array.shape}; N times are meant")
         return _table([[repr(v)] for v in array.tolist()])
     rows, heading = [], "time"
-    for name, entry in _entries(path):
+    for name, entry in _entries(_loaded(path)):
         own, time = name, entry
         if isinstance(entry, Mapping):
-            heading = next((key for key in _TIMES if key in entry), heading)
-            own, time = name or str(_first(entry, _NAMES) or ""), _first(entry, _TIMES)
+            heading = next((key for key in TIME_KEYS if key in entry), heading)
+            own, time = name or str(first_of(entry, NAME_KEYS) or ""), first_of(entry, TIME_KEYS)
         if not isinstance(time, str):
             raise FrontendError(f"{path}: times in a form that is not read; {_TIMES_MEANT}")
         rows.append([own, time] if own else [time])
@@ -92,17 +96,21 @@ def _array(path: Path) -> np.ndarray[Any, Any]:
     return array
 
 
-def _entries(path: Path) -> list[tuple[str, Any]]:
-    """Entries of a list, or of an object by their names, numbers as they are written."""
+def _loaded(path: Path) -> Any:
+    """The content of JSON, its numbers as they are written."""
     text = read_text(path)
     if len(text) > _MOST:
         raise FrontendError(f"{path}: {len(text)} characters of JSON; {_MOST} are read")
     try:
-        data = json.loads(text, parse_float=str, parse_int=str, parse_constant=str)
+        return json.loads(text, parse_float=str, parse_int=str, parse_constant=str)
     except RecursionError:
         raise FrontendError(f"{path}: not JSON: nested too deep") from None
     except ValueError as error:
         raise FrontendError(f"{path}: not JSON: {error}") from None
+
+
+def _entries(data: Any) -> list[tuple[str, Any]]:
+    """Entries of a list, or of an object by their names, numbers as they are written."""
     if isinstance(data, Mapping):
         inside = next((data[key] for key in _LISTS if isinstance(data.get(key), list | dict)), data)
         data = inside
@@ -111,13 +119,18 @@ def _entries(path: Path) -> list[tuple[str, Any]]:
     return [("", value) for value in data] if isinstance(data, list) else []
 
 
-def _first(entry: Mapping[str, Any], keys: Sequence[str]) -> Any:
-    return next((entry[key] for key in keys if key in entry), None)
-
-
-def _flat(matrix: Any) -> list[str]:
-    """The cells of a matrix row by row, of lists or of lists of lists; none of anything else."""
-    if not isinstance(matrix, list):
-        return []
-    cells = [cell for row in matrix for cell in (row if isinstance(row, list) else [row])]
-    return cells if all(isinstance(cell, str) and is_number(cell.replace("-Inf", "-inf")) for cell in cells) else []
+def _columns(data: Any) -> dict[str, np.ndarray[Any, Any]]:
+    """Lists of an object that are arrays of numbers or texts: poses, times and names side by side."""
+    out = {}
+    for key, value in data.items() if isinstance(data, Mapping) else ():
+        if not isinstance(value, list) or not value:
+            continue
+        if all(isinstance(cell, str) for cell in value):
+            whole = all(cell.lstrip("-").isdecimal() and len(cell) < 19 for cell in value)
+            number = all(map(is_number, value))
+            out[key] = np.array(value, dtype=np.int64 if whole else np.float64 if number else np.str_)
+        elif len(cells := {len(flat_cells(row)) for row in value}) == 1 and cells != {0}:
+            array = np.array([[float(cell) for cell in flat_cells(row)] for row in value])
+            nested = isinstance(value[0][0], list) and array.shape[1] in (9, 12, 16)
+            out[key] = array.reshape(len(value), len(value[0]), -1) if nested else array
+    return out

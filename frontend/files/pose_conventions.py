@@ -34,21 +34,43 @@ def reads_as_other_order(cells: Array, positions: Array, wxyz: bool) -> bool:
     ``positions`` ``(N, 3)``, in order of time. A body moves ahead along an axis of its own; with the order mixed up its
     steps go any way. False where the path is straight, and where neither order says anything: a camera in a hand.
     """
-    if len(positions) <= _FEW:
+    rows, ahead = _steps(positions)
+    if not len(rows):
         return False
+    written = cells[rows]
+    first, last = (_astray(rotation_from_quat_wxyz(q), ahead) for q in (written, written[:, [3, 0, 1, 2]]))
+    read, other = (first, last) if wxyz else (last, first)
+    return contradicts(read, other)
+
+
+def contradicts(read: float, other: float) -> bool:
+    """Whether the path is against one reading of rotations and for another, of each of which :func:`astray` tells."""
+    return (read > _FAR and other < _AHEAD) or (read > _ASTRAY and read > _TIMES * other)
+
+
+def astray(rotations: Array, positions: Array) -> float:
+    """By how much of its path (0 to 1) a body with ``rotations`` ``(N, 3, 3)`` and ``positions`` ``(N, 3)``, in order
+    of time, falls short of moving ahead along one axis of its own; NaN where the path is straight, or too short."""
+    rows, ahead = _steps(positions)
+    return _astray(rotations[rows], ahead) if len(rows) else float("nan")
+
+
+def _steps(positions: Array) -> tuple[NDArray[np.intp], Array]:
+    """Rows ``(n,)`` from which ``positions`` ``(N, 3)`` move clearly, and the directions ``(n, 3)``; none where the
+    path is too short, or straight."""
+    nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+    if len(positions) <= _FEW:
+        return nothing
     chosen = np.arange(0, len(positions), -(-len(positions) // _MOST))
     steps = np.diff(positions[chosen], axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     moves = lengths > 0.1 * lengths.max(initial=0.0)
     if moves.sum() < _FEW:
-        return False
+        return nothing
     ahead = steps[moves] / lengths[moves, None]
     if float((ahead @ ahead[0]).min()) > np.cos(_TURNED_RAD):
-        return False
-    written = cells[chosen[:-1][moves]]
-    first, last = _astray(written, ahead), _astray(written[:, [3, 0, 1, 2]], ahead)
-    read, other = (first, last) if wxyz else (last, first)
-    return (read > _FAR and other < _AHEAD) or (read > _ASTRAY and read > _TIMES * other)
+        return nothing
+    return chosen[:-1][moves], ahead
 
 
 def in_columns(cells: Array) -> NDArray[np.bool_]:
@@ -67,9 +89,9 @@ def order_note(wxyz: bool, named: bool) -> str:
     return f"{why}: they are taken so; a first line '# time tx ty tz {there}' settles it"
 
 
-def _astray(quaternions: Array, ahead: Array) -> float:
+def _astray(rotations: Array, ahead: Array) -> float:
     """What the mean of unit steps ``ahead`` ``(n, 3)``, each in the body's own axes, lacks of length 1."""
-    own = np.einsum("nij,ni->nj", rotation_from_quat_wxyz(quaternions), ahead)
+    own = np.einsum("nij,ni->nj", rotations, ahead)
     return 1.0 - float(np.linalg.norm(own.mean(axis=0)))
 
 

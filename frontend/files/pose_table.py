@@ -14,22 +14,14 @@ from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
 from .headed_table import HeadedTable, is_number, read_headed_table
-from .pose_arrays import ARRAY_SUFFIXES, read_pose_cells
+from .pose_arrays import ARRAY_SUFFIXES, PoseCells, read_pose_cells
+from .pose_columns import FORMS, PoseColumns, find_columns, turns_of_angles
 from .pose_conventions import AS_DEGREES, in_columns, look_like_degrees, order_note, reads_as_other_order
 from .time_units import NotATime, TimeUnit, parse_times, unit_of_heading
 from .trajectory import Trajectory, rigid_rotations
 
 Array = NDArray[np.float64]
-_FORMS = {
-    7: "positions and quaternions",
-    8: "TUM",
-    12: "KITTI",
-    13: "KITTI with times",
-    16: "4x4",
-    17: "4x4 with times",
-}
 _QUATERNION_TOLERANCE = 0.05  # of its length: rounded digits are fine, a column mixed up is not
-_AXES = ("x", "y", "z")
 _NAME = re.compile(r"\.(png|jpe?g|bmp|tiff?|pgm|ppm|webp)$", re.IGNORECASE)
 
 
@@ -63,22 +55,24 @@ class PoseTable:
 
 
 def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> PoseTable:
-    """Poses ``T_W_C`` of a text file, or of ``.json`` or ``.npy`` (:mod:`.pose_arrays`), whose form its columns tell: 8
-    (time, position, quaternion: TUM; also 7, without a time), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17
-    (4x4), four lines of four (4x4); with headings any columns among which a position and a quaternion are found by
-    name.
+    """Poses ``T_W_C`` of a text file, or of ``.json``, ``.npy`` or ``.npz`` (:mod:`.pose_arrays`), whose form its
+    columns tell: 8 (time, position, quaternion: TUM; also 7, without a time; or the quaternion in front of the
+    position), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17 (4x4), four lines of four (4x4); with headings any
+    columns among which a position and a quaternion, or roll, pitch and yaw, are found by name.
 
     The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``, or the other
     one where rotations follow the path in that alone, which is noted. Times are in ``unit``, or that which they must be
     in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose. :class:`FrontendError` with the line
     for anything else that is no pose, and for degrees of latitude and longitude.
     """
-    table, names = read_pose_cells(path) if path.suffix.lower() in ARRAY_SUFFIXES else (read_headed_table(path), ())
+    array = path.suffix.lower() in ARRAY_SUFFIXES
+    cells = read_pose_cells(path) if array else PoseCells(read_headed_table(path))
+    table, names = cells.table, cells.names
     values = _values(path, table)
     lines = table.lines
     if values.shape[1] == 4 and not table.headings:
         values, lines = _matrices(values, lines)
-    columns = _columns(path, table, values.shape[1], wxyz)
+    columns, found = find_columns(f"{path}:{lines[0]}", table.headings, values, wxyz)
     if not names and (columns.time is None or not columns.named):
         names = _image_names(table)
         columns = replace(columns, time=None) if names else columns
@@ -96,30 +90,14 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
         notes += [doubt] if doubt else []
     values, turned = _by_rows(values, columns)
     columns, said = _ordered(values[rows], columns, stamps)
-    said = [*turned, *said]
+    said = [*cells.notes, *found, *turned, *said]
     poses = _poses(path, values[rows], columns, [lines[i] for i in rows])
     if look_like_degrees(poses[_order(stamps, len(rows)), :3, 3], None if stamps is None else np.sort(stamps)):
         raise FrontendError(f"{path}: {AS_DEGREES}")
     return PoseTable(poses, stamps, rows, len(values), (*notes, *said), names, doubt)
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Column of the time; those of the position and the quaternion (w x y z), or of a row-major matrix; whether they
-    were ``named`` by headings."""
-
-    time: int | None
-    position: tuple[int, ...] = ()
-    quaternion: list[int] | None = None
-    matrix: tuple[int, ...] = ()
-    named: bool = False
-
-    @property
-    def all(self) -> list[int]:
-        return [*self.position, *(self.quaternion or ()), *self.matrix]
-
-
-def _by_rows(values: Array, columns: _Columns) -> tuple[Array, list[str]]:
+def _by_rows(values: Array, columns: PoseColumns) -> tuple[Array, list[str]]:
     """Rows with their 4x4 matrix row by row, and what to say where the file has it column by column."""
     if len(columns.matrix) != 12 or values.shape[1] != columns.matrix[0] + 16:
         return values, []
@@ -137,7 +115,7 @@ def _order(stamps: NDArray[np.int64] | None, count: int) -> NDArray[np.intp]:
     return np.arange(count) if stamps is None else np.argsort(stamps, kind="stable")
 
 
-def _ordered(values: Array, columns: _Columns, stamps: NDArray[np.int64] | None) -> tuple[_Columns, list[str]]:
+def _ordered(values: Array, columns: PoseColumns, stamps: NDArray[np.int64] | None) -> tuple[PoseColumns, list[str]]:
     """The columns with the quaternion's real part where the path says that it is, and what to say of it; headings are
     believed all the same."""
     if columns.quaternion is None:
@@ -158,7 +136,7 @@ def _values(path: Path, table: HeadedTable) -> Array:
     width = len(table.rows[0])
     for cells, line in zip(table.rows, table.lines, strict=True):
         if len(cells) != width:
-            form = _FORMS.get(width, "a row")
+            form = FORMS.get(width, "a row")
             raise FrontendError(f"{path}:{line}: {len(cells)} numbers, but the rows before ({form}) have {width}")
     try:
         return np.array(table.rows, dtype=object).astype(np.float64).reshape(-1, width)
@@ -189,44 +167,6 @@ def _number(cell: str) -> float:
         return float("nan")
 
 
-def _columns(path: Path, table: HeadedTable, width: int, wxyz: bool) -> _Columns:
-    named = _named_columns(table.headings) if len(table.headings) == width else None
-    if named is not None:
-        return named
-    quaternion = (3, 0, 1, 2) if not wxyz else (0, 1, 2, 3)
-    timed = width in (8, 13, 17) or (wxyz and width > 8)
-    first = int(timed)
-    if width in (7, 8) or (wxyz and width == 17):
-        return _Columns(0 if timed else None, (first, first + 1, first + 2), [first + 3 + i for i in quaternion])
-    if width in (12, 13, 16, 17):
-        return _Columns(0 if timed else None, matrix=tuple(range(first, first + 12)))
-    forms = ", ".join(f"{n} ({form})" for n, form in _FORMS.items())
-    what = "positions without rotations" if width in (3, 4) else "no form of poses that is known"
-    raise FrontendError(f"{path}:{table.lines[0]}: {width} columns: {what}; known are {forms}, or headings")
-
-
-def _named_columns(headings: Sequence[str]) -> _Columns | None:
-    """By headings such as ``timestamp tx ty tz qx qy qz qw`` or EuRoC's ``p_RS_R_x [m]``, ``q_RS_w []``."""
-    bare = [re.sub(r"[\[(].*?[\])]", "", heading).strip().replace("-", "_") for heading in headings]
-    position = [
-        _find(bare, rf"(t_?|p_?|pos_?|position[_.]?|p_.*_|.*position[_.]|.*translation[_.])?{axis}") for axis in _AXES
-    ]
-    turn = [
-        _find(bare, rf"(q_?|quat_?|q_.*_|orientation[_.]?|.*orientation[_.]|.*rotation[_.]|rot_?){axis}")
-        for axis in ("w", *_AXES)
-    ]
-    if None in position or None in turn:
-        return None
-    time = next(
-        (i for i, one in enumerate(bare) if "time" in one or "stamp" in one or one in ("t", "ts", "ns", "sec")), None
-    )
-    return _Columns(time, tuple(i for i in position if i is not None), [i for i in turn if i is not None], named=True)
-
-
-def _find(headings: Sequence[str], pattern: str) -> int | None:
-    return next((i for i, heading in enumerate(headings) if re.fullmatch(pattern, heading)), None)
-
-
 def _stamps(path: Path, table: HeadedTable, column: int, unit: TimeUnit | None) -> tuple[NDArray[np.int64], str]:
     if unit is None and table.headings:
         unit = unit_of_heading(table.headings[column])
@@ -238,7 +178,9 @@ def _stamps(path: Path, table: HeadedTable, column: int, unit: TimeUnit | None) 
     return times.stamps_ns, times.doubt
 
 
-def _poses(path: Path, values: Array, columns: _Columns, lines: Sequence[int]) -> Array:
+def _poses(path: Path, values: Array, columns: PoseColumns, lines: Sequence[int]) -> Array:
+    if columns.angles:
+        return se3(turns_of_angles(values[:, columns.angles] * columns.angle_unit), values[:, columns.position])
     if columns.quaternion is None:
         matrices = values[:, columns.matrix].reshape(-1, 3, 4)
         return se3(rigid_rotations(matrices[:, :, :3], path, lines), matrices[:, :, 3])

@@ -5,21 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from maslam.backend.geometry import (
-    Array,
-    product,
-    quat_wxyz_from_rotation,
-    rotation_from_quat_wxyz,
-    se3_inverse,
-    so3_log,
-)
+from maslam.backend.geometry import Array, se3_inverse
 from maslam.backend.trajectory_error import path_length, trajectory_error
 from maslam.frontend.files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
 
 from ..sequence import AgentSequence
 from .summary import TruthFigures
+from .truth_rotations import rotations_fault
 
 _LEAST = 5  # frames with a truth: fewer align with anything
 _ALIKE = (0.7, 1.4)  # truth's length over odometry's, and of spreads: good odometry is within a few percent
@@ -28,14 +21,6 @@ _STANDS_M = 0.1  # RMS distance from the mean position: below it, noise alone ma
 _ASTRAY = 1.0 / 3.0
 _INVERTED = "the poses may be T_C_W, which map the world to the camera: T_W_C is meant"
 _UNITS = {1e3: "millimetres", 1e2: "centimetres", 1e-3: "kilometres"}
-_TURNED = (
-    "its rotations are odometry's only with quaternions read from the other end (qw first or last; a heading names the "
-    "columns), or inverted"
-)
-_PAIRS, _CLEAR_RAD = 40, 0.05
-"""Pairs of frames, evenly over the track, whose turns are compared; from which angle."""
-_UNLIKE, _TIMES_UNLIKE = 0.3, 3.0
-"""Difference of turns as a share of them from which they are no drift, and over that of the other reading."""
 _OTHER = "it may be of another recording or clock, or odometry went astray"
 
 
@@ -78,37 +63,8 @@ def compare(agent: int, tracks: Sequence[Trajectory], truth: Trajectory | None, 
         spread_m=_spread(centres),
         fits=fits,
         cause="" if fits else _cause(estimate, poses, metric),
-        rotations="" if _turn_alike(track.poses[known], poses) else _TURNED,
+        rotations=rotations_fault(track.poses[known], poses) if fits else "",
     )
-
-
-def _turn_alike(estimate: Array, truth: Array) -> bool:
-    """Whether the rotations of ``truth`` ``(n, 4, 4)`` are odometry's, in whatever fixed axes; False only where they
-    are so with quaternions read from the other end. About one axis alone, as of a car, both are alike."""
-    apart = max(1, len(estimate) // _PAIRS)
-    rows = np.arange(0, len(estimate) - apart, max(1, apart // 2))
-    turns = _turns(estimate[:, :3, :3], rows, apart)
-    clear = np.linalg.norm(turns, axis=1) > _CLEAR_RAD
-    if clear.sum() < _LEAST:
-        return True
-    quaternions = quat_wxyz_from_rotation(truth[:, :3, :3])
-    read, other = (
-        _unlike(turns[clear], _turns(rotation_from_quat_wxyz(q), rows, apart)[clear])
-        for q in (quaternions, np.roll(quaternions, 1, axis=1))
-    )
-    return read < _UNLIKE or read < _TIMES_UNLIKE * other
-
-
-def _turns(rotations: Array, rows: NDArray[np.intp], apart: int) -> Array:
-    """Rotation vectors ``(m, 3)`` from each of ``rows`` to the frame so far ``apart``, in the former's axes."""
-    return so3_log(product(np.swapaxes(rotations[rows], 1, 2), rotations[rows + apart]))
-
-
-def _unlike(turns: Array, others: Array) -> float:
-    """RMS difference of rotation vectors ``(m, 3)`` over their RMS, after the best fixed rotation of the others."""
-    left, _, right = np.linalg.svd(turns.T @ others)
-    R = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return float(np.sqrt(((turns - others @ R.T) ** 2).sum() / (turns**2).sum()))
 
 
 def _fits(estimate: Array, truth: Array, metric: bool) -> bool:

@@ -163,7 +163,16 @@ def test_wrong_edges_are_rejected_and_named(tmp_path, capsys):
     ways = [(m, r) for m in ("central", "rbcd", None) for r in ("pcm", "gnc")]
     for method, robust in ways:
         chosen = ["--method", method] if method else []
-        words = ["pgo", str(tmp_path / "in"), str(tmp_path / "out"), *chosen, "--robust", robust, "--json"]
+        words = [
+            "pgo",
+            str(tmp_path / "in"),
+            str(tmp_path / "out"),
+            *chosen,
+            "--robust",
+            robust,
+            "--json",
+            "--overwrite",
+        ]
         assert cli.main(words) == 0
         report = json.loads(capsys.readouterr().out)
         assert sorted((r["i"], r["j"]) for r in report["rejected"]) == truth, (method, robust)

@@ -79,8 +79,8 @@ def test_a_matrix_for_each_image_in_a_file_of_its_own(folder: Path, suffix: str)
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("poses.json", '{"parameters": 3}', "poses in a form that is not read; a list of 4x4 matrices"),
-        ("poses.json", "[[1, 2], [3]]", "poses in a form that is not read"),
+        ("poses.json", '{"parameters": 3}', "pose 1: in a form that is not read; a list of 4x4 matrices"),
+        ("poses.json", "[[1, 2], [3]]", "pose 1: in a form that is not read"),
         ("poses.json", "[" * 20000, "nested too deep"),
         ("poses.json", "[1, 2", "not JSON"),
         ("poses.json", json.dumps({f"other_{i}.png": LISTED[0] for i in range(3)}), "no image here (first: 'other_0"),

@@ -21,7 +21,7 @@ from maslam.frontend.datasets.recordings import (
     transforms,
     video_packets,
 )
-from maslam.frontend.files import pose_table, time_units
+from maslam.frontend.files import pose_columns, time_units
 from maslam.frontend.files.pose_arrays import ARRAY_SUFFIXES
 
 PAGE = Path(__file__).parents[2] / "docs" / "datasets.md"
@@ -75,7 +75,7 @@ def test_each_is_in_the_table(what: str) -> None:
 def test_forms_of_poses_are_in_the_table() -> None:
     row = next(row for row in tables()["ground truth"].splitlines() if "rows of" in row)
     numbers = {int(number) for number in re.findall(r"\d+", row.partition("numbers")[0])}
-    assert numbers == set(pose_table._FORMS)
+    assert numbers == set(pose_columns.FORMS)
 
 
 def test_no_layout_and_no_suffix_is_there_that_nobody_reads() -> None:
@@ -84,7 +84,7 @@ def test_no_layout_and_no_suffix_is_there_that_nobody_reads() -> None:
     assert kinds == set(LISTS_OF["layouts"])
     suffixes = {name for text in tables().values() for name in named(text) if re.fullmatch(r"\.[a-z0-9]+", name)}
     known = {*images.IMAGE_SUFFIXES, *image_headers.UNREAD, *depth_files.FLOAT_SUFFIXES, *film.FILM_SUFFIXES}
-    assert suffixes <= known | {*bag.BAG_SUFFIXES, *truth._SUFFIXES, *ARRAY_SUFFIXES, ".freiburg"}
+    assert suffixes <= known | {*bag.BAG_SUFFIXES, *truth._SUFFIXES, *truth._UNREAD, *ARRAY_SUFFIXES, ".freiburg"}
 
 
 LISTS_OF = {"layouts": tuple(reader.kind for reader in (*readers.OURS, readers.ANY_IMAGES))}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,6 +86,38 @@ def test_one_mask_for_all(tmp_path: Path, given: bool, name: str) -> None:
     folder = written(tmp_path / "here")
     write_images(tmp_path / ("elsewhere" if given else "here"), [name], MASKS[2:3])
     check(opened(folder, tmp_path / "elsewhere" / name if given else None), np.stack([MASKS[2]] * COUNT))
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        (lambda i: f"mask_{i:03d}.png", "paired by their numbers (mask_000.png is that of 000000.png)"),
+        (lambda i: f"m{i + 7}.png", "as many as images, paired in order (m7.png is that of 000000.png, m12.png"),
+        (lambda i: f"{'abcdefgh'[i]}.png", "as many as images, paired in order (a.png is that of 000000.png, f.png"),
+    ],
+)
+@pytest.mark.parametrize("given", [False, True])
+def test_masks_of_other_names_are_paired_by_number_or_in_order_and_said(
+    tmp_path: Path, name: Callable[[int], str], how: str, given: bool
+) -> None:
+    folder, masks = written(tmp_path / "set"), tmp_path / ("elsewhere" if given else "set/masks")
+    write_images(masks, [name(i) for i in range(COUNT)], MASKS)
+    sequence = opened(folder, masks if given else None)
+    check(sequence)
+    assert any(f"{masks}: masks of other names than the images: {how}" in p.message for p in sequence.problems)
+
+
+def test_masks_that_lack_some_are_paired_by_number_alone(tmp_path: Path) -> None:
+    folder = written(tmp_path)
+    write_images(folder / "masks", ["mask_2.png", "mask_4.png"], MASKS[[2, 4]])
+    sequence = opened(folder)
+    assert sequence.read(0).used is None
+    np.testing.assert_array_equal(sequence.read(4).used, MASKS[4] > 0)
+    for path in (folder / "masks").iterdir():
+        path.rename(path.with_name(f"{path.stem}_of_another.png"))
+    (folder / "masks" / "mask_9_of_another.png").write_bytes((folder / "masks" / "mask_2_of_another.png").read_bytes())
+    sequence = opened(folder)
+    assert sequence.masks is None and any("no mask of any image" in p.message for p in sequence.problems)
 
 
 def test_a_mask_among_the_images_is_no_image(tmp_path: Path) -> None:

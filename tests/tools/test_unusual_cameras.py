@@ -65,6 +65,33 @@ def test_a_calibration_of_one_half_says_so(pair: Path) -> None:
     assert any("320x180 pixels, but" in m and "two pictures side by side?" in m for m in messages(pair))
 
 
+def stack(pair: Path, upper: int) -> None:
+    for both in zip(files(pair / "image_0"), files(pair / "image_1"), strict=True):
+        images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in both]
+        assert cv2.imwrite(str(both[0]), np.vstack([images[upper], images[1 - upper]]))
+    shutil.rmtree(pair / "image_1")
+
+
+@pytest.mark.parametrize("upper", [0, 1])
+def test_two_pictures_one_above_the_other_are_refused_with_the_cure(
+    pair: Path, upper: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stack(pair, upper)
+    assert any(
+        "320x180 pixels, but" in m and "one above the other? cut each into its upper" in m for m in messages(pair)
+    )
+    (pair / "camera.yaml").unlink()
+    [found] = [message for message in messages(pair) if message.startswith("error")]
+    assert "320x360 pixels is two pictures of 320x180 one above the other" in found and "crop=iw:ih/2:0:ih/2" in found
+    assert main(["preprocess", str(pair), str(tmp_path / "out"), "--quiet"]) == 1
+    assert "one above the other" in capsys.readouterr().err
+
+
+def test_one_view_of_any_shape_is_no_stack(single: Path) -> None:
+    (single / "camera.yaml").unlink()
+    assert not [message for message in messages(single) if "two pictures" in message]
+
+
 def test_one_wide_view_is_no_pair(single: Path) -> None:
     for path in files(single / "image_0"):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)

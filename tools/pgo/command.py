@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.errors import ToolError, UsageError
-from ..common.options import DEST, add_model_options, build, leaves, option_name
+from ..common.options import DEST, add_model_options, leaves, option_name
 from ..common.parser import at_least_one
 from .report import PgoReport
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from maslam.backend.pose_graph.graph import NodeId, PoseGraph
 
-    from .methods import Request, Solution
+    from .methods import Solution
 
 _ROUNDING = 1e-4
 _METHODS = """\
@@ -109,6 +109,7 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.backend.pose_graph.g2o import read_g2o
 
     from ..common.figures import check_picture
+    from .asked import settings_of
     from .files import check_free, expand, names_of, write
     from .methods import check, default_method
 
@@ -128,7 +129,8 @@ def main(arguments: argparse.Namespace) -> None:
             raise UsageError(f"{option_name(path)} is chosen by {instead}")
     inputs = expand(arguments.files)
     check_picture(arguments.plot)
-    check_free(arguments.out, inputs, arguments.overwrite)
+    settings = settings_of(arguments)
+    check_free(arguments.out, inputs, settings, arguments.overwrite)
     skipped: list[str] | None = [] if arguments.skip_broken_lines else None
     notes: list[str] = []
     graph = read_g2o(inputs, skipped, notes)
@@ -137,7 +139,7 @@ def main(arguments: argparse.Namespace) -> None:
     if arguments.agents is not None:
         graph = graph.partitioned(arguments.agents)
     solved, report, units = optimise_graph(graph, arguments, notes)
-    report = replace(report, files=names_of(inputs))
+    report = replace(report, files=names_of(inputs), settings=settings)
     if report.refused is None:
         write(arguments.out, solved, report, units)
     if arguments.plot is not None:
@@ -152,40 +154,6 @@ def main(arguments: argparse.Namespace) -> None:
         )
 
 
-def request_of(graph: PoseGraph, arguments: argparse.Namespace) -> Request:
-    """The request of the command line for this graph."""
-    from maslam.backend.config import CentralConfig, LinkModel, RobustConfig
-
-    from .methods import LOSSES, Request, solver_of, takes_unit_weights
-
-    unit = takes_unit_weights(arguments.weights, graph)
-    loss = arguments.robust if arguments.robust in LOSSES else "none"
-    central = build(CentralConfig(cost="U" if unit else "F", loss=loss), arguments, prefix="central")
-    solver = build(solver_of(arguments.method), arguments, prefix="solver")
-    selection = build(RobustConfig(), arguments, prefix="robust")
-    monocular = _monocular(graph, arguments.monocular)
-    link = build(LinkModel(), arguments, prefix="link") if arguments.matches_one_by_one else None
-    return Request(arguments.method, arguments.robust, unit, central, solver, selection, monocular, link)
-
-
-def _monocular(graph: PoseGraph, robots: str | None) -> frozenset[int]:
-    """The robots that ``--monocular`` names."""
-    from maslam.backend.pose_graph.node import robot_name
-
-    from .methods import own_units
-
-    if robots is None:
-        return frozenset()
-    if robots == "all":
-        return frozenset(graph.robots)
-    named = {robot_name(robot): robot for robot in graph.robots}
-    try:
-        return own_units(graph, [named[name] if name in named else int(name) for name in robots.split(",")])
-    except ValueError:
-        given = robots or "''"
-        raise UsageError(f"--monocular {given}: all, or numbers of robots, like 0,2") from None
-
-
 def optimise_graph(
     graph: PoseGraph, arguments: argparse.Namespace, notes: Sequence[str] = ()
 ) -> tuple[PoseGraph, PgoReport, Mapping[NodeId, float]]:
@@ -196,6 +164,7 @@ def optimise_graph(
     from maslam.backend.pose_graph.node import robot_name
 
     from ..common.progress import counter, progress_on
+    from .asked import request_of
     from .methods import caps_reached, solve
 
     request = request_of(graph, arguments)
@@ -272,6 +241,7 @@ def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:
     from maslam.backend.config import CentralConfig
 
     from ..common.progress import counter, progress_on
+    from .asked import request_of
     from .curves import curves
     from .picture import draw_convergence
 

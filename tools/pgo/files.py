@@ -7,10 +7,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from maslam._atomic import write_atomically
 
+from ..common.changed_settings import refuse_changed
 from ..common.errors import ToolError, UsageError
 from ..common.writing import writing
 from .report import PgoReport
@@ -28,7 +29,8 @@ def expand(paths: Sequence[Path]) -> list[Path]:
     out: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(path.glob("*.g2o"), key=lambda p: (len(p.stem), p.stem))
+            inside = [*path.glob("*.g2o"), *path.glob("*.g2o.gz")]
+            inside.sort(key=lambda p: (len(p.name.partition(".g2o")[0]), p.name))
             if not inside:
                 raise ToolError(f"{path}: no .g2o file in this folder")
             out += inside
@@ -37,13 +39,16 @@ def expand(paths: Sequence[Path]) -> list[Path]:
     return out
 
 
-def check_free(out: Path, inputs: Sequence[Path], overwrite: bool) -> None:
-    """UsageError where ``write`` would replace graphs that are not its own earlier results.
+def check_free(out: Path, inputs: Sequence[Path], settings: Mapping[str, Any], overwrite: bool) -> None:
+    """UsageError where ``write`` would replace graphs that are not its own earlier results, or those of other files;
+    :class:`EarlierResultError` where they are of other ``settings``.
 
     A result is known by the report beside it, which a single file does not have. Where OUT was left out on the command
     line, the last robot's file stands in its place: a file that is named like those that are read is never replaced.
     """
     single = out.suffix == ".g2o"
+    if out.suffix == ".gz":
+        raise UsageError(f"{out}: OUT is written without compression: name a .g2o file, or a folder")
     if not single and out.is_file():
         raise UsageError(f"{out}: OUT is a .g2o file, or a folder")
     there = out.exists() if single else out.is_dir() and any(out.glob("*.g2o"))
@@ -51,11 +56,14 @@ def check_free(out: Path, inputs: Sequence[Path], overwrite: bool) -> None:
     if there and ((out.parent if single else out).resolve(), _without_number(out) if single else "") in like_inputs:
         raise UsageError(f"{out}: is among the graphs that are read; the last path is OUT, and must be another")
     if there and not overwrite:
-        earlier = None if single else _sources(out)
+        earlier = None if single else _report(out)
         if earlier is None:
             raise UsageError(f"{out}: is there already; name another OUT, or replace it with --overwrite")
-        if earlier and earlier != names_of(inputs):
-            raise UsageError(f"{out}: holds a result of {earlier[0]}; name another OUT, or replace it with --overwrite")
+        files = earlier.get("files")
+        if isinstance(files, list) and files and files != names_of(inputs):
+            raise UsageError(f"{out}: holds a result of {files[0]}; name another OUT, or replace it with --overwrite")
+        made_with = earlier.get("settings")
+        refuse_changed(out, "a result", made_with if isinstance(made_with, dict) else {}, settings)
 
 
 def names_of(inputs: Sequence[Path]) -> list[str]:
@@ -63,14 +71,13 @@ def names_of(inputs: Sequence[Path]) -> list[str]:
     return [str(path.resolve()) for path in inputs]
 
 
-def _sources(out: Path) -> list[str] | None:
-    """The files that an earlier result in ``out`` was made of, none where it does not say; None where there is no
-    report."""
+def _report(out: Path) -> dict[str, Any] | None:
+    """The report of an earlier result in ``out``; None where there is none."""
     try:
         summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
-        return [str(name) for name in summary.get("files", [])]
-    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
+    except (OSError, ValueError, RecursionError):
         return None
+    return summary if isinstance(summary, dict) else None
 
 
 def _without_number(path: Path) -> str:

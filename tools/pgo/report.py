@@ -20,7 +20,8 @@ class PgoReport:
     ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
     of them in the common one, which the graph is written in; None where there are none. ``lengths``: what robots'
     odometry was found to have to be multiplied by, which the edges are written with. ``refused``: why robots kept
-    their poses as they were, None where all took the result. ``files``: those that were read.
+    their poses as they were, None where all took the result. ``files``: those that were read; ``settings``: what the
+    command line asked for, by name.
     ``updates``: of matches one by one, what each cost (:mod:`maslam.tools.pgo.updates`); None where all came at once.
     """
 
@@ -51,6 +52,7 @@ class PgoReport:
     lengths: dict[str, float] = field(default_factory=dict)
     refused: str | None = None
     files: list[str] = field(default_factory=list)
+    settings: dict[str, object] = field(default_factory=dict)
     updates: dict[str, object] | None = None
 
     def lines(self) -> list[str]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from maslam._bounded import Unreadable, load_json, load_yaml, read_text
 
+from ..common.changed_settings import CURE, refuse_changed
 from ..common.errors import EarlierResultError
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
     from maslam.mas.sequence import Manifest
 
 BEGUN = "unfinished.json"  # in a SEQS folder that is being made: its source and settings
-_SHOWN = 4
-_CURE = "choose another folder, or replace it with --overwrite"
 
 
 def check_same_run(out: Path, config: MasConfig, made_of: Mapping[str, Any] | None = None) -> None:
@@ -27,7 +26,7 @@ def check_same_run(out: Path, config: MasConfig, made_of: Mapping[str, Any] | No
         return
     if made_of is not None:
         _refuse_other(out, "a run", _read(out / "manifest.json") or {}, made_of)
-    _refuse_changed(out, "a run", settings, config.model_dump(mode="json"))
+    refuse_changed(out, "a run", settings, config.model_dump(mode="json"))
 
 
 def check_same_sequences(out: Path, made_of: Mapping[str, Any]) -> None:
@@ -48,35 +47,12 @@ def of_manifest(manifest: Manifest) -> dict[str, Any]:
 def _refuse_other(out: Path, what: str, earlier: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     there, wanted = earlier.get("source"), now["source"]
     if there != wanted:
-        raise EarlierResultError(f"{out}: holds {what} of {there}, not of {wanted}; {_CURE}")
-    _refuse_changed(out, what, {"split": earlier.get("split"), **(earlier.get("settings") or {})}, _flat(now))
+        raise EarlierResultError(f"{out}: holds {what} of {there}, not of {wanted}; {CURE}")
+    refuse_changed(out, what, {"split": earlier.get("split"), **(earlier.get("settings") or {})}, _flat(now))
 
 
 def _flat(made_of: Mapping[str, Any]) -> dict[str, Any]:
     return {"split": made_of["split"], **made_of["settings"]}
-
-
-def _refuse_changed(out: Path, what: str, earlier: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    changed = _changed(earlier, now)
-    if changed:
-        more = f" and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
-        raise EarlierResultError(
-            f"{out}: holds {what} with other settings ({', '.join(changed[:_SHOWN])}{more}); {_CURE}"
-        )
-
-
-def _changed(earlier: Mapping[str, Any], now: Mapping[str, Any], before: str = "") -> list[str]:
-    """Dotted names of what differs. A setting that an earlier version did not have has its default."""
-    out = []
-    for name, value in now.items():
-        if name not in earlier:
-            continue
-        there = earlier[name]
-        if isinstance(value, Mapping) and isinstance(there, Mapping):
-            out += _changed(there, value, f"{before}{name}.")
-        elif there != value:
-            out.append(f"{before}{name}")
-    return out
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -10,22 +10,28 @@ from xml.etree import ElementTree
 
 import yaml
 
+from maslam._bounded import Unreadable, open_npz
+
 from ...errors import FrontendError
 from ...files.text_tables import read_text
 from .fields import Fields
 
 _MAX_YAML, _MAX_JSON = 1_000_000, 50_000_000  # characters: transforms.json names every image
 _MAX_REFERENCES = 20  # to other parts of the file: some of them, nested, would fill the memory
+_MOST_NUMBERS = 64  # of an array that may be a camera's
 _TAB = re.compile(r"(?<=\S)[ \t]*\t[ \t]*")  # between words, where OpenCV takes it for a blank
 _BLANK_MISSING = re.compile(r"\s*(?:- +)?[A-Za-z_][\w.]*:(?![\s/])\S")
 
 
 def load_fields(path: Path) -> Fields:
-    """The keys of a YAML, JSON or OpenCV XML file; of several documents in one file, the first.
+    """The keys of a YAML, JSON or OpenCV XML file, or of an archive of arrays (``.npz``); of several documents in one
+    file, the first.
 
     Values stay text until they are asked for, so no number is taken for an octal one or a time. Raises
     :class:`FrontendError` for anything else, and for a key that is there twice with two values.
     """
+    if path.suffix.lower() == ".npz":
+        return Fields(_arrays(path), path)
     text = read_text(path)
     if len(text) > (_MAX_JSON if path.suffix.lower() == ".json" else _MAX_YAML):
         raise FrontendError(f"{path}: {len(text)} characters: too large for a calibration")
@@ -42,6 +48,19 @@ def load_fields(path: Path) -> Fields:
     if not isinstance(data, dict) or any(":" in str(key) and data[key] is None for key in data):
         raise FrontendError(f"{path}: {_cure(text) or 'not a calibration: keys and values expected'}")
     return Fields(data, path)
+
+
+def _arrays(path: Path) -> dict[str, Any]:
+    """The small arrays of numbers in an archive, as lists: pictures and views of a board lie there, too."""
+    try:
+        with open_npz(path) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    except Unreadable as error:
+        raise FrontendError(f"{path}: {error}") from error
+    except OSError as error:
+        raise FrontendError(f"{path}: cannot be read: {error.strerror}") from error
+    small = {name: array for name, array in arrays.items() if array.dtype.kind in "fiu" and array.size <= _MOST_NUMBERS}
+    return {name: array.item() if array.ndim == 0 else array.tolist() for name, array in small.items()}
 
 
 def _cure(text: str) -> str:

@@ -6,13 +6,16 @@ from ..calibration import RawCamera, RawRig
 from .checked_camera import camera, camera_matrix, refuse_other_names
 from .fields import Fields
 
-_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "mtx", "K", "k")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "camMatrix", "cam_matrix", "mtx", "K", "k")
 _COEFFICIENTS = (
     "distortion_coefficients",
     "Distortion_Coefficients",
     "dist_coeffs",
     "distCoeffs",
     "dist_coeff",
+    "dist_coefs",
+    "distCoef",
+    "distCoefs",
     "dist",
     "D",
     "d",
