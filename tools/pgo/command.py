@@ -196,7 +196,8 @@ def optimise_graph(
     from maslam.backend.pose_graph.node import robot_name
 
     from ..common.progress import counter, progress_on
-    from .methods import caps_reached, solve
+    from .methods import SELECTIONS, caps_reached, solve
+    from .undecided import undecided_records
 
     request = request_of(graph, arguments)
     start = time.perf_counter()
@@ -235,6 +236,7 @@ def optimise_graph(
         rejected_edges=len(found.rejected),
         unreached_poses=found.unreached_poses,
         rejected=found.rejected,
+        undecided=undecided_records(believed, request.selection) if request.robust in SELECTIONS else [],
         warnings=[*notes, *look_at(graph).lines(), *([] if proof[0] else caps_reached(request, found))],
         refused=None if _nothing_to_do(found, *proof) else found.refused,
         updates=found.updates,
