@@ -87,10 +87,10 @@ class RelPoseConfig(Settings):
         description="smallest extent, as min_thickness, where views are compared by vocabulary words",
     )
     max_scale: float = Field(
-        default=200.0,
+        default=5.0,
         gt=1,
-        description="largest scale of a similarity, and largest inverse of it; one camera's unit is about the depth of "
-        "what it saw first, so that a street's is 20 m and a drone's 100 m",
+        description="largest ratio of the two cameras' distances from the points that both see, and largest inverse of "
+        "it; units of length, which one camera chooses itself, do not count",
     )
     max_sigma: float = Field(
         default=0.1,

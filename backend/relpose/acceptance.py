@@ -41,10 +41,19 @@ class FoundPose:
         angles = np.arctan2(cross, np.einsum("kc,kc->k", predicted, self.guided_M))
         return float(np.degrees(np.sqrt(np.mean(angles**2))))
 
+    @property
+    def distance_ratio(self) -> float:
+        """How far the query's camera is from the guided matches, over how far the match's is, in one unit: what a scale
+        amounts to, whatever unit either view has. NaN without any."""
+        if not len(self.guided_M):
+            return float("nan")
+        ratios = np.linalg.norm(self.guided_Q, axis=1) / np.linalg.norm(self.guided_M, axis=1)
+        return float(self.alignment.T_M_Q.scale * np.median(ratios))
+
 
 def problem_of(found: FoundPose, config: RelPoseConfig) -> tuple[str | None, float | None]:
     """The first condition that fails, with its figures, or None; and the log odds, where they are weighed."""
-    T, n = found.alignment.T_M_Q, len(found.tentative)
+    n = len(found.tentative)
     shapes = [shape(points) for points in (found.tentative, found.guided_M)]
     width, thickness = min(s[0] for s in shapes), min(s[1] for s in shapes)
     sigma = position_sigma(found.alignment.information)
@@ -63,8 +72,11 @@ def problem_of(found: FoundPose, config: RelPoseConfig) -> tuple[str | None, flo
         problem = f"degenerate: points on a line, width over length {width:.4f} < {_MIN_WIDTH:g}"
     elif thickness < flattest:
         problem = f"ambiguous: points on one flat surface, thickness {thickness:.3f} < {flattest:g}"
-    elif not 1.0 / config.max_scale < T.scale < config.max_scale:
-        problem = f"implausible scale: {T.scale:.3g} outside {1 / config.max_scale:.3g} to {config.max_scale:.3g}"
+    elif not 1.0 / config.max_scale < found.distance_ratio < config.max_scale:
+        problem = (
+            f"implausible scale: the query's camera {found.distance_ratio:.3g} times as far from the points as the "
+            f"match's, outside {1 / config.max_scale:.3g} to {config.max_scale:.3g}"
+        )
     elif found.rmse_deg > rmse_limit:
         problem = f"residual too large: {found.rmse_deg:.3f} deg > {rmse_limit:.3f} deg"
     elif sigma > config.max_sigma * depth:

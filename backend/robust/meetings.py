@@ -105,6 +105,12 @@ class PieceEdges:
             left = np.setdiff1d(left, members)
         return [self._meeting(group, distances[np.ix_(group, group)]) for group in groups]
 
+    def only(self, rows: NDArray[np.bool_]) -> PieceEdges:
+        """Some of the edges."""
+        k = np.flatnonzero(rows)
+        here, there = self.here.at(k), self.there.at(k)
+        return PieceEdges(self.first, self.second, here, there, self.measured[k], self.variances[k])
+
     def alone(self) -> list[Meeting]:
         """Each edge by itself, in their order."""
         return [self._meeting(np.array([k]), np.zeros((1, 1))) for k in range(len(self.measured))]

@@ -16,12 +16,15 @@ from ..config import CentralConfig, RobustConfig
 from ..errors import BackendError
 from ..geometry import Array
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
-from .gnc import graduate, squared_residuals
+from .gnc import Graduated, graduate, squared_residuals
 from .pcm import Consistency, consistent_edges
 from .prediction import predicted_distances
+from .undecided import Undecided, undecided_edges
 from .voting import voted_edges
 
 RobustMethod = Literal["pcm", "gnc", "pcm+gnc"]
+# Parts that are turned over to the rejected edges, at most, one after the other.
+_TURNS = 5
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,7 @@ class RobustResult:
 
     ``cost_before`` and ``cost_after`` of the edges that are believed. ``noise``: factor by which standard deviations
     exceed the stated ones. ``exact``: PCM's sets are known to be the largest (True where PCM took no part).
+    ``undecided``: where as many edges would hold if other ones were right.
     """
 
     graph: PoseGraph
@@ -53,6 +57,7 @@ class RobustResult:
     cost_after: float
     iterations: int
     exact: bool
+    undecided: tuple[Undecided, ...] = ()
 
 
 def optimise_robustly(
@@ -80,7 +85,7 @@ def optimise_robustly(
     start = optimise(whole.with_weights(accepted), central).graph
     weights, iterations = accepted.astype(np.float64), 1
     if "gnc" in method:
-        graduated = graduate(start, accepted, noise, central, config)
+        graduated = _outvoted(graduate(start, accepted, noise, central, config), central, config)
         weights, noise, iterations = graduated.weights, graduated.noise, iterations + graduated.iterations
         start = graduated.graph
     believed = start.with_weights(weights)
@@ -98,7 +103,27 @@ def optimise_robustly(
         cost_after=result.cost_after,
         iterations=iterations,
         exact=found is None or found.exact,
+        undecided=undecided_edges(result.graph, config),
     )
+
+
+def _outvoted(found: Graduated, central: CentralConfig, config: RobustConfig) -> Graduated:
+    """Selected again with the rejected edges of a part in place of the kept ones where they are more, as long as that
+    keeps more edges: pieces that have drifted far are placed by too few, and the vote knows no solution."""
+    for _ in range(_TURNS):
+        kept = found.weights > 0.5
+        better = None
+        for rival in undecided_edges(found.graph, config):
+            if len(rival.rejected) > len(rival.kept) and better is None:
+                candidates = kept.copy()
+                candidates[list(rival.kept)], candidates[list(rival.rejected)] = False, True
+                start = optimise(found.graph.with_weights(candidates), replaced(central, loss="none")).graph
+                other = graduate(start, candidates, found.noise, central, config)
+                better = other if (other.weights > 0.5).sum() > kept.sum() else None
+        if better is None:
+            break
+        found = replace(better, iterations=found.iterations + better.iterations)
+    return found
 
 
 def _contradicted(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +28,7 @@ def voted_edges(
     Of the edges of two chains that agree only those count that are ``consistent`` ``(m,)`` with each other too, if any
     is: the placement's test knows variances for each axis only.
     """
-    pairs = _pairs(graph)
+    pairs = piece_pairs(graph).pairs
     limit = noise.limit(1.0 - config.confidence)
     meetings = [m for between, _ in pairs for m in between.meetings(limit)]
     across, agree = np.zeros(len(graph.edges), dtype=bool), np.ones(len(graph.edges), dtype=bool)
@@ -39,8 +42,17 @@ def voted_edges(
     return across, agree
 
 
-def _pairs(graph: PoseGraph) -> list[tuple[PieceEdges, NDArray[np.intp]]]:
-    """The edges between each two odometry chains, and their positions in ``graph.edges``."""
+@dataclass(frozen=True, eq=False)
+class PiecePairs:
+    """``middles`` ``(p,)``: rows of the middle nodes of pieces, in the graph's order of nodes; ``pairs``: the edges
+    between each two pieces, and their positions in the graph's edges."""
+
+    middles: tuple[int, ...]
+    pairs: Sequence[tuple[PieceEdges, NDArray[np.intp]]]
+
+
+def piece_pairs(graph: PoseGraph) -> PiecePairs:
+    """The pieces that odometry joins, and what lies between them; weights are not looked at."""
     a, m = graph.with_weights(np.ones(len(graph.edges))).arrays(), len(graph.edges)
     row = {n: k for k, n in enumerate(a.nodes)}
     label, poses = np.zeros(len(a.nodes), dtype=np.intp), np.zeros((len(a.nodes), 4, 4))
@@ -62,7 +74,7 @@ def _pairs(graph: PoseGraph) -> list[tuple[PieceEdges, NDArray[np.intp]]]:
         measured = np.where(forward[:, None, None], a.measured[k], se3_inverse(a.measured[k]))
         mine, theirs = Ends(poses[here], drift.collected[here]), Ends(poses[there], drift.collected[there])
         out.append((PieceEdges(first, second, mine, theirs, measured, variances[k]), k))
-    return out
+    return PiecePairs(tuple(drift.middle[np.unique(label, return_index=True)[1]].tolist()), out)
 
 
 def _first_of_groups(meetings: list[Meeting]) -> list[int]:

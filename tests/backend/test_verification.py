@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scenes import LOOK_ALIKES, Noise, look_alikes, observe, pair, random_descriptors, street
 
+from maslam._replaced import replaced
 from maslam.backend.config import RelPoseConfig
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import rotation_angle_deg, se3_exp, se3_inverse, se3_log
@@ -132,11 +133,6 @@ def test_every_refusal_says_why():
     paper = random_descriptors(rng, 200)
     assert judge(PlaceView(wall, paper), PlaceView(wall + 0.01, paper)).kind == "ambiguous"
 
-    # One camera in a street has a unit of 20 m and more, one in a drone of 100 m.
-    street = judge(PlaceView(query.points_C / 50.0, query.descriptors, metric=False), match)
-    assert street.accepted and street.T_M_Q.scale == pytest.approx(50.0, rel=0.05)
-    huge = PlaceView(query.points_C / 500.0, query.descriptors, metric=False)
-    assert judge(huge, match).kind == "implausible scale"
     # The same picture at half the size is no place match when both cameras know what a metre is.
     model = PlaceView(query.points_C * 0.4, query.descriptors)
     assert not judge(model, match).accepted
@@ -178,6 +174,22 @@ def test_views_that_make_no_sense_are_refused():
         PlaceView(points, np.zeros((3, 32)))
     with pytest.raises(BackendError, match="in common"):
         judge(PlaceView(points, words=np.zeros(3, np.int32)), PlaceView(points, np.zeros((3, 32), np.uint8)))
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1 / 50.0, 1.0, 500.0])
+def test_a_unit_is_no_reason_against_a_match_but_a_distance_is(unit):
+    # One camera in a street has a unit of 20 m, one in a drone of 100 m; whatever it is, the query is 6 m ahead.
+    ahead = [0.5, 0.0, 6.0, 0.0, 0.05, 0.0]
+    query, match, truth = pair(np.random.default_rng(3), xi=ahead, scale=unit, metric=False)
+    found = judge(query, match)
+    assert found.accepted and found.T_M_Q.scale == pytest.approx(truth.scale, rel=0.05)
+    nearer = np.linalg.norm(truth @ query.points_C - truth.translation, axis=1)
+    ratio = np.median(nearer / np.linalg.norm(truth @ query.points_C, axis=1))
+    assert 0.4 < ratio < 0.85
+    narrow = judge(query, match, config=replaced(CONFIG, max_scale=1.1))
+    assert narrow.kind == "implausible scale" and "times as far from the points" in narrow.reason
+    assert judge(match, query, config=replaced(CONFIG, max_scale=1.1)).kind == "implausible scale"
+    assert judge(query, match, config=replaced(CONFIG, max_scale=1.2 / ratio)).accepted
 
 
 def test_the_scale_brings_its_own_uncertainty():

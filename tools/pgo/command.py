@@ -165,7 +165,8 @@ def optimise_graph(
 
     from ..common.progress import counter, progress_on
     from .asked import request_of
-    from .methods import caps_reached, solve
+    from .methods import SELECTIONS, caps_reached, solve
+    from .undecided import undecided_records
 
     request = request_of(graph, arguments)
     start = time.perf_counter()
@@ -204,6 +205,7 @@ def optimise_graph(
         rejected_edges=len(found.rejected),
         unreached_poses=found.unreached_poses,
         rejected=found.rejected,
+        undecided=undecided_records(believed, request.selection) if request.robust in SELECTIONS else [],
         warnings=[
             *notes,
             *look_at(graph).lines(),

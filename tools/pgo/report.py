@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from maslam.backend.pose_graph.node import robot_name
 
+from .undecided import UndecidedRecord, undecided_lines
 from .updates import lines
 
 
@@ -16,7 +17,8 @@ class PgoReport:
     ``certified``: whether the minimised cost is proven to be the global optimum's; ``gap``: the share by which it may
     be above it at most; both None where they were not asked for, or there is no proof (cost E). ``rotation_sweeps`` and
     ``pose_sweeps`` are None for methods without sweeps; ``iterations`` is their sum, or the solver's own.
-    ``rejected``: each edge that robust selection turned down, and why. ``warnings``: irregularities of the graph.
+    ``rejected``: each edge that robust selection turned down, and why; ``undecided``: edges kept that as many rejected
+    ones contradict (:mod:`maslam.tools.pgo.undecided`). ``warnings``: irregularities of the graph.
     ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
     of them in the common one, which the graph is written in; None where there are none. ``lengths``: what robots'
     odometry was found to have to be multiplied by, which the edges are written with. ``refused``: why robots kept
@@ -46,6 +48,7 @@ class PgoReport:
     rejected_edges: int
     unreached_poses: int
     rejected: list[dict[str, object]] = field(default_factory=list)
+    undecided: list[UndecidedRecord] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     monocular: list[int] = field(default_factory=list)
     units: dict[str, float] | None = None
@@ -73,6 +76,7 @@ class PgoReport:
             out.append(f"  odometry's lengths are off, and are written corrected: {each}")
         if self.robust != "none" and self.robust not in ("huber", "cauchy"):
             out.append(f"  {self.rejected_edges} edges rejected by {self.robust}; --json lists them")
+            out += undecided_lines(self.undecided)
         if self.unreached_poses:
             out.append(f"  {self.unreached_poses} poses are joined to the anchor by no edge and stay")
         return out

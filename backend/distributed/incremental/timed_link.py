@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Arrival:
+class DueMessage:
     """Bytes that arrive at ``at_s``, seconds."""
 
     at_s: float
@@ -31,9 +31,9 @@ class TimedLink:
         self.messages, self.bytes_sent = self.messages + 1, self.bytes_sent + len(data)
         heapq.heappush(self._transit, (ends + self._delay_s, self.messages, data))
 
-    def next(self) -> Arrival | None:
+    def next(self) -> DueMessage | None:
         """The message that arrives next; None: there is none in transit."""
         if not self._transit:
             return None
         at_s, _, data = heapq.heappop(self._transit)
-        return Arrival(at_s, data)
+        return DueMessage(at_s, data)
