@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +25,10 @@ from maslam.backend.distributed.with_priors.in_run import InRun
 from maslam.backend.distributed.with_priors.prior_messages import PriorKind, PriorMessage, body_of, numbers_in
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3, se3_inverse, so3_exp
+from maslam.backend.pose_graph.g2o import read_g2o, write_g2o
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph, Prior
 from maslam.backend.robust.select import optimise_robustly
+from maslam.tools import cli
 
 METHODS = ["multifrontal", "two-level", "rbcd"]
 T_ENU_W = se3(so3_exp([0.3, 0.2, 1.0]), [400.0, -250.0, 30.0])
@@ -285,3 +288,17 @@ def test_messages_come_out_as_they_went_in_and_nonsense_is_refused() -> None:
         node.handle(InRun(9, replace(message, sender=1, receiver=0)))
     with pytest.raises(BackendError, match="handed a message from 1 for 2"):
         node.handle(message)
+
+
+def test_the_command_uses_them_and_says_who_can(tmp_path, capsys) -> None:
+    graph, truth = loops(np.random.default_rng(0), robots=2, length=20)
+    path = tmp_path / "gps.g2o"
+    write_g2o(path, with_gps(graph, truth, 1.0, every=4))
+    best = optimise(read_g2o(path), CentralConfig()).cost_after
+    for method in ("multifrontal", "two-level"):
+        assert cli.main(["pgo", str(path), str(tmp_path / f"{method}.g2o"), "--method", method, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["cost"]["F"] < best * 1.001
+        assert len(read_g2o(tmp_path / f"{method}.g2o").priors) == 10
+    assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", "sor"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "central, elected, multifrontal, two-level, rbcd, not by sor" in line
