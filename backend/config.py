@@ -86,7 +86,7 @@ class RelPoseConfig(Settings):
         ge=0,
         description="smallest extent, as min_thickness, where views are compared by vocabulary words",
     )
-    max_scale: float = Field(
+    max_distance_ratio: float = Field(
         default=5.0,
         gt=1,
         description="largest ratio of the two cameras' distances from the points that both see, and largest inverse of "

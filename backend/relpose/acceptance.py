@@ -72,10 +72,10 @@ def problem_of(found: FoundPose, config: RelPoseConfig) -> tuple[str | None, flo
         problem = f"degenerate: points on a line, width over length {width:.4f} < {_MIN_WIDTH:g}"
     elif thickness < flattest:
         problem = f"ambiguous: points on one flat surface, thickness {thickness:.3f} < {flattest:g}"
-    elif not 1.0 / config.max_scale < found.distance_ratio < config.max_scale:
+    elif not 1.0 / config.max_distance_ratio < found.distance_ratio < config.max_distance_ratio:
         problem = (
             f"implausible scale: the query's camera {found.distance_ratio:.3g} times as far from the points as the "
-            f"match's, outside {1 / config.max_scale:.3g} to {config.max_scale:.3g}"
+            f"match's, outside {1 / config.max_distance_ratio:.3g} to {config.max_distance_ratio:.3g}"
         )
     elif found.rmse_deg > rmse_limit:
         problem = f"residual too large: {found.rmse_deg:.3f} deg > {rmse_limit:.3f} deg"

@@ -186,10 +186,10 @@ def test_a_unit_is_no_reason_against_a_match_but_a_distance_is(unit):
     nearer = np.linalg.norm(truth @ query.points_C - truth.translation, axis=1)
     ratio = np.median(nearer / np.linalg.norm(truth @ query.points_C, axis=1))
     assert 0.4 < ratio < 0.85
-    narrow = judge(query, match, config=replaced(CONFIG, max_scale=1.1))
+    narrow = judge(query, match, config=replaced(CONFIG, max_distance_ratio=1.1))
     assert narrow.kind == "implausible scale" and "times as far from the points" in narrow.reason
-    assert judge(match, query, config=replaced(CONFIG, max_scale=1.1)).kind == "implausible scale"
-    assert judge(query, match, config=replaced(CONFIG, max_scale=1.2 / ratio)).accepted
+    assert judge(match, query, config=replaced(CONFIG, max_distance_ratio=1.1)).kind == "implausible scale"
+    assert judge(query, match, config=replaced(CONFIG, max_distance_ratio=1.2 / ratio)).accepted
 
 
 def test_the_scale_brings_its_own_uncertainty():

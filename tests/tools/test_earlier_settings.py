@@ -86,7 +86,6 @@ def test_the_config_of_a_run_of_0_1_is_read() -> None:
     then = replaced(
         today,
         places=replaced(today.places, widen_keyframes=None),
-        relpose=replaced(today.relpose, max_scale=20.0),
         optimisation=replaced(
             today.optimisation,
             solver=replaced(today.optimisation.solver, elected_fineness=512.0, length_sigma=0.0),

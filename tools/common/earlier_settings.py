@@ -37,6 +37,7 @@ Fate = Renamed | Removed
 SETTINGS_OF_0_1: dict[str, Fate] = {
     "odometry.features.min_distance_px": Removed("it had no effect"),
     "odometry.seed": Removed("it had no effect"),
+    "relpose.max_scale": Removed("relpose.max_distance_ratio bounds distances, whatever the units"),
     "merge.edition_keyframes": Renamed("merge.version_keyframes"),
     "standing": Renamed("reputation"),
     "standing.honesty": Renamed("reputation.consistency"),
