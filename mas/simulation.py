@@ -159,7 +159,8 @@ def run(
     """
     given = {"policy": policy, "transport": transport}
     config = replaced(config, **{key: name_of(own) for key, own in given.items() if own is not None})
-    strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
+    faults = config.faults
+    strangers = sorted({*faults.late_s, *faults.leave_s, *faults.blackout_s} - set(range(len(sequences))))
     if strangers:
         raise MasError(f"faults: there is no agent {strangers[0]}, only 0 to {len(sequences) - 1}")
     started = time.perf_counter()

@@ -74,18 +74,17 @@ class OptimisationSession:
     def begin(self, now_ns: int) -> SessionStart:
         """Start the node."""
         self.begun, self.began_ns = True, now_ns
-        self.link.goes_on(now_ns)
-        return SessionStart(tuple(self.node.start()), tuple(self._early))
+        out = tuple(self.node.start())
+        self.link.goes_on(out, now_ns)
+        return SessionStart(out, tuple(self._early))
 
     def receive(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> SolverReply:
         """Hand a message to the node; :class:`~maslam.backend.errors.BackendError` where it makes no sense."""
         out = self.node.handle(message)
         if message.asks:  # an answer is larger than the question, and brings this node no further
             return SolverReply(again=tuple(self.link.answered(message.sender, out, now_ns, rtt)))
-        if self.link.seen(message) and not out:
-            return SolverReply(again=tuple(self.link.again(self.node, message, now_ns, rtt)))
         if out:
-            self.link.goes_on(now_ns)
+            self.link.goes_on(out, now_ns)
         return SolverReply(messages=tuple(out))
 
     def late(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
