@@ -15,9 +15,9 @@ from .ledger import Ledger
 from .reputation import SILENT, ReputationBook, Trust
 from .retransmission import Retransmitter
 
-# Answers waited for one after the other in an optimisation, losses included.
-_ROUNDS = 150
-# And at most so many times the usual time.
+# Answers waited for one after the other in an optimisation, losses included, and in any other contract.
+_ROUNDS, _ANSWERS = 150, 30
+# And at most so many times the usual time of an optimisation.
 _LONGEST = 4.0
 
 
@@ -56,17 +56,17 @@ class AgentContext:
     # -- who may be called --------------------------------------------------------------------------------------------
 
     def deadline_ns(self, operation: OperationKind, contractors: Iterable[int] = ()) -> int:
-        """Deadline, ns of logical time, of a contract opened now. An optimisation has many rounds, each of as
-        many messages one after the other as there are members: many of them, or slow answers, make it longer."""
-        config = self.state.config
-        if operation is not OperationKind.DOPT:
-            return self.now_ns + round(config.deadline_s * 1e9)
-        others = list(contractors)
+        """Deadline, ns of logical time, of a contract opened now; slow answers make it longer. An optimisation has
+        many rounds, each of as many messages one after the other as there are members: so do many of them."""
+        config, others = self.state.config, list(contractors)
         slowest = max((self.retransmitter.rtt.wait_ns(c) for c in others), default=0)
         usual = config.optimisation.deadline_s * 1e9
         # Of few answers even the quickest may have been late, because messages were lost on the way.
-        longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
-        return self.now_ns + round(longest * max(1.0, len(others) / 2))
+        longest = _LONGEST * usual
+        if operation is not OperationKind.DOPT:
+            least = config.deadline_s * 1e9
+            return self.now_ns + round(max(least, min(float(_ANSWERS * slowest), longest)))
+        return self.now_ns + round(min(max(usual, float(_ROUNDS * slowest)), longest) * max(1.0, len(others) / 2))
 
     def calling(self, operation: OperationKind) -> bool:
         """Whether a contract of this kind runs that I manage."""

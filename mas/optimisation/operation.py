@@ -42,13 +42,13 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._peer_to_peer = peer_to_peer
         self.tender: OptimisationTender | None = None
         self.session: OptimisationSession | None = None
-        self.attempts = Backoff(context.state.config.link)
+        self._rtt = context.retransmitter.rtt
+        self.attempts = Backoff(context.state.config.link, self._rtt)
         self.repeated = 0
         self._missed = False
         self._bid_ns: dict[int, int] = {}
         self._before = SessionHistory()
         self._estimator = BidEstimator(context)
-        self._rtt = context.retransmitter.rtt
 
     @property
     def busy(self) -> bool:

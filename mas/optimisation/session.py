@@ -122,16 +122,17 @@ class SessionHistory(dict[ContractId, OptimisationSession | None]):
 class Backoff:
     """Number of failed optimisations, and the time to call for the next."""
 
-    def __init__(self, config: LinkConfig) -> None:
+    def __init__(self, config: LinkConfig, rtt: RttEstimator) -> None:
         self.config = config
+        self._rtt = rtt
         self.failures = 0
         self.not_before_ns = 0
 
     def failed(self, now_ns: int, me: int) -> None:
         """It is tried again, later each time; not all who failed together try at the same time."""
         self.failures += 1
-        wait_s = min(self.failures, 8) * self.config.repeat_max_s * (1.0 + me % 8 / 4.0)
-        self.not_before_ns = now_ns + round(wait_s * 1e9)
+        least_ns = max(self.config.repeat_max_s * 1e9, float(self._rtt.slowest_ns))
+        self.not_before_ns = now_ns + round(min(self.failures, 8) * least_ns * (1.0 + me % 8 / 4.0))
 
     def succeeded(self) -> None:
         """One came to its end."""

@@ -31,7 +31,7 @@ class SolverLink:
     def due(self, node: SolverNode, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:
         """What the node sends once it has waited long enough: it asks for what it lacks."""
         others = set(node.share.members) - {node.share.robot}
-        wait = max((rtt.wait_ns(member, min(self.tries, 2)) for member in others), default=0)
+        wait = max((rtt.ask_ns(member, min(self.tries, 2)) for member in others), default=0)
         if now_ns - self.sent_ns < wait:
             return []
         self.sent_ns, self.tries = now_ns, self.tries + 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -55,18 +56,66 @@ def test_of_ten_messages_three_are_lost_and_not_many_more_are_sent_than_must_be(
     assert lossy.steps <= still.steps + 12
 
 
+def answered(rtt: RttEstimator, other: int, took_ms: int, *repeats_ms: int) -> None:
+    """An answer that came so long after the message was sent first; ``repeats_ms``: how long after their repeats."""
+    rtt.answered(other, 10**12, [10**12 - t * MS for t in (took_ms, *repeats_ms)])
+
+
 def test_answers_to_what_was_sent_once_say_how_long_to_wait() -> None:
     rtt = RttEstimator(LinkConfig())
     assert rtt.wait_ns(1) == 10 * MS
-    rtt.answered(1, 900 * MS, repeated=True)
+    answered(rtt, 1, 900, 500)
     assert rtt.wait_ns(1) == 1350 * MS, "nothing better is known"
     for took in (200, 400, 200, 400):
-        rtt.answered(1, took * MS, repeated=False)
-    assert rtt.wait_ns(1) == (300 + 4 * 100) * MS, "mean and four mean deviations"
+        answered(rtt, 1, took)
+    assert rtt.wait_ns(1) == 640 * MS, "mean and four mean deviations, but three of the quickest, or the longest set"
     for took in (2000, 700, 900):
         assert rtt.wait_ns(2) == 300 * MS, "too little is known: the quickest of all"
-        rtt.answered(2, took * MS, repeated=True)
+        answered(rtt, 2, took, took // 2)
     assert rtt.wait_ns(2) == 1050 * MS, "the quickest of its own"
+
+
+def test_an_answer_that_met_a_queue_makes_nobody_wait_for_minutes() -> None:
+    rtt = RttEstimator(LinkConfig())
+    for took in (1000, 1100, 1000, 54_000):
+        answered(rtt, 1, took)
+    assert rtt.wait_ns(1) == 3000 * MS
+    assert [rtt.ask_ns(1, tries) for tries in range(4)] == [2000 * MS, 4000 * MS, 4000 * MS, 4000 * MS]
+
+
+def test_a_repeat_that_is_answered_sooner_than_any_answer_came_was_in_vain() -> None:
+    """Else links that become slow would never be known to be: every message is repeated before its answer is there."""
+    rtt = RttEstimator(LinkConfig())
+    answered(rtt, 1, 400)
+    for _ in range(8):
+        answered(rtt, 1, 2000, 1200, 100)
+    assert rtt.wait_ns(1) == 1200 * MS, "to the first repeat, or later: the answer took at least that long"
+    answered(rtt, 1, 2000, 1300)
+    assert rtt.wait_ns(1) == 1200 * MS, "to which of the two, nobody knows"
+
+
+def test_how_long_a_busy_agent_lets_a_call_wait_says_nothing_about_the_link() -> None:
+    keeper = Retransmitter(0, LinkConfig())
+    for operation, expected in ((OperationKind.DOPT, 10 * MS), (OperationKind.MAPMERGE, 2250 * MS)):
+        called = Contract(ContractId(0, int(operation)), 1, operation, 10**12)
+        keeper.sent(called, Message(0, 1, called.id, Call(operation, 10**12)), 0)
+        keeper.due(100 * MS)
+        keeper.received(replace(called, state=ContractState.BID), 1500 * MS)
+        assert keeper.rtt.wait_ns(1) == expected
+
+
+def test_contracts_have_more_time_where_answers_are_slow() -> None:
+    context = make_agents(*town(2, 10), preset("maslam"))[0].context
+    assert [context.deadline_ns(o, [1]) / 1e9 for o in (OperationKind.RELPOSE, OperationKind.DOPT)] == [5.0, 20.0]
+    for _ in range(8):
+        answered(context.retransmitter.rtt, 1, 1500)
+    assert [context.deadline_ns(o, [1]) / 1e9 for o in (OperationKind.RELPOSE, OperationKind.DOPT)] == [45.0, 80.0]
+
+
+def test_radios_of_10_kbit_that_lose_messages_end_at_the_same_graph(tmp_path: Path) -> None:
+    still, slow = through(tmp_path), through(tmp_path, 0, rate_kbit=9.6, delay_s=0.5, loss=0.3)
+    assert slow.groups == still.groups == [[0, 1, 2]]
+    assert slow.ate_rmse_m.mean_agents == pytest.approx(still.ate_rmse_m.mean_agents, rel=0.1)
 
 
 def test_a_question_that_is_repeated_at_once_is_answered_once() -> None:
