@@ -21,6 +21,19 @@ _ROUNDS, _ANSWERS = 150, 30
 _LONGEST = 4.0
 
 
+# Of an agent that is silent when all sequences are over, half of ``probe_s`` apart: a black hole of ten seconds ends
+# before the last one.
+_PROBES = 3
+
+
+@dataclass(frozen=True)
+class _LastProbes:
+    """Of a silent agent: how many probes are ``left``, and when the ``next`` may go out."""
+
+    left: int
+    next_ns: int
+
+
 @dataclass(frozen=True)
 class CallSent:
     """A call for proposals: its number, the contractors that were called, and the effects."""
@@ -42,7 +55,7 @@ class AgentContext:
     ledger: Ledger
     now_ns: int = 0
     closing: bool = False
-    _last_probes: set[int] = field(default_factory=set)
+    _last_probes: dict[int, _LastProbes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.retransmitter = Retransmitter(self.me, self.state.config.link)
@@ -77,15 +90,30 @@ class AgentContext:
         never a part in an optimisation or a sale, and end with the sequences."""
         small = operation not in (OperationKind.DOPT, OperationKind.MAPMERGE)
         if self.closing or not small:
-            return self.reputation.trust(other) is Trust.GOOD or (small and other in self._last_probes)
+            return self.reputation.trust(other) is Trust.GOOD or (small and self._last_probe_due(other))
         return self.reputation.may_call(other, self.now_ns)
 
     def close(self) -> None:
-        """All sequences have ended. Who is silent is asked once more: it may have come since the last probe."""
-        if not self.closing:
-            self.closing = True
-            others = self.state.profile.others
-            self._last_probes = {a for a in others if self.reputation.trust(a) is Trust.SILENT}
+        """All sequences have ended. Who is silent is asked a few times more: it may come, or come back."""
+        self.closing = True
+
+    def may_come_back(self, other: int) -> bool:
+        """Whether a silent agent is still to be probed, or may have come by a probe that is under way."""
+        if self.reputation.trust(other) is not Trust.SILENT:
+            return False
+        known = self._last_probes.get(other)
+        return known is None or known.left > 0 or self.now_ns < known.next_ns
+
+    def _last_probe_due(self, other: int) -> bool:
+        known = self._last_probes.get(other, _LastProbes(_PROBES, self.now_ns))
+        return self.reputation.trust(other) is Trust.SILENT and known.left > 0 and self.now_ns >= known.next_ns
+
+    def _probed(self, other: int) -> None:
+        """A call went out; to one that is silent after the end that was a probe."""
+        if self.closing and self.reputation.trust(other) is Trust.SILENT:
+            left = self._last_probes[other].left if other in self._last_probes else _PROBES
+            wait_ns = round(self.state.config.reputation.probe_s * 0.5e9)
+            self._last_probes[other] = _LastProbes(left - 1, self.now_ns + wait_ns)
 
     def serves(self, other: int, operation: OperationKind) -> bool:
         """Whether to work for the other: questions about places always, they let it come back."""
@@ -102,7 +130,7 @@ class AgentContext:
         effects = NOTHING
         for contract in self.ledger.managed(identity) if free else []:
             self.reputation.called(contract.contractor, self.now_ns)
-            self._last_probes.discard(contract.contractor)
+            self._probed(contract.contractor)
             effects += self._sent(contract, contract.contractor, Call(operation, deadline_ns, members))
         return CallSent(identity, tuple(free), effects)
 

@@ -234,16 +234,24 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         if session is None or not session.begun:
             return NOTHING
         others = set(session.task.members) - {self.state.me}
-        patience_ns = self.context.deadline_ns(OperationKind.DOPT, others) - self.context.now_ns
-        if others and self.context.now_ns > session.began_ns + patience_ns:
-            # The others are through, and their last message does not reach this agent.
+        if others and self._no_end_in_sight(session, others):
+            # Somebody is gone, or the others are through and their last message does not reach this agent.
             effects = self._leave(session)
             self.attempts.failed(self.context.now_ns, self.state.me)
+            reason = "the last message did not arrive"
+            effects += self.context.event("optimisation_left", members=list(session.task.members), reason=reason)
             if session.contract is not None:
-                effects += self.context.send(session.contract, Failure("the last message did not arrive"))
+                effects += self.context.send(session.contract, Failure(reason))
             return effects
         due = session.link.due(session.node, self.context.now_ns, self._rtt)
         return self._repeat(session, due) + self._finish_if_done(session)
+
+    def _no_end_in_sight(self, session: OptimisationSession, others: set[int]) -> bool:
+        """Whether it has taken too long, or has got no further for twice as long as anybody may be silent."""
+        now_ns = self.context.now_ns
+        deadline_ns = self.context.deadline_ns(OperationKind.DOPT, others) - now_ns
+        silence_ns = 2 * max(self.context.retransmitter.patience_ns(other) for other in others)
+        return now_ns > session.began_ns + deadline_ns or now_ns > session.link.went_on_ns + silence_ns
 
     def _run(self, session: OptimisationSession) -> Effects:
         start = session.begin(self.context.now_ns)

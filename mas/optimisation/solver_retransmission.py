@@ -17,15 +17,17 @@ from ..contracts.rtt import RttEstimator
 
 @dataclass
 class SolverLink:
-    """One agent's side of one optimisation. ``goes_on``: it got further; ``tries``: repeats since then."""
+    """One agent's side of one optimisation. ``went_on_ns``: when it got further last; ``tries``: repeats since then."""
 
+    went_on_ns: int = 0
     sent_ns: int = 0
     tries: int = 0
     _sent_ns: dict[tuple[object, ...], int] = field(default_factory=dict)
 
     def goes_on(self, sent: Sequence[SolverMessage], now_ns: int) -> None:
         """The node got further and sent something: the wait begins anew."""
-        self.sent_ns, self.tries = now_ns, 0
+        self.went_on_ns = self.sent_ns = now_ns
+        self.tries = 0
         self._note(sent, now_ns)
 
     def due(self, node: SolverNode, now_ns: int, rtt: RttEstimator) -> list[SolverMessage]:

@@ -8,10 +8,12 @@ from types import SimpleNamespace
 
 import pytest
 from factory import town
+from saboteurs import Saboteur, live
 
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
 from maslam.mas.config import FaultsConfig, LinkConfig, MasConfig
 from maslam.mas.contracts.contract import Contract, ContractState
+from maslam.mas.contracts.effects import NOTHING, Effects
 from maslam.mas.contracts.retransmission import Retransmitter
 from maslam.mas.contracts.rtt import RttEstimator
 from maslam.mas.evaluation.summary import Summary
@@ -19,6 +21,7 @@ from maslam.mas.optimisation.session import OptimisationSession
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Call, Message
+from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.simulation import make_agents, run
 
 MS = 10**6
@@ -155,3 +158,67 @@ def test_who_only_repeats_itself_does_not_shorten_the_wait() -> None:
         keeper.received(contract, now)
         sent += [now // MS] * len(keeper.due(now))
     assert sent == [10, 30, 70, 150]
+
+
+class GoneInTheMiddle(Saboteur):
+    """Sends and receives nothing any more after its twentieth message of an optimisation."""
+
+    sent = 0
+
+    def spoil(self, messages: list[Message]) -> list[Message]:
+        self.sent += sum(isinstance(m.body, SolverBody) for m in messages)
+        return messages if self.sent <= 20 else []
+
+    def handle(self, message: Message) -> Effects:
+        return super().handle(message) if self.sent <= 20 else NOTHING
+
+
+@pytest.mark.parametrize("method", ["two-level", "sor"])
+def test_where_the_root_falls_silent_in_the_middle_the_others_leave_in_time_and_go_on_without_it(method: str) -> None:
+    """The lowest member is the root: without it no round ends. Poses stay as the last optimisation that ended had
+    them."""
+    config = preset("maslam")
+    solver = config.optimisation.solver.model_copy(update={"method": method, "length_sigma": 0.0})
+    optimisation = config.optimisation.model_copy(update={"solver": solver})
+    config = config.model_copy(update={"optimisation": optimisation, "faults": FaultsConfig(delay_s=0.02)})
+    sequences = town(3, 24, spacing_m=6.0, drifting=0.03)
+    environment, evaluator = live(*sequences, config, {0: GoneInTheMiddle})
+    gone, *others = environment.agents
+    assert isinstance(gone, GoneInTheMiddle) and gone.sent > 20
+    left = [e for e in environment.events if e.kind == "optimisation_left" and e.agent]
+    assert left and all(e.fields["members"][0] == 0 for e in left), "it is said"
+    assert environment.now_ns < 60e9
+    for other in others:
+        assert not other.optimisation.busy and other.state.group >= {1, 2}
+    after = [e.fields["members"] for e in environment.events if e.kind == "optimised" and e.now_ns > left[-1].now_ns]
+    assert [1, 2] in after
+    errors = evaluator.connected_errors(environment.agents)
+    assert max(errors[a].rmse_m for a in (1, 2)) < 0.5
+
+
+@pytest.mark.parametrize("preset_name", ["maslam", "default", "optimised"])
+def test_who_cannot_be_reached_for_ten_seconds_joins_when_it_can(tmp_path: Path, preset_name: str) -> None:
+    """Longer than the sequences last: what was asked in vain is asked again, and who is silent at the end is probed."""
+    config = preset(preset_name)
+    config = config.model_copy(update={"faults": FaultsConfig(blackout_s={0: 1.0, 1: 1.0, 2: 1.0})})
+    manifest, sequences = town(3, 24, spacing_m=6.0, drifting=0.03)
+    summary = run(manifest, sequences, config, tmp_path / "run")
+    assert summary.duration_s < 11.0, "all have seen everything before they can be reached"
+    assert summary.groups == [[0, 1, 2]]
+
+
+def test_a_silent_agent_is_probed_three_times_after_the_end_and_then_given_up() -> None:
+    context = make_agents(*town(2, 10), preset("default"))[0].context
+    context.reputation.of(1).unanswered = 2
+    context.close()
+    probed = []
+    for second in range(60):
+        context.now_ns = second * 10**9
+        if context.may_call(1):
+            probed.append(second)
+            assert context.may_come_back(1)
+            call = context.call(OperationKind.DVPR, [1])
+            context.cancel(context.ledger.managed(call.identity), "test")
+            context.reputation.of(1).unanswered = 2
+    assert probed == [0, 5, 10]
+    assert not context.may_come_back(1)
