@@ -74,7 +74,7 @@ EVENTS = {
     "peer_to_peer": "a member offers matches with the manager alone: `bidder`",
     "map_bought": "a map copy came in: `seller`, `owner`, `version`, `keyframes`, `new_keyframes`, `points`, `route`",
     "map_checked": "a held copy was compared with place matches: `owner`, `version`, `final`, matches and distances",
-    "optimisation_left": "a member left an optimisation that got no further, with its earlier poses: `members`, `reason`",
+    "optimisation_left": "a member left an optimisation that got no further, poses as before: `members`, `reason`",
     "map_refused": "a copy was rejected: `seller`, `owner`, `version`, `reason`",
     "contradicted": "matches contradicted by the other matches of a group: `reported_by`, `matches`",
     "reputation": "the reputation of another agent changed: `of`, `trust`, `reliability`, `consistency`, `silent`",
