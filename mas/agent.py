@@ -140,7 +140,7 @@ class Agent:
         pending = self._pending() or self._new_positions()
         if not self.context.closing or busy or pending or not self.final_round.over:
             return False
-        return not self._behind() and not self.places.widening
+        return not self._behind() and not self.places.widening and not self.places.unasked
 
     @property
     def waiting(self) -> bool:

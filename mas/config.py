@@ -272,6 +272,17 @@ class FaultsConfig(Settings):
     reorder: float = Field(default=0.0, ge=0, le=1, description="share of messages that are overtaken by later ones")
     delay_s: float = Field(default=0.0, ge=0, description="logical time that every message takes, seconds")
     jitter_s: float = Field(default=0.0, ge=0, description="plus a random time up to this, seconds")
+    rate_kbit: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="rate of each agent's radio, which sends one message after another, kbit/s; null: no limit",
+    )
+    blackout_s: dict[int, float] = Field(
+        default={},
+        description="agents that no message reaches or leaves for a while, with its beginning in seconds, e.g. {2: 10}",
+    )
+    blackout_for_s: float = Field(default=10.0, ge=0, le=3600, description="how long that lasts, seconds")
     late_s: dict[int, float] = Field(
         default={},
         description="agents that come late, with their time in seconds, e.g. {2: 10}; their sequence starts then",

@@ -44,8 +44,8 @@ from .transport.transport import RefusedMessage, Sent, Transport
 # Steps after the last key-frame, beside the rounds of purchases: for optimisations still wanted and contracts to
 # expire.
 _CLOSING_STEPS = 20
-# Where optimisations take time: as many of their deadlines more.
-_CLOSING_OPTIMISATIONS = 6
+# Where optimisations take time: as many of their deadlines more, and where radios are slow.
+_CLOSING_OPTIMISATIONS, _ON_SLOW_RADIOS = 6, 30
 
 log = logging.getLogger(__name__)
 RunProgress = Callable[[int, int], None]
@@ -167,7 +167,8 @@ def run(
     """
     given = {"policy": policy, "transport": transport}
     config = replaced(config, **{key: name_of(own) for key, own in given.items() if own is not None})
-    strangers = sorted({*config.faults.late_s, *config.faults.leave_s} - set(range(len(sequences))))
+    faults = config.faults
+    strangers = sorted({*faults.late_s, *faults.leave_s, *faults.blackout_s} - set(range(len(sequences))))
     if strangers:
         raise MasError(f"faults: there is no agent {strangers[0]}, only 0 to {len(sequences) - 1}")
     started = time.perf_counter()
@@ -266,7 +267,9 @@ def _play(
     config = environment.config
     limit = total + config.merge.closing_rounds + _CLOSING_STEPS
     if config.faults.any:
-        limit += round(_CLOSING_OPTIMISATIONS * config.optimisation.deadline_s / config.step_s)
+        slow = config.faults.rate_kbit is not None
+        deadlines = _ON_SLOW_RADIOS if slow else _CLOSING_OPTIMISATIONS
+        limit += round(deadlines * config.optimisation.deadline_s / config.step_s)
     for number in range(limit):
         environment.step(number)
         recorder.step(timeline_row(number, environment.now_ns, environment.agents, environment.transport, evaluator))

@@ -42,11 +42,6 @@ class Envelope:
         return int(self.kind), self.number
 
     @property
-    def since(self) -> None:
-        """No rounds: whoever sends it again may lack anything."""
-        return None
-
-    @property
     def asks(self) -> bool:
         """Whether it only asks for what its sender waits for."""
         return self.kind.name == "WAIT"

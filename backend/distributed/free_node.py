@@ -15,7 +15,18 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..geometry import Array
 from .descent_node import DescentNode
-from .messages import Decision, NodeMessage, Round, SeparatorState, SolverStage, Standing, Status, number_type
+from .messages import (
+    Decision,
+    NodeMessage,
+    Round,
+    RoundWait,
+    SeparatorState,
+    SolverStage,
+    Standing,
+    Status,
+    Wanted,
+    number_type,
+)
 from .places import Places, moved, places_of
 from .share import Share
 
@@ -41,7 +52,6 @@ class FreeNode(DescentNode):
         self._confirmed = dict.fromkeys(share.neighbours, 0)
         self._sent_at = dict.fromkeys(share.neighbours, -_PATIENCE)
         self._owed: set[int] = set()
-        self._arrived: set[int] = set()
         self._version = self._ticks = 0
         self._quiet = False
         self._shift, self._idle = 0.0, 0
@@ -64,7 +74,6 @@ class FreeNode(DescentNode):
             return super().handle(message)
         if message.receiver != self.share.robot:
             raise BackendError(f"robot {self.share.robot} was handed a message for robot {message.receiver}")
-        self._arrived.add(message.sender)
         if isinstance(message, Status):
             self._check_tree(message.sender, self._children)
             for standing in message.standings:
@@ -102,8 +111,7 @@ class FreeNode(DescentNode):
             return super().tick()
         self._ticks += 1
         self._step()
-        out = [m for m in super().tick() if m.receiver not in self._arrived]
-        return [*out, *self._advance(), *self._states(), *self._status()]
+        return [*self._advance(), *self._states(), *self._status()]
 
     # -- work --------------------------------------------------------------------------------------------------------
 
@@ -180,8 +188,10 @@ class FreeNode(DescentNode):
             return []
         if below == self._reported_up and self._ticks - self._status_at < _PATIENCE:
             return []
+        waiting = below == self._reported_up
         self._reported_up, self._status_at = below, self._ticks
-        return [Status(self.share.robot, self._parent, _HERE, below)]
+        out: list[NodeMessage] = [Status(self.share.robot, self._parent, _HERE, below)]
+        return [*out, RoundWait(self.share.robot, self._parent, _HERE, Wanted.DECISION)] if waiting else out
 
     def _try_report(self) -> list[NodeMessage] | None:
         if self._round != _HERE:

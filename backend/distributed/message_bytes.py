@@ -18,11 +18,13 @@ from .messages import (
     NodeMessage,
     Report,
     Round,
+    RoundWait,
     SeparatorState,
     SolverStage,
     Standing,
     Status,
     Values,
+    Wanted,
     number_type,
     width_of,
 )
@@ -31,6 +33,7 @@ from .messages import (
 _HEADER = struct.Struct("<BBHHHH")
 _REPORT = struct.Struct("<dd")
 _DECISION = struct.Struct("<?d")
+_WANTED = struct.Struct("<B")
 # Kind of coded numbers, with their stage; their header is another, as short as its numbers.
 _CODED = 0x20
 # In the kind: rows have one number more than their stage, the log unit.
@@ -42,7 +45,7 @@ def encode(message: NodeMessage) -> bytes:
     r = message.round
     if isinstance(message, Coded):
         return encode_coded(message, (message.sender, message.receiver))
-    kind = (Values, Report, Decision, Deltas, SeparatorState, Status).index(type(message))
+    kind = (Values, Report, Decision, Deltas, SeparatorState, Status, RoundWait).index(type(message))
     if _columns(message) > WIDTH[r.stage]:
         kind |= _SCALED
     head = _HEADER.pack(kind, r.stage, r.step, r.sweep, message.sender, message.receiver)
@@ -60,6 +63,8 @@ def encode(message: NodeMessage) -> bytes:
             return head + USED.pack(message.version, message.used) + numbers
         case Status():
             return head + b"".join(_pack_standing(s) for s in message.standings)
+        case RoundWait():
+            return head + bytes([message.wanted])
 
 
 def decode(data: bytes) -> NodeMessage:
@@ -91,6 +96,9 @@ def decode(data: bytes) -> NodeMessage:
             return SeparatorState(sender, receiver, round_, version, used, values.astype(np.float64))
         if kind == 5:
             return Status(sender, receiver, round_, _unpack_standings(body))
+        if kind == 6:
+            (wanted,) = _WANTED.unpack(body)
+            return RoundWait(sender, receiver, round_, Wanted(wanted))
     except (struct.error, ValueError) as error:
         raise BackendError(f"not a solver message: {len(data)} bytes, {error}") from error
     raise BackendError(f"not a solver message: unknown kind {kind}")

@@ -11,7 +11,7 @@ import struct
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,18 +90,13 @@ class _SolverMessage(ABC):
         return int(self.round.stage), self.round.step, self.round.sweep
 
     @property
-    def since(self) -> Round | None:
-        """The round whose messages, and later ones, its sender may lack; None: all of them."""
-        return self.round
-
-    @property
     def decides(self) -> bool:
         """Whether it ends something, so that whoever has it needs no answer."""
         return False
 
     @property
     def asks(self) -> bool:
-        """Whether it only asks for what its sender waits for: no message of rounds does."""
+        """Whether it only asks for what its sender waits for."""
         return False
 
 
@@ -250,10 +245,6 @@ class SeparatorState(_SolverMessage):
     def place(self) -> tuple[int, ...]:
         return self.version, self.used
 
-    @property
-    def since(self) -> None:
-        return None
-
     def check(self) -> None:
         if self.round != Round(SolverStage.FREE):
             raise BackendError("separators without rounds, of a round")
@@ -294,16 +285,56 @@ class Status(_SolverMessage):
     def place(self) -> tuple[int, ...]:
         return tuple(n for s in self.standings for n in (s.robot, s.serial, s.version))
 
-    @property
-    def since(self) -> None:
-        return None
-
     def check(self) -> None:
         if self.round != Round(SolverStage.FREE):
             raise BackendError("standings without rounds, of a round")
 
 
-NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status | Coded
+class Wanted(IntFlag):
+    """Messages of a round that a robot can lack: separators, a report from below, a decision from above."""
+
+    SEPARATORS = 1
+    REPORT = 2
+    DECISION = 4
+
+
+@dataclass(frozen=True)
+class RoundWait(_SolverMessage):
+    """Question for those messages of a round that have not come: a few bytes, sent again and again."""
+
+    sender: int
+    receiver: int
+    round: Round
+    wanted: Wanted
+
+    @property
+    def payload_bytes(self) -> int:
+        return 1
+
+    @property
+    def place(self) -> tuple[int, ...]:
+        return *super().place, int(self.wanted)
+
+    @property
+    def asks(self) -> bool:
+        return True
+
+    def check(self) -> None:
+        if not 0 < self.wanted < 2 * Wanted.DECISION:
+            raise BackendError("a question for messages of no kind")
+
+
+NodeMessage = Values | Report | Decision | Deltas | SeparatorState | Status | Coded | RoundWait
+
+
+def wanted_as(message: NodeMessage) -> Wanted:
+    """What a robot asks for that lacks this message."""
+    match message:
+        case Report():
+            return Wanted.REPORT
+        case Decision():
+            return Wanted.DECISION
+    return Wanted.SEPARATORS
 
 
 def number_type(stage: SolverStage) -> str:

@@ -12,7 +12,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 from ..errors import BackendError
-from .messages import Coded, Decision, Deltas, NodeMessage, Report, Round, Values, width_of
+from .messages import (
+    Coded,
+    Decision,
+    Deltas,
+    NodeMessage,
+    Report,
+    Round,
+    RoundWait,
+    Values,
+    Wanted,
+    wanted_as,
+    width_of,
+)
 from .share import Share, SolverOutcome
 
 Separators = Values | Deltas | Coded
@@ -23,8 +35,8 @@ class Rounds(ABC):
 
     Call ``start()`` once, then ``handle`` with every message addressed to it, in any order; send the messages that they
     return. ``outcome`` is None while it works. Repeated and early messages do no harm; one that contradicts its graph
-    raises :class:`BackendError`. ``tick()`` returns again what others may have missed, also after the end: for
-    transports that lose messages.
+    raises :class:`BackendError`. ``tick()`` asks for what has not come, in a byte, and only that is sent again, also
+    after the end: for transports that lose messages.
     """
 
     # Rounds with messages that others may still lack.
@@ -37,6 +49,7 @@ class Rounds(ABC):
         self.outcome: SolverOutcome | None = None
         self._round = first
         self._solved = self._reported = False
+        self._silent = 0
         self._change = 0.0
         self._received: dict[Round, dict[int, Separators]] = {}
         self._reports: dict[Round, dict[int, Report]] = {}
@@ -100,6 +113,10 @@ class Rounds(ABC):
         """Neighbours whose separators complete the round."""
         return self.share.neighbours
 
+    def _follows(self) -> bool:
+        """Whether what this robot waits for is sent once others' messages are received there: a decision."""
+        return self._reported
+
     # -- what happens to it ------------------------------------------------------------------------------------------
 
     def start(self) -> list[NodeMessage]:
@@ -113,6 +130,8 @@ class Rounds(ABC):
             raise BackendError(f"robot {self.share.robot} was handed a message of another method")
         if message.receiver != self.share.robot:
             raise BackendError(f"robot {self.share.robot} was handed a message for robot {message.receiver}")
+        if isinstance(message, RoundWait):
+            return self._answer(message)
         if self.outcome is not None or message.round < self._round:
             return []
         match message:
@@ -135,14 +154,34 @@ class Rounds(ABC):
             raise BackendError(f"robot {self.share.robot} was handed messages of too many rounds to come")
 
     def tick(self) -> list[NodeMessage]:
-        """Return the messages of the last rounds again."""
-        return [m for r in sorted(self._recent) for m in self._recent[r]]
+        """Ask for what has not come; for what follows from others' messages not the first time: it is they who lack
+        something as a rule."""
+        if self.outcome is not None:
+            return []
+        self._silent += 1
+        missing = {} if self._silent == 1 and self._follows() else self._missing()
+        return [RoundWait(self.share.robot, robot, self._round, kinds) for robot, kinds in sorted(missing.items())]
 
     def again(self, message: NodeMessage) -> list[NodeMessage]:
-        """What the sender of a message that came before may have missed: the messages to it of its round and later, as
-        it has all before."""
-        kept = [m for r in sorted(self._recent) for m in self._recent[r] if m.receiver == message.sender]
-        return [m for m in kept if message.since is None or m.round >= message.since]
+        """What the sender of a message that came before may have missed: it asks for that, nothing else tells."""
+        return self._answer(message) if isinstance(message, RoundWait) else []
+
+    def _missing(self) -> dict[int, Wanted]:
+        """What this round waits for, by who sends it."""
+        received, below = self._received.get(self._round, {}), self._reports.get(self._round, {})
+        if self._reported:
+            return {} if self._parent is None else {self._parent: Wanted.DECISION}
+        awaited = [n for n in self._awaited() if self._solved or n < self.share.robot]
+        out = {n: Wanted.SEPARATORS for n in awaited if n not in received}
+        for child in self._children if self._solved and self._by_tree() else []:
+            if child not in below:
+                out[child] = out.get(child, Wanted(0)) | Wanted.REPORT
+        return out
+
+    def _answer(self, message: RoundWait) -> list[NodeMessage]:
+        """What its sender lacks, if it was sent before; else this robot asks for what it lacks in its own time."""
+        kept = self._recent.get(message.round, [])
+        return [m for m in kept if m.receiver == message.sender and wanted_as(m) & message.wanted]
 
     def _width(self) -> int:
         """Numbers of a separator in this round."""
@@ -185,6 +224,7 @@ class Rounds(ABC):
         return out
 
     def _emit(self, messages: Sequence[NodeMessage]) -> list[NodeMessage]:
+        self._silent = 0
         for message in messages:
             self._recent.setdefault(message.round, []).append(message)
         for old in sorted(self._recent)[: -self._ROUNDS_KEPT]:

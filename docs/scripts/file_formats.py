@@ -76,6 +76,7 @@ EVENTS = {
     "map_checked": "a held copy was compared with place matches: `owner`, `version`, `final`, matches and distances",
     "optimisation_refused": "a solution was not adopted, as odometry speaks against it: `reason`, `members`, `by` (who "
     "spoilt it, where that is known)",
+    "optimisation_left": "a member left an optimisation that got no further, poses as before: `members`, `reason`",
     "map_refused": "a copy was rejected: `seller`, `owner`, `version`, `reason`",
     "contradicted": "matches contradicted by the other matches of a group: `reported_by`, `matches`",
     "reputation": "the reputation of another agent changed: `of`, `trust`, `reliability`, `consistency`, `silent`",

@@ -50,8 +50,8 @@ class CallQueue:
         answer = self._answer(contract, call)
         if answer is not None:
             return answer
-        patience = self.context.state.config.link.silence_s / 2
-        self._waiting.append(_WaitingCall(contract, call, self.context.now_ns + round(patience * 1e9)))
+        patience = self.context.retransmitter.patience_ns(contract.manager) // 2
+        self._waiting.append(_WaitingCall(contract, call, self.context.now_ns + patience))
         self._waiting.sort(key=lambda w: w.contract.id)
         return NOTHING
 

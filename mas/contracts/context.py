@@ -17,12 +17,25 @@ from .ledger import Ledger
 from .reputation import SILENT, ReputationBook, Trust
 from .retransmission import Retransmitter
 
-# Answers waited for one after the other in an optimisation, losses included.
-_ROUNDS = 150
-# And at most so many times the usual time.
+# Answers waited for one after the other in an optimisation, losses included, and in any other contract.
+_ROUNDS, _ANSWERS = 150, 30
+# And at most so many times the usual time of an optimisation.
 _LONGEST = 4.0
 # Refused messages of each other agent that are logged one by one; later those whose number is a power of two.
 _LOGGED = 100
+
+
+# Of an agent that is silent when all sequences are over, half of ``probe_s`` apart: a black hole of ten seconds ends
+# before the last one.
+_PROBES = 3
+
+
+@dataclass(frozen=True)
+class _LastProbes:
+    """Of a silent agent: how many probes are ``left``, and when the ``next`` may go out."""
+
+    left: int
+    next_ns: int
 
 
 @dataclass(frozen=True)
@@ -46,7 +59,7 @@ class AgentContext:
     ledger: Ledger
     now_ns: int = 0
     closing: bool = False
-    _last_probes: set[int] = field(default_factory=set)
+    _last_probes: dict[int, _LastProbes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.retransmitter = Retransmitter(self.me, self.state.config.link)
@@ -60,17 +73,17 @@ class AgentContext:
     # -- who may be called --------------------------------------------------------------------------------------------
 
     def deadline_ns(self, operation: OperationKind, contractors: Iterable[int] = ()) -> int:
-        """Deadline, ns of logical time, of a contract opened now. An optimisation has many rounds, each of as
-        many messages one after the other as there are members: many of them, or slow answers, make it longer."""
-        config = self.state.config
-        if operation is not OperationKind.DOPT:
-            return self.now_ns + round(config.deadline_s * 1e9)
-        others = list(contractors)
+        """Deadline, ns of logical time, of a contract opened now; slow answers make it longer. An optimisation has
+        many rounds, each of as many messages one after the other as there are members: so do many of them."""
+        config, others = self.state.config, list(contractors)
         slowest = max((self.retransmitter.rtt.wait_ns(c) for c in others), default=0)
         usual = config.optimisation.deadline_s * 1e9
         # Of few answers even the quickest may have been late, because messages were lost on the way.
-        longest = min(max(usual, float(_ROUNDS * slowest)), _LONGEST * usual)
-        return self.now_ns + round(longest * max(1.0, len(others) / 2))
+        longest = _LONGEST * usual
+        if operation is not OperationKind.DOPT:
+            least = config.deadline_s * 1e9
+            return self.now_ns + round(max(least, min(float(_ANSWERS * slowest), longest)))
+        return self.now_ns + round(min(max(usual, float(_ROUNDS * slowest)), longest) * max(1.0, len(others) / 2))
 
     def capped(self, call: Call) -> Call:
         """The call with a deadline that this agent itself could have set at most."""
@@ -92,15 +105,30 @@ class AgentContext:
         if not small and self.reputation.stalls(other, self.now_ns):
             return False
         if self.closing or not small:
-            return self.reputation.trust(other) is Trust.GOOD or (small and other in self._last_probes)
+            return self.reputation.trust(other) is Trust.GOOD or (small and self._last_probe_due(other))
         return self.reputation.may_call(other, self.now_ns)
 
     def close(self) -> None:
-        """All sequences have ended. Who is silent is asked once more: it may have come since the last probe."""
-        if not self.closing:
-            self.closing = True
-            others = self.state.profile.others
-            self._last_probes = {a for a in others if self.reputation.trust(a) is Trust.SILENT}
+        """All sequences have ended. Who is silent is asked a few times more: it may come, or come back."""
+        self.closing = True
+
+    def may_come_back(self, other: int) -> bool:
+        """Whether a silent agent is still to be probed, or may have come by a probe that is under way."""
+        if self.reputation.trust(other) is not Trust.SILENT:
+            return False
+        known = self._last_probes.get(other)
+        return known is None or known.left > 0 or self.now_ns < known.next_ns
+
+    def _last_probe_due(self, other: int) -> bool:
+        known = self._last_probes.get(other, _LastProbes(_PROBES, self.now_ns))
+        return self.reputation.trust(other) is Trust.SILENT and known.left > 0 and self.now_ns >= known.next_ns
+
+    def _probed(self, other: int) -> None:
+        """A call went out; to one that is silent after the end that was a probe."""
+        if self.closing and self.reputation.trust(other) is Trust.SILENT:
+            left = self._last_probes[other].left if other in self._last_probes else _PROBES
+            wait_ns = round(self.state.config.reputation.probe_s * 0.5e9)
+            self._last_probes[other] = _LastProbes(left - 1, self.now_ns + wait_ns)
 
     def serves(self, other: int, operation: OperationKind) -> bool:
         """Whether to work for the other: questions about places always, they let it come back."""
@@ -120,7 +148,7 @@ class AgentContext:
         effects = NOTHING
         for contract in self.ledger.managed(identity) if free else []:
             self.reputation.called(contract.contractor, self.now_ns)
-            self._last_probes.discard(contract.contractor)
+            self._probed(contract.contractor)
             effects += self._sent(contract, contract.contractor, Call(operation, deadline_ns, members))
         return CallSent(identity, tuple(free), effects)
 

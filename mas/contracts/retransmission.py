@@ -13,7 +13,7 @@ import heapq
 from dataclasses import dataclass
 
 from ..config import LinkConfig
-from ..protocol.ids import ContractId
+from ..protocol.ids import ContractId, OperationKind
 from ..protocol.messages import Award, Bid, Call, Confirmation, Failure, Message, Refusal, Result
 from .contract import Contract, ContractState
 from .rtt import RttEstimator
@@ -25,23 +25,28 @@ _OWED = (ContractState.CALLED, ContractState.AWARDED, ContractState.WORKING)
 # A last message worth repeating after the end: the other side may not know that it ended.
 _CONTRACTOR_ENDS = (ContractState.DONE, ContractState.FAILED, ContractState.REFUSED)
 _MANAGER_ENDS = (ContractState.REJECTED, ContractState.CANCELLED)
+# Contracts whose bids are awarded each for itself.
+_FOR_ITSELF = (OperationKind.DVPR, OperationKind.RELPOSE)
+# Contracts of which award and confirmation are small, and a result follows at once only if it is.
+_SMALL = (OperationKind.DVPR, OperationKind.DOPT)
 # So many waits in vain until a contractor is given up, where answers are slow.
-ANSWERS = 20
+_TRIES = 20
+# Times of repeats that are kept.
+_TIMES = 15
 
 
 @dataclass
 class _Last:
-    """``call``: the manager's call; ``message``: what I sent last, first at ``first_ns`` and last at ``message_ns``;
-    ``since_ns``: since when the other side is silent; ``sent_ns``: when I sent anything last; ``tries``: repeats since
-    the other side sent something."""
+    """``call``: the manager's call; ``message``: what I sent last, last at ``message_ns``; ``since_ns``: since when the
+    other side is silent; ``times_ns``: when I sent it, or the call instead, the last few times; ``tries``: repeats
+    since the other side sent something."""
 
     contract: Contract
     message: Message
     call: Message | None
     since_ns: int
-    sent_ns: int
-    first_ns: int
     message_ns: int
+    times_ns: list[int]
     tries: int = 0
 
 
@@ -62,7 +67,7 @@ class Retransmitter:
         key = (contract.id, contract.contractor)
         known = self._last.get(key)
         call = message if isinstance(message.body, Call) else known.call if known else None
-        self._last[key] = _Last(contract, message, call, now_ns, now_ns, now_ns, now_ns)
+        self._last[key] = _Last(contract, message, call, now_ns, now_ns, [now_ns])
         if known is None:
             heapq.heappush(self._deadlines, (contract.deadline_ns, key))
         self._note_owed(key, contract)
@@ -72,12 +77,8 @@ class Retransmitter:
         last = self._last.get((contract.id, contract.contractor))
         if last is not None:
             before = last.contract.state
-            if (
-                contract.manager == self.me
-                and before in (ContractState.CALLED, ContractState.AWARDED)
-                and contract.state is not before
-            ):
-                self.rtt.answered(contract.contractor, now_ns - last.first_ns, last.tries > 0)
+            if contract.state is not before and before in _answered_at_once(contract, self.me):
+                self.rtt.answered(self._other(contract), now_ns, last.times_ns)
             # Who only repeats itself is there, and no nearer to an answer.
             last.tries = last.tries if contract.state is before else 0
             last.contract, last.since_ns = contract, now_ns
@@ -91,7 +92,7 @@ class Retransmitter:
             self._owed.discard(key)
         out = []
         for last in self._open():
-            if last.call is not None and now_ns - last.sent_ns >= self._wait_ns(last):
+            if last.call is not None and now_ns - last.times_ns[-1] >= self._wait_ns(last):
                 out.append(self._again(last, last.call, now_ns))
         return out
 
@@ -100,11 +101,14 @@ class Retransmitter:
         late = [x for x in self._open() if x.tries and now_ns - x.since_ns >= self._patience_ns(x.contract)]
         return [x.contract for x in late if x.contract.deadline_ns >= now_ns]
 
+    def patience_ns(self, other: int) -> int:
+        """How long the other may be silent that owes an answer."""
+        return max(round(self.config.silence_s * 1e9), _TRIES * self.rtt.wait_ns(other))
+
     def _patience_ns(self, contract: Contract) -> int:
-        shortest = round(self.config.silence_s * 1e9)
         # Who works was there a moment ago, and giving it up costs all other members of an optimisation their work.
         times = 2 if contract.state is ContractState.WORKING else 1
-        return times * max(shortest, ANSWERS * self.rtt.wait_ns(self._other(contract)))
+        return times * self.patience_ns(self._other(contract))
 
     def answer(self, contract: Contract, body: object, now_ns: int) -> Message | None:
         """Answer to a repeated message, or to one that came after the end; None: nothing. ``contract``: my
@@ -138,13 +142,26 @@ class Retransmitter:
             self._owed.discard(key)
 
     def _again(self, last: _Last, message: Message, now_ns: int) -> Message:
-        last.sent_ns = now_ns
+        last.times_ns = [*last.times_ns[-_TIMES:], now_ns]
         last.tries += 1
         self.repeated += 1
         return message
 
     def _wait_ns(self, last: _Last) -> int:
-        return self.rtt.wait_ns(self._other(last.contract), last.tries)
+        """Who works on something large may be sending it."""
+        contract, other = last.contract, self._other(last.contract)
+        small = contract.state is ContractState.CALLED or (
+            contract.state is ContractState.AWARDED and contract.operation in _SMALL
+        )
+        return self.rtt.ask_ns(other, last.tries) if small else self.rtt.wait_ns(other, last.tries)
 
     def _other(self, contract: Contract) -> int:
         return contract.contractor if contract.manager == self.me else contract.manager
+
+
+def _answered_at_once(contract: Contract, me: int) -> tuple[ContractState, ...]:
+    """States in which the other side answers what I sent without waiting for anything: a call to an optimisation may
+    wait until its contractor is idle, and a bid for the bids of others."""
+    if contract.manager != me:
+        return (ContractState.BID,) if contract.operation in _FOR_ITSELF else ()
+    return (ContractState.AWARDED,) if contract.operation is OperationKind.DOPT else _OWED[:2]

@@ -15,13 +15,17 @@ class RetryBudget:
         self.limit = limit
         self._tried: dict[tuple[Hashable, int], int] = {}
 
-    def wanted(self, contract: Contract, subject: Hashable) -> bool:
-        """Whether to call again after this end; False once it is done, was not wanted, or was tried often enough."""
+    def wanted(self, contract: Contract, subject: Hashable, out_of_reach: bool = False) -> bool:
+        """Whether to call again after this end; False once it is done, was not wanted, or was tried often enough.
+        ``out_of_reach``: nothing comes from the contractor at all: what was tried meanwhile does not count, as it is
+        not called before it answers a probe."""
         key = (subject, contract.contractor)
         lost = (
             contract.state in (ContractState.EXPIRED, ContractState.FAILED, ContractState.REFUSED)
             or contract.reason == SILENT
         )
+        if lost and out_of_reach:
+            return True
         tried = self._tried.pop(key, 0)
         if not lost or tried >= self.limit:
             return False

@@ -9,6 +9,7 @@ quickest answer of any agent is taken: one that was late by bad luck would make 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 from ..config import LinkConfig
 
@@ -16,6 +17,14 @@ from ..config import LinkConfig
 # to wait where none is sure.
 _ANSWERS, _DEVIATIONS = 8, 4.0
 _PATIENCE, _FEW = 1.5, 3
+# And no longer than so many of the quickest answers: one that met a queue says little of the next.
+_MOST = 3.0
+# Quickest answers that a small question waits for.
+_IN_DOUBT = 2.0
+# A repeat was in vain if the answer came after less than this share of the quickest one.
+_IN_VAIN = 0.8
+# The wait grows to so many times the first one where answers take longer than the longest that is set.
+_LONGEST = 2.0
 
 
 class RttEstimator:
@@ -26,15 +35,33 @@ class RttEstimator:
         self._took: dict[int, deque[int]] = {}
         self._surely: dict[int, deque[int]] = {}
 
-    def answered(self, other: int, took_ns: int, repeated: bool) -> None:
-        """An answer came ``took_ns`` after the message was sent first; ``repeated``: it was sent again meanwhile."""
-        kept = self._took if repeated else self._surely
-        kept.setdefault(other, deque(maxlen=_ANSWERS)).append(took_ns)
+    def answered(self, other: int, now_ns: int, sent_ns: Sequence[int]) -> None:
+        """An answer came now to a message that was sent at these times, the first one first. Where no answer ever came
+        so soon after the last of them, it answers an earlier one: that repeat was in vain, and tells nothing."""
+        soonest = _IN_VAIN * min(self._surely.get(other, ()), default=0)
+        answered = next((at for at in reversed(sent_ns) if now_ns - at >= soonest), sent_ns[0])
+        surely = len(sent_ns) == 1 or answered < sent_ns[-1]
+        kept = self._surely if surely else self._took
+        kept.setdefault(other, deque(maxlen=_ANSWERS)).append(now_ns - (answered if surely else sent_ns[0]))
 
     def wait_ns(self, other: int, tries: int = 0) -> int:
         """Timeout, ns, of a message that was sent again ``tries`` times already: twice as long each time."""
-        first = max(self.config.repeat_s * 1e9, self._answer_ns(other))
-        return round(min(first * 2**tries, max(first, self.config.repeat_max_s * 1e9)))
+        return self._backed_off(self._answer_ns(other), tries)
+
+    def ask_ns(self, other: int, tries: int = 0) -> int:
+        """The same for a question of a few bytes with an answer of a few bytes, which costs little where that is only
+        late: twice as long as the quickest answer takes."""
+        quickest = min(self._surely.get(other, ()), default=0)
+        return self._backed_off(_IN_DOUBT * quickest or self._answer_ns(other), tries)
+
+    def _backed_off(self, answer_ns: float, tries: int) -> int:
+        first = max(self.config.repeat_s * 1e9, answer_ns)
+        return round(min(first * 2**tries, max(_LONGEST * first, self.config.repeat_max_s * 1e9)))
+
+    @property
+    def slowest_ns(self) -> int:
+        """The longest timeout of all agents that have answered."""
+        return max((self.wait_ns(other) for other in {*self._took, *self._surely}), default=0)
 
     def _answer_ns(self, other: int) -> float:
         """How long an answer may take."""
@@ -45,4 +72,5 @@ class RttEstimator:
                 took = [t for kept in (*self._took.values(), *self._surely.values()) for t in kept]
             return _PATIENCE * min(took, default=0)
         mean = sum(surely) / len(surely)
-        return mean + _DEVIATIONS * sum(abs(took - mean) for took in surely) / len(surely)
+        waits = mean + _DEVIATIONS * sum(abs(took - mean) for took in surely) / len(surely)
+        return min(waits, max(_MOST * min(surely), float(self.config.repeat_max_s * 1e9)))

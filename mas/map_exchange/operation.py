@@ -97,9 +97,9 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
     def tick(self) -> Effects:
         """Half of a contract's time is enough to wait for those who do not answer; the others' bids would expire with
         them."""
-        patience = round(0.5e9 * self.state.config.deadline_s)
         effects = NOTHING
         for identity, tender in sorted(self._tenders.items()):
+            patience = (self.context.deadline_ns(self.kind, tender.pending) - self.context.now_ns) // 2
             if self.context.now_ns - tender.called_ns >= patience:
                 silent = [c for c in self.context.ledger.managed(identity) if c.contractor in tender.pending]
                 effects += self.context.cancel(silent, "no answer")

@@ -44,9 +44,9 @@ class BidEstimator:
 def engaged(context: AgentContext, bid_ns: Mapping[int, int]) -> bool:
     """Whether a manager that got a bid lately may still award: calling now would only get in its way. ``bid_ns``: by
     manager, the time of the last bid to it."""
-    since_ns = context.now_ns - round(context.state.config.link.silence_s * 1e9)
-    mine = (c for c in context.ledger.running(OperationKind.DOPT) if c.contractor == context.me)
-    return any(bid_ns.get(c.manager, since_ns) > since_ns for c in mine)
+    now_ns, patience_ns = context.now_ns, context.retransmitter.patience_ns
+    mine = {c.manager for c in context.ledger.running(OperationKind.DOPT) if c.contractor == context.me}
+    return any(manager not in bid_ns or now_ns - bid_ns[manager] < patience_ns(manager) for manager in mine)
 
 
 def bids_to_lower(context: AgentContext, manager: int) -> bool:

@@ -15,7 +15,6 @@ from ..contracts.contract import Contract, ContractState
 from ..contracts.effects import NOTHING, Effects, MembersMissed, total
 from ..contracts.operation import Answer, Operation, WorkError
 from ..contracts.reputation import NEVER_BEGAN
-from ..contracts.retransmission import ANSWERS
 from ..errors import ProtocolError
 from ..policies.utility import ENVELOPE_BYTES
 from ..protocol.ids import REASON_LENGTH, ContractId, MatchId, OperationKind
@@ -51,14 +50,14 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._peer_to_peer = peer_to_peer
         self.tender: OptimisationTender | None = None
         self.session: OptimisationSession | None = None
-        self.attempts = Backoff(context.state.config.link)
+        self._rtt = context.retransmitter.rtt
+        self.attempts = Backoff(context.state.config.link, self._rtt)
         self.repeated = 0
         self._missed = False
         self._bid_ns: dict[int, int] = {}
         self._before = SessionHistory()
         self.suspicion = Suspicion(self.state.me)
         self._estimator = BidEstimator(context)
-        self._rtt = context.retransmitter.rtt
 
     @property
     def busy(self) -> bool:
@@ -250,14 +249,6 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         if not session.begun:
             return self._await_beginning(session)
         others = set(session.task.members) - {self.state.me}
-        patience_ns = self.context.deadline_ns(OperationKind.DOPT, others) - self.context.now_ns
-        if others and self.context.now_ns > session.began_ns + patience_ns:
-            # The others are through, and their last message does not reach this agent.
-            effects = self._leave(session)
-            self.attempts.failed(self.context.now_ns, self.state.me)
-            if session.contract is not None:
-                effects += self.context.send(session.contract, Failure("the last message did not arrive"))
-            return effects
         silent = session.silent(self.context.now_ns, self._patience_ns(others))
         if silent:
             sure = (
@@ -266,6 +257,15 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             if sure is not None:
                 self.context.reputation.stalled(sure, self.context.now_ns)
             return self._give_up(session, f"agents {silent} send nothing")
+        if others and self._no_end_in_sight(session, others):
+            # Somebody is gone, or the others are through and their last message does not reach this agent.
+            effects = self._leave(session)
+            self.attempts.failed(self.context.now_ns, self.state.me)
+            reason = "the last message did not arrive"
+            effects += self.context.event("optimisation_left", members=list(session.task.members), reason=reason)
+            if session.contract is not None:
+                effects += self.context.send(session.contract, Failure(reason))
+            return effects
         due = session.link.due(session.node, self.context.now_ns, self._rtt)
         return self._repeat(session, due) + self._finish_if_done(session)
 
@@ -279,8 +279,15 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
 
     def _patience_ns(self, others: Iterable[int]) -> int:
         """How long members may be silent: a manager may have to give up another one first."""
-        answers = max((ANSWERS * self._rtt.wait_ns(other) for other in others), default=0)
-        return _PATIENCE * max(round(self.state.config.link.silence_s * 1e9), answers)
+        patience_ns = self.context.retransmitter.patience_ns
+        return _PATIENCE * max((patience_ns(other) for other in others), default=0)
+
+    def _no_end_in_sight(self, session: OptimisationSession, others: set[int]) -> bool:
+        """Whether it has taken too long, or has got no further for twice as long as anybody may be silent."""
+        now_ns = self.context.now_ns
+        deadline_ns = self.context.deadline_ns(OperationKind.DOPT, others) - now_ns
+        still_ns = now_ns - session.link.went_on_ns
+        return now_ns > session.began_ns + deadline_ns or still_ns > self._patience_ns(others)
 
     def _run(self, session: OptimisationSession) -> Effects:
         start = session.begin(self.context.now_ns)

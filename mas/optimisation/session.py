@@ -80,8 +80,9 @@ class OptimisationSession:
     def begin(self, now_ns: int) -> SessionStart:
         """Start the node."""
         self.begun, self.began_ns = True, now_ns
-        self.link.goes_on(now_ns)
-        return SessionStart(tuple(self.node.start()), tuple(self._early))
+        out = tuple(self.node.start())
+        self.link.goes_on(out, now_ns)
+        return SessionStart(out, tuple(self._early))
 
     def receive(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> SolverReply:
         """Hand a message to the node; :class:`~maslam.backend.errors.BackendError` where it makes no sense."""
@@ -89,10 +90,8 @@ class OptimisationSession:
         out = self.node.handle(message)
         if message.asks:  # an answer is larger than the question, and brings this node no further
             return SolverReply(again=tuple(self.link.answered(message.sender, out, now_ns, rtt)))
-        if self.link.seen(message) and not out:
-            return SolverReply(again=tuple(self.link.again(self.node, message, now_ns, rtt)))
         if out:
-            self.link.goes_on(now_ns)
+            self.link.goes_on(out, now_ns)
         return SolverReply(messages=tuple(out))
 
     def silent(self, now_ns: int, patience_ns: int) -> list[int]:
@@ -139,16 +138,17 @@ class SessionHistory(dict[ContractId, OptimisationSession | None]):
 class Backoff:
     """Number of failed optimisations, and the time to call for the next."""
 
-    def __init__(self, config: LinkConfig) -> None:
+    def __init__(self, config: LinkConfig, rtt: RttEstimator) -> None:
         self.config = config
+        self._rtt = rtt
         self.failures = 0
         self.not_before_ns = 0
 
     def failed(self, now_ns: int, me: int) -> None:
         """It is tried again, later each time; not all who failed together try at the same time."""
         self.failures += 1
-        wait_s = min(self.failures, 8) * self.config.repeat_max_s * (1.0 + me % 8 / 4.0)
-        self.not_before_ns = now_ns + round(wait_s * 1e9)
+        least_ns = max(self.config.repeat_max_s * 1e9, float(self._rtt.slowest_ns))
+        self.not_before_ns = now_ns + round(min(self.failures, 8) * least_ns * (1.0 + me % 8 / 4.0))
 
     def succeeded(self) -> None:
         """One came to its end."""

@@ -227,13 +227,23 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
             return NOTHING
         keyframe = self._asked.get(contract.id)
         if keyframe is not None:
-            again = self._again.wanted(contract, keyframe)
+            again = self._again.wanted(contract, keyframe, self._out_of_reach(contract.contractor))
             self.sent_queries.ended(contract, keyframe, again)
             if again:
                 self._waiting.setdefault(contract.contractor, deque()).append(keyframe)
         if not self.context.ledger.managed(contract.id):
             self._asked.pop(contract.id, None)
         return self._next([contract.contractor])
+
+    def _out_of_reach(self, other: int) -> bool:
+        """Whether questions wait until a silent agent answers again: where others can answer them, they do."""
+        return self.state.profile.ownership is Ownership.NONE and self.context.may_come_back(other)
+
+    @property
+    def unasked(self) -> bool:
+        """Whether questions wait for an agent that can be asked, or may come back."""
+        waiting = [other for other, keyframes in self._waiting.items() if keyframes]
+        return any(self.context.may_call(other) or self._out_of_reach(other) for other in waiting)
 
     def resume(self) -> Effects:
         """Go on with agents that could not be called for a while."""

@@ -1,5 +1,5 @@
-"""Losing, delaying, repeating and reordering messages on purpose, and agents that come late or leave: everything drawn
-from the seed, in the order in which messages are sent."""
+"""Losing, delaying, repeating and reordering messages on purpose, slow radios, and agents that come late, leave or
+cannot be reached for a while: everything drawn from the seed, in the order in which messages are sent."""
 
 from __future__ import annotations
 
@@ -43,19 +43,21 @@ class FaultyTransport(Transport):
         self._now_ns = 0
         self._number = 0
         self._held: list[_HeldMessage] = []
+        self._radio_free_ns: dict[int, int] = {}
 
     def carry(self, sender: int, recipient: int, data: bytes) -> None:
         # Always the same number of draws a message, so that one setting does not change what another one does.
         lost, doubled, disorder, *late = self._rng.random(5)
         config = self.config
-        if lost < config.loss or not present(config, sender, self._now_ns):
+        sent_ns = self._transmitted_ns(sender, len(data))
+        if lost < config.loss or not reachable(config, sender, self._now_ns):
             self.lost += 1
             return
         behind = 1 + int(disorder / config.reorder * _BEHIND) if disorder < config.reorder else 0
         copies = 1 + (doubled < config.duplicate)
         self.doubled += copies - 1
         for drawn in late[:copies]:
-            due = self._now_ns + round((config.delay_s + config.jitter_s * drawn) * 1e9)
+            due = sent_ns + round((config.delay_s + config.jitter_s * drawn) * 1e9)
             held = _HeldMessage(due, self._number + behind, self._number, sender, recipient, data)
             heapq.heappush(self._held, held)
             self._number += 1
@@ -63,7 +65,7 @@ class FaultyTransport(Transport):
     def arrive(self) -> Arrival | None:
         while self._held and self._held[0].due_ns <= self._now_ns:
             held = heapq.heappop(self._held)
-            if present(self.config, held.recipient, self._now_ns):
+            if reachable(self.config, held.recipient, self._now_ns):
                 self.inner.carry(held.sender, held.recipient, held.data)
                 break
             self.lost += 1
@@ -72,6 +74,14 @@ class FaultyTransport(Transport):
     def advance(self, now_ns: int) -> None:
         self._now_ns = now_ns
         self.inner.advance(now_ns)
+
+    def _transmitted_ns(self, sender: int, length: int) -> int:
+        """When the last bit of a message of so many bytes has left the sender's radio, whether it arrives or not."""
+        if self.config.rate_kbit is None:
+            return self._now_ns
+        begins_ns = max(self._now_ns, self._radio_free_ns.get(sender, 0))
+        self._radio_free_ns[sender] = begins_ns + round(8e6 * length / self.config.rate_kbit)
+        return self._radio_free_ns[sender]
 
     @property
     def waiting(self) -> bool:
@@ -82,6 +92,14 @@ def present(config: FaultsConfig, agent: int, now_ns: int) -> bool:
     """Whether an agent is there at this time: it came already and has not left."""
     joins, leaves = config.late_s.get(agent, 0.0), config.leave_s.get(agent)
     return now_ns >= round(joins * 1e9) and (leaves is None or now_ns < round(leaves * 1e9))
+
+
+def reachable(config: FaultsConfig, agent: int, now_ns: int) -> bool:
+    """Whether messages from and to an agent can arrive: it is there, and not cut off for a while."""
+    from_s = config.blackout_s.get(agent)
+    if from_s is None or not present(config, agent, now_ns):
+        return present(config, agent, now_ns)
+    return not round(from_s * 1e9) <= now_ns < round((from_s + config.blackout_for_s) * 1e9)
 
 
 def gone(config: FaultsConfig, agent: int, now_ns: int) -> bool:

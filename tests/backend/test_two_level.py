@@ -17,7 +17,7 @@ from maslam.backend.distributed.messages import Coded, Round, SolverStage
 from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.places import SCALED, Places
 from maslam.backend.distributed.share import shares
-from maslam.backend.distributed.two_level.answers import CoarseAnswer, Then, differences, summed
+from maslam.backend.distributed.two_level.answers import CoarseAnswer, Then, differences, nearest_before, summed
 from maslam.backend.distributed.two_level.coded_places import CodedPlaces
 from maslam.backend.distributed.two_level.codes import read_steps, write_steps
 from maslam.backend.distributed.two_level.forces import read_forces, write_forces
@@ -228,6 +228,21 @@ def test_knots_moves_come_back_whatever_they_are_predicted_from():
     )
     found = differences(np.rint(whole).astype(np.int64), centres, lever)
     assert np.abs(found[1:]).max() <= 2
+
+
+@pytest.mark.parametrize("knots", [0, 1, 2, 63, 64, 65, 129, 500])
+def test_the_nearest_knot_before_each_is_found(knots):
+    centres = np.random.default_rng(knots).normal(size=(knots, 3)) * [30.0, 30.0, 0.0]
+    found = nearest_before(centres)
+    assert len(found) == max(knots - 1, 0)
+    for k, near in enumerate(found, start=1):
+        assert near == np.argmin(np.linalg.norm(centres[:k] - centres[k], axis=1))
+
+
+def test_a_robot_of_many_knots_needs_no_table_of_all_pairs():
+    """A hundred thousand knots: all pairs would be 80 GB."""
+    centres = np.stack([np.arange(100_000.0), np.zeros(100_000), np.zeros(100_000)], axis=1)
+    assert np.array_equal(nearest_before(centres), np.arange(99_999))
 
 
 @pytest.mark.parametrize("width", [6, 7])

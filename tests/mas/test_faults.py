@@ -23,7 +23,7 @@ from maslam.mas.errors import MasError
 from maslam.mas.evaluation.ground_truth import groups_of
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import ContractId
-from maslam.mas.protocol.messages import Message
+from maslam.mas.protocol.messages import Message, encode
 from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.simulation import run
 from maslam.mas.transport.faults import FaultyTransport
@@ -95,10 +95,40 @@ def test_who_is_not_there_gets_and_says_nothing() -> None:
     assert len(everything(carrier)) == 1
 
 
-def test_agents_that_there_are_not_cannot_be_late(tmp_path: Path) -> None:
+def test_who_cannot_be_reached_for_a_while_gets_and_says_nothing_then() -> None:
+    arrived = []
+    for who in (0, 1):
+        carrier = transport(blackout_s={who: 5.0}, blackout_for_s=10.0, delay_s=1.0)
+        for second in range(20):
+            carrier.advance(second * 10**9)
+            carrier.send(Message(0, 1, ContractId(0, second), examples()[0].body), second * 10**9)
+            arrived += [(who, m.contract.number) for m in everything(carrier) if m.contract is not None]
+    # What is on its way to it when that begins is lost too.
+    assert arrived == [(0, s) for s in (*range(5), *range(15, 19))] + [(1, s) for s in (*range(4), *range(14, 19))]
+
+
+def test_a_radio_sends_one_message_after_another_at_its_rate() -> None:
+    carrier = transport(rate_kbit=8.0, delay_s=0.25)
+    length = len(encode(examples()[0]))
+    for _ in range(3):
+        carrier.send(examples()[0], 0)
+    other = Message(1, 0, examples()[0].contract, examples()[0].body)
+    carrier.send(other, 0)
+    for sent, senders in ((1, [0, 1]), (2, [0]), (3, [0])):
+        carrier.advance(sent * length * 10**6 + 250 * 10**6 - 1)
+        assert everything(carrier) == []
+        carrier.advance(sent * length * 10**6 + 250 * 10**6)
+        assert [m.sender for m in everything(carrier)] == senders, "a byte a millisecond; each has a radio of its own"
+    assert not carrier.waiting
+
+
+@pytest.mark.parametrize("faults", [{"late_s": {7: 1.0}}, {"blackout_s": {7: 1.0}}])
+def test_agents_that_there_are_not_cannot_be_late_or_out_of_reach(
+    tmp_path: Path, faults: dict[str, dict[int, float]]
+) -> None:
     manifest, sequences = town(2, 4)
     with pytest.raises(MasError, match="there is no agent 7"):
-        run(manifest, sequences, faulty(late_s={7: 1.0}), tmp_path / "run")
+        run(manifest, sequences, faulty(0, **faults), tmp_path / "run")
 
 
 def test_same_seed_same_bytes_under_faults(tmp_path: Path) -> None:

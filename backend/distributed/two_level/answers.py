@@ -7,11 +7,15 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ...errors import BackendError
 from ...geometry import Array
 from ..compact import CompactReader, CompactWriter
 from .codes import Steps, read_steps, write_steps
+
+# Knots of which every pair is looked at: of fewer a tree costs more than it saves.
+_BLOCK = 64
 
 
 class Then(IntEnum):
@@ -78,7 +82,7 @@ def differences(steps: Steps, centres: Array, lever: float) -> Steps:
     same numbers come out everywhere.
     """
     out = steps.copy()
-    near = _nearest_before(centres)
+    near = nearest_before(centres)
     if len(steps) > 1:
         out[1:] -= _carried_on(steps[near], centres[1:] - centres[near], lever)
     return out
@@ -87,18 +91,35 @@ def differences(steps: Steps, centres: Array, lever: float) -> Steps:
 def summed(found: Steps, centres: Array, lever: float) -> Steps:
     """Inverse of :func:`differences`."""
     out = found.copy()
-    for k, near in enumerate(_nearest_before(centres).tolist(), start=1):
+    for k, near in enumerate(nearest_before(centres).tolist(), start=1):
         out[k] += _carried_on(out[near : near + 1], (centres[k] - centres[near])[None], lever)[0]
     return out
 
 
-def _nearest_before(centres: Array) -> NDArray[np.intp]:
-    """For each knot but the first the nearest one before it."""
-    if not len(centres):
-        return np.zeros(0, dtype=np.intp)
-    apart = ((centres[1:, None] - centres[None]) ** 2).sum(axis=2)
-    later = np.arange(len(centres))[None] > np.arange(len(apart))[:, None]
-    return np.asarray(np.argmin(np.where(later, np.inf, apart), axis=1), dtype=np.intp)
+def nearest_before(centres: Array) -> NDArray[np.intp]:
+    """For each knot but the first the nearest one before it.
+
+    Within blocks every pair is looked at; then the later half of 2, 4, ... blocks looks into a tree of the earlier
+    half, so that each pair counts once and all takes about n log n.
+    """
+    n = len(centres)
+    best, out = np.full(n, np.inf), np.zeros(n, dtype=np.intp)
+    for start in range(0, n, _BLOCK):
+        block = centres[start : start + _BLOCK]
+        apart = ((block[:, None] - block[None]) ** 2).sum(axis=2)
+        apart[np.triu_indices(len(block))] = np.inf
+        rows = slice(start, start + len(block))
+        out[rows], best[rows] = start + np.argmin(apart, axis=1), apart.min(axis=1)
+    size = _BLOCK
+    while size < n:
+        for start in range(0, n - size, 2 * size):
+            later = np.arange(start + size, min(start + 2 * size, n))
+            _, found = cKDTree(centres[start : start + size]).query(centres[later])
+            apart = ((centres[later] - centres[start + found]) ** 2).sum(axis=1)
+            nearer = apart < best[later]
+            out[later[nearer]], best[later[nearer]] = start + found[nearer], apart[nearer]
+        size *= 2
+    return out[1:]
 
 
 def _carried_on(steps: Steps, arm: Array, lever: float) -> Steps:

@@ -122,6 +122,9 @@ class TwoLevelNode(DescentNode):
             return list(self.share.members[1:]) if self._phase in at_root else []
         return [self.share.members[0]] if self._phase in at_others else []
 
+    def _follows(self) -> bool:
+        return super()._follows() or (self._phase in _FROM_ROOT and self._leading is None)
+
     def _check(self, message: Separators) -> None:
         far = message.round.stage is SolverStage.TWO_LEVEL and message.sender in self.share.members
         if not isinstance(message, Coded) or not (far or message.sender in self._expected):
