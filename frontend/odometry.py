@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import PurePath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maslam.backend.geometry import se3_inverse
 
@@ -17,82 +14,32 @@ from .config import OdometryConfig
 from .enlargement import Enlargement
 from .errors import FrontendError
 from .files.point_views import PointViews
-from .files.trajectory import Trajectory
-from .files.vo_files import VoTrack
 from .frames import Frame
 from .mapping.map import Map
 from .mapping.range_sensor import Ranging
+from .odometry_results import FrameResult, OdometryResult, TrackingState
 from .reason import NO_REASON, STANDS_SHORT, Reason
 from .stopwatch import Stopwatch, TimedStage
+from .tracking.carried import CARRIED
 from .tracking.darkness import doubt_dark, unless_dark
 from .tracking.export import export_track
 from .tracking.followed_points import TrackedFrame
 from .tracking.initialisation import WITHOUT_SECOND, make_starter
 from .tracking.keyframe_policy import wants_keyframe
-from .tracking.pose_log import DoubtfulInterval, LostInterval, MomentLog
+from .tracking.pose_log import MomentLog
 from .tracking.relocalisation import Relocaliser
+from .tracking.shadow import Shadow
 from .tracking.track import Segment
 from .vocabulary.lookup import WordLookup
 
+__all__ = ["FrameResult", "Odometry", "OdometryResult", "TrackingState"]
 log = logging.getLogger(__name__)
 
 _CONFIRMING = 2
 """Times the points that find a lost camera confirm that it was found."""
 _WAITING = 6
-"""Times as many frames are searched where the camera stood when it was lost: it is hidden, where it was, and a new
-track would follow what hides it."""
-
-
-class TrackingState(StrEnum):
-    """State of the odometry after a frame: no map yet, following a map, or searching for it."""
-
-    STARTING = "starting"
-    TRACKING = "tracking"
-    LOST = "lost"
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """Result of one frame.
-
-    ``T_W_C`` ``(4, 4)`` maps the camera to the frame of the current track (metres, or the track's own unit with one
-    camera); None without a pose, and ``reason`` then says why, with numbers, ``kind`` without. ``problem``: the damage
-    of a second image (right, depth) that was needed; the key-frame was made without it. ``stays``: the key-frame
-    belongs to the track unless it is culled (False: it only supports the window). ``first``: an earlier frame that has
-    become a key-frame with this one, the first view of a monocular track. ``doubt``: why the pose may be wrong, with
-    figures; what only the finished trajectory shows is in :class:`OdometryResult`.
-    """
-
-    stamp_ns: int
-    T_W_C: NDArray[np.float64] | None
-    state: TrackingState
-    is_keyframe: bool
-    reason: str = ""
-    problem: str = ""
-    stays: bool = False
-    first: Frame | None = None
-    kind: str = ""
-    doubt: str = ""
-
-
-@dataclass(frozen=True)
-class OdometryResult:
-    """Tracks of one sequence, with final values.
-
-    ``tracks``: one for each uninterrupted track. ``views``: for each track where its key-frames see its points.
-    ``keyframe_indices`` ``(K,)`` for each track: frame index of each key-frame.
-    ``trajectories``: for each track ``T_W_C`` of every frame with a pose. ``lost``: the intervals without a pose,
-    before, between and after the tracks. ``doubtful``: the intervals whose poses may be wrong. ``stats``: counts, and
-    the estimated calibration of the rig.
-    """
-
-    tracks: list[VoTrack]
-    views: list[PointViews]
-    keyframe_indices: list[NDArray[np.int64]]
-    trajectories: list[Trajectory]
-    lost: list[LostInterval]
-    doubtful: list[DoubtfulInterval]
-    stats: dict[str, float]
+"""Times as many frames are searched where the camera stood when it was lost, or something nearer hides what it saw: a
+new track would follow that."""
 
 
 class Odometry:
@@ -119,6 +66,10 @@ class Odometry:
         self._lost_frames = 0
         self._relocalised = 0
         self._unconfirmed = False
+        self._shadow: Shadow | None = None
+        self._former: Relocaliser | None = None
+        self._withdrawn = 0
+        self._carried = self._sudden = False
 
     def process(self, frame: Frame) -> FrameResult:
         """Return the pose of ``frame``, or the reason why there is none.
@@ -149,7 +100,8 @@ class Odometry:
         # A view that brings something new stays, and the map around it is refined.
         since = segment.since_keyframe(frame, self.ranging.rig)
         wanted = wants_keyframe(since, self.config.keyframes, self.rig.metric)
-        allowed = segment.adds_views(since) and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
+        sound = tracked.doubt.kind != CARRIED and segment.adds_views(since)
+        allowed = sound and segment.light.allows_keyframe(tracked.inliers, self.config.pose)
         is_keyframe = found_again or (wanted and allowed)
         if is_keyframe:
             frame.prepare()
@@ -205,6 +157,8 @@ class Odometry:
         confirmed it since."""
         need = _CONFIRMING * self.config.lost.min_matches
         self._unconfirmed = (found_again or self._unconfirmed) and tracked.inliers < need
+        if not tracked.doubt.kind and self._shadow is not None and self._segment is not None:
+            return self._shadow.doubt(self._segment)
         if tracked.doubt.kind or not self._unconfirmed:
             return tracked.doubt
         text = f"found again by few points: {tracked.inliers} agree, {need} would confirm it"
@@ -215,7 +169,6 @@ class Odometry:
         started = self._offered(frame)
         if isinstance(started, Reason):
             return self._refused(frame, TrackingState.STARTING, started)
-        self._moments.note(frame.stamp_ns, NO_REASON)
         return started
 
     def _offered(self, frame: Frame) -> FrameResult | Reason:
@@ -226,11 +179,20 @@ class Odometry:
         if start.segment is None:
             return start.refusal
         if self._segment is not None:
+            assert self._relocaliser is not None
+            shadow = Shadow.over(self._segment, start.segment, self._carried or self._sudden)
+            waits = NO_REASON if shadow is None or self._waited(_WAITING) else shadow.refusal(start.segment)
+            if waits.kind:
+                return waits
             self._finished.append(self._segment)
+            self._shadow = shadow
         self._segment, self._lost_frames = start.segment, 0
         log.info("track %d starts at frame %d", len(self._finished), frame.index)
         T_W_C = se3_inverse(start.segment.tracker.T_C_W)
-        return FrameResult(frame.stamp_ns, T_W_C, TrackingState.TRACKING, True, stays=True, first=start.first)
+        why = NO_REASON if self._shadow is None else self._shadow.doubt(start.segment)
+        self._moments.note(frame.stamp_ns, NO_REASON, why)
+        state = TrackingState.TRACKING
+        return FrameResult(frame.stamp_ns, T_W_C, state, True, stays=True, first=start.first, doubt=why.text)
 
     def _refused(self, frame: Frame, state: TrackingState, refusal: Reason) -> FrameResult:
         refusal = refusal if refusal.kind in WITHOUT_SECOND else unless_dark(refusal, frame.image)
@@ -245,17 +207,38 @@ class Odometry:
             self._starter = make_starter(self.ranging, self.config, self.stopwatch)
             if self._finished and not segment.lasting(self.config.min_track_keyframes):
                 self._forgotten.append(segment)
-                self._segment = segment = self._finished.pop()
+                self._segment, self._shadow = self._finished.pop(), None
+                segment = self._segment
             if self._relocaliser is None or self._relocaliser.segment is not segment:
                 self._relocaliser = Relocaliser(segment, self.ranging, self.config, self.vocabulary)
             self._relocaliser.searches = 0
+            self._carried, self._sudden = refusal.kind == CARRIED, segment.slow
         assert self._relocaliser is not None
         with self.stopwatch.stage(TimedStage.RELOCALISE):
             found = self._relocaliser.search(frame)
+            if found.T_C_W is None and self._shadow is not None and self._shadow.doubt(segment).kind:
+                segment, found = self._search_former(frame, segment, found)
         if found.T_C_W is not None:
             self._relocalised += 1
             log.info("found again at frame %d by %d points of the map", frame.index, found.inliers)
         return segment, found
+
+    def _search_former(self, frame: Frame, segment: Segment, found: TrackedFrame) -> tuple[Segment, TrackedFrame]:
+        """Where a track that began with what hid the view is lost, look in the one before too: if that shows the frame,
+        the camera never left it, and the track is withdrawn."""
+        if self._former is None or self._former.segment is not self._finished[-1]:
+            self._former = Relocaliser(self._finished[-1], self.ranging, self.config, self.vocabulary)
+        again = self._former.search(frame)
+        if again.T_C_W is None:
+            return segment, found
+        self._forgotten.append(segment)
+        self._segment, self._relocaliser, self._shadow = self._finished.pop(), self._former, None
+        self._withdrawn += 1
+        return self._segment, again
+
+    def _waited(self, times: int) -> bool:
+        assert self._relocaliser is not None
+        return self._relocaliser.searches > times * self.config.lost.relocalise_frames
 
     def _lost(self, frame: Frame, refusal: Reason) -> FrameResult:
         """Search the map in some frames; from then on a new track may start where the images allow one. The search goes
@@ -263,10 +246,9 @@ class Odometry:
         assert self._relocaliser is not None
         self._lost_frames += 1
         stood = self._relocaliser.segment.tracker.standing.rested
-        if self._relocaliser.searches > self.config.lost.relocalise_frames * (_WAITING if stood else 1):
+        if self._waited(_WAITING if stood or self._carried else 1):
             started = self._offered(frame)
             if isinstance(started, FrameResult):
-                self._moments.note(frame.stamp_ns, NO_REASON)
                 return started
             kind = f"{refusal.kind}, and no new track yet: {started.kind}"
             refusal = Reason(kind, f"{refusal.text}, and no new track yet: {started.text}", started.reached)
@@ -288,6 +270,8 @@ class Odometry:
         return ""
 
     def _too_short(self) -> Reason:
+        if self._withdrawn:
+            return Reason(CARRIED, f"{CARRIED}: the track that followed it is withdrawn")
         need = self.config.min_track_keyframes
         segments = [*self._forgotten, *self._finished, *([self._segment] if self._segment else [])]
         short = [one for one in segments if len(one.map.keyframes) < need]

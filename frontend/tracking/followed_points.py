@@ -35,7 +35,8 @@ class FollowedPoints:
     """n map points that are followed from the last key-frame.
 
     ``point`` ``(n,)``: their numbers; ``anchor_uv`` ``(n, 2)``: pixels in the key-frame; ``patches``: what they look
-    like there; ``uv`` ``(n, 2)``: pixels where each was last found; ``found`` ``(n,)``: in the last frame.
+    like there; ``uv`` ``(n, 2)``: pixels where each was last found; ``found`` ``(n,)``: in the last frame; ``agreed``
+    ``(n,)``: number of poses since that each agreed with.
     """
 
     point: Ints
@@ -43,16 +44,19 @@ class FollowedPoints:
     patches: Patches
     uv: Array
     found: NDArray[np.bool_]
+    agreed: Ints
 
     @classmethod
     def at_keyframe(cls, seen: FrameObservations, image: list[NDArray[np.uint8]]) -> FollowedPoints:
         """Begin with ``seen`` in the key-frame's ``image`` and its halvings."""
-        return cls(seen.point, seen.uv, cut_patches(image, seen.uv), seen.uv, np.ones(len(seen.point), dtype=bool))
+        n = len(seen.point)
+        found, agreed = np.ones(n, dtype=bool), np.zeros(n, dtype=np.int64)
+        return cls(seen.point, seen.uv, cut_patches(image, seen.uv), seen.uv, found, agreed)
 
     def take(self, rows: NDArray[np.bool_]) -> FollowedPoints:
         """The points of ``rows``, a mask."""
-        parts = self.point[rows], self.anchor_uv[rows], self.patches.take(rows), self.uv[rows], self.found[rows]
-        return FollowedPoints(*parts)
+        at, uv, found, agreed = self.anchor_uv[rows], self.uv[rows], self.found[rows], self.agreed[rows]
+        return FollowedPoints(self.point[rows], at, self.patches.take(rows), uv, found, agreed)
 
     @property
     def seen(self) -> FrameObservations:

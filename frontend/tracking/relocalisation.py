@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config import OdometryConfig
 from ..estimation.absolute_pose import absolute_pose
@@ -21,7 +22,7 @@ from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..frames import Frame
 from ..image.guided_matching import OrbFeatures, guided_match
 from ..image.orb_features import Detector, Keypoints, Pyramid, describe
-from ..mapping.map import Array, FrameObservations, Ints, Map
+from ..mapping.map import Array, FrameObservations, Ints, Map, union
 from ..mapping.range_sensor import Ranging
 from ..reason import Reason
 from ..vocabulary.lookup import WordLookup
@@ -38,6 +39,8 @@ _COVISIBLE = 15
 """Points that two key-frames share at least to be neighbours."""
 _ANY_LEVEL = 99.0
 _LEVEL_SLACK = 2.5
+_RECENT = 6
+"""Key-frames before a loss whose points must be seen by another one."""
 _GRID = (8, 6)
 """Cells of the image, columns and rows."""
 
@@ -85,7 +88,10 @@ class Relocaliser:
                 continue
             best, spread = max((best, spread), (found.count, found.spread))
             if found.count >= settings.min_matches and found.spread >= settings.min_spread:
-                self.segment.tracker.start(frame, found.T_C_W, found.seen)
+                tracker = self.segment.tracker
+                so_far = tracker.so_far.after(tracker.T_C_W, found.T_C_W, (frame.stamp_ns - tracker.stamp_ns) / 1e9)
+                tracker.start(frame, found.T_C_W, found.seen)
+                tracker.so_far = so_far
                 return TrackedFrame(found.T_C_W, found.count)
         need = f"need {settings.min_matches} in {100 * settings.min_spread:.0f} %"
         seen = f"{best} points of the map in {100 * spread:.0f} % of the image"
@@ -149,13 +155,20 @@ class Relocaliser:
         map_ = self.segment.map
         keyframe = map_.keyframes[number]
         rows = np.flatnonzero((keyframe.point >= 0) & keyframe.described)
-        rows = rows[np.isfinite(map_.xyz[keyframe.point[rows], 0])]
+        rows = rows[self._known(keyframe.point[rows])]
         anywhere = np.full(len(rows), np.inf)
         match = guided_match(keyframe.features(rows), anywhere, keypoints.features(), self.config.mapping, _ANY_LEVEL)
         hit = np.flatnonzero(match >= 0)
         ids = keyframe.point[rows[hit]]
         T = absolute_pose(map_.xyz[ids], self.ranging.ideal(keypoints.uv[match[hit]]), self.ranging.cam, _RANSAC_PX)
         return None if T is None else self._refined(T, ids, match[hit], keypoints)
+
+    def _known(self, ids: Ints) -> NDArray[np.bool_]:
+        """Points ``(n,)`` of known position, without those that one of the latest key-frames alone saw: they may be on
+        what came into view and hid the others."""
+        map_ = self.segment.map
+        recent = union([map_.keyframes[number].point for number in map_.latest(_RECENT)])
+        return np.isfinite(map_.xyz[ids, 0]) & ((map_.views[ids] >= 2) | ~np.isin(ids, recent))
 
     def _from_map(self, first: _Support, number: int, keypoints: Keypoints) -> _Support | None:
         """A second look: everything that ``number`` and its neighbours know, projected with the pose found, and what
@@ -175,7 +188,7 @@ class Relocaliser:
         group = [number, *map_.covisible(seen[seen >= 0], {number})[: self.config.lost.group_keyframes]]
         ids = np.unique(np.concatenate([first.seen.point, *(map_.keyframes[n].point for n in group)]))
         ids = ids[ids >= 0]
-        ids = ids[np.isfinite(map_.xyz[ids, 0]) & map_.described[ids]]
+        ids = ids[self._known(ids) & map_.described[ids]]
         uv, depth = self.ranging.project(first.T_C_W, map_.xyz[ids])
         camera = self.ranging.rig.camera
         inside = (depth > 0) & (uv >= 0).all(axis=1) & (uv < [camera.width, camera.height]).all(axis=1)

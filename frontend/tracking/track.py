@@ -26,6 +26,10 @@ from .pose_log import PoseLog
 from .tracker import Tracker
 
 Array = NDArray[np.float64]
+_SLOW = 0.01
+"""Share of the image's width."""
+_SEEN_AGAIN = 15
+"""Points that several key-frames saw and that tell how far a view reaches."""
 
 
 class Segment:
@@ -110,6 +114,33 @@ class Segment:
         self.tracker.start(frame, latest.T_C_W, seen)
         self.tracker.motion = previous
         self._reference_points = int(np.isfinite(self.map.xyz[seen.point, 0]).sum())
+
+    @property
+    def slow(self) -> bool:
+        """Whether the last step moved the image by little: what is lost then was not lost by the camera's motion."""
+        tracker = self.tracker
+        if tracker.motion is None:
+            return False
+        xyz = self.map.xyz[tracker.followed.seen.point]
+        now, _ = tracker.ranging.project(tracker.T_C_W, xyz)
+        before, _ = tracker.ranging.project(product(se3_inverse(tracker.motion), tracker.T_C_W), xyz)
+        moved_px = np.hypot(*(now - before).T)
+        moved_px = moved_px[np.isfinite(moved_px)]
+        return len(moved_px) > 0 and float(np.median(moved_px)) < _SLOW * tracker.ranging.rig.camera.width
+
+    def view_depth(self) -> float:
+        """Median depth of the points that several key-frames saw, in the latest one that sees some; of all points of a
+        track that has just begun. In the track's unit."""
+        depth = 0.0
+        for keyframe in reversed(self.map.keyframes.values()):
+            seen = keyframe.point[keyframe.point >= 0]
+            z = transform_points(keyframe.T_C_W, self.map.xyz[seen])[:, 2]
+            known = np.isfinite(z)
+            again = known & (self.map.views[seen] >= 2)
+            if int(again.sum()) >= _SEEN_AGAIN:
+                return float(np.median(z[again]))
+            depth = depth or (float(np.median(z[known])) if known.any() else 0.0)
+        return depth
 
     def lasting(self, count: int) -> bool:
         """Whether at least ``count`` of its key-frames will stay."""

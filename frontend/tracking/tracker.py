@@ -15,22 +15,21 @@ from ..estimation.absolute_pose import absolute_pose
 from ..estimation.pose_refinement import SeenPoints, refine_pose
 from ..frames import Frame
 from ..image.optical_flow import follow, follow_both_ways
-from ..image.patch_alignment import align, half_sized
+from ..image.patch_alignment import half_sized
 from ..image.used_pixels import are_used
 from ..mapping.map import FrameObservations, Map
 from ..mapping.range_sensor import Ranging
-from ..reason import Reason
+from ..reason import NO_REASON, Reason
+from .carried import MotionSoFar, PossibleStep, borne_out, doubt_carried, hidden_still, proven
 from .doubt import PointsFound, doubt
+from .epipolar import depth_around, on_epipolar_line
 from .followed_points import FollowedPoints, TrackedFrame
+from .point_search import PointSearch
 from .standing import StandingCamera, doubt_held
 
 Array = NDArray[np.float64]
-_EPIPOLAR_PX = 2.0
-_NEIGHBOURS = 3
-"""Points of known position that tell how far what lies between them may be."""
 _DEPTHS = (1.0, 0.5, 2.0)
 """Shares of that depth at which they are looked for."""
-_FAR, _NEAREST = 1e6, 1e-6
 _FLOW_HOLDS = 0.5
 """Where flow finds this share of points no other search is worth its time."""
 _FEW_KNOWN = 35
@@ -39,16 +38,6 @@ exact than those that flow finds."""
 _LOOK_AGAIN_PX = 3.0
 """A prediction this wrong (median) has misled the search: what was not found is looked for again from the pose
 found."""
-
-
-@dataclass(frozen=True)
-class _Search:
-    """A ``frame`` in which followed points are looked for, its ``image`` with halvings, and their positions ``xyz``
-    ``(n, 3)`` in the track's frame, NaN where unknown."""
-
-    frame: Frame
-    image: list[NDArray[np.uint8]]
-    xyz: Array
 
 
 @dataclass(frozen=True)
@@ -79,6 +68,10 @@ class Tracker:
         """``T_C1_C0`` of the last step ..."""
         self.step_s = 0.0
         """... and its duration; unknown is 0."""
+        self.so_far = MotionSoFar(ranging.rig.metric)
+        """That step, and those before, for what a camera can do."""
+        self.lost = False
+        """Whether the frame before has no pose."""
 
     def start(self, frame: Frame, T_C_W: Array, seen: FrameObservations) -> None:
         """Follow the points ``seen`` in this frame from here on."""
@@ -87,13 +80,13 @@ class Tracker:
         self.stamp_ns = frame.stamp_ns
         self.T_C_W, self.anchor_T = T_C_W, T_C_W
         self.followed = FollowedPoints.at_keyframe(seen, self.image)
-        self.motion = None
+        self.motion, self.lost = None, False
 
     def track(self, frame: Frame, map_: Map, predicted: Array | None = None) -> TrackedFrame:
         """Find the points in ``frame`` and its pose, which is ``predicted``, or by the motion so far. On failure the
         state stays as it was."""
         image = half_sized(frame.image, self.config.flow.align_levels)
-        search = _Search(frame, image, map_.xyz[self.followed.point])
+        search = self._searched(frame, image, map_)
         dt = (frame.stamp_ns - self.stamp_ns) / 1e9
         # Patches of the key-frame, searched where the motion so far would put them ...
         fit = self._fit_from(search, self.predict(frame) if predicted is None else predicted)
@@ -104,30 +97,39 @@ class Tracker:
             again = None if rough is None else self._fit_from(search, rough)
             if again is not None and again.result.inliers > fit.result.inliers:
                 fit = again
-        fit = self._stand(search, self._look_again(search, fit))
+        fit = self._unless_carried(search, self._stand(search, self._look_again(search, fit)), dt)
         T_C_W = fit.result.T_C_W
+        self.lost = T_C_W is None
         if T_C_W is None:
             return fit.result
         points = self._points_found(search, fit)
         if self.standing.held:
             why = doubt_held(points, len(fit.found))
+        elif fit.result.doubt.kind:
+            why = fit.result.doubt
         else:
             why = doubt(T_C_W, points, self.ranging, self.config.pose.pixel_sigma_px)
         result = replace(fit.result, doubt=why)
         uv, found = self._follow_unknown(search, fit, T_C_W)
+        self.so_far = self.so_far.after(self.T_C_W, T_C_W, dt)
         self.motion, self.step_s = product(T_C_W, se3_inverse(self.T_C_W)), dt
         self.image, self.stamp_ns, self.T_C_W = image, frame.stamp_ns, T_C_W
         found = np.where(known, fit.inlier, found & self.followed.found)
         uv = np.where(found[:, None], uv, self.followed.uv)
-        self.followed = replace(self.followed, uv=uv, found=found)
+        self.followed = replace(self.followed, uv=uv, found=found, agreed=self.followed.agreed + fit.inlier)
         return result
 
-    def _points_found(self, search: _Search, fit: _Fit) -> PointsFound:
+    def _searched(self, frame: Frame, image: list[NDArray[np.uint8]], map_: Map) -> PointSearch:
+        followed, at = self.followed, self.followed.point
+        known = proven(map_.views[at], followed.agreed)
+        return PointSearch(frame, image, map_.xyz[at], known, followed, self.anchor_T, self.ranging, self.config)
+
+    def _points_found(self, search: PointSearch, fit: _Fit) -> PointsFound:
         before = np.where(self.followed.found[:, None], self.followed.uv, np.nan)
         at = fit.found
         return PointsFound(search.xyz[at], fit.uv[at], before[at], fit.inlier[at])
 
-    def _stand(self, search: _Search, fit: _Fit) -> _Fit:
+    def _stand(self, search: PointSearch, fit: _Fit) -> _Fit:
         """Where a part of a standing camera's points stands on, the pose is theirs, not that of what moves, and where
         they are too few, the last one."""
         points = self._points_found(search, fit)
@@ -148,17 +150,36 @@ class Tracker:
         T_C_W = standing.result.T_C_W
         if T_C_W is None and not self.standing.certain:
             return fit
-        inlier = self._agreeing(search, fit, self.T_C_W if T_C_W is None else T_C_W)
+        inlier = search.agreeing(fit.uv, fit.found, self.T_C_W if T_C_W is None else T_C_W)
         kept = TrackedFrame(self.T_C_W if T_C_W is None else T_C_W, int(inlier.sum()))
         return replace(fit, result=kept, inlier=inlier)
 
-    def _agreeing(self, search: _Search, fit: _Fit, T_C_W: Array) -> NDArray[np.bool_]:
-        """Points ``(n,)`` found where this pose sees them, those that come out from behind something among them."""
-        at, inlier = np.flatnonzero(fit.found), np.zeros(len(fit.found), dtype=bool)
-        seen, _ = self.ranging.project(T_C_W, search.xyz[at])
-        bound_px = self.config.pose.outlier_sigmas * self.config.pose.pixel_sigma_px
-        inlier[at] = np.nan_to_num(np.hypot(*(seen - fit.uv[at]).T), nan=np.inf) < bound_px
-        return inlier
+    def _unless_carried(self, search: PointSearch, fit: _Fit, dt: float) -> _Fit:
+        """Where the camera cannot have moved so and most of what was known is hidden, the pose is that of the points
+        known not to move, or none at all."""
+        if fit.result.T_C_W is None or self.standing.held:
+            return fit
+        expected = search.proven & search.in_view(fit.result.T_C_W)
+        hidden = hidden_still(int(fit.inlier.sum()), int(expected.sum())) if self.lost else NO_REASON
+        if hidden.kind:
+            return replace(fit, result=TrackedFrame(None, fit.result.inliers, hidden))
+        step = self._step(search, fit, dt)
+        if step.possible or borne_out(fit.inlier, expected):
+            return fit
+        steady = self._fit(search, self.predict(search.frame), fit.uv, fit.found & search.proven).result
+        if steady.T_C_W is not None:
+            inlier = search.agreeing(fit.uv, fit.found, steady.T_C_W)
+            count = int(inlier.sum())
+            why = doubt_carried(count, int(fit.found.sum()))
+            kept = replace(fit, result=TrackedFrame(steady.T_C_W, count, doubt=why), inlier=inlier)
+            if count and self._step(search, kept, dt).beyond <= step.bound:
+                return kept
+        return replace(fit, result=TrackedFrame(None, 0, step.refusal))
+
+    def _step(self, search: PointSearch, fit: _Fit, dt: float) -> PossibleStep:
+        assert fit.result.T_C_W is not None
+        depth = float(np.median(transform_points(fit.result.T_C_W, search.xyz[fit.inlier])[:, 2]))
+        return self.so_far.step(self.T_C_W, fit.result.T_C_W, dt, depth)
 
     def predict(self, frame: Frame) -> Array:
         """``T_C_W`` of ``frame`` by the last step, where that is of use; else the last pose."""
@@ -168,28 +189,11 @@ class Tracker:
         )
         return product(self.motion, self.T_C_W) if self.motion is not None and regular else self.T_C_W
 
-    def _fit_from(self, search: _Search, T_C_W: Array) -> _Fit:
+    def _fit_from(self, search: PointSearch, T_C_W: Array) -> _Fit:
         """The pose by points looked for where ``T_C_W`` predicts them."""
-        return self._fit(search, T_C_W, *self._find(search, T_C_W))
+        return self._fit(search, T_C_W, *search.find(T_C_W))
 
-    def _find(
-        self, search: _Search, T_C_W: Array, only: NDArray[np.bool_] | None = None
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Points of known position looked for around their projection with ``T_C_W``: pixels ``(n, 2)``, found
-        ``(n,)``."""
-        uv, found = self.followed.uv.copy(), np.zeros(len(self.followed.uv), dtype=bool)
-        T = product(T_C_W, se3_inverse(self.anchor_T))
-        guess, warp = self.ranging.show(T, transform_points(self.anchor_T, search.xyz))
-        height, width = search.image[0].shape
-        inside = (guess[:, 0] > 4) & (guess[:, 1] > 4) & (guess[:, 0] < width - 5) & (guess[:, 1] < height - 5)
-        index = np.flatnonzero(inside if only is None else inside & only)
-        flow, patches = self.config.flow, self.followed.patches.take(index)
-        uv[index], found[index] = align(
-            patches, search.image, warp[index], guess[index], flow.min_correlation, flow.reach_px
-        )
-        return uv, found & are_used(search.frame.used, uv)
-
-    def _rough_pose(self, search: _Search) -> Array | None:
+    def _rough_pose(self, search: PointSearch) -> Array | None:
         """A pose without any prediction: wide flow from the previous frame, then RANSAC."""
         index = np.flatnonzero(self.followed.found & np.isfinite(search.xyz[:, 0]))
         before = self.followed.uv[index]
@@ -198,7 +202,7 @@ class Tracker:
         error_px = 8.0 * self.config.pose.pixel_sigma_px
         return absolute_pose(search.xyz[index[ok]], self.ranging.ideal(uv[ok]), self.ranging.cam, error_px)
 
-    def _look_again(self, search: _Search, fit: _Fit) -> _Fit:
+    def _look_again(self, search: PointSearch, fit: _Fit) -> _Fit:
         """Where the prediction was wrong, look from the pose found for the points that do not agree with it."""
         if fit.result.T_C_W is None:
             return fit
@@ -206,12 +210,12 @@ class Tracker:
         after, _ = self.ranging.project(fit.result.T_C_W, search.xyz[fit.inlier])
         if np.median(np.linalg.norm(after - before, axis=1)) < _LOOK_AGAIN_PX:
             return fit
-        uv, found = self._find(search, fit.result.T_C_W, ~fit.inlier)
+        uv, found = search.find(fit.result.T_C_W, ~fit.inlier)
         uv, found = np.where(fit.inlier[:, None], fit.uv, uv), fit.inlier | found
         again = self._fit(search, fit.result.T_C_W, uv, found)
         return again if again.result.inliers >= fit.result.inliers else fit
 
-    def _fit(self, search: _Search, predicted: Array, uv: Array, found: NDArray[np.bool_]) -> _Fit:
+    def _fit(self, search: PointSearch, predicted: Array, uv: Array, found: NDArray[np.bool_]) -> _Fit:
         """The pose by the points ``found`` ``(n,)`` at ``uv`` ``(n, 2)``; with RANSAC where ``predicted`` misleads."""
         settings, inlier = self.config.pose, np.zeros(len(uv), dtype=bool)
         index = np.flatnonzero(found)
@@ -236,7 +240,7 @@ class Tracker:
         inlier[index] = good
         return _Fit(predicted, uv, found, TrackedFrame(T, count), inlier)
 
-    def _follow_unknown(self, search: _Search, fit: _Fit, T_C_W: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _follow_unknown(self, search: PointSearch, fit: _Fit, T_C_W: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels ``(n, 2)`` and found ``(n,)`` of ``fit``, joined by the points of unknown position: flow from where
         the turn of the camera takes them, then their patches as they would look at the depth of their neighbours; they
         must move along their epipolar line."""
@@ -248,7 +252,7 @@ class Tracker:
         far, _ = self.ranging.project(se3(turn, np.zeros(3)), self.ranging.rays(start))
         guess = np.where(np.isfinite(far), far, start)
         at, good = follow_both_ways(self.image[0], search.frame.image, start, guess, self.config.flow)
-        good &= are_used(search.frame.used, at) & self._on_epipolar_line(start, at, T_C_W)
+        good &= are_used(search.frame.used, at) & self._on_line(start, at, T_C_W)
         uv, found = fit.uv.copy(), fit.found.copy()
         uv[index], found[index] = at, good
         in_need = fit.result.inliers < _FEW_KNOWN and good.sum() < _FLOW_HOLDS * len(index)
@@ -259,33 +263,18 @@ class Tracker:
         return uv, found
 
     def _find_at_depth(
-        self, search: _Search, fit: _Fit, T_C_W: Array, index: NDArray[np.intp], share: float
+        self, search: PointSearch, fit: _Fit, T_C_W: Array, index: NDArray[np.intp], share: float
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels and found of points ``index`` of unknown position, looked for by their patches as if they were at
         ``share`` of the depth of what is seen around them: where much passes near the camera flow loses them."""
         start = self.followed.uv[index]
-        supposed = self.ranging.rays(start) * (share * self._depth_around(search, fit, start))[:, None]
+        known = np.flatnonzero(fit.inlier & self.followed.found)
+        depth = transform_points(self.T_C_W, search.xyz[known])[:, 2]
+        supposed = self.ranging.rays(start) * (share * depth_around(start, self.followed.uv[known], depth))[:, None]
         xyz = np.full((len(self.followed.uv), 3), np.nan)
         xyz[index] = transform_points(se3_inverse(self.T_C_W), supposed)
-        uv, found = self._find(replace(search, xyz=xyz), T_C_W)
-        return uv[index], found[index] & self._on_epipolar_line(start, uv[index], T_C_W)
+        uv, found = replace(search, xyz=xyz).find(T_C_W)
+        return uv[index], found[index] & self._on_line(start, uv[index], T_C_W)
 
-    def _depth_around(self, search: _Search, fit: _Fit, uv: Array) -> Array:
-        """Depth ``(n,)`` in the last frame at pixels ``uv`` ``(n, 2)`` of it: the median of the nearest points of known
-        position that were found in both; far where there are none."""
-        known = np.flatnonzero(fit.inlier & self.followed.found)
-        if len(known) < _NEIGHBOURS:
-            return np.full(len(uv), _FAR)
-        depth = transform_points(self.T_C_W, search.xyz[known])[:, 2]
-        apart = ((uv[:, None] - self.followed.uv[known][None]) ** 2).sum(axis=2)
-        nearest = np.argpartition(apart, _NEIGHBOURS - 1, axis=1)[:, :_NEIGHBOURS]
-        return np.maximum(np.median(depth[nearest], axis=1), _NEAREST)
-
-    def _on_epipolar_line(self, before: Array, after: Array, T_C_W: Array) -> NDArray[np.bool_]:
-        T = product(T_C_W, se3_inverse(self.T_C_W))
-        a, b = self.ranging.rays(before), self.ranging.rays(after)
-        if np.linalg.norm(T[:3, 3]) < 1e-9:
-            return np.ones(len(after), dtype=bool)
-        line = np.cross(T[:3, 3], product(a, T[:3, :3].T))
-        scale = np.hypot(line[:, 0], line[:, 1]) / self.ranging.cam[0]
-        return np.abs((line * b).sum(axis=1)) < _EPIPOLAR_PX * scale + 1e-12
+    def _on_line(self, before: Array, after: Array, T_C_W: Array) -> NDArray[np.bool_]:
+        return on_epipolar_line(self.ranging, product(T_C_W, se3_inverse(self.T_C_W)), before, after)

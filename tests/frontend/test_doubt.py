@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import followed
 import numpy as np
 import pytest
 import room
+from hidden import behind, side
 
 from maslam.backend.geometry import se3, so3_exp, transform_points, umeyama
 from maslam.frontend.cameras.models import Rig, RigKind
@@ -164,39 +164,15 @@ def passing(
     beginning."""
     scene, poses = room.Room(3), room.walk(walk)
     poses = np.concatenate([poses, np.tile(poses[-1:], (stand, 1, 1))])
-    texture = cv2.resize(
-        np.random.default_rng(9).uniform(0, 255, (height // 4, width // 4)),
-        (width, height),
-        interpolation=cv2.INTER_CUBIC,
-    )
+    texture = side(width, height)
     odometry, results = Odometry(room.rig(kind), CONFIG, Vocabulary.load()), []
     comes = max(walk + waits, 7)
     for i, pose in enumerate(poses):
         frame = scene.frame(i, pose, kind)
         if i >= comes:
-            near, at = room.CAMERA.fx * room.BASELINE_M / near_m, x + 5.0 * (i - comes)
-            image, right = (
-                None if picture is None else pasted(picture, texture, at - shift, top)
-                for picture, shift in ((frame.image, 0.0), (frame.right, near))
-            )
-            depth = None if frame.depth_m is None else covered(frame.depth_m, texture, at, top, near_m)
-            assert image is not None
-            frame = replace(frame, image=image, right=right, depth_m=depth)
+            frame = behind(frame, texture, x + 5.0 * (i - comes), top, near_m)
         results.append(odometry.process(frame))
     return odometry.finish(), results, poses
-
-
-def pasted(picture: np.ndarray, texture: np.ndarray, x: float, y: float = 0.0) -> np.ndarray:
-    shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
-    size = picture.shape[::-1]
-    there = cv2.warpAffine(np.ones_like(texture), shift, size) > 0.5
-    return np.where(there, np.clip(cv2.warpAffine(texture, shift, size), 0, 255), picture).astype(np.uint8)
-
-
-def covered(depth: np.ndarray, texture: np.ndarray, x: float, y: float, near_m: float) -> np.ndarray:
-    shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
-    there = cv2.warpAffine(np.ones_like(texture), shift, depth.shape[::-1]) > 0.5
-    return np.where(there, np.float32(near_m), depth)
 
 
 def test_a_standing_camera_is_not_carried_along_by_half_of_the_image() -> None:

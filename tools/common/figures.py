@@ -12,6 +12,7 @@ from typing import Any
 
 from maslam._atomic import replacing
 
+from .drawing_folder import drawing_folder
 from .errors import UsageError
 from .logs import without_warnings_of
 
@@ -86,9 +87,9 @@ def saved_figure(path: Path, inches: tuple[float, float], dpi: int = _DPI) -> It
     """A figure to draw in, written to ``path`` at the end, its kind by the name's ending: the same bytes for the same
     drawing.
     """
-    with house_figure(inches) as figure:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with drawing_folder(path.parent), house_figure(inches) as figure:
         yield figure
-        path.parent.mkdir(parents=True, exist_ok=True)
         undated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
         with replacing(path) as part:
             figure.savefig(part, format=path.suffix[1:], dpi=dpi, metadata=undated.get(path.suffix))

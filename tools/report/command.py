@@ -7,6 +7,8 @@ from pathlib import Path
 
 from maslam._atomic import write_atomically
 
+from ..common.drawing_folder import drawing_folder
+
 PAGE = Path("report", "index.html")
 RECORDING = "recording.rrd"
 
@@ -35,5 +37,6 @@ def write_report(run: Path) -> Path:
     data = read_run(run)
     path = run / PAGE
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, page(*headline(data), tiles(data), sections(data)))
+    with drawing_folder(path.parent):
+        write_atomically(path, page(*headline(data), tiles(data), sections(data)))
     return path
