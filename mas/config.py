@@ -79,6 +79,12 @@ class PlacesConfig(Settings):
         ge=0,
         description="grown up to so many where matches come as expected, so that they tell little; null: no",
     )
+    gap_least_keyframes: int | None = Field(
+        default=None,
+        ge=0,
+        description="shrunk down to so many where matches show that odometry has drifted; null: not below "
+        "gap_keyframes",
+    )
     gap_m: float = Field(
         default=0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"
     )

@@ -9,11 +9,15 @@ Given the poses the best factors have a closed form (``factors`` below). Given t
 stretched measurements, which any solver finds. Newton's method on the factors alone joins the two: its gradient is that
 of F at the solved poses, its matrix the Schur complement, a row and a column a robot.
 
-Loops tell how the robots' lengths stand to each other, and little of what is common to all. Factors that nothing calls
-for do harm: those of exact odometries are found up to the noise of a few matches, and stretch maps that were right. So
-they are used only where the evidence (the marginal likelihood of the factors over that of none, Laplace's
-approximation) is clear, with the deviations of the steps as large as the residuals say that they are, and
-loops and separators fit what they state themselves.
+Loops tell how the robots' lengths stand to each other. What is common to all only the matches' own lengths could tell:
+of maps made with the same odometry, and of errors that neighbouring matches share. Found from them it is another one
+with each match more, and so is the size of the map. So the factors' mean stays 1: they are ``1 + B z``, the columns of
+``B`` adding up to nothing. The prior alone asks for the same. One robot alone has none.
+
+Factors that nothing calls for do harm: those of exact odometries are found up to the noise of a few matches, and
+stretch maps that were right. So they are used only where the evidence (the marginal likelihood of ``z`` over that of
+none, Laplace's approximation) is clear, with the deviations of the steps as large as the residuals say that they are,
+and loops and separators fit what they state themselves.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 
 from ..geometry import Array, product, skew
 from .linear import BlockSystem, pose_blocks
@@ -31,6 +36,9 @@ from .trust_region import newton
 
 _CLEAR = 2.0
 """Logarithm of the odds for factors from which on they are used; 2: seven to one."""
+# Errors of odometry over the ways between loops over those stated, at least: they are no steps that are wrong each by
+# itself. A heading that drifts evenly bends tracks as wrong lengths do (2.0 over 50 steps where no length was wrong).
+_WANDERING = 2.5
 # Noise of loops and separators over what they state, beyond which they tell nothing of lengths.
 _FITTING = 1.3
 _ROUNDS = 6
@@ -123,7 +131,7 @@ def with_lengths(
         if np.abs(change).max() < _SETTLED * steps.sigma:
             break
     noise, steps_freedom, others = at.noise(freedom)
-    evidence = at.evidence(max(1.0, noise**2, others**2))
+    evidence = at.evidence(max(_WANDERING, noise, others) ** 2)
     # Matches that do not fit each other, as a liar's, are no evidence of lengths.
     used = evidence > _CLEAR and others <= _FITTING
     doubt = at.doubt()
@@ -176,8 +184,10 @@ class _Linear:
         np.add.at(cross[:, 6], i, np.where(kept[i], 0.0, (pull * seen).sum(axis=1)))
         self._robot_of = np.full(n, -1)
         self._robot_of[raw.ends] = steps.robot[used][:, None]
-        self._data = np.diag(curvature) - self._explained(cross[:, : self._width])
-        self._matrix = self._data + np.eye(steps.count) / steps.sigma**2
+        # Orthonormal columns that add up to nothing: factors move along these alone.
+        self._apart = null_space(np.ones((1, steps.count)))
+        self._data = self._between(np.diag(curvature) - self._explained(cross[:, : self._width]))
+        self._matrix = self._data + np.eye(steps.count - 1) / steps.sigma**2
 
     def _blocks(self, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
         e, poses = self._edges, self._found.poses
@@ -199,21 +209,27 @@ class _Linear:
             np.add.at(out[:, columns[0] : columns[-1] + 1], rows[mine], moved[mine])
         return 0.5 * (out + out.T)
 
+    def _between(self, matrix: Array) -> Array:
+        """A matrix of the factors, for how they differ."""
+        return np.asarray(self._apart.T @ matrix @ self._apart)
+
     def change(self) -> Array:
-        """Newton's step of the factors ``(count,)``."""
-        return np.asarray(-np.linalg.solve(self._matrix, self._gradient), dtype=np.float64)
+        """Newton's step of the factors ``(count,)``; their mean stays."""
+        step = np.linalg.solve(self._matrix, self._apart.T @ self._gradient)
+        return np.asarray(-self._apart @ step, dtype=np.float64)
 
     def doubt(self) -> Array:
-        """Deviations of the factors ``(count,)``."""
-        variance: Array = np.maximum(np.diag(np.linalg.inv(self._matrix)), 0.0)
+        """Deviations of the factors ``(count,)``, with that of what is common to all."""
+        between = self._apart @ np.linalg.inv(self._matrix) @ self._apart.T
+        variance: Array = np.maximum(np.diag(between), 0.0) + self._steps.sigma**2 / self._steps.count
         return np.asarray(variance**0.5, dtype=np.float64)
 
     def evidence(self, noise: float) -> float:
         """Logarithm of the odds for factors of the stated deviation against none, with residuals of variance
         ``noise``."""
-        prior = np.eye(self._steps.count) / self._steps.sigma**2
+        prior = np.eye(self._steps.count - 1) / self._steps.sigma**2
         data = self._data / noise
-        wanted = self._matrix @ (self._factors - 1.0) - self._gradient
+        wanted = self._matrix @ (self._apart.T @ (self._factors - 1.0)) - self._apart.T @ self._gradient
         gain = wanted / noise @ np.linalg.solve(data + prior, wanted / noise)
         return float(0.5 * gain - 0.5 * np.linalg.slogdet(np.eye(len(prior)) + data * self._steps.sigma**2)[1])
 

@@ -152,7 +152,9 @@ class Candidates:
         worth it."""
         config, latest = self.state.config.places, self.state.verified[match]
         mine, other = match.end_of(self.state.me)
-        if config.gap_most_keyframes is None or other == self.state.me:
+        least = config.gap_keyframes if config.gap_least_keyframes is None else config.gap_least_keyframes
+        most = config.gap_keyframes if config.gap_most_keyframes is None else config.gap_most_keyframes
+        if least == most or other == self.state.me:
             return config.gap_keyframes
         same = (m for m in self.state.accepted_matches() if set(m.tracks) == set(latest.tracks))
         before = [m for m in same if m.id.end_of(self.state.me)[0] < mine]
@@ -160,8 +162,9 @@ class Candidates:
             return config.gap_keyframes
         last = max(before, key=lambda m: (m.id.end_of(self.state.me)[0], m.id))
         way = mine - last.id.end_of(self.state.me)[0]
-        gap = round(way * worth_after(last, latest, self.state.config.optimisation))
-        return min(max(gap, config.gap_keyframes), config.gap_most_keyframes)
+        worth = worth_after(last, latest, self.state.config.optimisation)
+        # Only drift that shows is a reason for matches closer than usual.
+        return min(max(round(way * worth), config.gap_keyframes if worth >= 1.0 else least), most)
 
     def outcome_of(self, candidate: Candidate) -> tuple[MatchOutcome, str]:
         """The outcome of a candidate, and why, as it stands now."""
@@ -178,7 +181,8 @@ class Candidates:
             return SkipReason.KNOWN
         config = self.state.config.places
         # On both sides: an earlier key-frame may be asked about later.
-        recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= config.gap_keyframes]
+        gap = min(config.gap_keyframes, self.gaps.get(match.match_agent, config.gap_keyframes))
+        recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= gap]
         if len(recent) > self.state.config.consistency.min_support:
             return SkipReason.CLOSE_TO_VERIFIED
         if match.query in self.recalled:

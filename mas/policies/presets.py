@@ -67,13 +67,16 @@ PRESETS: dict[str, MasConfig] = {
             widen_keyframes=50,
             gap_keyframes=6,
             gap_most_keyframes=12,
+            gap_least_keyframes=3,
             max_points=400,
             first_points=110,
             point_code="grid",
             descriptor_bytes=16,
         ),
         optimisation=OptimisationConfig(
-            period_keyframes=40, solver=SolverConfig(method="elected", start="warm", length_sigma=0.01)
+            period_keyframes=40,
+            match_sigma_depth=0.003,
+            solver=SolverConfig(method="elected", start="warm", length_sigma=0.01),
         ),
         merge=MergeConfig(
             form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0, accuracy_share=0.5

@@ -77,3 +77,18 @@ def test_drifting_odometry_is_matched_as_often_as_before(tmp_path: Path) -> None
         grown, _ = accepted_with(24, drifting, tmp_path / f"b{drifting}")
         share.append(grown / always)
     assert share[1] > share[0] + 0.15
+
+
+def test_drift_that_shows_brings_matches_closer_than_usual(tmp_path: Path) -> None:
+    """Where odometry is good the least gap is not used: the usual one is enough to find that out."""
+    found = {}
+    for drifting in (0.001, 0.1):
+        for least in (None, 2):
+            config = preset("maslam")
+            places = config.places.model_copy(update={"gap_keyframes": 6, "gap_least_keyframes": least})
+            manifest, sequences = town(2, 60, spacing_m=10.0, drifting=drifting)
+            folder = tmp_path / f"{drifting}_{least}"
+            summary = run(manifest, sequences, config.model_copy(update={"places": places}), folder)
+            found[drifting, least] = summary.matches.accepted
+    assert found[0.1, 2] >= 1.3 * found[0.1, None]
+    assert found[0.001, 2] <= found[0.001, None] + 1
