@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from .mas.policies.presets import preset
     from .mas.protocol.messages import Bid
     from .mas.state.agent_state import AgentState
-    from .mas.transport.transport import Arrival, Transport
+    from .mas.transport.transport import HandedOver, Transport
     from .tools.interchange.export_request import Exported
 
     __version__: str
@@ -60,7 +60,6 @@ if TYPE_CHECKING:
 __all__ = [
     "AgentResult",
     "AgentState",
-    "Arrival",
     "Bid",
     "Dataset",
     "Descriptor",
@@ -69,6 +68,7 @@ __all__ = [
     "Frame",
     "FrameResult",
     "GroupResult",
+    "HandedOver",
     "ImageSequence",
     "MasConfig",
     "MaslamError",
@@ -140,7 +140,7 @@ _PLACES = {
     "mas.policies.presets": ("preset",),
     "mas.protocol.messages": ("Bid",),
     "mas.state.agent_state": ("AgentState",),
-    "mas.transport.transport": ("Arrival", "Transport"),
+    "mas.transport.transport": ("HandedOver", "Transport"),
     "tools.interchange.export_request": ("Exported",),
 }
 _PLACE_OF = {name.partition("=")[0]: (place, name.partition("=")[2]) for place, ns in _PLACES.items() for name in ns}

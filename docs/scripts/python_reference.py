@@ -29,7 +29,7 @@ ENTRY_POINTS = (
     "maslam.mas.policies.base.Policy",
     "maslam.mas.policies.presets.preset",
     "maslam.mas.transport.transport.Transport",
-    "maslam.mas.transport.transport.Arrival",
+    "maslam.mas.transport.transport.HandedOver",
 )
 """The inner entry points that the documents send readers to."""
 

@@ -16,7 +16,7 @@ from ..evaluation.summary import Summary, Timing
 from ..output.run_folder import Recorder
 from ..output.whole_run import record_run, timeline_row
 from ..sequence import AgentSequence, Manifest
-from ..transport.transport import Arrival, Transport
+from ..transport.transport import HandedOver, Transport
 from .journal import read_journal
 from .one_agent import inputs_of
 from .recorded_agent import AgentInputs, Replayed, replay
@@ -28,7 +28,7 @@ class SentMessages(Transport):
     def carry(self, sender: int, recipient: int, data: bytes) -> None:
         return None
 
-    def arrive(self) -> Arrival | None:
+    def arrive(self) -> HandedOver | None:
         return None
 
 

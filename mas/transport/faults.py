@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import FaultsConfig
-from .transport import Arrival, Sent, Transport
+from .transport import HandedOver, Sent, Transport
 
 # A message out of order falls behind at most so many others that were sent later.
 _BEHIND = 16
@@ -62,7 +62,7 @@ class FaultyTransport(Transport):
             heapq.heappush(self._held, held)
             self._number += 1
 
-    def arrive(self) -> Arrival | None:
+    def arrive(self) -> HandedOver | None:
         while self._held and self._held[0].due_ns <= self._now_ns:
             held = heapq.heappop(self._held)
             if reachable(self.config, held.recipient, self._now_ns):

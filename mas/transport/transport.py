@@ -29,7 +29,7 @@ class Sent:
 
 
 @dataclass(frozen=True)
-class Arrival:
+class HandedOver:
     """Bytes that have arrived: who handed them over, as the transport knows it (on a network by its certificate, never
     by the bytes), and for whom."""
 
@@ -137,7 +137,7 @@ class Transport(ABC):
         it."""
 
     @abstractmethod
-    def arrive(self) -> Arrival | None:
+    def arrive(self) -> HandedOver | None:
         """The next message that has arrived, None when none is due by now."""
 
 
@@ -148,10 +148,10 @@ class InProcessTransport(Transport):
         self, max_message_bytes: int = MAX_MESSAGE_BYTES, record: Callable[[Sent], None] | None = None
     ) -> None:
         super().__init__(max_message_bytes, record)
-        self._queue: deque[Arrival] = deque()
+        self._queue: deque[HandedOver] = deque()
 
     def carry(self, sender: int, recipient: int, data: bytes) -> None:
-        self._queue.append(Arrival(sender, recipient, data))
+        self._queue.append(HandedOver(sender, recipient, data))
 
-    def arrive(self) -> Arrival | None:
+    def arrive(self) -> HandedOver | None:
         return self._queue.popleft() if self._queue else None

@@ -123,11 +123,11 @@ class SocketPair(maslam.Transport):
         self._sent.append((sender, recipient, len(data)))
         self._out.sendall(data)
 
-    def arrive(self) -> maslam.Arrival | None:
+    def arrive(self) -> maslam.HandedOver | None:
         if not self._sent:
             return None
         sender, recipient, length = self._sent.pop(0)
-        return maslam.Arrival(sender, recipient, self._in.recv(length, socket.MSG_WAITALL))
+        return maslam.HandedOver(sender, recipient, self._in.recv(length, socket.MSG_WAITALL))
 
 
 class TestOwnTransport(TransportContract):
