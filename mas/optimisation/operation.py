@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from maslam.backend.distributed.incremental.update_messages import UpdateMessage
 from maslam.backend.distributed.wire import SolverMessage
 from maslam.backend.errors import BackendError
 
@@ -19,11 +20,12 @@ from ..protocol.messages import Award, Begin, Bid, Call, Confirmation, Failure, 
 from ..protocol.solver_messages import SolverBody
 from ..protocol.tasks import OptimiseAnswer, OptimiseTask
 from ..protocol.tensors import MessageError
-from ..state.pose_graph import UnknownPart, adopt, believable, share_of
+from ..state.pose_graph import adopt, believable
 from .bidding import BidEstimator, bids_to_lower, engaged
 from .contradictions import hold_against
+from .group_updates import GroupUpdates
 from .planning import Plan, plan
-from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
+from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, checked_node, node_of
 
 
 class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
@@ -48,6 +50,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._bid_ns: dict[int, int] = {}
         self._before = SessionHistory()
         self._estimator = BidEstimator(context)
+        self.updates = GroupUpdates(context)
         self._rtt = context.retransmitter.rtt
 
     @property
@@ -56,10 +59,19 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         return self.session is not None or self.tender is not None
 
     @property
+    def waits(self) -> bool:
+        """Whether others have to do something yet for an optimisation, or for an update of one."""
+        return self.busy or not self.updates.settled
+
+    @property
     def ready(self) -> bool:
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
         settling = self.context.calling(OperationKind.DOPT) or engaged(self.context, self._bid_ns)
         return not self.busy and not settling and self.context.now_ns >= self.attempts.not_before_ns
+
+    def update(self) -> Effects:
+        """Take new matches in without an optimisation, as far as the last one allows."""
+        return NOTHING if self.session is not None else self.updates.pursue()
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
@@ -84,12 +96,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
 
     def _answered(self, contractor: int) -> Effects:
         tender = self.tender
-        if tender is None:
-            return NOTHING
-        tender.pending.discard(contractor)
-        if contractor not in tender.bids:
-            tender.missing.add(contractor)
-        if tender.pending:
+        if tender is None or not tender.complete_with(contractor):
             return NOTHING
         self.tender = None
         return self._award(tender)
@@ -104,7 +111,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return effects + self._idle()
         self._missed |= bool(tender.missing)
         task = found.tasks[me]
-        node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
+        node = node_of(self.state, task)
         others = set(found.members) - {me}
         identity = tender.identity if others else None
         self.session = session = OptimisationSession(identity, task, node, None, others, found.elsewhere)
@@ -154,17 +161,9 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         return self.context.cancel(contracts, "gives way to a lower number") + self._idle()
 
     def work(self, contract: Contract, task: OptimiseTask) -> Effects:
-        if self.state.me not in task.members or contract.manager not in task.members:
-            raise WorkError("not an optimisation of this agent with the manager")
-        if not self.state.profile.everyone.issuperset(task.members):
-            raise WorkError("with an agent that there is not")
         if self.busy:
             raise WorkError("busy with an optimisation")
-        try:
-            node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
-        except (BackendError, UnknownPart) as error:
-            raise WorkError(f"cannot take part: {error}") from error
-        self.session = OptimisationSession(contract.id, task, node, contract)
+        self.session = OptimisationSession(contract.id, task, checked_node(self.state, contract, task), contract)
         return self.context.send(contract, Confirmation())
 
     def begin(self, sender: int, identity: ContractId | None) -> Effects:
@@ -179,6 +178,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def solver(self, sender: int, identity: ContractId | None, body: SolverBody) -> Effects:
         """A solver message of another member."""
         session, message = self.session, body.read(sender, self.state.me)
+        if isinstance(message, UpdateMessage):  # while an optimisation goes on here, its sender waits
+            return NOTHING if session is not None else self.updates.handle(identity, message)
         if session is None or session.identity != identity:
             if identity is not None and identity in self._before:
                 over = self._before[identity]
@@ -210,8 +211,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return self._leave(session)
         if contract.contractor not in session.task.members:
             return NOTHING
-        effects = self._leave(session)
-        self.attempts.failed(self.context.now_ns, self.state.me)
+        effects = self._fail(session)
         contracts = self.context.ledger.managed(contract.id)
         return effects + self.context.cancel(contracts, f"agent {contract.contractor} dropped out")
 
@@ -220,6 +220,11 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self.session = None
         self._before.remember(session.identity, None)
         return self._idle()
+
+    def _fail(self, session: OptimisationSession) -> Effects:
+        """The same, to be tried again later."""
+        self.attempts.failed(self.context.now_ns, self.state.me)
+        return self._leave(session)
 
     def _idle(self) -> Effects:
         """Once nothing goes on here, it shows that members have missed the last optimisation."""
@@ -231,14 +236,15 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def resend(self) -> Effects:
         """Send again what other members may have missed, if nothing goes on; give up where there is no end in sight."""
         session = self.session
-        if session is None or not session.begun:
+        if session is None:
+            return self.updates.resend()
+        if not session.begun:
             return NOTHING
         others = set(session.task.members) - {self.state.me}
         patience_ns = self.context.deadline_ns(OperationKind.DOPT, others) - self.context.now_ns
         if others and self.context.now_ns > session.began_ns + patience_ns:
             # The others are through, and their last message does not reach this agent.
-            effects = self._leave(session)
-            self.attempts.failed(self.context.now_ns, self.state.me)
+            effects = self._fail(session)
             if session.contract is not None:
                 effects += self.context.send(session.contract, Failure("the last message did not arrive"))
             return effects
@@ -271,8 +277,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def _give_up(self, session: OptimisationSession, reason: str) -> Effects:
         if self.session is not session:
             return NOTHING
-        effects = self._leave(session)
-        self.attempts.failed(self.context.now_ns, self.state.me)
+        effects = self._fail(session)
         if session.contract is not None:
             return effects + self.context.send(session.contract, Failure(reason[:REASON_LENGTH]))
         contracts = [] if session.identity is None else self.context.ledger.managed(session.identity)
@@ -292,7 +297,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self.attempts.succeeded()
         self._before.remember(session.identity, session)
         self._estimator.ended(session)
-        effects = Effects(changes=(adopt(self.state, session.task, outcome, session.elsewhere),)) + self._idle()
+        effects = Effects(changes=(adopt(self.state, session.task, outcome, session.elsewhere),))
+        effects += self.updates.begin(session, outcome) + self._idle()
         if session.contract is None:
             return effects + self.context.event("optimised", **session.figures(outcome))
         sweeps = outcome.rotation_sweeps + outcome.pose_sweeps

@@ -12,6 +12,7 @@ from ...pose_graph.graph import Edge, NodeId
 from ..compact import CompactReader, CompactWriter
 from ..contribution import Between
 from ..place_steps import measured_sizes, place_from_steps, place_to_steps
+from .estimated_graph import Pair
 
 # Of measurements nothing is predicted.
 _NOTHING = (np.eye(4), 0.0)
@@ -21,6 +22,29 @@ def between_of(edges: Sequence[Edge], dimension: int) -> Between:
     """The edges as arrays, exact."""
     pairs = np.arange(2 * len(edges), dtype=np.intp).reshape(-1, 2)
     return Between(tuple((e.i, e.j) for e in edges), edges_of(edges, pairs, dimension), np.zeros(len(edges)))
+
+
+def encode_named(pairs: Sequence[Pair]) -> bytes:
+    """How many edges, and the nodes of each: they go before those that are sent in full."""
+    out = CompactWriter()
+    out.count(len(pairs))
+    for i, j in pairs:
+        for n in (i, j):
+            out.count(n.robot)
+            out.count(n.index)
+    return out.bytes()
+
+
+def decode_named(data: bytes) -> tuple[tuple[Pair, ...], bytes]:
+    """Inverse of :func:`encode_named`, and what comes after it."""
+    source = CompactReader(data)
+    count = source.count()
+    if count > len(data):
+        raise BackendError(f"{count} edges in a message of {len(data)} bytes")
+    pairs = []
+    for _ in range(count):
+        pairs.append((NodeId(source.count(), source.count()), NodeId(source.count(), source.count())))
+    return tuple(pairs), source.rest()
 
 
 def encode_edges(given: Between, fineness: float, scaled: bool) -> bytes:
