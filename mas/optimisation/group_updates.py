@@ -29,8 +29,8 @@ from .session import OptimisationSession
 @dataclass
 class _SolvedGroup:
     """What the last optimisation has solved, and what was added to it: ``matches``, and key-frames of ``tracks`` below
-    ``known``; ``revision``: of the node's poses, as the agent has them. ``sent_ns``, ``tries``: when messages were sent
-    last, and how often again."""
+    ``known``; ``revision``, ``solved``: of the node, as the agent has them. ``sent_ns``, ``tries``: when messages were
+    sent last, and how often again. ``reported``: why updates have ended."""
 
     identity: ContractId
     node: UpdateNode
@@ -38,6 +38,7 @@ class _SolvedGroup:
     matches: set[MatchId]
     known: dict[int, int]
     revision: int = 0
+    solved: int = 0
     sent_ns: int = 0
     tries: int = 0
     reported: str | None = field(default=None)
@@ -162,12 +163,13 @@ class GroupUpdates:
         if node.lost is not None and group.reported is None:
             group.reported = node.lost
             effects += self.context.event("updates_ended", reason=node.lost)
-        corrected = [m.receiver for m in messages if m.kind is UpdateKind.CORRECTION]
         if node.revision != group.revision:
             group.revision = node.revision
             taken = take_over(state, group.known, node.poses, node.log_units)
             effects += Effects(changes=(taken,))
-        if node.leads and node.lost is None and corrected:
+        if node.solved != group.solved and node.lost is None:
+            group.solved = node.solved
+            corrected = [m.receiver for m in messages if m.kind is UpdateKind.CORRECTION]
             effects += self.context.event("updated", corrected=corrected, cost=node.cost, optimum=node.optimum)
         return effects
 

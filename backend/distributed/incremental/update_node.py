@@ -40,8 +40,8 @@ class UpdateNode:
     """``add`` new edges, ``handle`` every message addressed to it, in any order; send what they return.
 
     ``lost`` is the reason why updates cannot go on, None as long as they do: then the group is solved anew; all learn
-    of it. ``revision`` counts corrections of own poses. ``tick()`` sends again what was not received, and counts
-    silence as the elected solver does.
+    of it. ``revision`` counts corrections of own poses, ``solved`` solutions as the elected robot. ``tick()`` sends
+    again what was not received, and counts silence as the elected solver does.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class UpdateNode:
         if not outcome.accepted:
             raise BackendError(f"robot {share.robot} has no solution for updates to go on from: {outcome.reason}")
         self.lost: str | None = None
-        self.revision = 0
+        self.revision = self.solved = 0
         self.optimum = self.cost = outcome.cost_after
         if outcome.length != 1.0:
             raise BackendError("updates know no lengths of odometry: the group is solved anew for each match")
@@ -225,6 +225,7 @@ class UpdateNode:
             found = self._group.corrected(self._config.update_tolerance, frozenset(self._underway))
         except BackendError as error:
             return self._lose(str(error))
+        self.solved += 1
         self.optimum, self.cost, self._late = found.optimum, found.cost, bool(found.late)
         if found.moved:
             self.revision += 1
