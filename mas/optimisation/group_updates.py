@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from maslam.backend.distributed.elected import ElectedNode
 from maslam.backend.distributed.incremental.update_messages import UpdateKind, UpdateMessage, stranger_to
 from maslam.backend.distributed.incremental.update_node import UpdateNode
@@ -22,7 +24,7 @@ from ..contracts.context import AgentContext
 from ..contracts.effects import NOTHING, Effects, total
 from ..protocol.ids import ContractId, MatchId
 from ..protocol.solver_messages import SolverBody
-from ..state.pose_graph import match_edge, odometry_edges, take_over
+from ..state.pose_graph import believable, match_edge, odometry_edges, take_over
 from .session import OptimisationSession
 
 
@@ -159,11 +161,15 @@ class GroupUpdates:
         """Send messages, and take over what the node has found."""
         group.sent_ns, group.tries = self.context.now_ns, 0
         node, state = group.node, self.context.state
+        moved = node.revision != group.revision
+        if moved and not believable(node.poses.values(), np.exp(np.clip([*node.log_units.values()], -99, 99))):
+            group.revision = node.revision
+            return self._after(group, node.lose("the solution is not finite"))
         effects = self._send(group.identity, messages)
         if node.lost is not None and group.reported is None:
             group.reported = node.lost
             effects += self.context.event("updates_ended", reason=node.lost)
-        if node.revision != group.revision:
+        if moved:
             group.revision = node.revision
             taken = take_over(state, group.known, node.poses, node.log_units)
             effects += Effects(changes=(taken,))

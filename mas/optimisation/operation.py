@@ -30,7 +30,6 @@ from .session import Backoff, OptimisationSession, OptimisationTender, SessionHi
 
 class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     """At most one at a time for an agent. Of two managers that call at once, the lower number goes first.
-
     Nobody can be sure that all others have received the last message (two generals). So whoever has not keeps its poses
     where they were: a frame is named for the key-frame it begins with, which no optimisation moves, so that estimates
     of before and after lie in the same one. Its contract ends without a result, and the manager calls again.
@@ -111,8 +110,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return effects + self._idle()
         self._missed |= bool(tender.missing)
         task = found.tasks[me]
-        node = node_of(self.state, task)
-        others = set(found.members) - {me}
+        node, others = node_of(self.state, task), set(found.members) - {me}
         identity = tender.identity if others else None
         self.session = session = OptimisationSession(identity, task, node, None, others, found.elsewhere)
         return effects if others else effects + self._run(session)
@@ -133,9 +131,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         session.unconfirmed.discard(contract.contractor)
         if session.unconfirmed or session.begun:
             return NOTHING
-        others = [member for member in session.task.members if member != self.state.me]
-        begin = total(self.context.tell(member, session.identity, Begin()) for member in others)
-        return begin + self._run(session)
+        others = (m for m in session.task.members if m != self.state.me)
+        return total(self.context.tell(m, session.identity, Begin()) for m in others) + self._run(session)
 
     # -- contractor ---------------------------------------------------------------------------------------------------
 
@@ -182,9 +179,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return NOTHING if session is not None else self.updates.handle(identity, message)
         if session is None or session.identity != identity:
             if identity is not None and identity in self._before:
-                over = self._before[identity]
-                late = [] if over is None else over.late(message, self.context.now_ns, self._rtt)
-                return NOTHING if over is None else self._repeat(over, late)
+                over, now_ns = self._before[identity], self.context.now_ns
+                return NOTHING if over is None else self._repeat(over, over.late(message, now_ns, self._rtt))
             raise ProtocolError(f"agent {sender} sends solver messages without an optimisation")
         if sender not in session.task.members:
             raise ProtocolError(f"agent {sender} takes no part in this optimisation")
@@ -236,10 +232,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def resend(self) -> Effects:
         """Send again what other members may have missed, if nothing goes on; give up where there is no end in sight."""
         session = self.session
-        if session is None:
-            return self.updates.resend()
-        if not session.begun:
-            return NOTHING
+        if session is None or not session.begun:
+            return self.updates.resend() if session is None else NOTHING
         others = set(session.task.members) - {self.state.me}
         patience_ns = self.context.deadline_ns(OperationKind.DOPT, others) - self.context.now_ns
         if others and self.context.now_ns > session.began_ns + patience_ns:
@@ -291,7 +285,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         outcome = session.node.outcome
         if outcome is None or self.session is not session:
             return NOTHING
-        if not believable(outcome):
+        if not believable(outcome.poses.values(), outcome.units.values()):
             return self._give_up(session, "the solution is not finite")
         self.session = None
         self.attempts.succeeded()

@@ -115,12 +115,12 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
     )
 
 
-def believable(outcome: SolverOutcome) -> bool:
-    """Whether poses and units are numbers that a map may have: a member's nonsense may have spoilt them."""
-    numbers = np.concatenate([np.asarray(T).ravel() for T in outcome.poses.values()] or [np.zeros(0)])
-    units = np.array(list(outcome.units.values()))
+def believable(poses: Iterable[Array], units: Iterable[float]) -> bool:
+    """Whether these are numbers that a map may have: a member's nonsense may have spoilt them."""
+    numbers = np.concatenate([np.asarray(T).ravel() for T in poses] or [np.zeros(0)])
     small = np.isfinite(numbers).all() and np.abs(numbers).max(initial=0.0) <= MAX_TRANSLATION
-    return bool(small and (units >= 1.0 / MAX_SCALE).all() and (units <= MAX_SCALE).all())
+    sizes = np.array(list(units))
+    return bool(small and (sizes >= 1.0 / MAX_SCALE).all() and (sizes <= MAX_SCALE).all())
 
 
 def adopt(

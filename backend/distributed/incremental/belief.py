@@ -31,7 +31,7 @@ def check_own(before: Array, after: Array, expected: float | None, off: float) -
     deviations by which rounding displaces an edge there. :class:`BackendError` where they contradict it.
     """
     cost = float(after.sum())
-    if not np.isfinite(cost):
+    if not np.isfinite(cost if expected is None else cost + expected):
         raise BackendError("a correction leaves own edges without a cost")
     if expected is not None:
         doubt = float((2.0 * np.sqrt(after) * off + off**2).sum())

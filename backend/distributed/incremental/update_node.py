@@ -19,6 +19,7 @@ from ...config import SolverConfig
 from ...errors import BackendError
 from ...geometry import Array
 from ...pose_graph.graph import Edge, NodeId
+from ..compact import CompactReader
 from ..condense import Known, OwnGraph
 from ..contribution import Between
 from ..settled import Settled
@@ -135,7 +136,7 @@ class UpdateNode:
         self._added += 1
         if self._added > _MOST:
             return self._lose("more updates than are counted")
-        body = encode_edges(between, self._fineness, self._share.scaled) if mine or not self._careful else b""
+        body = encode_edges(between, self._fineness, self._share.scaled) if mine else b""
         body = encode_named(named) + body if self._careful else body
         message = self._to(self._leader, UpdateKind.EDGES, self._added, body)
         self._unreceived[self._added] = message
@@ -149,8 +150,7 @@ class UpdateNode:
         leads = self._group is not None
         if not leads and sender != self._leader:
             raise BackendError(f"robot {me} was handed an update from {sender}, which is not elected")
-        if message.epoch != self._epoch:
-            # Of another solution, an older one or one that this robot has not taken part in.
+        if message.epoch != self._epoch:  # of an older solution, or one that this robot has not taken part in
             return stranger_to(message)
         if message.kind is UpdateKind.LOST:
             more = [] if self.lost else self._lose(f"robot {sender} no longer has what updates go on from", sender)
@@ -196,7 +196,7 @@ class UpdateNode:
         if serial <= self._taken[sender]:
             return out
         named, edges = decode_named(message.body) if self._careful else ((), message.body)
-        between = decode_edges(edges, self._share.scaled) if edges or not self._careful else between_of((), 3)
+        between = decode_edges(edges, self._share.scaled) if edges else between_of((), self._share.dimension)
         self._taken[sender] = serial
         corrections = self._take(between, sender, named)
         return corrections if self.lost is not None else [*out, *corrections]
@@ -263,9 +263,7 @@ class UpdateNode:
             return self._lose("corrections of this robot do not fit what it has")
         me, body, expected = self._share.robot, message.body[_CHAIN.size :], None
         if self._careful:
-            if len(body) < _COST.size:
-                raise BackendError(f"a correction of {len(body)} bytes")
-            expected, body = float(_COST.unpack_from(body)[0]), body[_COST.size :]
+            expected, body = CompactReader(body).rough(), body[_COST.size :]
         read = decode_correction(body, me, self._known, self._share.scaled)
         strangers = [n for n in read.poses if n not in self._own.row]
         if strangers:
