@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..central.origin import NO_PRIORS, OriginPriors
 from ..central.similarity_edges import SimilarityEdges, edges_of
+from ..errors import BackendError
 from ..geometry import Array
 from ..pose_graph.graph import NodeId
 from .compact import CompactReader, CompactWriter, numbers_of, poses_of
@@ -144,7 +145,15 @@ def encode(c: Contribution) -> bytes:
 
 
 def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
-    """Inverse of :func:`encode`, measurements and weights as they were rounded."""
+    """Inverse of :func:`encode`, measurements and weights as they were rounded; :class:`BackendError` where there is
+    no such contribution."""
+    try:
+        return _decoded(data, robot, scaled)
+    except (IndexError, ValueError, OverflowError) as error:
+        raise BackendError(f"a contribution of {len(data)} bytes that makes no graph: {error}") from error
+
+
+def _decoded(data: bytes, robot: int, scaled: bool) -> Contribution:
     source = CompactReader(data)
     width = 7 if scaled else 6
     fineness = source.rough()

@@ -128,7 +128,8 @@ class ElectedNode:
 
     def again(self, message: ElectedMessage) -> list[ElectedMessage]:
         """What the sender of a message that came before may have missed: it asks for that, nothing else tells."""
-        return self._answer(message) if message.kind is Kind.WAIT else []
+        ours = isinstance(message, ElectedMessage)
+        return self._answer(message) if ours and message.kind is Kind.WAIT else []
 
     def _awaited(self) -> list[tuple[Kind, list[int]]]:
         """What has not come, and from whom."""

@@ -103,7 +103,10 @@ class OptimisationSession:
         ends before all have reported. Decisions are not answered, or two that are done would exchange them for ever."""
         if message.sender not in self.task.members or message.decides:
             return []
-        return [m for m in self.link.again(self.node, message, now_ns, rtt) if m.decides]
+        try:
+            return [m for m in self.link.again(self.node, message, now_ns, rtt) if m.decides]
+        except BackendError:  # of another method, or nonsense
+            return []
 
     def figures(self, outcome: SolverOutcome) -> dict[str, Any]:
         """Of how it ended: for the event."""

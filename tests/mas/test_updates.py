@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from factory import town
-from saboteurs import Sleeper, live
+from garbler import Garbler
+from saboteurs import Saboteur, Sleeper, live
 
 from maslam.backend.central.costs import cost
 from maslam.backend.central.optimise import optimise
@@ -169,3 +172,45 @@ def test_messages_come_back_from_their_bytes_and_others_are_refused() -> None:
         unpack(0, 1, pack(UpdateMessage(UpdateKind.LOST, 0, 0, 0, 1, b"\x00")))
     with pytest.raises(BackendError, match="not a message of an update"):
         unpack(0, 1, b"\xf9" + bytes(4))
+
+
+class Forger(Saboteur):
+    """One byte of each update that it sends is another."""
+
+    forged = 0
+
+    def spoil(self, messages: list[Message]) -> list[Message]:
+        return [self._forged(m) if isinstance(m.body, SolverBody) else m for m in messages]
+
+    def _forged(self, message: Message) -> Message:
+        sent = message.body.read(message.sender, message.recipient)
+        if not isinstance(sent, UpdateMessage) or len(sent.body) < 3:
+            return message
+        self.forged += 1
+        body = bytearray(sent.body)
+        body[np.random.default_rng(self.forged).integers(2, len(body))] ^= 0x15
+        return msgspec.structs.replace(message, body=SolverBody.of(replace(sent, body=bytes(body))))
+
+
+@pytest.mark.parametrize("kind", [Forger, Garbler])
+@pytest.mark.parametrize("which", [0, 1])
+def test_what_a_member_makes_of_updates_breaks_nobody(kind: type[Agent], which: int) -> None:
+    run = lived(settings(period=5), {which: kind})
+    others = [a for a in run.environment.agents if a.state.me != which]
+    assert all(np.isfinite(np.array(a.state.poses)).all() for a in others)
+    for agent in others:
+        error = run.evaluator.keyframe_error(agent)
+        assert error is None or error.rmse_m < 3.0 * error_m(run_of(False)), "no worse than its own odometry"
+
+
+def test_poses_that_no_map_may_have_are_not_taken_over() -> None:
+    """A correction that moves a whole agent far away costs its own edges nothing."""
+    agent = lived(settings()).environment.agents[0]
+    updates, before = agent.optimisation.updates, np.array(agent.state.poses)
+    node = updates._group.node
+    far_away = {n: T + 1e12 * np.eye(4, k=3) for n, T in node.poses.items()}
+    node._places = replace(node._places, poses=far_away)
+    node.revision += 1
+    effects = updates._after(updates._group, [])
+    assert not effects.changes and [e.fields["reason"] for e in effects.events] == ["the solution is not finite"]
+    np.testing.assert_array_equal(np.array(agent.state.poses), before)

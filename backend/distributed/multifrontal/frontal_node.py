@@ -112,7 +112,8 @@ class FrontalNode:
 
     def again(self, message: FrontalMessage) -> list[FrontalMessage]:
         """What the sender of a message that came before may have missed: it asks for that, nothing else tells."""
-        return self._answer(message) if message.kind is FrontalKind.WAIT else []
+        ours = isinstance(message, FrontalMessage)
+        return self._answer(message) if ours and message.kind is FrontalKind.WAIT else []
 
     def _answer(self, message: FrontalMessage) -> list[FrontalMessage]:
         if len(message.body) != 1 or message.body[0] not in tuple(FrontalKind):
