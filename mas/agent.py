@@ -163,7 +163,7 @@ class Agent:
         the end."""
         if self.context.closing and self.optimisation.attempts.hopeless:
             return set()
-        return self.pending.matches - self.optimisation.updates.matches
+        return self.pending.matches - self.optimisation.updates.considered
 
     def _new_positions(self) -> bool:
         """Whether no optimisation has used its latest positions, and it is time: alone, or at the end."""

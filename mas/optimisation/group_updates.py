@@ -30,15 +30,16 @@ from .session import OptimisationSession
 
 @dataclass
 class _SolvedGroup:
-    """What the last optimisation has solved, and what was added to it: ``matches``, and key-frames of ``tracks`` below
-    ``known``; ``revision``, ``solved``: of the node, as the agent has them. ``sent_ns``, ``tries``: when messages were
-    sent last, and how often again. ``reported``: why updates have ended."""
+    """What the last optimisation has solved, and what was added to it: ``matches``, less those ``withdrawn``, and, by
+    track, key-frames below ``known``. ``revision``, ``solved``: of the node, as the agent has them. ``sent_ns``,
+    ``tries``: when messages were sent last, and how often again. ``reported``: why updates have ended."""
 
     identity: ContractId
     node: UpdateNode
     members: frozenset[int]
     matches: set[MatchId]
     known: dict[int, int]
+    withdrawn: set[MatchId] = field(default_factory=set)
     revision: int = 0
     solved: int = 0
     sent_ns: int = 0
@@ -59,6 +60,11 @@ class GroupUpdates:
         """Matches that the last optimisation and updates of it have taken in; none where updates cannot go on."""
         group = self._group
         return frozenset() if group is None or group.node.lost else frozenset(group.matches)
+
+    @property
+    def considered(self) -> frozenset[MatchId]:
+        """These, and those that updates have withdrawn: no optimisation is needed for either."""
+        return self.matches | self._group.withdrawn if self._group is not None and self.matches else frozenset()
 
     @property
     def settled(self) -> bool:
@@ -90,23 +96,23 @@ class GroupUpdates:
         return NOTHING if self._group is None else self._after(self._group, self._group.node.lose(reason))
 
     def pursue(self) -> Effects:
-        """Take in the matches that were accepted since."""
+        """Take in the matches that were accepted since, and withdraw those that are not believed any more."""
         group, state = self._group, self.context.state
         if group is None or group.node.lost is not None:
             return NOTHING
-        withdrawn = group.matches - state.accepted
-        if withdrawn:
-            return self.end(f"match {min(withdrawn)} is not believed any more")
+        withdrawn = sorted(group.matches - state.accepted)
         new = [m for m in sorted(state.accepted - group.matches) if self._inside(group, m)]
-        if not new:
+        if not new and not withdrawn:
             return NOTHING
-        group.matches.update(new)
+        group.matches = (group.matches - set(withdrawn)) | set(new)
+        group.withdrawn = (group.withdrawn | set(withdrawn)) - set(new)
         edges, nodes = self._driven_since(group, new)
         edges += [match_edge(state.verified[m], state.config.optimisation) for m in new]
         poses = {n: state.poses[n.index] for n in nodes}
         units = {} if state.profile.metric else {n: state.units[n.index] for n in nodes}
         try:
-            return self._after(group, group.node.add(edges, poses, units))
+            gone = [(NodeId(m.match_agent, m.match), NodeId(m.query_agent, m.query)) for m in withdrawn]
+            return self._after(group, group.node.add(edges, poses, units, gone))
         except BackendError as error:
             return self.end(str(error))
 

@@ -73,7 +73,8 @@ PRESETS: dict[str, MasConfig] = {
             descriptor_bytes=16,
         ),
         optimisation=OptimisationConfig(
-            period_keyframes=40, solver=SolverConfig(method="elected", start="warm", length_sigma=0.01)
+            period_keyframes=40,
+            solver=SolverConfig(method="elected", start="warm", length_sigma=0.01, update_tolerance=1e-3),
         ),
         merge=MergeConfig(
             form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0, accuracy_share=0.5

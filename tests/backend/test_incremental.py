@@ -18,7 +18,7 @@ from maslam.backend.config import CentralConfig, LinkModel, SolverConfig
 from maslam.backend.distributed.elected import ElectedNode
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.incremental.additions import between_of, decode_edges, encode_edges
-from maslam.backend.distributed.incremental.belief import check_own, most_rise
+from maslam.backend.distributed.incremental.belief import contradicts, most_rise
 from maslam.backend.distributed.incremental.one_by_one import chosen, in_order, matches_one_by_one
 from maslam.backend.distributed.incremental.timed_link import TimedLink
 from maslam.backend.distributed.incremental.update_messages import UpdateKind, UpdateMessage, stranger_to
@@ -398,12 +398,43 @@ def test_a_correction_that_own_edges_contradict_is_not_taken():
 def test_an_own_edge_that_a_correction_tears_is_noticed():
     calm, torn = np.full(20, 0.1), np.full(20, 0.1)
     torn[3] = 60.0
-    check_own(calm, calm, float(calm.sum()), 0.002)
-    with pytest.raises(BackendError, match="tears an own edge"):
-        check_own(calm, torn, None, 0.002)
-    check_own(torn, torn, None, 0.002)
-    with pytest.raises(BackendError, match="own edges cost 2 with a correction, not 3"):
-        check_own(calm, calm, 3.0, 0.002)
+    assert contradicts(calm, calm, float(calm.sum()), 0.002) == ""
+    assert contradicts(calm, torn, None, 0.002).startswith("a correction tears an own edge: 60, 38.26")
+    assert contradicts(torn, torn, None, 0.002) == ""
+    assert contradicts(calm, calm, 3.0, 0.002) == "own edges cost 2 with a correction, not 3"
+    assert contradicts(calm, calm, float("nan"), 0.002) == "a correction leaves own edges without a cost"
+
+
+def test_a_match_that_is_withdrawn_counts_no_more_until_it_is_given_again():
+    graph, _ = loops(np.random.default_rng(21), robots=3, length=25, separators=6, sigma_t=0.05, sigma_deg=0.5)
+    graph, later = parts(graph, begun=6)
+    nodes = ready(graph, careful=True)
+    elected = next(r for r, node in nodes.items() if node.leads)
+    whole = next(e for e in graph.edges if e.is_separator and elected not in (e.i.robot, e.j.robot))
+    update = next(m for m in later if elected not in (m.i.robot, m.j.robot))
+    carried(nodes, found(nodes, update))
+
+    def best(*edges):
+        return optimise(replace(graph, edges=edges), CentralConfig()).cost_after
+
+    # Of the whole solution and of an update; by the robot that gives it and by the one that names it.
+    for match, robot in itertools.product((whole, update), sorted((whole.i.robot, whole.j.robot))):
+        both = (*graph.edges, update)
+        carried(nodes, nodes[robot].add([], withdrawn=[(match.i, match.j)]))
+        assert nodes[elected].optimum == pytest.approx(best(*(e for e in both if e is not match)), rel=1e-4)
+        carried(nodes, nodes[robot].add([match]))
+        assert nodes[elected].optimum == pytest.approx(best(*both), rel=1e-4)
+    assert not any(node.lost for node in nodes.values()), [node.lost for node in nodes.values()]
+
+
+def test_without_the_only_match_of_a_robot_updates_end():
+    graph, _ = loops(np.random.default_rng(22), robots=3, length=25, separators=6, sigma_t=0.05, sigma_deg=0.5)
+    ties = [e for e in graph.edges if e.is_separator and 2 in (e.i.robot, e.j.robot)]
+    graph = replace(graph, edges=tuple(e for e in graph.edges if e not in ties[1:]))
+    nodes = ready(graph, careful=True)
+    carried(nodes, nodes[2].add([], withdrawn=[(ties[0].i, ties[0].j)]))
+    assert "does not hang together" in next(node.lost for node in nodes.values() if node.leads)
+    assert all(node.lost for node in nodes.values())
 
 
 def test_all_learn_that_updates_have_ended_whatever_is_lost():

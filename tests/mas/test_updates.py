@@ -135,20 +135,25 @@ def test_an_agent_that_is_away_for_ten_seconds_holds_nobody_up(away: int) -> Non
     assert error_m(run) < 1.1 * error_m(run_of(True))
 
 
-def test_a_match_that_is_not_believed_any_more_ends_updates_everywhere() -> None:
+@pytest.mark.parametrize("all_of_them", [False, True])
+def test_a_match_that_is_not_believed_any_more_counts_no_more(all_of_them: bool) -> None:
     run = lived(settings())
     agents = run.environment.agents
-    assert all(a.optimisation.updates.matches for a in agents)
-    victim = agents[1]
-    match = min(
-        m for m in victim.optimisation.updates.matches if victim.state.me in m.agents and m in victim.state.accepted
-    )
-    victim.state.accepted.discard(match)
+    elected = next(a for a in agents if a.optimisation.updates._group.node.leads)
+    victim = agents[(elected.state.me + 1) % 3]
+    mine = sorted(m for m in victim.optimisation.updates.matches if m.match_agent != m.query_agent)
+    before, gone = elected.optimisation.updates._group.node.optimum, mine if all_of_them else mine[-1:]
+    victim.state.accepted -= set(gone)
     for message in victim.optimisation.update().messages:
         run.environment.transport.send(message, run.environment.now_ns)
     run.environment._deliver()
-    assert not any(a.optimisation.updates.matches for a in agents)
-    assert match in victim._pending(), "it is to be solved anew, without it"
+    if all_of_them:
+        assert not any(a.optimisation.updates.matches for a in agents), "it is to be solved anew, without them"
+        assert victim._pending()
+    else:
+        assert elected.optimisation.updates._group.node.optimum < before
+        assert all(a.optimisation.updates.matches for a in agents)
+        assert not victim._pending() & set(gone)
 
 
 def test_a_message_of_updates_that_nobody_knows_is_answered() -> None:

@@ -24,27 +24,27 @@ def between_of(edges: Sequence[Edge], dimension: int) -> Between:
     return Between(tuple((e.i, e.j) for e in edges), edges_of(edges, pairs, dimension), np.zeros(len(edges)))
 
 
-def encode_named(pairs: Sequence[Pair]) -> bytes:
-    """How many edges, and the nodes of each: they go before those that are sent in full."""
+def encode_pairs(*groups: Sequence[Pair]) -> bytes:
+    """Of each group how many edges, and their nodes; they go before edges that are sent in full."""
     out = CompactWriter()
-    out.count(len(pairs))
-    for i, j in pairs:
-        for n in (i, j):
+    for pairs in groups:
+        out.count(len(pairs))
+        for n in (n for pair in pairs for n in pair):
             out.count(n.robot)
             out.count(n.index)
     return out.bytes()
 
 
-def decode_named(data: bytes) -> tuple[tuple[Pair, ...], bytes]:
-    """Inverse of :func:`encode_named`, and what comes after it."""
-    source = CompactReader(data)
-    count = source.count()
-    if count > len(data):
-        raise BackendError(f"{count} edges in a message of {len(data)} bytes")
-    pairs = []
-    for _ in range(count):
-        pairs.append((NodeId(source.count(), source.count()), NodeId(source.count(), source.count())))
-    return tuple(pairs), source.rest()
+def decode_pairs(data: bytes) -> tuple[tuple[Pair, ...], tuple[Pair, ...], bytes]:
+    """Inverse of :func:`encode_pairs` for two groups, and what comes after them."""
+    source, groups = CompactReader(data), []
+    for _ in range(2):
+        count = source.count()
+        if count > len(data):
+            raise BackendError(f"{count} edges in a message of {len(data)} bytes")
+        nodes = [NodeId(source.count(), source.count()) for _ in range(2 * count)]
+        groups.append(tuple(zip(nodes[::2], nodes[1::2], strict=True)))
+    return groups[0], groups[1], source.rest()
 
 
 def encode_edges(given: Between, fineness: float, scaled: bool) -> bytes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...errors import BackendError
 from ...geometry import Array
 from ...robust import chi_square
 
@@ -24,19 +23,20 @@ def most_rise(cost: float, freedom: int, gained: int) -> float:
     return noise * right + _SAME * cost
 
 
-def check_own(before: Array, after: Array, expected: float | None, off: float) -> None:
-    """Hold a correction against a member's own edges, whose shares of F ``(m,)`` are ``before`` and ``after`` it.
+def contradicts(before: Array, after: Array, expected: float | None, off: float) -> str:
+    """How a member's own edges, whose shares of F ``(m,)`` are ``before`` and ``after`` a correction, contradict it;
+    empty where they do not.
 
     ``expected``: F over them as the elected robot finds it, None where it does not know all of them; ``off``: most
-    deviations by which rounding displaces an edge there. :class:`BackendError` where they contradict it.
+    deviations by which rounding displaces an edge there.
     """
     cost = float(after.sum())
     if not np.isfinite(cost if expected is None else cost + expected):
-        raise BackendError("a correction leaves own edges without a cost")
+        return "a correction leaves own edges without a cost"
     if expected is not None:
         doubt = float((2.0 * np.sqrt(after) * off + off**2).sum())
         if abs(cost - expected) > doubt + _SAME * max(cost, expected):
-            raise BackendError(f"own edges cost {cost:.4g} with a correction, not {expected:.4g}")
+            return f"own edges cost {cost:.4g} with a correction, not {expected:.4g}"
     most = max(chi_square.below(_RIGHT, 6), _GROWN * float(before.max(initial=0.0)))
-    if float(after.max(initial=0.0)) > most:
-        raise BackendError(f"a correction tears an own edge: {float(after.max()):.4g}, {most:.4g} at most")
+    torn = float(after.max(initial=0.0))
+    return f"a correction tears an own edge: {torn:.4g}, {most:.4g} at most" if torn > most else ""

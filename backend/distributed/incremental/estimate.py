@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...central.lengths import steps_of, with_lengths
 from ...central.minimum import minimum
-from ...central.similarity_edges import SimilarityEdges
+from ...central.similarity_edges import Descended, SimilarityEdges
 from ...errors import BackendError
 from ...geometry import Array
 from ...pose_graph.graph import NodeId
 from ..condense import Known, freedom_of, noise_of
-from ..contribution import Contribution
+from ..settled import Settled
+from ..share import Share
 from .belief import most_rise
 from .corrections import encode_correction
 from .estimated_graph import EstimatedGraph
@@ -51,18 +53,15 @@ class Corrected:
 class GroupEstimate:
     """The elected robot's: it adds edges to the group's graph, and finds whom to correct."""
 
-    def __init__(
-        self,
-        contributions: Mapping[int, Contribution],
-        places: Known,
-        anchor: int,
-        leader: int,
-        arbitrary_scale: frozenset[int],
-        careful: bool = False,
-    ) -> None:
-        """``careful``: an edge between two robots counts once both have named it, and new edges must be believable."""
-        self.graph = EstimatedGraph(contributions, places, anchor, arbitrary_scale, careful)
-        self._leader, self._scaled, self._careful = leader, bool(arbitrary_scale), careful
+    def __init__(self, share: Share, settled: Settled, careful: bool = False) -> None:
+        """``share``: the elected robot's. ``careful``: an edge between two robots counts once both have named it, and
+        new edges must be believable. No update knows lengths of odometry: where edges call for them, it is not
+        taken."""
+        contributions, places = settled.contributions, settled.places
+        self.graph = EstimatedGraph(contributions, places, share.anchor, share.arbitrary_scale, careful)
+        self._leader, self._scaled, self._careful = share.robot, share.scaled, careful
+        self._length_sigma = share.length_sigma
+        self._metric = sorted(set(contributions) - share.arbitrary_scale)
         self._known = {robot: Known() for robot in contributions}
         for n, T in places.poses.items():
             self._known[n.robot].poses[n] = T
@@ -85,6 +84,8 @@ class GroupEstimate:
         freedom = freedom_of(edges.ends, g.fixed[joined], [0])
         if self._careful:
             self._believe(optimum, freedom)
+        if self._length_sigma > 0 and self._lengths_are_off(best, log_units, joined, freedom):
+            raise BackendError("matches call for other lengths of odometry")
         allowed = share * max(optimum, noise_of(0.0, freedom) ** 2 * max(freedom, 1))
         # What has no place yet is sent in any case.
         now, now_units = g.poses.copy(), g.log_units.copy()
@@ -115,6 +116,20 @@ class GroupEstimate:
                 " at most where they are right"
             )
         self._before = optimum, freedom
+
+    def _lengths_are_off(self, best: Array, log_units: Array, joined: NDArray[np.bool_], freedom: int) -> bool:
+        """Whether a whole solution would find that odometry is too long or too short."""
+        g = self.graph
+        order = sorted(range(len(g.nodes)), key=lambda k: g.nodes[k])
+        rank = np.argsort(order)
+        edges, held, kept = g.edges.moved_to(rank), ~joined, g.fixed
+        held[g.anchored] = True
+        kept[held] = True
+        number = {robot: k for k, robot in enumerate(self._metric)}
+        robots = np.array([number.get(g.nodes[k].robot, -1) for k in order], dtype=np.intp)
+        steps = steps_of(edges.ends, robots, len(self._metric), self._length_sigma)
+        found = Descended(best[order], log_units[order], 0)
+        return with_lengths(edges, found, np.flatnonzero(held[order]).tolist(), kept[order], steps, freedom)[1].used
 
     def _own_cost(self, robot: int) -> float:
         """F over a robot's own edges as it has its poses."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +110,34 @@ class EstimatedGraph:
             self._take(between)
         return sum(len(between.nodes) for between in ready)
 
+    def withdraw(self, pairs: Iterable[Pair], sender: int) -> bool:
+        """Edges of these nodes do not count until the sender gives or names them again; returns whether any counted.
+
+        :class:`BackendError` where they are not the sender's, or poses would hang on nothing: then nothing is changed.
+        """
+        gone = set(pairs)
+        if any(all(n.robot != sender for n in pair) for pair in gone):
+            raise BackendError(f"robot {sender} withdraws an edge of others")
+        rows = {(self.row[i], self.row[j]): (i, j) for i, j in gone if i in self.row and j in self.row}
+        hit = np.array([(i, j) in rows for i, j in self.edges.ends.tolist()], dtype=bool)
+        label = parts(self.edges.ends[~hit], len(self.nodes))
+        if not (label == label[self.anchored])[self.joined].all():
+            raise BackendError("without an edge that is withdrawn the group does not hang together")
+        taken = self.edges.only(hit)
+        nodes = tuple(rows[i, j] for i, j in taken.ends.tolist())
+        back = Between(nodes, replace(taken, ends=_in_pairs(len(nodes))), np.zeros(len(nodes)))
+        kept = [
+            (b.only([whose != sender or pair not in gone for pair in b.nodes]), whose) for b, whose in self._waiting
+        ]
+        for other in sorted({n.robot for pair in nodes for n in pair} - {sender}):
+            # The other robot still has them.
+            kept.append((back.only([other in (i.robot, j.robot) for i, j in nodes]), other))
+            self._named |= {(other, pair) for pair in nodes if other in (pair[0].robot, pair[1].robot)}
+        self._waiting = [(b, whose) for b, whose in kept if b.nodes]
+        self._named -= {(sender, pair) for pair in gone}
+        self._edges = self.edges.only(~hit)
+        return bool(hit.any())
+
     def place(self, nodes: Iterable[NodeId]) -> Known:
         """Where these poses are now, those of them that have a place."""
         rows = [(n, self.row[n]) for n in nodes if n in self.row and self.placed[self.row[n]]]
@@ -162,3 +191,8 @@ class EstimatedGraph:
 
     def _rows_of(self, between: Between) -> NDArray[np.intp]:
         return np.array([self.row[n] for pair in between.nodes for n in pair], dtype=np.intp)
+
+
+def _in_pairs(count: int) -> NDArray[np.intp]:
+    """Ends ``(count, 2)`` of edges whose nodes stand one after the other."""
+    return np.arange(2 * count, dtype=np.intp).reshape(-1, 2)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +24,8 @@ from ..condense import Known, OwnGraph
 from ..contribution import Between
 from ..settled import Settled
 from ..share import Share, SolverOutcome
-from .additions import between_of, decode_edges, decode_named, encode_edges, encode_named
-from .belief import check_own
+from .additions import between_of, decode_edges, decode_pairs, encode_edges, encode_pairs
+from .belief import contradicts
 from .corrections import chained, decode_correction
 from .estimate import GroupEstimate
 from .estimated_graph import Pair
@@ -77,9 +77,7 @@ class UpdateNode:
         # The elected robot's: the group, and by robot what it has had and sent.
         self._group: GroupEstimate | None = None
         if share.robot == settled.leader:
-            self._group = GroupEstimate(
-                settled.contributions, settled.places, share.anchor, share.robot, share.arbitrary_scale, careful
-            )
+            self._group = GroupEstimate(share, settled, careful)
         self._taken = dict.fromkeys(share.members, 0)
         self._corrected = dict.fromkeys(share.members, 0)
         self._chains = dict.fromkeys(share.members, self._epoch)
@@ -112,34 +110,36 @@ class UpdateNode:
         edges: Iterable[Edge],
         poses: Mapping[NodeId, Array] | None = None,
         units: Mapping[NodeId, float] | None = None,
+        withdrawn: Collection[Pair] = (),
     ) -> list[UpdateMessage]:
         """Take new edges in: own ones, and those with other members, which these have as well.
 
         ``poses``, ``units``: of own nodes that are new, in this robot's present frame. An edge between two members is
-        sent by the lower one, and never to an elected robot that has it.
+        sent by the lower one, and never to an elected robot that has it. ``withdrawn``: earlier ones, by their nodes,
+        that this robot does not believe any more (of careful nodes).
         """
         given, me, new = tuple(edges), self._share.robot, dict(poses or {})
         self._share = replace(
             self._share,
             poses={**self._places.poses, **new},
             units={**{n: float(np.exp(u)) for n, u in self._places.log_units.items()}, **(units or {})},
-            edges=(*self._share.edges, *given),
+            edges=(*(e for e in self._share.edges if (e.i, e.j) not in withdrawn), *given),
         )
         self._own = OwnGraph(self._share)
         self._places = self._places.also(Known(new, {**dict.fromkeys(new, 0.0), **self._logs(units or {})}))
         used = [e for e in given if e.weight > 0]
         mine = [e for e in used if self._answers_for(e)]
         named = [(e.i, e.j) for e in used if not self._answers_for(e)] if self._careful else []
-        if self.lost is not None or not (mine or named):
+        if self.lost is not None or not (mine or named or withdrawn):
             return []
         between = between_of(mine, self._share.dimension)
         if self._group is not None:
-            return self._take(between, me, named)
+            return self._take(between, me, named, withdrawn)
         self._added += 1
         if self._added > _MOST:
             return self._lose("more updates than are counted")
         body = encode_edges(between, self._fineness, self._share.scaled) if mine else b""
-        body = encode_named(named) + body if self._careful else body
+        body = encode_pairs(named, sorted(withdrawn)) + body if self._careful else body
         message = self._to(self._leader, UpdateKind.EDGES, self._added, body)
         self._unreceived[self._added] = message
         return [message]
@@ -177,8 +177,8 @@ class UpdateNode:
         if self.lost is not None:
             self._underway = {}
             return []
-        whose = f"robot {waiting[0].receiver} does not answer" if waiting else "poses that a match names do not come"
-        return self._lose(whose)
+        silent = f"robot {waiting[0].receiver} does not answer" if waiting else ""
+        return self._lose(silent or "poses that a match names do not come")
 
     def lose(self, reason: str) -> list[UpdateMessage]:
         """Give up for a reason of this robot's own: the messages by which the others learn of it."""
@@ -197,20 +197,23 @@ class UpdateNode:
         out = [self._to(sender, UpdateKind.RECEIVED, serial)]
         if serial <= self._taken[sender]:
             return out
-        named, edges = decode_named(message.body) if self._careful else ((), message.body)
+        named, withdrawn, edges = decode_pairs(message.body) if self._careful else ((), (), message.body)
         between = decode_edges(edges, self._share.scaled) if edges else between_of((), self._share.dimension)
         self._taken[sender] = serial
-        corrections = self._take(between, sender, named)
+        corrections = self._take(between, sender, named, withdrawn)
         return corrections if self.lost is not None else [*out, *corrections]
 
-    def _take(self, between: Between, sender: int, named: Iterable[Pair] = ()) -> list[UpdateMessage]:
+    def _take(
+        self, between: Between, sender: int, named: Iterable[Pair] = (), withdrawn: Collection[Pair] = ()
+    ) -> list[UpdateMessage]:
         """As the elected robot: what new edges change."""
         assert self._group is not None
         try:
-            count = self._group.graph.add(between, sender, named)
+            fewer = bool(withdrawn) and self._group.graph.withdraw(withdrawn, sender)
+            more = self._group.graph.add(between, sender, named)
         except BackendError as error:
             return self._lose(str(error))
-        return self._correct() if count or self._late else []
+        return self._correct() if fewer or more or self._late else []
 
     def _lose(self, reason: str, known_by: int | None = None) -> list[UpdateMessage]:
         """Give up, and send all others who need to know a message until they have received it."""
@@ -273,26 +276,19 @@ class UpdateNode:
         held = read.also(self._own.known(self._own.nodes[:1])) if me == self._share.anchor else read
         poses, log_units, _ = self._own.completed(held)
         if self._careful:
-            try:
-                self._check(poses, log_units, None if self._unreceived else expected)
-            except BackendError as error:
-                return self._lose(str(error))
+            # The elected robot does not know what is on its way to it, and a condensed graph costs something else.
+            known = not self._unreceived and self._config.elected_longest == 1
+            before, after = self._own.costs(self._places), self._own.edges.costs(poses, log_units)
+            off = 0.5 * (7 if self._share.scaled else 6) ** 0.5 / self._fineness
+            contradiction = contradicts(before, after, expected if known else None, off)
+            if contradiction:
+                return self._lose(contradiction)
         self._version, self._chain = message.serial, chained(self._chain, message.body)
         self._known = self._known.also(read)
         self.revision += 1
         nodes = self._own.nodes
         self._places = Known(dict(zip(nodes, poses, strict=True)), dict(zip(nodes, log_units.tolist(), strict=True)))
         return [received]
-
-    def _check(self, poses: Array, log_units: Array, expected: float | None) -> None:
-        """Hold poses that a correction leads to against the own edges."""
-        own, width = self._own, 7 if self._share.scaled else 6
-        now = np.array([self._places.poses[n] for n in own.nodes])
-        units = np.array([self._places.log_units.get(n, 0.0) for n in own.nodes])
-        before, after = own.edges.costs(now, units), own.edges.costs(poses, log_units)
-        check_own(
-            before, after, expected if self._config.elected_longest == 1 else None, 0.5 * width**0.5 / self._fineness
-        )
 
     def _to(self, receiver: int, kind: UpdateKind, serial: int, body: bytes = b"") -> UpdateMessage:
         return UpdateMessage(kind, self._epoch, serial, self._share.robot, receiver, body)
