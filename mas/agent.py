@@ -28,7 +28,7 @@ from .place_recognition.operation import PlaceRecognition
 from .place_recognition.verification import Verification, tell_group
 from .policies.base import Outlook, Policy
 from .protocol.claims import false_claim
-from .protocol.ids import REASON_LENGTH, ContractId, MatchId, OperationKind
+from .protocol.ids import REASON_LENGTH, ContractId, MatchId
 from .protocol.messages import (
     Award,
     Begin,
@@ -47,6 +47,7 @@ from .protocol.solver_messages import SolverBody
 from .protocol.tasks import Outcome
 from .state.agent_state import AgentState, Profile
 from .state.keyframe import KeyFrame
+from .state.pose_graph import Adoption
 from .state.positions import uses_positions
 
 
@@ -136,7 +137,7 @@ class Agent:
     @property
     def quiet(self) -> bool:
         """Whether the agent, all sequences over, has nothing left to do unless others bring it something."""
-        busy = self.optimisation.busy or self.context.ledger.unsettled or bool(self._new)
+        busy = self.optimisation.waits or self.context.ledger.unsettled or bool(self._new)
         pending = self._pending() or self._new_positions()
         if not self.context.closing or busy or pending or not self.final_round.over:
             return False
@@ -145,7 +146,7 @@ class Agent:
     @property
     def waiting(self) -> bool:
         """Whether others owe it an answer: it wants to be reminded."""
-        return self.context.retransmitter.owed or self.optimisation.busy or self.call_queue.waiting
+        return self.context.retransmitter.owed or self.optimisation.waits or self.call_queue.waiting
 
     def outlook(self) -> Outlook:
         """Facts for the policy beside the state."""
@@ -167,10 +168,11 @@ class Agent:
         return any(self.places.sent_queries.unsent(a) for a in self.policy.recall(self.state, self.outlook(), 0))
 
     def _pending(self) -> set[MatchId]:
-        """Matches accepted or withdrawn since the last optimisation; none when it failed too often at the end."""
+        """Matches accepted or withdrawn since the last optimisation and its updates; none when it failed too often at
+        the end."""
         if self.context.closing and self.optimisation.attempts.hopeless:
             return set()
-        return self.pending.matches
+        return self.pending.matches - self.optimisation.updates.considered
 
     def _new_positions(self) -> bool:
         """Whether no optimisation has used its latest positions, and it is time: alone, or at the end."""
@@ -183,20 +185,18 @@ class Agent:
 
     def _pursue(self) -> Effects:
         """First optimise what was learned, then buy maps: thesis section 3.8.2's order of operations."""
+        effects = self.optimisation.update()
         if not self.optimisation.ready:
-            return NOTHING
+            return effects
         outlook = self.outlook()
         members = self.policy.optimise(self.state, outlook)
         if members:
             self.pending.offered(members)
-            return self.optimisation.start(members, self._pending())
+            return effects + self.optimisation.start(members, self._pending())
         sellers = self.policy.buy(self.state, outlook)
         if not self.context.closing:
-            return self.maps.buy(sellers) if sellers else NOTHING
-        if self.context.calling(OperationKind.MAPMERGE):
-            return NOTHING
-        chosen = self.final_round.choose(sellers)
-        return chosen.effects + (self.maps.buy(list(chosen.sellers)) if chosen.sellers else NOTHING)
+            return effects + (self.maps.buy(sellers) if sellers else NOTHING)
+        return effects + (self.final_round.buy(sellers) if self.optimisation.updates.settled else NOTHING)
 
     # -- messages -----------------------------------------------------------------------------------------------------
 
@@ -293,13 +293,13 @@ class Agent:
     def _change(self, change: Change) -> Effects:
         """One operation did something that others act on."""
         if isinstance(change, MembersMissed):
-            self.pending.call_again()
-            return NOTHING
+            again = self.pending.call_again()
+            return self.optimisation.updates.end("a member missed the optimisation") if again else NOTHING
         if isinstance(change, TrustChange):
             return self._trust(change)
-        if change.borne_out:
+        if isinstance(change, Adoption) and change.borne_out:
             self.pending.used(change.matches, change.elsewhere)
-        else:
+        elif isinstance(change, Adoption):
             self.pending.refused(len(self.state.profile.others))
         self.final_round.reopen()
         return self.maps.realign(change)

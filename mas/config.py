@@ -173,6 +173,11 @@ class OptimisationConfig(Settings):
     )
     match_sigma_deg: float = Field(default=0.1, gt=0, description="floor of a place match's rotation sigma, degrees")
     match_sigma_scale: float = Field(default=0.005, gt=0, description="floor of a place match's log scale sigma")
+    updates: bool = Field(
+        default=True,
+        description="method elected: a match among those whom an optimisation has solved for is an update of what it "
+        "changes, no new optimisation",
+    )
     positions: bool = Field(
         default=True, description="use positions measured from outside (GPS): elected, multifrontal, two-level, rbcd"
     )

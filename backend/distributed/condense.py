@@ -72,6 +72,11 @@ class OwnGraph:
             return self.steps.cost(self.edges, poses, log_units)
         return float(self.edges.costs(poses, log_units).sum())
 
+    def costs(self, known: Known) -> Array:
+        """Shares of F ``(m,)`` of the own edges, with these places of all own nodes."""
+        poses = np.array([known.poses[n] for n in self.nodes])
+        return self.edges.costs(poses, np.array([known.log_units.get(n, 0.0) for n in self.nodes]))
+
     def length(self, poses: Array, log_units: Array) -> float:
         """What odometry's lengths are to be multiplied by to suit these poses best; 1 where lengths are known."""
         return float(self.steps.factors(self.edges, poses, log_units)[0]) if self.steps.count else 1.0

@@ -154,7 +154,7 @@ def decode(data: bytes, robot: int, scaled: bool = False) -> Contribution:
     are no contribution."""
     try:
         c = _decode(data, robot, scaled)
-    except (IndexError, OverflowError) as error:  # a row that is not there, a number beyond all
+    except (IndexError, ValueError, OverflowError) as error:  # a row that is not there, a number beyond all
         raise BackendError(f"not a contribution: {len(data)} bytes, {error}") from error
     _check(c)
     return c

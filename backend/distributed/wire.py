@@ -7,6 +7,7 @@ import struct
 from ..errors import BackendError
 from .compact import CompactReader
 from .elected_messages import FIRST_KIND, ElectedMessage
+from .incremental.update_messages import FIRST_UPDATE_KIND, UpdateMessage
 from .message_bytes import decode, decode_coded, encode, encode_coded, is_coded
 from .messages import Coded, NodeMessage
 from .multifrontal.frontal_messages import FIRST_FRONTAL_KIND, FrontalMessage
@@ -15,13 +16,15 @@ from .with_priors.prior_messages import FIRST_PRIOR_KIND, IN_A_RUN, PriorMessage
 
 SolverMessage = NodeMessage | ElectedMessage | FrontalMessage | PriorMessage | InRun
 """What nodes send to each other, whatever their method."""
+GroupMessage = SolverMessage | UpdateMessage
+"""These, and what is sent afterwards for updates of what they have solved."""
 
 _ENDS = struct.Struct("<HH")
 # Where sender and receiver stand in each form.
-_ENDS_AT, _ENDS_AT_FRONTAL, _ENDS_AT_ELECTED = 6, 3, 2
+_ENDS_AT, _ENDS_AT_FRONTAL, _ENDS_AT_ELECTED, _ENDS_AT_UPDATE = 6, 3, 2, 5
 
 
-def pack(message: SolverMessage) -> bytes:
+def pack(message: GroupMessage) -> bytes:
     """The message without its two ends."""
     match message:
         case InRun():
@@ -30,6 +33,8 @@ def pack(message: SolverMessage) -> bytes:
             at = _ENDS_AT_ELECTED
         case FrontalMessage() | PriorMessage():
             at = _ENDS_AT_FRONTAL
+        case UpdateMessage():
+            at = _ENDS_AT_UPDATE
         case Coded():
             return encode_coded(message, ())
         case _:
@@ -38,14 +43,16 @@ def pack(message: SolverMessage) -> bytes:
     return data[:at] + data[at + _ENDS.size :]
 
 
-def unpack(sender: int, receiver: int, data: bytes) -> SolverMessage:
+def unpack(sender: int, receiver: int, data: bytes) -> GroupMessage:
     """Inverse of :func:`pack`; bytes that are no such message, or whose numbers cannot be, raise
     :class:`~maslam.backend.errors.BackendError`."""
-    message: SolverMessage
+    message: GroupMessage
     ends = _ENDS.pack(sender, receiver)
     if data[:1] == bytes([IN_A_RUN]):
         _check_run(data)
         message = InRun(data[1], unpack(sender, receiver, data[2:]))
+    elif data[:1] >= bytes([FIRST_UPDATE_KIND]):
+        message = UpdateMessage.decode(data[:_ENDS_AT_UPDATE] + ends + data[_ENDS_AT_UPDATE:])
     elif data[:1] >= bytes([FIRST_KIND]):
         message = ElectedMessage.decode(data[:_ENDS_AT_ELECTED] + ends + data[_ENDS_AT_ELECTED:])
     elif data[:1] >= bytes([FIRST_PRIOR_KIND]):
@@ -58,12 +65,12 @@ def unpack(sender: int, receiver: int, data: bytes) -> SolverMessage:
     return message
 
 
-def whole(message: SolverMessage) -> bytes:
+def whole(message: GroupMessage) -> bytes:
     """The message with its two ends."""
     match message:
         case InRun():
             return bytes([IN_A_RUN, message.run]) + whole(message.message)
-        case ElectedMessage() | FrontalMessage() | PriorMessage():
+        case ElectedMessage() | FrontalMessage() | PriorMessage() | UpdateMessage():
             return message.encode()
         case _:
             return encode(message)

@@ -71,6 +71,10 @@ EVENTS = {
     "group": "the agents known to share a frame: `members`",
     "optimised": "an optimisation ended at its manager: `members`, `matches`, `sweeps`, `improved`, `reason`, "
     "`cost_before`, `cost_after`",
+    "updated": "the elected agent took later matches in: `corrected` (agents that were sent new poses), `cost`, and at "
+    "best `optimum`",
+    "updates_ended": "the next match needs an optimisation: `reason`",
+    "no_updates": "an optimisation that no updates can follow: `reason`",
     "peer_to_peer": "a member offers matches with the manager alone: `bidder`",
     "map_bought": "a map copy came in: `seller`, `owner`, `version`, `keyframes`, `new_keyframes`, `points`, `route`",
     "map_checked": "a held copy was compared with place matches: `owner`, `version`, `final`, matches and distances",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..protocol.messages import Message
-from ..state.pose_graph import Adoption
+from ..state.pose_graph import Adoption, UpdatedPoses
 from .contract import Contract
 from .reputation import TrustChange
 
@@ -32,7 +32,7 @@ class MembersMissed:
     """Some members have not adopted the last optimisation, or were not there: its matches are pending once more."""
 
 
-Change = Adoption | MembersMissed | TrustChange
+Change = Adoption | UpdatedPoses | MembersMissed | TrustChange
 """A change by one operation that others act on."""
 
 

@@ -163,6 +163,7 @@ def _optimisations(events: Sequence[Event]) -> OptimisationFigures:
     done = [e.fields for e in in_order if e.kind == "optimised"]
     return OptimisationFigures(
         count=len(done),
+        updates=sum(e.kind == "updated" for e in events),
         iterations=sum(d["sweeps"] for d in done),
         cost_before=float(sum(d["cost_before"] for d in done)),
         cost_after=float(sum(d["cost_after"] for d in done)),

@@ -105,9 +105,11 @@ class MatchFigures(_Figures):
 
 
 class OptimisationFigures(_Figures):
-    """Sums over all optimisations of the run; no single one ends with a higher cost than it began."""
+    """Sums over all optimisations of the run; no single one ends with a higher cost than it began. ``updates``: how
+    often what one had solved was solved again with matches that came later, instead of another optimisation."""
 
     count: int
+    updates: int = 0
     iterations: int
     cost_before: float
     cost_after: float

@@ -49,6 +49,13 @@ class FinalRound:
         """An optimisation was adopted: others may have newer maps."""
         self._searching = True
 
+    def buy(self, sellers: list[int]) -> Effects:
+        """Buy from those of these that may have something new, unless a purchase goes on."""
+        if self.context.calling(OperationKind.MAPMERGE):
+            return NOTHING
+        chosen = self.choose(sellers)
+        return chosen.effects + (self.maps.buy(list(chosen.sellers)) if chosen.sellers else NOTHING)
+
     def choose(self, sellers: list[int]) -> Purchase:
         """Agents of these to buy from now, and announcements to the others."""
         sellers = self._open(sellers)

@@ -23,7 +23,7 @@ from ..protocol.ids import ContractId, OperationKind
 from ..protocol.map_messages import MapDelivery, MapOrder, Parcel, SubMap
 from ..protocol.messages import Award, Bid, Call, Confirmation, MapNotice, Offer, Refusal, Rejection, Result
 from ..protocol.tensors import MessageError
-from ..state.pose_graph import Adoption
+from ..state.pose_graph import Adoption, UpdatedPoses
 from .admission import admit, recheck
 from .announcements import Announcements
 from .full_map_increments import runs_of
@@ -228,7 +228,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
 
     # -- holder -------------------------------------------------------------------------------------------------------
 
-    def realign(self, adoption: Adoption) -> Effects:
+    def realign(self, adoption: Adoption | UpdatedPoses) -> Effects:
         """Move map copies along with the agent's own correction (3.9.3, map alignment), by the key-frame that was
         matched with the map's owner last, else with its seller, else the agent's last one; then check them. Whoever it
         has met may have a newer map since."""
@@ -271,7 +271,7 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
         blamed = self.context.reputation.blame(copy.seller, self.context.now_ns) if own else ()
         return Effects(changes=blamed) + self.context.event("map_refused", **asdict(copy.sold), reason=reason)
 
-    def _anchor(self, copy: MapCopy, adoption: Adoption) -> int:
+    def _anchor(self, copy: MapCopy, adoption: Adoption | UpdatedPoses) -> int:
         me = self.state.me
         for other in (copy.owner, copy.seller):
             mine = [m.end_of(me)[0] for m in self.state.accepted if set(m.agents) == {me, other}]

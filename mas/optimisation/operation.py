@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
+from maslam.backend.distributed.incremental.update_messages import UpdateMessage
 from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.distributed.wire import SolverMessage
 from maslam.backend.errors import BackendError
@@ -22,12 +23,13 @@ from ..protocol.messages import Award, Begin, Bid, Call, Confirmation, Failure, 
 from ..protocol.solver_messages import SolverBody
 from ..protocol.tasks import OptimiseAnswer, OptimiseTask
 from ..protocol.tensors import MessageError
-from ..state.pose_graph import UnknownPart, adopt, believable, share_of
+from ..state.pose_graph import adopt, believable
 from .bidding import BidEstimator, bids_to_lower, engaged
 from .contradictions import hold_against
+from .group_updates import GroupUpdates
 from .own_judgement import CLEARLY_WORSE, judged
 from .planning import Plan, plan
-from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, solver_node
+from .session import Backoff, OptimisationSession, OptimisationTender, SessionHistory, checked_node, node_of
 from .suspicion import Suspicion
 
 # How many times as long as a silent contractor is waited for members of an optimisation wait for each other.
@@ -36,7 +38,6 @@ _PATIENCE = 2
 
 class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     """At most one at a time for an agent. Of two managers that call at once, the lower number goes first.
-
     Nobody can be sure that all others have received the last message (two generals). So whoever has not keeps its poses
     where they were: a frame is named for the key-frame it begins with, which no optimisation moves, so that estimates
     of before and after lie in the same one. Its contract ends without a result, and the manager calls again.
@@ -58,6 +59,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._before = SessionHistory()
         self.suspicion = Suspicion(self.state.me)
         self._estimator = BidEstimator(context)
+        self.updates = GroupUpdates(context)
 
     @property
     def busy(self) -> bool:
@@ -65,10 +67,19 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         return self.session is not None or self.tender is not None
 
     @property
+    def waits(self) -> bool:
+        """Whether others have to do something yet for an optimisation, or for an update of one."""
+        return self.busy or not self.updates.settled
+
+    @property
     def ready(self) -> bool:
         """Whether the agent may call for one now: the last has ended at all members, or it is time to try again."""
         settling = self.context.calling(OperationKind.DOPT) or engaged(self.context, self._bid_ns)
         return not self.busy and not settling and self.context.now_ns >= self.attempts.not_before_ns
+
+    def update(self) -> Effects:
+        """Take new matches in without an optimisation, as far as the last one allows."""
+        return NOTHING if self.session is not None else self.updates.pursue()
 
     # -- manager ------------------------------------------------------------------------------------------------------
 
@@ -95,12 +106,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
 
     def _answered(self, contractor: int) -> Effects:
         tender = self.tender
-        if tender is None:
-            return NOTHING
-        tender.pending.discard(contractor)
-        if contractor not in tender.bids:
-            tender.missing.add(contractor)
-        if tender.pending:
+        if tender is None or not tender.complete_with(contractor):
             return NOTHING
         self.tender = None
         return self._award(tender)
@@ -115,8 +121,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return effects + self._idle()
         self._missed |= bool(tender.missing)
         task = found.tasks[me]
-        node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
-        others = set(found.members) - {me}
+        node, others = node_of(self.state, task), set(found.members) - {me}
         identity = tender.identity if others else None
         self.session = session = OptimisationSession(identity, task, node, None, others, found.elsewhere)
         return effects if others else effects + self._run(session)
@@ -137,9 +142,8 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         session.unconfirmed.discard(contract.contractor)
         if session.unconfirmed or session.begun:
             return NOTHING
-        others = [member for member in session.task.members if member != self.state.me]
-        begin = total(self.context.tell(member, session.identity, Begin()) for member in others)
-        return begin + self._run(session)
+        others = (m for m in session.task.members if m != self.state.me)
+        return total(self.context.tell(m, session.identity, Begin()) for m in others) + self._run(session)
 
     # -- contractor ---------------------------------------------------------------------------------------------------
 
@@ -167,16 +171,9 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         return self.context.cancel(contracts, "gives way to a lower number") + self._idle()
 
     def work(self, contract: Contract, task: OptimiseTask) -> Effects:
-        if self.state.me not in task.members or contract.manager not in task.members:
-            raise WorkError("not an optimisation of this agent with the manager")
-        if not self.state.profile.everyone.issuperset(task.members):
-            raise WorkError("with an agent that there is not")
         if self.busy:
             raise WorkError("busy with an optimisation")
-        try:
-            node = solver_node(share_of(self.state, task), self.state.config.optimisation.solver)
-        except (BackendError, UnknownPart) as error:
-            raise WorkError(f"cannot take part: {error}") from error
+        node = checked_node(self.state, contract, task)
         self.session = OptimisationSession(contract.id, task, node, contract, agreed_ns=self.context.now_ns)
         return self.context.send(contract, Confirmation())
 
@@ -192,11 +189,12 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def solver(self, sender: int, identity: ContractId | None, body: SolverBody) -> Effects:
         """A solver message of another member."""
         session, message = self.session, body.read(sender, self.state.me)
+        if isinstance(message, UpdateMessage):  # while an optimisation goes on here, its sender waits
+            return NOTHING if session is not None else self.updates.handle(identity, message)
         if session is None or session.identity != identity:
             if identity is not None and identity in self._before:
-                over = self._before[identity]
-                late = [] if over is None else over.late(message, self.context.now_ns, self._rtt)
-                return NOTHING if over is None else self._repeat(over, late)
+                over, now_ns = self._before[identity], self.context.now_ns
+                return NOTHING if over is None else self._repeat(over, over.late(message, now_ns, self._rtt))
             raise ProtocolError(f"agent {sender} sends solver messages without an optimisation")
         if sender not in session.task.members:
             raise ProtocolError(f"agent {sender} takes no part in this optimisation")
@@ -223,8 +221,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return self._leave(session)
         if contract.contractor not in session.task.members:
             return NOTHING
-        effects = self._leave(session)
-        self.attempts.failed(self.context.now_ns, self.state.me)
+        effects = self._fail(session)
         contracts = self.context.ledger.managed(contract.id)
         return effects + self.context.cancel(contracts, f"agent {contract.contractor} dropped out")
 
@@ -233,6 +230,11 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self.session = None
         self._before.remember(session.identity, None)
         return self._idle()
+
+    def _fail(self, session: OptimisationSession) -> Effects:
+        """The same, to be tried again later."""
+        self.attempts.failed(self.context.now_ns, self.state.me)
+        return self._leave(session)
 
     def _idle(self) -> Effects:
         """Once nothing goes on here, it shows that members have missed the last optimisation."""
@@ -245,7 +247,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         """Send again what other members may have missed, if nothing goes on; give up where there is no end in sight."""
         session = self.session
         if session is None:
-            return NOTHING
+            return self.updates.resend()
         if not session.begun:
             return self._await_beginning(session)
         others = set(session.task.members) - {self.state.me}
@@ -259,8 +261,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return self._give_up(session, f"agents {silent} send nothing")
         if others and self._no_end_in_sight(session, others):
             # Somebody is gone, or the others are through and their last message does not reach this agent.
-            effects = self._leave(session)
-            self.attempts.failed(self.context.now_ns, self.state.me)
+            effects = self._fail(session)
             reason = "the last message did not arrive"
             effects += self.context.event("optimisation_left", members=list(session.task.members), reason=reason)
             if session.contract is not None:
@@ -318,8 +319,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
     def _give_up(self, session: OptimisationSession, reason: str) -> Effects:
         if self.session is not session:
             return NOTHING
-        effects = self._leave(session)
-        self.attempts.failed(self.context.now_ns, self.state.me)
+        effects = self._fail(session)
         if session.contract is not None:
             return effects + self.context.send(session.contract, Failure(reason[:REASON_LENGTH]))
         contracts = [] if session.identity is None else self.context.ledger.managed(session.identity)
@@ -355,7 +355,7 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         outcome = session.node.outcome
         if outcome is None or self.session is not session:
             return NOTHING
-        if not believable(outcome):
+        if not believable(outcome.poses.values(), outcome.units.values()):
             return self._give_up(session, "the solution is not finite")
         outcome, effects = self._judged(session, outcome)
         self.session = None
@@ -363,8 +363,9 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
         self._before.remember(session.identity, session)
         self._estimator.ended(session)
         adopted = adopt(self.state, session.task, outcome, session.elsewhere)
-        adopted = replace(adopted, borne_out=outcome.reason != CLEARLY_WORSE)
-        effects += Effects(changes=(adopted,)) + self._idle()
+        good = outcome.reason != CLEARLY_WORSE
+        effects += Effects(changes=(replace(adopted, borne_out=good),))
+        effects += (self.updates.begin(session, outcome) if good else NOTHING) + self._idle()
         if session.contract is None:
             return effects + self.context.event("optimised", **session.figures(outcome))
         sweeps = outcome.rotation_sweeps + outcome.pose_sweeps

@@ -48,8 +48,11 @@ class PendingMatches:
         if self._refused > most:
             self._used = set(self.state.accepted)
 
-    def call_again(self) -> None:
-        """Some member missed the optimisation or its end: what was used is pending once more, a few times."""
-        if self._called_again < self.state.config.link.retries:
+    def call_again(self) -> bool:
+        """Some member missed the optimisation or its end: what was used is pending once more, a few times; whether it
+        is."""
+        again = self._called_again < self.state.config.link.retries
+        if again:
             self._called_again += 1
             self._used = set()
+        return again

@@ -5,17 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from maslam.backend.config import SolverConfig
 from maslam.backend.distributed.methods import SolverNode, node_for
-from maslam.backend.distributed.share import Share, SolverOutcome
+from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.distributed.wire import SolverMessage
+from maslam.backend.errors import BackendError
 
 from ..config import LinkConfig
 from ..contracts.contract import Contract
+from ..contracts.operation import WorkError
 from ..contracts.rtt import RttEstimator
 from ..protocol.ids import ContractId, MatchId
 from ..protocol.messages import Bid
 from ..protocol.tasks import OptimiseTask
+from ..state.agent_state import AgentState
+from ..state.pose_graph import UnknownPart, share_of
 from .solver_retransmission import SolverLink
 
 _REMEMBERED = 16
@@ -33,6 +36,13 @@ class OptimisationTender:
     bids: dict[int, Bid]
     missing: set[int] = field(default_factory=set)
     fresh: frozenset[MatchId] = frozenset()
+
+    def complete_with(self, contractor: int) -> bool:
+        """A contractor has answered, or never will; whether all have now."""
+        self.pending.discard(contractor)
+        if contractor not in self.bids:
+            self.missing.add(contractor)
+        return not self.pending
 
 
 @dataclass(frozen=True)
@@ -108,7 +118,10 @@ class OptimisationSession:
         ends before all have reported. Decisions are not answered, or two that are done would exchange them for ever."""
         if message.sender not in self.task.members or message.decides:
             return []
-        return [m for m in self.link.again(self.node, message, now_ns, rtt) if m.decides]
+        try:
+            return [m for m in self.link.again(self.node, message, now_ns, rtt) if m.decides]
+        except BackendError:  # of another method, or nonsense
+            return []
 
     def figures(self, outcome: SolverOutcome) -> dict[str, Any]:
         """Of how it ended: for the event."""
@@ -160,6 +173,18 @@ class Backoff:
         return self.failures > 2 * (1 + self.config.retries)
 
 
-def solver_node(share: Share, config: SolverConfig) -> SolverNode:
-    """This agent's part in the method that is set."""
-    return node_for(share, config)
+def node_of(state: AgentState, task: OptimiseTask) -> SolverNode:
+    """This agent's part, in the method that is set."""
+    return node_for(share_of(state, task), state.config.optimisation.solver)
+
+
+def checked_node(state: AgentState, contract: Contract, task: OptimiseTask) -> SolverNode:
+    """The same of a task that a manager awards; :class:`WorkError` where this agent can take no part in it."""
+    if state.me not in task.members or contract.manager not in task.members:
+        raise WorkError("not an optimisation of this agent with the manager")
+    if not state.profile.everyone.issuperset(task.members):
+        raise WorkError("with an agent that there is not")
+    try:
+        return node_of(state, task)
+    except (BackendError, UnknownPart) as error:
+        raise WorkError(f"cannot take part: {error}") from error

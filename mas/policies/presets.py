@@ -76,7 +76,7 @@ PRESETS: dict[str, MasConfig] = {
         optimisation=OptimisationConfig(
             period_keyframes=40,
             match_sigma_depth=0.003,
-            solver=SolverConfig(method="elected", start="warm", length_sigma=0.01),
+            solver=SolverConfig(method="elected", start="warm", length_sigma=0.01, update_tolerance=1e-3),
         ),
         merge=MergeConfig(
             form="compact", period_keyframes=40, max_points=32, consistency_m=2.0, accuracy_m=5.0, accuracy_share=0.5

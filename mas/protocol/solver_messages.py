@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import msgspec
 
-from maslam.backend.distributed.wire import SolverMessage, pack, unpack
+from maslam.backend.distributed.wire import GroupMessage, pack, unpack
 from maslam.backend.errors import BackendError
 
 from .accounting import Counted
@@ -16,7 +16,8 @@ from .tensors import MessageError
 
 
 class SolverBody(Counted, frozen=True, array_like=True, tag=20):
-    """A node's message of any method, without sender and receiver: those stand in the message's header."""
+    """A node's message of any method, or of an update, without sender and receiver: those stand in the message's
+    header."""
 
     belongs_to: ClassVar[OperationKind | None] = OperationKind.DOPT
 
@@ -29,11 +30,11 @@ class SolverBody(Counted, frozen=True, array_like=True, tag=20):
             raise MessageError(f"data: {error}") from error
 
     @classmethod
-    def of(cls, message: SolverMessage) -> SolverBody:
+    def of(cls, message: GroupMessage) -> SolverBody:
         """The body that carries a node's message; :class:`MessageError` where a number is not finite."""
         return cls(pack(message))
 
-    def read(self, sender: int, receiver: int) -> SolverMessage:
+    def read(self, sender: int, receiver: int) -> GroupMessage:
         """The node's message between these two agents."""
         return unpack(sender, receiver, self.data)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +41,13 @@ class Adoption:
     matches: frozenset[MatchId]
     elsewhere: frozenset[MatchId] = frozenset()
     borne_out: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class UpdatedPoses:
+    """Effect of an update on the agent: key-frame poses before, ``T_F_C`` as Sim(3)."""
+
+    before: dict[int, Sim3]
 
 
 def terms(state: AgentState, now_ns: int, peer: int | None = None) -> Bid:
@@ -120,12 +128,12 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
     )
 
 
-def believable(outcome: SolverOutcome) -> bool:
-    """Whether poses and units are numbers that a map may have: a member's nonsense may have spoilt them."""
-    numbers = np.concatenate([np.asarray(T).ravel() for T in outcome.poses.values()] or [np.zeros(0)])
-    units = np.array(list(outcome.units.values()))
+def believable(poses: Iterable[Array], units: Iterable[float]) -> bool:
+    """Whether these are numbers that a map may have: a member's nonsense may have spoilt them."""
+    numbers = np.concatenate([np.asarray(T).ravel() for T in poses] or [np.zeros(0)])
     small = np.isfinite(numbers).all() and np.abs(numbers).max(initial=0.0) <= MAX_TRANSLATION
-    return bool(small and (units >= 1.0 / MAX_SCALE).all() and (units <= MAX_SCALE).all())
+    sizes = np.array(list(units))
+    return bool(small and (sizes >= 1.0 / MAX_SCALE).all() and (sizes <= MAX_SCALE).all())
 
 
 def adopt(
@@ -144,14 +152,36 @@ def adopt(
                 state.poses[index] = outcome.poses[node]
                 state.units[index] = 1.0 if state.profile.metric else outcome.units[node]
             else:
-                step = state.odometry_step(state.keyframes[index])
-                state.units[index] = state.units[index - 1]
-                state.poses[index] = state.poses[index - 1] @ stretched(step, state.units[index])
+                _carry(state, index)
         if outcome.positions and outcome.accepted and state.profile.metric:
             learn_length(state, track)
     state.odometry_length = outcome.length if outcome.accepted else state.odometry_length
     state.version += 1
     return Adoption(before, frozenset(task.matches), elsewhere)
+
+
+def take_over(
+    state: AgentState, tracks: Iterable[int], poses: Mapping[NodeId, Array], log_units: Mapping[NodeId, float]
+) -> UpdatedPoses:
+    """Take the poses and units over that an update has found; key-frames after them are carried along rigidly."""
+    before = {i: state.pose(i) for i in range(len(state.keyframes))}
+    for track in tracks:
+        for index in state.members(track):
+            node = NodeId(state.me, index)
+            if node in poses:
+                state.poses[index] = poses[node]
+                state.units[index] = 1.0 if state.profile.metric else float(np.exp(log_units[node]))
+            else:
+                _carry(state, index)
+    state.version += 1
+    return UpdatedPoses(before)
+
+
+def _carry(state: AgentState, index: int) -> None:
+    """A key-frame follows the one before by odometry, in its unit."""
+    state.units[index] = state.units[index - 1]
+    step = state.odometry_step(state.keyframes[index])
+    state.poses[index] = state.poses[index - 1] @ stretched(step, state.units[index])
 
 
 def odometry_edges(state: AgentState, track: int) -> list[Edge]:

@@ -9,6 +9,7 @@ import pytest
 from graphs import grid, loops
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from transports import until_ended
 
 from maslam.backend.central.costs import cost
 from maslam.backend.central.optimise import optimise
@@ -26,26 +27,6 @@ from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
 
 DATA = Path(os.environ.get("MASLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "posegraphs"
 CONFIG = SolverConfig(method="elected")
-
-
-def run(nodes, dead=(), rng=None, loss=0.0, repeat=0.0, ticks=2000):
-    """Until all living nodes have ended; ``dead`` robots hear and say nothing."""
-    alive = {r: n for r, n in nodes.items() if r not in dead}
-    queue = [m.encode() for n in alive.values() for m in n.start()]
-    for _ in range(ticks):
-        while queue:
-            data = queue.pop(int(rng.integers(len(queue))) if rng else 0)
-            if rng and rng.random() < loss:
-                continue
-            if rng and rng.random() < repeat:
-                queue.append(data)
-            message = ElectedMessage.decode(data)
-            if message.receiver in alive:
-                queue += [m.encode() for m in alive[message.receiver].handle(message)]
-        if all(n.outcome for n in alive.values()):
-            return
-        queue = [m.encode() for n in alive.values() for m in n.tick()]
-    raise AssertionError("somebody never ended")
 
 
 def test_a_member_without_edges_of_its_own_is_solved_with_the_others(recwarn):
@@ -191,7 +172,7 @@ def test_lost_repeated_and_disordered_messages_change_nothing(seed, loss):
     expected = optimise_distributed(graph, CONFIG).graph
     patient = CONFIG.model_copy(update={"elected_patience": 1000})
     nodes = {r: ElectedNode(s, patient) for r, s in shares(graph).items()}
-    run(nodes, rng=np.random.default_rng(seed), loss=loss, repeat=0.2)
+    until_ended(nodes, rng=np.random.default_rng(seed), loss=loss, repeat=0.2)
     for node in nodes.values():
         for n, T in node.outcome.poses.items():
             assert np.array_equal(T, expected.poses[n])
@@ -218,11 +199,11 @@ def test_the_one_with_most_to_send_is_elected_and_gathers():
 def test_silent_robots_are_done_without(silent):
     graph, _ = loops(np.random.default_rng(7), robots=4, length=20, separators=4)
     probe = {r: ElectedNode(s, CONFIG) for r, s in shares(graph).items()}
-    run(probe)
+    until_ended(probe)
     leader = probe[0].leader
     lost = leader if silent == "elected" else (leader + 1) % 4
     nodes = {r: ElectedNode(s, CONFIG) for r, s in shares(graph).items()}
-    run(nodes, dead={lost})
+    until_ended(nodes, dead={lost})
     rest = {r: n for r, n in nodes.items() if r != lost}
     assert all(n.outcome.accepted for n in rest.values())
     assert len({n.leader for n in rest.values()}) == 1
@@ -271,7 +252,7 @@ class Fading(ElectedNode):
 def test_when_a_member_falls_silent_after_its_contribution_nobody_takes_the_result():
     graph, _ = loops(np.random.default_rng(7), robots=4, length=20, separators=4)
     probe = {r: ElectedNode(s, CONFIG) for r, s in shares(graph).items()}
-    run(probe)
+    until_ended(probe)
     lost = (probe[0].leader + 1) % 4
     nodes = {r: (Fading if r == lost else ElectedNode)(s, CONFIG) for r, s in shares(graph).items()}
     queue = [m for n in nodes.values() for m in n.start()]

@@ -1,4 +1,4 @@
-"""A transport that misbehaves by a seeded schedule: messages are lost, repeated, late and out of order."""
+"""Transports for groups of nodes, in order or by a seeded schedule: messages are lost, repeated, late, out of order."""
 
 from __future__ import annotations
 
@@ -30,3 +30,34 @@ def faulty(group, config, rng, loss=0.3, repeat=0.2, latest=4, most=5000):
         if all(node.outcome is not None for node in nodes.values()):
             return {robot: node.outcome for robot, node in nodes.items()}
     raise AssertionError(f"not all ended in {most} units of time")
+
+
+def carried(nodes, messages, done, rng=None, loss=0.0, repeat=0.0, ticks=2000):
+    """Carry messages among nodes, which tick when none is on its way, until ``done()``; returns all that arrived.
+
+    In order, or with ``rng`` in any order, lost and repeated by these shares. Robots that are not among the nodes
+    receive and send nothing.
+    """
+    queue, seen = [(m.sender, m.receiver, pack(m)) for m in messages], []
+    for _ in range(ticks):
+        while queue:
+            sent = queue.pop(int(rng.integers(len(queue))) if rng else 0)
+            if rng and rng.random() < loss:
+                continue
+            if rng and rng.random() < repeat:
+                queue.append(sent)
+            message = unpack(*sent)
+            if message.receiver in nodes:
+                seen.append(message)
+                queue += [(m.sender, m.receiver, pack(m)) for m in nodes[message.receiver].handle(message)]
+        if done():
+            return seen
+        queue = [(m.sender, m.receiver, pack(m)) for node in nodes.values() for m in node.tick()]
+    raise AssertionError("somebody waits for ever")
+
+
+def until_ended(nodes, dead=(), rng=None, loss=0.0, repeat=0.0):
+    """Run solver nodes until all living ones have ended; ``dead`` robots receive and send nothing."""
+    alive = {r: n for r, n in nodes.items() if r not in dead}
+    first = [m for n in alive.values() for m in n.start()]
+    return carried(alive, first, lambda: all(n.outcome for n in alive.values()), rng, loss, repeat)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
+from maslam.backend.distributed.incremental.update_messages import UpdateKind, UpdateMessage
 from maslam.backend.distributed.messages import (
     Decision,
     Deltas,
@@ -16,7 +17,7 @@ from maslam.backend.distributed.messages import (
     Status,
     Values,
 )
-from maslam.backend.distributed.wire import SolverMessage
+from maslam.backend.distributed.wire import GroupMessage
 from maslam.backend.geometry import Sim3
 from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, OperationKind
 from maslam.mas.protocol.map_messages import MapDelivery, MapOrder, MapPatch, Parcel, SubMap
@@ -130,7 +131,7 @@ def parcel(**changes: object) -> Parcel:
     return Parcel(4, pack_sim3(Sim3.identity()), (4, 2), (MapPatch(**{**fields, **changes}),))  # type: ignore[arg-type]
 
 
-def solver_messages() -> list[SolverMessage]:
+def solver_messages() -> list[GroupMessage]:
     """One of each kind from agent 0 to agent 1."""
     descent, free = Round(SolverStage.DESCENT, 1, 2), Round(SolverStage.FREE)
     steps = np.arange(-6, 6, dtype=np.int8).reshape(2, 6)
@@ -143,6 +144,8 @@ def solver_messages() -> list[SolverMessage]:
         SeparatorState(0, 1, free, 3, 2, np.zeros((2, 6))),
         Status(0, 1, free, (Standing(1, 2, 3, True, ((0, 4),)),)),
         ElectedMessage(Kind.CONTRIBUTION, 0, 0, 1, b"whatever its kind lays out"),
+        UpdateMessage(UpdateKind.CORRECTION, 0xABCD, 2, 0, 1, b"likewise"),
+        UpdateMessage(UpdateKind.LOST, 0xABCD, 0, 0, 1),
     ]
 
 

@@ -171,7 +171,9 @@ def test_bids_state_what_results_take_on_the_air() -> None:
             assert ready_ns <= 20 * SECOND
 
     manifest, sequences = town(3, 24, spacing_m=9.0, drifting=0.03)
-    live(manifest, sequences, talkative(), listen=listen)
+    config = talkative()
+    solved_anew = config.optimisation.model_copy(update={"updates": False})
+    live(manifest, sequences, config.model_copy(update={"optimisation": solved_anew}), listen=listen)
     for operation in (OperationKind.DVPR, OperationKind.RELPOSE):
         assert ratios[operation] and min(ratios[operation]) > 0.7 and max(ratios[operation]) < 1.4
     # A bid offers all that the seller has; the buyer orders what is new.

@@ -88,7 +88,7 @@ def test_the_config_of_a_run_of_0_1_is_read() -> None:
         places=replaced(today.places, widen_keyframes=None),
         optimisation=replaced(
             today.optimisation,
-            solver=replaced(today.optimisation.solver, elected_fineness=512.0, length_sigma=0.0),
+            solver=replaced(today.optimisation.solver, elected_fineness=512.0, length_sigma=0.0, update_tolerance=5e-5),
         ),
     )
     assert build(MasConfig(), argparse.Namespace(), content, OF_0_1 / "config.yaml") == then

@@ -204,7 +204,7 @@ def _number(text: str) -> float:
 
 
 def _optimised(path: Path) -> list[float]:
-    """Moments at which an optimisation ended, seconds, each once."""
+    """Moments at which an optimisation ended, or what it had solved was updated, seconds, each once."""
     with open(path, encoding="utf-8") as file:
         events = [json.loads(line) for line in file]
-    return sorted({float(event["time_s"]) for event in events if event["event"] == "optimised"})
+    return sorted({float(event["time_s"]) for event in events if event["event"] in ("optimised", "updated")})

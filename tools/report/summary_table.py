@@ -177,8 +177,14 @@ def _matches(summary: dict[str, Any]) -> list[str]:
         *_same_image(matches.get("same_image", 0)),
         *_wider(matches),
         f"optimisations  {solved['count']}, {solved['iterations']} iterations, "
-        f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after",
+        f"cost {solved['cost_before']:.4g} before, {solved['cost_after']:.4g} after"
+        + _updates(solved.get("updates", 0)),
     ]
+
+
+def _updates(count: int) -> str:
+    """Said only where there are any."""
+    return f"; {counted(count, 'update')} with later matches" if count else ""
 
 
 def _same_image(count: int) -> list[str]:

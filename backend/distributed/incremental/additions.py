@@ -12,6 +12,7 @@ from ...pose_graph.graph import Edge, NodeId
 from ..compact import CompactReader, CompactWriter
 from ..contribution import Between
 from ..place_steps import measured_sizes, place_from_steps, place_to_steps
+from .estimated_graph import Pair
 
 # Of measurements nothing is predicted.
 _NOTHING = (np.eye(4), 0.0)
@@ -21,6 +22,29 @@ def between_of(edges: Sequence[Edge], dimension: int) -> Between:
     """The edges as arrays, exact."""
     pairs = np.arange(2 * len(edges), dtype=np.intp).reshape(-1, 2)
     return Between(tuple((e.i, e.j) for e in edges), edges_of(edges, pairs, dimension), np.zeros(len(edges)))
+
+
+def encode_pairs(*groups: Sequence[Pair]) -> bytes:
+    """Of each group how many edges, and their nodes; they go before edges that are sent in full."""
+    out = CompactWriter()
+    for pairs in groups:
+        out.count(len(pairs))
+        for n in (n for pair in pairs for n in pair):
+            out.count(n.robot)
+            out.count(n.index)
+    return out.bytes()
+
+
+def decode_pairs(data: bytes) -> tuple[tuple[Pair, ...], tuple[Pair, ...], bytes]:
+    """Inverse of :func:`encode_pairs` for two groups, and what comes after them."""
+    source, groups = CompactReader(data), []
+    for _ in range(2):
+        count = source.count()
+        if count > len(data):
+            raise BackendError(f"{count} edges in a message of {len(data)} bytes")
+        nodes = [NodeId(source.count(), source.count()) for _ in range(2 * count)]
+        groups.append(tuple(zip(nodes[::2], nodes[1::2], strict=True)))
+    return groups[0], groups[1], source.rest()
 
 
 def encode_edges(given: Between, fineness: float, scaled: bool) -> bytes:

@@ -40,6 +40,17 @@ class UpdateMessage:
         """All but the header."""
         return len(self.body)
 
+    @property
+    def name(self) -> str:
+        """Its kind in a word."""
+        return f"Update{self.kind.name.title()}"
+
+    def check(self) -> None:
+        """What is said by the kind alone has no body; other bodies are checked when they are read, before anything
+        changes."""
+        if self.kind in (UpdateKind.RECEIVED, UpdateKind.LOST) and self.body:
+            raise BackendError(f"{self.name} with a body of {len(self.body)} bytes")
+
     def encode(self) -> bytes:
         """A header of 9 bytes, then the body."""
         return (
@@ -55,3 +66,10 @@ class UpdateMessage:
             return cls(UpdateKind(kind - FIRST_UPDATE_KIND), epoch, serial, sender, receiver, body)
         except (struct.error, ValueError) as error:
             raise BackendError(f"not a message of an update: {len(data)} bytes, {error}") from error
+
+
+def stranger_to(message: UpdateMessage) -> list[UpdateMessage]:
+    """Answer to a message of a solution that the receiver does not have: its sender learns of it."""
+    kind = UpdateKind.RECEIVED if message.kind is UpdateKind.LOST else UpdateKind.LOST
+    answer = UpdateMessage(kind, message.epoch, 0, message.receiver, message.sender)
+    return [] if message.kind is UpdateKind.RECEIVED else [answer]
