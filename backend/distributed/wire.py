@@ -7,10 +7,10 @@ import struct
 from ..errors import BackendError
 from .compact import CompactReader
 from .elected_messages import FIRST_KIND, ElectedMessage
-from .incremental.update_messages import FIRST_UPDATE_KIND, UpdateMessage
 from .message_bytes import decode, decode_coded, encode, encode_coded, is_coded
 from .messages import Coded, NodeMessage
 from .multifrontal.frontal_messages import FIRST_FRONTAL_KIND, FrontalMessage
+from .update_messages import FIRST_UPDATE_KIND, UpdateMessage
 from .with_priors.in_run import InRun
 from .with_priors.prior_messages import FIRST_PRIOR_KIND, IN_A_RUN, PriorMessage
 

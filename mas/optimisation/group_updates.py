@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from maslam.backend.distributed.elected import ElectedNode
-from maslam.backend.distributed.incremental.update_messages import UpdateKind, UpdateMessage, stranger_to
 from maslam.backend.distributed.incremental.update_node import UpdateNode
 from maslam.backend.distributed.share import SolverOutcome
+from maslam.backend.distributed.update_messages import UpdateKind, UpdateMessage, stranger_to
 from maslam.backend.errors import BackendError
 from maslam.backend.pose_graph.graph import Edge, NodeId
 

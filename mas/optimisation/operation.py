@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from maslam.backend.distributed.incremental.update_messages import UpdateMessage
 from maslam.backend.distributed.share import SolverOutcome
+from maslam.backend.distributed.update_messages import UpdateMessage
 from maslam.backend.distributed.wire import SolverMessage
 from maslam.backend.errors import BackendError
 

@@ -21,9 +21,9 @@ from maslam.backend.distributed.incremental.additions import between_of, decode_
 from maslam.backend.distributed.incremental.belief import contradicts, most_rise
 from maslam.backend.distributed.incremental.one_by_one import chosen, in_order, matches_one_by_one
 from maslam.backend.distributed.incremental.timed_link import TimedLink
-from maslam.backend.distributed.incremental.update_messages import UpdateKind, UpdateMessage, stranger_to
 from maslam.backend.distributed.incremental.update_node import UpdateNode
 from maslam.backend.distributed.share import shares
+from maslam.backend.distributed.update_messages import UpdateKind, UpdateMessage, stranger_to
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3, se3_exp, se3_inverse, so3_exp
 from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph, Prior, spread_poses

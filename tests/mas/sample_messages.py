@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
-from maslam.backend.distributed.incremental.update_messages import UpdateKind, UpdateMessage
 from maslam.backend.distributed.messages import (
     Decision,
     Deltas,
@@ -17,6 +16,7 @@ from maslam.backend.distributed.messages import (
     Status,
     Values,
 )
+from maslam.backend.distributed.update_messages import UpdateKind, UpdateMessage
 from maslam.backend.distributed.wire import GroupMessage
 from maslam.backend.geometry import Sim3
 from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, OperationKind

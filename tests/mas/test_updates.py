@@ -17,7 +17,7 @@ from saboteurs import Saboteur, Sleeper, live
 from maslam.backend.central.costs import cost
 from maslam.backend.central.optimise import optimise
 from maslam.backend.config import CentralConfig
-from maslam.backend.distributed.incremental.update_messages import UpdateKind, UpdateMessage
+from maslam.backend.distributed.update_messages import UpdateKind, UpdateMessage
 from maslam.backend.distributed.wire import pack, unpack
 from maslam.backend.errors import BackendError
 from maslam.backend.pose_graph.graph import PoseGraph

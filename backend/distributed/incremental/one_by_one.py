@@ -18,8 +18,8 @@ from ..elected import ElectedNode
 from ..elected_messages import ElectedMessage
 from ..exchange import joined_robots
 from ..share import SolverOutcome, shares
+from ..update_messages import UpdateKind, UpdateMessage
 from .timed_link import TimedLink
-from .update_messages import UpdateKind, UpdateMessage
 from .update_node import UpdateNode
 
 

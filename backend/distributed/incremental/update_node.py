@@ -24,12 +24,12 @@ from ..condense import Known, OwnGraph
 from ..contribution import Between
 from ..settled import Settled
 from ..share import Share, SolverOutcome
+from ..update_messages import UpdateKind, UpdateMessage, stranger_to
 from .additions import between_of, decode_edges, decode_pairs, encode_edges, encode_pairs
 from .belief import contradicts
 from .corrections import chained, decode_correction
 from .estimate import GroupEstimate
 from .estimated_graph import Pair
-from .update_messages import UpdateKind, UpdateMessage, stranger_to
 
 _CHAIN = struct.Struct("<H")
 _COST = struct.Struct("<f")

@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from ...errors import BackendError
+from ..errors import BackendError
 
 _HEADER = struct.Struct("<BHHHH")
 # Far from the kinds of the other solvers' messages, so that a stray one is recognised.
