@@ -85,6 +85,11 @@ class PlacesConfig(Settings):
         description="shrunk down to so many where matches show that odometry has drifted; null: not below "
         "gap_keyframes",
     )
+    closing_ends: bool = Field(
+        default=False,
+        description="once all is seen, verify with each agent the skipped pair farthest from all matches, where "
+        "odometry may have drifted since",
+    )
     gap_m: float = Field(
         default=0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"
     )

@@ -52,7 +52,7 @@ class Candidate:
 @dataclass
 class Candidates:
     """Candidates of the agent's own queries, and when it was last matched with whom. ``by_id``: all candidates;
-    ``gaps``: own key-frames until a next match with that agent is worth it.
+    ``gaps``: own key-frames until a next match with that agent is worth it; ``ways``: the same without bounds.
 
     ``recalled``: own key-frames that were sent to others later than they were made. ``lengths``: how many key-frames
     another agent has said that it has.
@@ -67,6 +67,7 @@ class Candidates:
     by_id: dict[MatchId, Candidate] = field(default_factory=dict)
     last_matched: dict[int, int] = field(default_factory=dict)
     gaps: dict[int, int] = field(default_factory=dict)
+    ways: dict[int, float] = field(default_factory=dict)
     verified: dict[int, list[int]] = field(default_factory=dict)
     recalled: set[int] = field(default_factory=set)
     lengths: dict[int, int] = field(default_factory=dict)
@@ -117,6 +118,10 @@ class Candidates:
         self.by_id[candidate.id] = replace(candidate, check=MatchCheck(reason=reason or ""))
         return reason is None
 
+    def insist(self, candidate: Candidate) -> None:
+        """A candidate that was skipped is to be verified after all."""
+        self.by_id[candidate.id] = replace(candidate, check=MatchCheck())
+
     def still_wanted(self, match: MatchId, now_ns: int) -> bool:
         """Whether a candidate that waited for some time is worth its verification by now. If not, its reason says
         why."""
@@ -163,6 +168,7 @@ class Candidates:
         last = max(before, key=lambda m: (m.id.end_of(self.state.me)[0], m.id))
         way = mine - last.id.end_of(self.state.me)[0]
         worth = worth_after(last, latest, self.state.config.optimisation)
+        self.ways[other] = way * worth
         # Only drift that shows is a reason for matches closer than usual.
         return min(max(round(way * worth), config.gap_keyframes if worth >= 1.0 else least), most)
 

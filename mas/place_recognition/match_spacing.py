@@ -9,7 +9,7 @@ from ..config import OptimisationConfig
 from ..state.place_match import Match
 
 # How many times a match's own noise odometry may have drifted before the next match.
-_WORTH = 4.0
+_WORTH = 3.5
 
 
 def worth_after(earlier: Match, latest: Match, config: OptimisationConfig) -> float:

@@ -24,6 +24,7 @@ from ..protocol.tasks import EarlierAnswer, OwnerQuery, PlaceAnswer, PlaceQuery,
 from ..state.agent_state import Ownership
 from ..state.keyframe import KeyFrame
 from .candidates import Candidate, Candidates
+from .overlap_ends import OverlapEnds
 from .own_loops import FARTHEST, OwnLoops
 from .peer_queries import ClusterIndex, RecentQueries
 from .sent_queries import SentQueries
@@ -58,6 +59,7 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         self._latest = RecentQueries(candidates, context.state.config.places.latest_frames)
         self.sent_queries = SentQueries()
         self.wider = WiderSearch(candidates)
+        self.ends = OverlapEnds(candidates)
         self._closing_ticks = 0
         self.distances: dict[int, float] = {}
         self._again = RetryBudget(context.state.config.link.retries)
@@ -209,13 +211,23 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
                 effects += self.own_loops.consider(keyframes[match.query], keyframes[match.match], None, wider=True)
             elif self.context.may_call(match.match_agent, OperationKind.RELPOSE):
                 effects += self.verification.request(replace(candidate, now_ns=self.context.now_ns))
+        for candidate in self._ends_due(self._closing_ticks - _SETTLED):
+            effects += self.verification.insist(replace(candidate, now_ns=self.context.now_ns))
         return effects
+
+    def _ends_due(self, ticks: int) -> list[Candidate]:
+        """Skipped candidates at the ends of shared stretches that are worth a verification so long after the end."""
+        if not self.context.closing or not self.state.config.places.closing_ends:
+            return []
+        due = self.ends.due(ticks)
+        return [c for c in due if self.context.may_call(c.id.match_agent, OperationKind.RELPOSE)]
 
     @property
     def widening(self) -> bool:
         """Whether there are candidates to be verified before the agent is done."""
         others = (c.id.match_agent for c in self.wider.due(self.context.closing))
-        return any(other == self.state.me or self.context.may_call(other) for other in others)
+        wider = any(other == self.state.me or self.context.may_call(other) for other in others)
+        return wider or bool(self._ends_due(_SETTLED))
 
     def _ask_own_log(self, keyframe: int) -> Effects:
         """The agent owns the cluster of its own key-frame: no message needed. It compares what would have travelled."""

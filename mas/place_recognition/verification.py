@@ -56,6 +56,7 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         self.wider: set[ContractId] = set()
         self._again = RetryBudget(context.state.config.link.retries)
         self._promising: set[MatchId] = set()
+        self._insisted: set[MatchId] = set()
         self._first: dict[MatchId, PlaceView] = {}
 
     # -- manager ------------------------------------------------------------------------------------------------------
@@ -64,6 +65,13 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         """Have a candidate verified by the other agent, after those already waiting for it."""
         if not self.candidates.propose(candidate):
             return NOTHING
+        self._waiting.setdefault(candidate.id.match_agent, deque()).append(candidate.id)
+        return self._next(candidate.id.match_agent)
+
+    def insist(self, candidate: Candidate) -> Effects:
+        """Have a candidate verified that was skipped, whatever lies near it."""
+        self.candidates.insist(candidate)
+        self._insisted.add(candidate.id)
         self._waiting.setdefault(candidate.id.match_agent, deque()).append(candidate.id)
         return self._next(candidate.id.match_agent)
 
@@ -142,7 +150,8 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
             return NOTHING
         # What was learned meanwhile may have answered it.
         now_ns = self.context.now_ns
-        while waiting and waiting[0] not in self._promising and not self.candidates.still_wanted(waiting[0], now_ns):
+        sure = self._promising | self._insisted
+        while waiting and waiting[0] not in sure and not self.candidates.still_wanted(waiting[0], now_ns):
             waiting.popleft()
         if not waiting:
             return NOTHING

@@ -67,6 +67,7 @@ PRESETS: dict[str, MasConfig] = {
             widen_keyframes=50,
             gap_keyframes=6,
             gap_most_keyframes=12,
+            closing_ends=True,
             gap_least_keyframes=3,
             max_points=400,
             first_points=110,

@@ -18,7 +18,7 @@ from .solver_messages import SolverBody
 from .tasks import Outcome, Task
 from .tensors import MessageError, Tensor, check_sim3s, pack_sim3s
 
-VERSION = 5
+VERSION = 6
 LINK_DTYPE = "<f4"
 _NO_ROWS = pack_sim3s([], LINK_DTYPE)
 
