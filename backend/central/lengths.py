@@ -119,6 +119,8 @@ def with_lengths(
     ``found``: the minimum of F with the nodes ``held`` and the units ``kept`` ``(n,)``; ``freedom``: its degrees.
     """
     factors = np.ones(steps.count)
+    if steps.count == 0:  # every unit of length is a robot's own
+        return found, Lengths(False, factors, factors, 0.0, float("nan"), 0.0)
     at = _Linear(edges, found, held, kept, steps, factors)
     if freedom <= 0 or at.evidence(1.0) <= _CLEAR:
         return found, Lengths(False, factors, at.doubt(), at.evidence(1.0), float("nan"), 0.0)

@@ -46,6 +46,8 @@ def undecided_edges(graph: PoseGraph, config: RobustConfig) -> tuple[Undecided, 
     if kept.all():
         return ()
     pieces = piece_pairs(graph)
+    if not pieces.pairs:
+        return ()
     found: dict[tuple[int, ...], Undecided] = {}
     rivals = _Rivals(graph, pieces, kept, _noise(graph, config).limit(1.0 - config.confidence))
     for rival in rivals.found():

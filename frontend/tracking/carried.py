@@ -23,6 +23,8 @@ _MOST = 0.75
 """Share of the points known not to move, of those in view, which bear out any motion where they agree with it."""
 _ACCELERATION = 6.0
 """Acceleration, m/s^2, up to which no more is asked: more than wheels have, and three times that of a walk."""
+_HASTE_S = 0.1
+"""A hand that holds a camera jerks for so long: of frames that come faster the velocity may change as much."""
 _TIMES, _LATEST, _FEWEST = 3.0, 20, 5
 """Times the median acceleration of so many frames, up to which no more is asked either; fewer frames tell nothing."""
 _DEPTH_SHARE = 0.005
@@ -93,7 +95,7 @@ class MotionSoFar:
             return usual * lever_s2 + _DEPTH_SHARE * depth if known else np.inf
         # What is usual beyond gravity is noise of the poses, which does not grow with time.
         noise = usual * min(lever_s2, dt**2, self.step_s**2)
-        return max(noise, _ACCELERATION * lever_s2) + _DEPTH_SHARE * depth
+        return max(noise, _ACCELERATION * max(lever_s2, dt * _HASTE_S)) + _DEPTH_SHARE * depth
 
     def _lever_s2(self, dt: float) -> float:
         return dt * (dt + self.step_s) / 2.0

@@ -258,7 +258,9 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             )
             if sure is not None:
                 self.context.reputation.stalled(sure, self.context.now_ns)
-            return self._give_up(session, f"agents {silent} send nothing")
+            reason = f"agents {silent} send nothing"
+            effects = self.context.event("optimisation_left", members=list(session.task.members), reason=reason)
+            return effects + self._give_up(session, reason)
         if others and self._no_end_in_sight(session, others):
             # Somebody is gone, or the others are through and their last message does not reach this agent.
             effects = self._fail(session)

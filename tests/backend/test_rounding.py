@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from graphs import constant_units, loops, ring
-from test_elected import run
+from transports import until_ended
 
 from maslam.backend.central.costs import cost
 from maslam.backend.central.optimise import optimise
@@ -87,7 +87,7 @@ def test_remainders_come_through_any_link(seed):
     config = SolverConfig(method="elected", elected_fineness=32.0, elected_patience=1000)
     expected = optimise_distributed(graph, config).graph
     nodes = {r: ElectedNode(s, config) for r, s in shares(graph).items()}
-    run(nodes, rng=np.random.default_rng(seed), loss=0.4, repeat=0.2)
+    until_ended(nodes, rng=np.random.default_rng(seed), loss=0.4, repeat=0.2)
     for node in nodes.values():
         assert all(np.array_equal(T, expected.poses[n]) for n, T in node.outcome.poses.items())
 

@@ -85,9 +85,10 @@ def test_the_config_of_a_run_of_0_1_is_read() -> None:
     content, today = read_settings(OF_0_1 / "config.yaml"), preset("maslam")
     then = replaced(
         today,
-        places=replaced(today.places, widen_keyframes=None),
+        places=replaced(today.places, widen_keyframes=None, gap_least_keyframes=None, closing_ends=False),
         optimisation=replaced(
             today.optimisation,
+            match_sigma_depth=0.005,
             solver=replaced(today.optimisation.solver, elected_fineness=512.0, length_sigma=0.0, update_tolerance=5e-5),
         ),
     )
