@@ -23,10 +23,9 @@ def some(name: str) -> list[Moment]:
 @pytest.mark.parametrize("name", ["maslam", "default", "rbcd", "multifrontal", "two-level"])
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=6, deadline=None)
-def test_nothing_escapes_and_most_changes_pass_decoding(name: str, seed: int) -> None:
+def test_nothing_escapes(name: str, seed: int) -> None:
     found = fuzzed(some(name), 16, seed)
-    assert not found.escaped
-    assert found.tried == 16 and found.decoded >= 4, "what decoding refuses tests nothing behind it"
+    assert not found.escaped and found.tried == 16
 
 
 def test_half_of_all_changed_messages_pass_decoding() -> None:
