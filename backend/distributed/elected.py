@@ -35,6 +35,8 @@ _DECISION = struct.Struct("<?ddHB")
 _POSITIONS, _LENGTHS = 1, 2
 """In the last byte of a decision: what had a say, or was found."""
 _WAIT = struct.Struct("<B")
+NO_SURE_GAIN = "no gain beyond the rounding of what is sent"
+"""Begins the reason of a result that is not taken although its cost seems lower: poses stay as good as they were."""
 # Messages of a member that are kept until it is known who is elected.
 _EARLY = 16
 # How often what was rounded off is asked for: each time it is 128 times less.
@@ -378,7 +380,8 @@ class ElectedNode:
         mine = accepted and self._completed is not None
         reason = "accepted"
         if not accepted:
-            reason = f"the cost would rise: {before:.6g} to {after:.6g}" if after == after else "a member fell silent"
+            what = NO_SURE_GAIN if after <= before else "the cost would rise"
+            reason = f"{what}: {before:.6g} to {after:.6g}" if after == after else "a member fell silent"
         elif not mine:
             reason = "left out: others received nothing from this robot"
         poses, log_units = own.poses, own.log_units

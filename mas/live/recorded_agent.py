@@ -6,12 +6,13 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from ..agent import Agent
 from ..contracts.effects import NOTHING, Effects
 from ..protocol.messages import Message, decode, encode
 from ..state.keyframe import KeyFrame
-from .journal import EntryKind, Journal, JournalEntry, JournalError
+from .journal import EntryKind, Journal, JournalEntry, JournalError, read_journal
 
 _NUMBER = struct.Struct("<I")
 _REASON = 300
@@ -132,3 +133,8 @@ def replay(inputs: AgentInputs, entries: Iterable[JournalEntry], name: str) -> I
         except (IndexError, struct.error) as error:
             raise JournalError(f"{name}: entry {number}: {entry.kind.name.lower()} of what is not there") from error
         yield Replayed(entry, effects)
+
+
+def met_in(journal: Path) -> set[int]:
+    """Agents that the agent of a journal has met."""
+    return {_NUMBER.unpack(e.data)[0] for e in read_journal(journal) if e.kind is EntryKind.MEET}

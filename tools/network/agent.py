@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..common.folders import check_apart
 from ..common.options import read_settings
 from ..common.progress import Progress, progress_on
 from ..pipeline.run import add_run_arguments, config_from
@@ -115,6 +116,7 @@ def main(arguments: argparse.Namespace) -> None:
     live = live_config(arguments)
     config = config_from(arguments, read_settings(arguments.config), LINKS[live.link])
     check_live(config)
+    check_apart(arguments.sequences, arguments.out)
     credentials = Credentials(arguments.credentials)
     me = credentials.number
     with progress_on(quiet=arguments.quiet or arguments.json) as progress, writing(arguments.out):

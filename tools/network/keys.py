@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..common.errors import UsageError
+from ..common.errors import ToolError, UsageError
 from ..common.parser import at_least_one
 
 
@@ -25,13 +25,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
-    from maslam.mas.live.authority import make_team
+    from maslam.mas.live.authority import AUTHORITY_FOLDER, make_team
     from maslam.mas.protocol.ids import MAX_AGENTS
 
+    if arguments.add is not None and not (arguments.folder / AUTHORITY_FOLDER).is_dir():
+        raise ToolError(f"{arguments.folder}: no team to add an agent to: no {AUTHORITY_FOLDER} in it")
     agents = list(range(arguments.agents)) if arguments.add is None else [arguments.add]
     if not all(0 <= agent < MAX_AGENTS for agent in agents):
         raise UsageError(f"agents have numbers from 0 to {MAX_AGENTS - 1}")
     made = make_team(arguments.folder, arguments.team, agents)
     for folder in made:
         print(folder)
-    print(f"keep {arguments.folder / 'authority'} off the robots: who has it can add agents to team {arguments.team}")
+    print(
+        f"keep {arguments.folder / AUTHORITY_FOLDER} off the robots: who has it can add agents to team {arguments.team}"
+    )

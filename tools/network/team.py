@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -72,19 +73,25 @@ def main(arguments: argparse.Namespace) -> None:
         if not (source / MANIFEST).is_file():
             sequences = out / SEQUENCES
             progress.say(summary_line(preprocess(source, sequences, settings, progress), sequences))
+        if settings.overwrite:
+            _forget(out)
         _play(sequences, out, config, live, arguments.over, progress)
         page = write_report(out)
     print(json_of(out) if arguments.json else f"{table_of(out)}\n\nreport: {page}")
 
 
+def _forget(out: Path) -> None:
+    """Begin anew, whatever journals say."""
+    shutil.rmtree(out / JOURNALS, ignore_errors=True)
+
+
 def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over: str, progress: Progress) -> None:
     """Let the agents run, and record what they did."""
-    import shutil
-
     import yaml
 
     from maslam.mas.kernels import agent_kernels
-    from maslam.mas.live.authority import make_team
+    from maslam.mas.live.authority import AUTHORITY_FOLDER, make_team
+    from maslam.mas.live.recorded_agent import met_in
     from maslam.mas.live.team_run import record_team
     from maslam.mas.output.run_folder import SUMMARY
     from maslam.mas.sequence import load_sequences
@@ -95,12 +102,13 @@ def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over:
     manifest, loaded = load_sequences(sequences)
     check_same_run(out, config, of_manifest(manifest))
     if (out / SUMMARY).exists():
-        shutil.rmtree(out / JOURNALS, ignore_errors=True)  # of a run that came to its end
+        _forget(out)  # of a run that came to its end
     compile_for(agent_kernels(len(loaded)), progress)
     numbers = list(range(len(loaded)))
     folders = [out / JOURNALS / f"agent_{number:02d}" for number in numbers]
     with tempfile.TemporaryDirectory(prefix="maslam-team-") as scratch:
         credentials = make_team(Path(scratch), "team", numbers)
+        shutil.rmtree(Path(scratch) / AUTHORITY_FOLDER)  # nobody joins later
         settings = Path(scratch) / "config.yaml"
         settings.write_text(yaml.safe_dump(config.model_dump(mode="json")), encoding="utf-8")
         commands = [
@@ -108,4 +116,9 @@ def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over:
             for number in numbers
         ]
         run_together(commands, [len(s.keyframe_stamps_ns) for s in loaded], progress)
-    record_team(manifest, loaded, config, [folder / JOURNAL for folder in folders], out)
+    journals = [folder / JOURNAL for folder in folders]
+    for number, journal in zip(numbers, journals, strict=True):
+        never = sorted(set(numbers) - {number} - met_in(journal))
+        if never:
+            progress.say(f"warning: agent {number} never met {', '.join(f'agent {a}' for a in never)}")
+    record_team(manifest, loaded, config, journals, out)

@@ -232,7 +232,9 @@ def _without_landmarks(graph: PoseGraph, solved: PoseGraph) -> list[str]:
 def _nothing_to_do(found: Solution, certified: bool | None, gap: float | None) -> bool:
     """Whether the poses that robots kept are the optimum's, up to the rounding of what they send: a result that is no
     better is no failure."""
-    if certified or (gap is not None and gap < _ROUNDING):
+    from maslam.backend.distributed.elected import NO_SURE_GAIN
+
+    if certified or (gap is not None and gap < _ROUNDING) or (found.refused or "").startswith(NO_SURE_GAIN):
         return True
     return found.cost_before is not None and found.cost_before < 1e-12
 
