@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -16,6 +17,7 @@ import pytest
 from test_predecessor import write_sequence
 
 from maslam.mas.live.journal import EntryKind, read_journal
+from maslam.mas.live.recorded_agent import met_in
 from maslam.tools import cli
 
 pytest.importorskip("zenoh", reason="the extra 'network' is not installed")
@@ -91,6 +93,8 @@ def test_keys_and_addresses_that_do_not_fit_are_named(
     assert cli.main(["keys", str(folder), "--agents", "2", "--team", "red"]) == 0
     assert cli.main(["keys", str(folder), "--agents", "2", "--team", "red"]) == 1
     assert "agent_00: exists" in capsys.readouterr().err
+    assert cli.main(["keys", str(tmp_path / "mistyped"), "--add", "3"]) == 1
+    assert "no team to add an agent to" in capsys.readouterr().err
     words = ["agent", str(sequences), str(tmp_path / "out"), "--credentials", str(folder / "agent_01"), "--quiet"]
     assert cli.main([*words, "--listen", "tcp/127.0.0.1:0"]) == 1
     assert "addresses begin with tls/ or quic/" in capsys.readouterr().err
@@ -100,3 +104,33 @@ def test_keys_and_addresses_that_do_not_fit_are_named(
     assert "--speed 0.0: input should be greater than 0" in capsys.readouterr().err
     assert cli.main([*words, "--faults.loss", "0.1"]) == 1
     assert "only a simulation makes faults" in capsys.readouterr().err
+
+
+def test_who_starts_later_is_found(sequences: Path, tmp_path: Path) -> None:
+    """The agent that connects is there first, and has said that nobody answers."""
+    assert cli.main(["keys", str(tmp_path / "keys"), "--agents", "2"]) == 0
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tls/127.0.0.1:{free.getsockname()[1]}"
+    outs = [tmp_path / "0", tmp_path / "1"]
+
+    def started(me: int, end: str) -> subprocess.Popen[str]:
+        words = [
+            str(sequences),
+            str(outs[me]),
+            "--credentials",
+            str(tmp_path / "keys" / f"agent_{me:02d}"),
+            end,
+            address,
+        ]
+        return subprocess.Popen([sys.executable, "-m", "maslam", "agent", *words], stderr=subprocess.PIPE, text=True)
+
+    first = started(1, "--connect")
+    assert first.stderr is not None
+    assert any("nobody is connected" in line for line in first.stderr)
+    second = started(0, "--listen")
+    second.communicate(timeout=120)
+    first.communicate(timeout=120)
+    assert (first.returncode, second.returncode) == (0, 0)
+    assert [met_in(out / "journal.bin") for out in outs] == [{1}, {0}]
+    assert (outs[1] / "trajectory.tum").is_file()
