@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,11 +39,15 @@ class _Step:
 
 
 def record_team(
-    manifest: Manifest, sequences: Sequence[AgentSequence], config: MasConfig, journals: Sequence[Path], out: Path
+    manifest: Manifest,
+    sequences: Sequence[AgentSequence],
+    config: MasConfig,
+    journals: Sequence[Path],
+    out: Path,
+    wall_s: float,
 ) -> Summary:
     """Write the RUN folder ``out`` from the journals of all agents, in the order of the sequences. Times are each
-    agent's own: they began when their recordings did."""
-    started = time.perf_counter()
+    agent's own: they began when their recordings did. ``wall_s``: how long the agents' processes ran."""
     pairs = enumerate(zip(manifest.agents, sequences, strict=True))
     inputs = [inputs_of(me, manifest, entry, sequence, config) for me, (entry, sequence) in pairs]
     agents = [one.agent for one in inputs]
@@ -65,8 +68,7 @@ def record_team(
         recorder.step(timeline_row(rows, rows * step_ns, agents, transport, evaluator))
         finished = FinishedRun(agents, sequences, config, transport, events, rows + 1, manifest.left_out)
         summary = record_run(recorder, manifest, finished, evaluator)
-        wall = time.perf_counter() - started
-        recorder.timing(Timing(wall_s=wall, realtime_factor=summary.duration_s / wall))
+        recorder.timing(Timing(wall_s=wall_s, realtime_factor=summary.duration_s / wall_s))
     return summary
 
 

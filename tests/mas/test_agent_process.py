@@ -98,7 +98,7 @@ class Team:
 
     def run_folder(self) -> Summary:
         paths = [self.journal(me) for me in range(self.agents)]
-        return record_team(self.manifest, self.sequences, CONFIG, paths, self.folder / "run")
+        return record_team(self.manifest, self.sequences, CONFIG, paths, self.folder / "run", 1.0)
 
 
 @pytest.fixture

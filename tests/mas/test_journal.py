@@ -132,7 +132,7 @@ def test_a_run_folder_is_made_from_journals(journals: list[Path], tmp_path: Path
     """With the bytes that were sent, and errors against the truth."""
     manifest, sequences = town(2, 12, spacing_m=1.5)
     config = preset("maslam")
-    summary = record_team(manifest, sequences, config, journals, tmp_path / "run")
+    summary = record_team(manifest, sequences, config, journals, tmp_path / "run", 1.0)
     assert summary.groups == [[0, 1]] and summary.matches.accepted >= 1 and summary.matches.false_accepted == 0
     rows = (tmp_path / "run" / "traffic.csv").read_text().splitlines()[1:]
     assert len(rows) == summary.traffic["total"].messages > 20
@@ -140,5 +140,5 @@ def test_a_run_folder_is_made_from_journals(journals: list[Path], tmp_path: Path
     assert (tmp_path / "run" / "agent_01" / "trajectory.tum").is_file()
     other = replaced(config, places=replaced(config.places, max_points=50, first_points=0))
     with pytest.raises(JournalError):
-        record_team(manifest, sequences, other, journals, tmp_path / "other")
+        record_team(manifest, sequences, other, journals, tmp_path / "other", 1.0)
     assert not (tmp_path / "other").exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -134,3 +135,20 @@ def test_who_starts_later_is_found(sequences: Path, tmp_path: Path) -> None:
     assert (first.returncode, second.returncode) == (0, 0)
     assert [met_in(out / "journal.bin") for out in outs] == [{1}, {0}]
     assert (outs[1] / "trajectory.tum").is_file()
+
+
+def test_other_settings_replace_a_run_only_on_request(
+    sequences: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before any agent starts; also where the earlier team was ended early, and left journals alone."""
+    out = tmp_path / "run"
+    words = ["team", str(sequences), str(out), "--speed", "20", "--quiet"]
+    assert cli.main(words) == 0
+    assert cli.main([*words, "--seed", "5"]) == 1
+    assert "other settings (seed)" in capsys.readouterr().err
+    for path in out.iterdir():
+        if path.name != "journals":
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert cli.main([*words, "--seed", "5", "--overwrite"]) == 0
+    assert json.loads((out / "summary.json").read_text())["seed"] == 5
+    assert cli.main([*words, "--seed", "6", "--overwrite"]) == 0

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from maslam.mas.live.process import LiveProgress
 
 JOURNAL = "journal.bin"
-LINK_KINDS = ("cable", "wifi", "radio")
 # A link on which nobody answers is said after this.
 _NOBODY_S = 5.0
 
@@ -66,9 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     """What ``maslam agent`` and ``maslam team`` share."""
+    from maslam.mas.live.config import LINKS
+
     parser.add_argument(
         "--link",
-        choices=LINK_KINDS,
+        choices=sorted(LINKS),
         default="cable",
         help="kind of network: how long to wait for answers (default: %(default)s)",
     )

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,9 +52,12 @@ class AgentCommand:
 
 @dataclass
 class _Child:
+    """An agent's process; ``readers`` put what it prints where it is looked at."""
+
     process: subprocess.Popen[str]
+    readers: list[threading.Thread]
     restarts: int = 0
-    last_words: str = ""
+    last_line: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,14 @@ def run_together(commands: Sequence[AgentCommand], keyframes: Sequence[int], pro
     children: dict[int, _Child] = {}
     try:
         for command in commands:
-            children[command.number] = _Child(_started(command, ports, lines))
-        while any(child.process.poll() is None for child in children.values()) or not lines.empty():
+            children[command.number] = _started(command, ports, lines)
+        # Until all have ended well: one that was killed or failed is looked after, whenever that was.
+        while any(child.process.poll() != 0 for child in children.values()) or not lines.empty():
             _take(lines, children, seen, progress)
             progress.advance(task, sum(seen))
             for command in commands:
-                _look_after(command, children[command.number], ports, lines, progress)
+                if children[command.number].process.poll():
+                    children[command.number] = _again(command, children, ports, lines, seen, progress)
         progress.advance(task, sum(keyframes))
     finally:
         _end([child.process for child in children.values()])
@@ -97,7 +102,7 @@ def _free_ports(count: int) -> list[int]:
             one.close()
 
 
-def _started(command: AgentCommand, ports: Sequence[int], lines: queue.SimpleQueue[_Line]) -> subprocess.Popen[str]:
+def _started(command: AgentCommand, ports: Sequence[int], lines: queue.SimpleQueue[_Line]) -> _Child:
     pipe = subprocess.PIPE
     process = subprocess.Popen(command.arguments(ports), stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True)
 
@@ -107,9 +112,10 @@ def _started(command: AgentCommand, ports: Sequence[int], lines: queue.SimpleQue
         for text in stream:
             lines.put(_Line(command.number, text.rstrip(), is_error))
 
-    for is_error in (False, True):
-        threading.Thread(target=read, args=(is_error,), daemon=True).start()
-    return process
+    readers = [threading.Thread(target=read, args=(is_error,), daemon=True) for is_error in (False, True)]
+    for reader in readers:
+        reader.start()
+    return _Child(process, readers)
 
 
 def _take(lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: list[int], progress: Progress) -> None:
@@ -121,24 +127,31 @@ def _take(lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: li
         except queue.Empty:
             return
         if line.is_error:
-            children[line.agent].last_words = line.text
+            children[line.agent].last_line = line.text
             if "warning" in line.text:
                 progress.say(f"agent {line.agent}: {line.text}")
         else:
             seen[line.agent] = int(json.loads(line.text)["seen"])
 
 
-def _look_after(
-    command: AgentCommand, child: _Child, ports: Sequence[int], lines: queue.SimpleQueue[_Line], progress: Progress
-) -> None:
-    code = child.process.poll()
-    if not code:
-        return
-    if code > 0 or child.restarts >= _RESTARTS:
-        raise ToolError(f"agent {command.number} failed: {child.last_words.removeprefix('maslam: ')}")
-    child.restarts += 1
+def _again(
+    command: AgentCommand,
+    children: dict[int, _Child],
+    ports: Sequence[int],
+    lines: queue.SimpleQueue[_Line],
+    seen: list[int],
+    progress: Progress,
+) -> _Child:
+    """A new process for one that was killed; ``ToolError`` where it failed by itself, or was killed too often."""
+    before = children[command.number]
+    for reader in before.readers:
+        reader.join(_GRACE_S)
+    _take(lines, children, seen, progress)  # what it said last
+    code = before.process.returncode
+    if code > 0 or before.restarts >= _RESTARTS:
+        raise ToolError(f"agent {command.number} failed: {before.last_line.removeprefix('maslam: ')}")
     progress.say(f"warning: agent {command.number} was killed (signal {-code}); it goes on from its journal")
-    child.process = _started(command, ports, lines)
+    return replace(_started(command, ports, lines), restarts=before.restarts + 1)
 
 
 def _end(processes: Sequence[subprocess.Popen[str]]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import tempfile
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,10 +52,10 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.mas.live.config import LINKS
     from maslam.mas.live.one_agent import check_live
     from maslam.mas.output.run_folder import check_out
-    from maslam.mas.sequence import MANIFEST
+    from maslam.mas.sequence import MANIFEST, read_manifest
 
     from ..common.writing import writing
-    from ..pipeline.earlier_result import check_same_run
+    from ..pipeline.earlier_result import check_same_run, of_manifest
     from ..report.command import write_report
     from ..report.summary_table import json_of, table_of
 
@@ -75,6 +76,8 @@ def main(arguments: argparse.Namespace) -> None:
             progress.say(summary_line(preprocess(source, sequences, settings, progress), sequences))
         if settings.overwrite:
             _forget(out)
+        else:
+            check_same_run(out, config, of_manifest(read_manifest(sequences)))
         _play(sequences, out, config, live, arguments.over, progress)
         page = write_report(out)
     print(json_of(out) if arguments.json else f"{table_of(out)}\n\nreport: {page}")
@@ -97,10 +100,8 @@ def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over:
     from maslam.mas.sequence import load_sequences
 
     from ..common.compiling import compile_for
-    from ..pipeline.earlier_result import check_same_run, of_manifest
 
     manifest, loaded = load_sequences(sequences)
-    check_same_run(out, config, of_manifest(manifest))
     if (out / SUMMARY).exists():
         _forget(out)  # of a run that came to its end
     compile_for(agent_kernels(len(loaded)), progress)
@@ -115,10 +116,12 @@ def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over:
             AgentCommand(number, sequences, folders[number], credentials[number], settings, live, over)
             for number in numbers
         ]
+        started = time.perf_counter()
         run_together(commands, [len(s.keyframe_stamps_ns) for s in loaded], progress)
+        wall_s = time.perf_counter() - started
     journals = [folder / JOURNAL for folder in folders]
     for number, journal in zip(numbers, journals, strict=True):
         never = sorted(set(numbers) - {number} - met_in(journal))
         if never:
             progress.say(f"warning: agent {number} never met {', '.join(f'agent {a}' for a in never)}")
-    record_team(manifest, loaded, config, journals, out)
+    record_team(manifest, loaded, config, journals, out, wall_s)
