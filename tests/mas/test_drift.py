@@ -21,9 +21,9 @@ from maslam.tools.report.graph_warnings import odometry_lines
 from maslam.tools.sweep.reference import make_reference
 
 AGENTS, KEYFRAMES = 3, 90
-WRONG = (0.009, -0.012, 0.003)
-"""Lengths of the three agents' odometry are off by these shares; so they differ, which loops can tell. What is common
-to all nothing tells: their mean is 0."""
+RIGHT, WRONG, APART = (0.0, 0.0, 0.0), (0.011, -0.009, 0.008), (0.009, -0.012, 0.003)
+"""By which shares the lengths of the three agents' odometry are off. That they differ loops can tell; what is common to
+all (a third of a per cent in ``WRONG``, nothing in ``APART``) nothing tells."""
 
 
 def real_drift(truth: Array, rng: np.random.Generator, length: float) -> Array:
@@ -43,41 +43,36 @@ def real_drift(truth: Array, rng: np.random.Generator, length: float) -> Array:
     return np.array(poses)
 
 
-def team(seed: int, biased: bool) -> tuple[Manifest, list[AgentSequence]]:
+def team(seed: int, off: tuple[float, ...]) -> tuple[Manifest, list[AgentSequence]]:
     """Three agents that drive most of one circuit each, a third of it after one another."""
     world = make_world(seed)
     sequences = []
     for k in range(AGENTS):
-        way, drifts = circuit(62.0 * k, 1.5 * KEYFRAMES), partial(real_drift, length=WRONG[k] * biased)
+        way, drifts = circuit(62.0 * k, 1.5 * KEYFRAMES), partial(real_drift, length=off[k])
         sequences.append(make_sequence(world, way, seed, k, drifts=drifts))
     return manifest_of(sequences), sequences
 
 
-@pytest.fixture(
-    scope="module", params=[(3, False), (4, False), (3, True)], ids=["right lengths", "another seed", "wrong lengths"]
-)
-def drawn(request: pytest.FixtureRequest) -> tuple[int, bool]:
-    seed, biased = request.param
-    return int(seed), bool(biased)
+DRAWN = [(3, RIGHT), (4, RIGHT), (0, RIGHT), (3, WRONG), (3, APART)]
+NAMES = ["right lengths", "another seed", "a third", "wrong lengths", "wrong, but not on average"]
+
+
+@pytest.fixture(scope="module", params=DRAWN, ids=NAMES)
+def drawn(request: pytest.FixtureRequest) -> tuple[int, tuple[float, ...]]:
+    """A seed, and by how much lengths are off."""
+    seed, off = request.param
+    return int(seed), off
 
 
 @pytest.fixture(scope="module")
-def seed(drawn: tuple[int, bool]) -> int:
-    return drawn[0]
+def summary(drawn: tuple[int, tuple[float, ...]], tmp_path_factory: pytest.TempPathFactory) -> Summary:
+    return run(*team(*drawn), preset("maslam"), tmp_path_factory.mktemp("drift") / "run")
 
 
-@pytest.fixture(scope="module")
-def biased(drawn: tuple[int, bool]) -> bool:
-    return drawn[1]
-
-
-@pytest.fixture(scope="module")
-def summary(biased: bool, seed: int, tmp_path_factory: pytest.TempPathFactory) -> Summary:
-    return run(*team(seed, biased), preset("maslam"), tmp_path_factory.mktemp("drift") / "run")
-
-
-def test_the_team_is_as_good_as_one_server_with_everything(biased: bool, seed: int, summary: Summary) -> None:
-    reference = make_reference(*team(seed, biased), preset("maslam"))
+def test_the_team_is_as_good_as_one_server_with_everything(
+    drawn: tuple[int, tuple[float, ...]], summary: Summary
+) -> None:
+    reference = make_reference(*team(*drawn), preset("maslam"))
     found, odometry = summary.ate_rmse_m.mean_agents, summary.odometry_mean_rmse_m
     assert summary.matches.false_accepted == 0 and summary.groups == [[0, 1, 2]]
     assert found is not None and odometry is not None and reference.mean_ate_m is not None
@@ -86,22 +81,23 @@ def test_the_team_is_as_good_as_one_server_with_everything(biased: bool, seed: i
 
 
 def test_lengths_are_found_where_they_are_wrong_and_are_said(
-    biased: bool, seed: int, summary: Summary, tmp_path: Path
+    drawn: tuple[int, tuple[float, ...]], summary: Summary, tmp_path: Path
 ) -> None:
-    """Nearer to the truth than with lengths as they are; right ones stay."""
-    (graph,) = summary.graphs
-    if not biased:
+    """Nearer to the truth than with lengths as they are, the more so where all of the error can be told; right ones
+    stay."""
+    (_, off), (graph,) = drawn, summary.graphs
+    if off is RIGHT:
         assert graph.lengths == [1.0] * AGENTS and not any("lengths" in line for line in _said(summary))
         return
-    left = np.array(graph.lengths) * (1.0 + np.array(WRONG))
-    assert np.ptp(left) < 0.006 < np.ptp(WRONG)
+    left = np.array(graph.lengths) * (1.0 + np.array(off))
+    assert np.ptp(left) < 0.006 < np.ptp(off)
     assert any("lengths" in line and "mended" in line for line in _said(summary))
     config = preset("maslam")
     solver = replaced(config.optimisation.solver, length_sigma=0.0)
     plain = replaced(config, optimisation=replaced(config.optimisation, solver=solver))
-    as_they_are = run(*team(seed, biased), plain, tmp_path / "run")
+    as_they_are = run(*team(*drawn), plain, tmp_path / "run")
     assert as_they_are.ate_rmse_m.mean_agents is not None and summary.ate_rmse_m.mean_agents is not None
-    assert summary.ate_rmse_m.mean_agents < 0.7 * as_they_are.ate_rmse_m.mean_agents
+    assert summary.ate_rmse_m.mean_agents < (0.7 if off is APART else 0.9) * as_they_are.ate_rmse_m.mean_agents
     assert as_they_are.graphs[0].lengths == [1.0] * AGENTS
 
 
