@@ -36,6 +36,8 @@ _POSITIONS, _LENGTHS = 1, 2
 """In the last byte of a decision: what had a say, or was found."""
 _WAIT = struct.Struct("<B")
 NO_SURE_GAIN = "no gain beyond the rounding of what is sent"
+# A gain that rounding hides: up to this share of the cost the poses are as good as the result.
+_SMALL_GAIN = 1e-3
 """Begins the reason of a result that is not taken although its cost seems lower: poses stay as good as they were."""
 # Messages of a member that are kept until it is known who is elected.
 _EARLY = 16
@@ -380,7 +382,10 @@ class ElectedNode:
         mine = accepted and self._completed is not None
         reason = "accepted"
         if not accepted:
-            what = NO_SURE_GAIN if after <= before else "the cost would rise"
+            what = "the cost would rise"
+            if after <= before:
+                small = before - after <= _SMALL_GAIN * before
+                what = NO_SURE_GAIN if small else "the gain is less than what rounding may have changed"
             reason = f"{what}: {before:.6g} to {after:.6g}" if after == after else "a member fell silent"
         elif not mine:
             reason = "left out: others received nothing from this robot"

@@ -1,6 +1,7 @@
 """g2o files as other programs write them: marks and line ends, symbols, landmarks, sets that say things twice."""
 
 import json
+from itertools import count
 
 import numpy as np
 import pytest
@@ -288,13 +289,31 @@ def test_two_groups_of_robots_are_each_solved(tmp_path, capsys):
         assert cost(read_g2o(tmp_path / f"{method}.g2o"), "F") == pytest.approx(best, rel=1e-3)
 
 
-def test_a_refused_result_is_said_is_no_success_and_is_not_written(ring, tmp_path, capsys, monkeypatch):
+def rising(monkeypatch):
+    """Let the elected robot find a higher cost between robots at each look."""
     from maslam.backend.distributed import elected
+
+    costs = count(0.0, 1e9)
+    monkeypatch.setattr(elected, "cost_between", lambda groups, places: (next(costs), 0.0))
+
+
+def test_a_large_gain_that_rounding_hides_is_a_refusal_too(ring, tmp_path, capsys, monkeypatch):
+    from maslam.backend.distributed import elected
+
+    (tmp_path / "in.g2o").write_text("\n".join(lines_of(ring)) + "\n")
+    monkeypatch.setattr(elected, "cost_between", lambda groups, places: (0.0, 1e9))
+    words = ["pgo", str(tmp_path / "in.g2o"), str(tmp_path / "out.g2o"), "--method", "elected", "--agents", "2"]
+    assert cli.main(words) == 1
+    assert "the gain is less than what rounding may have changed" in capsys.readouterr().err
+    assert not (tmp_path / "out.g2o").exists()
+
+
+def test_a_refused_result_is_said_is_no_success_and_is_not_written(ring, tmp_path, capsys, monkeypatch):
 
     (tmp_path / "in.g2o").write_text("\n".join(lines_of(ring)) + "\n")
     words = ["pgo", str(tmp_path / "in.g2o"), str(tmp_path / "out"), "--method", "elected", "--agents", "2"]
     with monkeypatch.context() as patch:
-        patch.setattr(elected, "cost_between", lambda groups, places: (0.0, 1e9))
+        rising(patch)
         assert cli.main(words) == 1
         told = capsys.readouterr()
         assert "result refused, poses as they were: the cost would rise" in told.out
@@ -304,7 +323,7 @@ def test_a_refused_result_is_said_is_no_success_and_is_not_written(ring, tmp_pat
         assert cli.main([*words, "--json"]) == 1 and json.loads(capsys.readouterr().out)["refused"]
     assert cli.main(words) == 0
     written = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
-    monkeypatch.setattr(elected, "cost_between", lambda groups, places: (0.0, 1e9))
+    rising(monkeypatch)
     assert cli.main([*words, "--overwrite"]) == 1
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == written
 

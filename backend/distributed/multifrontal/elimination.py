@@ -51,6 +51,8 @@ class Elimination:
             entries.append(matrices[both])
         where = (_joined(rows, np.intp), _joined(columns, np.intp))
         matrix = coo_array((_joined(entries, np.float64), where), shape=(size, size)).tocsc()
+        if not np.isfinite(matrix.data).all():
+            raise BackendError("the equations of this graph, or what was sent of them, are not finite")
         inner = len(eliminated) * width
         self._coupling = csc_array(matrix[:inner, inner:])
         try:
