@@ -62,7 +62,7 @@ def certify(graph: PoseGraph, convention: Literal["F", "U"] = "F", tolerance: fl
 
     The multipliers are taken at the stationary point that Newton's method finds from the poses (for poses at an optimum
     it only removes rounding); the bound holds for any. Edges of any weight, several connected parts, planar graphs
-    (certified in 2-D), and priors are handled. Fixed nodes are taken as free: no poses whatever cost less than the bound.
+    (certified in 2-D), and priors are handled. Fixed nodes are taken as free: no poses whatever cost less than that.
     """
     if convention not in ("F", "U"):
         raise BackendError(f"there is no certificate for cost {convention}: only F and U have a dual bound")
