@@ -121,16 +121,21 @@ class Odometry:
         return result
 
     @property
+    def segments(self) -> list[Segment]:
+        """The finished tracks and the current one, read-only."""
+        return [*self._finished, *([self._segment] if self._segment else [])]
+
+    @property
     def maps(self) -> list[Map]:
-        """Maps of the finished tracks and of the current one, read-only."""
-        return [s.map for s in [*self._finished, *([self._segment] if self._segment else [])]]
+        """Their maps, read-only."""
+        return [segment.map for segment in self.segments]
 
     def finish(self) -> OdometryResult:
         """Return the tracks after the last frame, with bundle-adjusted poses and points.
 
         A track with fewer key-frames than ``min_track_keyframes`` is left out.
         """
-        segments, given_px = [*self._finished, *([self._segment] if self._segment else [])], self._enlargement.given_px
+        segments, given_px = self.segments, self._enlargement.given_px
         for segment in segments:
             segment.close()
         kept = [s for s in segments if len(s.map.keyframes) >= self.config.min_track_keyframes]
@@ -273,8 +278,7 @@ class Odometry:
         if self._withdrawn:
             return Reason(CARRIED, f"{CARRIED}: the track that followed it is withdrawn")
         need = self.config.min_track_keyframes
-        segments = [*self._forgotten, *self._finished, *([self._segment] if self._segment else [])]
-        short = [one for one in segments if len(one.map.keyframes) < need]
+        short = [one for one in [*self._forgotten, *self.segments] if len(one.map.keyframes) < need]
         stood = bool(short) and all(one.tracker.standing.rested for one in short)
         kind = STANDS_SHORT if stood else "the track is too short"
         return Reason(kind, f"{kind}: fewer key-frames than the {need} that it needs to be written")

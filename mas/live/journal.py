@@ -42,6 +42,8 @@ class EntryKind(IntEnum):
     """Nobody present has anything new to see."""
     REFUSE = 7
     """Bytes of another agent that are no message of its own; data: its number, and what is wrong."""
+    SEE = 8
+    """The next key-frame of a live camera; data: the key-frame itself."""
 
 
 @dataclass(frozen=True)

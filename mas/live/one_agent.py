@@ -38,6 +38,12 @@ def entry_of(folder: Path, me: int) -> tuple[Manifest, AgentEntry]:
     return manifest, (named or list(manifest.agents))[0]
 
 
+def own_sequence(folder: Path, me: int) -> AgentSequence:
+    """The sequence of agent ``me`` in a SEQS folder."""
+    manifest, entry = entry_of(folder, me)
+    return load_agent(folder / entry.name, entry, manifest)
+
+
 def read_agent(folder: Path, me: int, config: MasConfig) -> AgentInputs:
     """Agent ``me`` with its key-frames, read from a SEQS folder."""
     manifest, entry = entry_of(folder, me)
@@ -55,8 +61,9 @@ def inputs_of(
 
 
 def digest_of(inputs: AgentInputs) -> bytes:
-    """16 bytes that stand for what an agent is made of: its settings and its key-frames."""
+    """16 bytes that stand for what an agent is made of: its settings, and its key-frames or its camera."""
     made = hashlib.blake2b(inputs.agent.state.config.model_dump_json().encode(), digest_size=16)
+    made.update(inputs.made_of.encode())
     for keyframe in inputs.keyframes:
         for part in (keyframe.T_T_C, keyframe.vector, keyframe.points_C, keyframe.descriptors):
             made.update(part.tobytes())

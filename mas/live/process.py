@@ -17,6 +17,7 @@ from ..contracts.effects import Effects
 from ..protocol.messages import decode, encode
 from ..protocol.tensors import MessageError
 from .config import LiveConfig
+from .drive import Drive, RecordedDrive
 from .durations import arrived, departing
 from .framing import DrivePhase
 from .neighbours import Met, Neighbours, Received
@@ -41,15 +42,22 @@ class LiveProgress:
 
 class AgentProcess:
     """``agent`` with its ``neighbours``. ``began_ns``: logical time at which this process begins: 0, or that of the
-    end of the journal that it goes on with."""
+    end of the journal that it goes on with. ``drive``: where key-frames come from; None: the agent's sequence."""
 
     def __init__(
-        self, agent: RecordedAgent, neighbours: Neighbours, config: MasConfig, live: LiveConfig, began_ns: int = 0
+        self,
+        agent: RecordedAgent,
+        neighbours: Neighbours,
+        config: MasConfig,
+        live: LiveConfig,
+        began_ns: int = 0,
+        drive: Drive | None = None,
     ) -> None:
         self.agent = agent
         self.neighbours = neighbours
         self.config = config
         self.live = live
+        self.drive = drive or RecordedDrive(agent)
         self._began_ns = began_ns
         self._step_ns = round(config.step_s * 1e9)
         self._next_tick = -(-began_ns // self._step_ns)
@@ -64,12 +72,13 @@ class AgentProcess:
         """Logical time."""
         return self._began_ns + round((time.monotonic() - self._zero) * self.live.speed * 1e9)
 
-    def run(self, progress: Callable[[LiveProgress], None]) -> None:
-        """Until nobody present has anything left to do. However it ends, the others get notice that the agent goes."""
+    def run(self, progress: Callable[[LiveProgress], None], each: Callable[[], None] = lambda: None) -> None:
+        """Until nobody present has anything left to do. However it ends, the others get notice that the agent goes.
+        ``each`` is called after each step."""
         self._zero = time.monotonic()
         try:
             while self.step(progress):
-                pass
+                each()
         finally:
             self.leave()
 
@@ -105,15 +114,12 @@ class AgentProcess:
         now_ns, agent = self.now_ns, self.agent
         if now_ns >= self._next_tick * self._step_ns:
             self._next_tick = now_ns // self._step_ns + 1
-            keyframes = agent.inputs.keyframes
-            while agent.inputs.seen < len(keyframes) and keyframes[agent.inputs.seen].time_ns <= now_ns:
-                agent.observe(now_ns)
+            self.drive.observe(now_ns)
             self._note_phase(now_ns)
             self._reminded_ns = now_ns
             self._send(agent.tick(now_ns), now_ns)
-            progress(
-                LiveProgress(now_ns, agent.inputs.seen, len(keyframes), self.neighbours.phase, len(self._present()))
-            )
+            seen, known = agent.inputs.seen, self.drive.keyframes
+            progress(LiveProgress(now_ns, seen, known, self.neighbours.phase, len(self._present())))
         elif agent.agent.waiting and now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
             self._remind(now_ns)
 
@@ -156,7 +162,7 @@ class AgentProcess:
     def _note_phase(self, now_ns: int) -> None:
         """Say how far the agent is, where that has changed."""
         inputs = self.agent.inputs
-        driven = inputs.seen == len(inputs.keyframes)
+        driven = self.drive.over
         others = self._present().values()
         if not driven:
             phase = DrivePhase.DRIVING

@@ -13,6 +13,7 @@ from ..contracts.effects import NOTHING, Effects
 from ..protocol.messages import Message, decode, encode
 from ..state.keyframe import KeyFrame
 from .journal import EntryKind, Journal, JournalEntry, JournalError, read_journal
+from .observed import Observed, decode_observed, encode_observed
 
 _NUMBER = struct.Struct("<I")
 _REASON = 300
@@ -20,14 +21,16 @@ _REASON = 300
 
 @dataclass
 class AgentInputs:
-    """An agent and what its inputs refer to. ``sent``: checksum of all messages that it has sent; ``seen``: how many
-    of the key-frames it has observed."""
+    """An agent and what its inputs refer to. ``keyframes``: of its sequence, none of a live camera. ``sent``: checksum
+    of all messages that it has sent; ``seen``: how many key-frames it has observed. ``made_of``: what else its journal
+    is bound to, a live agent's camera."""
 
     agent: Agent
     keyframes: Sequence[KeyFrame]
     max_message_bytes: int
     sent: int = 0
     seen: int = 0
+    made_of: str = ""
 
     def act_on(self, entry: JournalEntry) -> Effects:
         """Give the agent what an entry says, and return what follows."""
@@ -52,6 +55,9 @@ class AgentInputs:
                 agent.meet(_NUMBER.unpack(entry.data)[0])
             case EntryKind.OBSERVE:
                 agent.observe(self.keyframes[_NUMBER.unpack(entry.data)[0]])
+                self.seen += 1
+            case EntryKind.SEE:
+                agent.observe(decode_observed(entry.data).keyframe)
                 self.seen += 1
             case EntryKind.FINISH:
                 agent.finish()
@@ -83,6 +89,10 @@ class RecordedAgent:
     def observe(self, now_ns: int) -> None:
         """The sensors' next key-frame."""
         self._enter(EntryKind.OBSERVE, now_ns, _NUMBER.pack(self.inputs.seen))
+
+    def see(self, observed: Observed, now_ns: int) -> None:
+        """A live camera's next key-frame."""
+        self._enter(EntryKind.SEE, now_ns, encode_observed(observed))
 
     def handle(self, message: Message, now_ns: int) -> Effects:
         """A message that the link has delivered."""

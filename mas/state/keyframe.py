@@ -67,6 +67,12 @@ def recording_of(name: str) -> int:
     return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=4).digest(), "big")
 
 
+def median_depth(points_C: Array) -> float:
+    """Median depth of points ``(n, 3)`` in the camera, own unit; 1 where none lies ahead."""
+    depths = points_C[points_C[:, 2] > 0, 2]
+    return float(np.median(depths)) if len(depths) else _DEPTH_WITHOUT_POINTS
+
+
 def fixes_of(sequence: AgentSequence) -> dict[int, list[Fix]]:
     """The fixes that go with each key-frame: the next one of its track, as odometry moved in between. A fix between two
     frames that are far apart, or in no track, goes with none."""
@@ -110,7 +116,6 @@ def keyframes_of(sequence: AgentSequence) -> list[KeyFrame]:
             rows = order[starts[k] : starts[k + 1]]
             points = track.observations[rows, 1]
             points_C = transform_points(se3_inverse(track.poses[k]), track.points[points])
-            depths = points_C[points_C[:, 2] > 0, 2]
             index = len(out)
             out.append(
                 KeyFrame(
@@ -125,7 +130,7 @@ def keyframes_of(sequence: AgentSequence) -> list[KeyFrame]:
                     words=track.words[rows, 1].astype(np.int32),
                     point_ids=before + points.astype(np.int64),
                     first_seen=~seen[points],
-                    depth=float(np.median(depths)) if len(depths) else _DEPTH_WITHOUT_POINTS,
+                    depth=median_depth(points_C),
                     vector=np.asarray(sequence.places.vectors[index], dtype=np.float32),
                     textured=bool(sequence.places.textured[index]),
                     fixes=tuple(fixes.get(index, ())),

@@ -6,12 +6,14 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.folders import check_apart
-from ..common.options import read_settings
+from ..common.options import build, read_settings
 from ..common.progress import Progress, progress_on
+from ..live.options import SECTION, add_camera_arguments
 from ..pipeline.run import add_run_arguments, config_from
 
 if TYPE_CHECKING:
@@ -27,7 +29,10 @@ _NOBODY_S = 5.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``SEQS OUT``, who the agent is and where others are, and everything that can be set."""
     parser.add_argument(
-        "sequences", metavar="SEQS", type=Path, help="folder that `maslam preprocess` made; of it this agent's sequence"
+        "sequences",
+        metavar="SEQS",
+        type=Path,
+        help="folder that `maslam preprocess` made; of it this agent's sequence; with --live the images themselves",
     )
     parser.add_argument(
         "out",
@@ -57,7 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where another agent listens, e.g. tls/192.168.1.12:7447; one that is reached is enough (default: none)",
     )
     add_live_arguments(parser)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings")
+    add_camera_arguments(parser)
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"YAML with settings, with --live also `{SECTION}: {{...}}`"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print a line of JSON for each step: how far the agent is")
     add_run_arguments(parser)
@@ -99,12 +107,14 @@ def live_config(arguments: argparse.Namespace) -> LiveConfig:
 
 def main(arguments: argparse.Namespace) -> None:
     """The command."""
+    from maslam.frontend.config import OdometryConfig
+    from maslam.mas.config import MasConfig
     from maslam.mas.kernels import agent_kernels
     from maslam.mas.live.config import LINKS
     from maslam.mas.live.credentials import Credentials
     from maslam.mas.live.journal import Journal
     from maslam.mas.live.neighbours import Neighbours
-    from maslam.mas.live.one_agent import check_live, digest_of, read_agent
+    from maslam.mas.live.one_agent import check_live, digest_of, own_sequence, read_agent
     from maslam.mas.live.process import AgentProcess
     from maslam.mas.live.recorded_agent import RecordedAgent
     from maslam.mas.live.restart import resume
@@ -112,15 +122,21 @@ def main(arguments: argparse.Namespace) -> None:
 
     from ..common.compiling import compile_for
     from ..common.writing import writing
-    from .own_results import write_own_results
+    from ..live.own_results import write_own_results
+    from .live_command import run_live
 
     live = live_config(arguments)
-    config = config_from(arguments, read_settings(arguments.config), LINKS[live.link])
+    content = read_settings(arguments.config, (SECTION, *MasConfig.model_fields))
+    odometry = build(OdometryConfig(), arguments, content.pop(SECTION, None), arguments.config, SECTION)
+    config = config_from(arguments, content, LINKS[live.link])
     check_live(config)
     check_apart(arguments.sequences, arguments.out)
     credentials = Credentials(arguments.credentials)
     me = credentials.number
     with progress_on(quiet=arguments.quiet or arguments.json) as progress, writing(arguments.out):
+        if arguments.live:
+            run_live(arguments, config, live, odometry, progress, partial(_shower, arguments.json, progress))
+            return
         inputs = read_agent(arguments.sequences, me, config)
         compile_for(agent_kernels(2), progress)
         earlier = resume(inputs, arguments.out / JOURNAL)
@@ -133,11 +149,14 @@ def main(arguments: argparse.Namespace) -> None:
             agent = RecordedAgent(inputs, journal)
             agent.begin(digest_of(inputs), earlier.now_ns)
             process = AgentProcess(agent, neighbours, config, live, earlier.now_ns)
-            shown = (
-                _shown_as_json(neighbours) if arguments.json else _shown(progress, neighbours, lambda: link.connected)
-            )
-            process.run(shown)
-        write_own_results(arguments.out, inputs.agent, arguments.sequences)
+            process.run(_shower(arguments.json, progress, neighbours, lambda: link.connected))
+        write_own_results(arguments.out, inputs.agent, own_sequence(arguments.sequences, me))
+
+
+def _shower(
+    as_json: bool, progress: Progress, neighbours: Neighbours, connected: Callable[[], bool]
+) -> Callable[[LiveProgress], None]:
+    return _shown_as_json(neighbours) if as_json else _shown(progress, neighbours, connected)
 
 
 def _shown(progress: Progress, neighbours: Neighbours, connected: Callable[[], bool]) -> Callable[[LiveProgress], None]:

@@ -36,7 +36,6 @@ from maslam.mas.sequence import (
     TRAJECTORY,
     AgentEntry,
     CameraEntry,
-    DescriptorEntry,
     LeftOutEntry,
     LostEntry,
     Manifest,
@@ -47,6 +46,7 @@ from maslam.mas.sequence import (
 )
 
 from ..common.text_table import kinds_text
+from .descriptor_entry import descriptor_entry
 from .split import SequenceShare, cut_track, cut_views, share_out
 from .tracking import Gap, Tracked, unread_kinds
 
@@ -93,14 +93,7 @@ def write_sequences(
         source=str(dataset.root.resolve()),
         kind=dataset.kind,
         scale="metric" if any(entry.metric for entry in entries) else "arbitrary",
-        descriptor=DescriptorEntry(
-            name=model.name,
-            sha256=model.sha256,
-            dim=model.dim,
-            threshold=model.candidate_threshold,
-            strict_threshold=model.threshold,
-            min_std=model.min_std,
-        ),
+        descriptor=descriptor_entry(model),
         agents=tuple(entries),
         split=split,
         left_out=left_out,

@@ -7,24 +7,21 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from maslam.mas.agent import Agent
+    from maslam.mas.sequence import AgentSequence
 
 
-def write_own_results(out: Path, agent: Agent, sequences: Path) -> None:
+def write_own_results(out: Path, agent: Agent, sequence: AgentSequence) -> None:
     """``trajectory.tum``, ``trajectory_keyframes.tum``, ``graph.g2o``, ``map.ply`` (its own map with the copies of
     others that it bought), each whole or not at all; times are the images' own unless the settings say otherwise."""
     from maslam.backend.pose_graph.g2o import write_g2o
     from maslam.frontend.files.trajectory import write_tum
-    from maslam.mas.live.one_agent import entry_of
     from maslam.mas.map_exchange.full_map import own_map
     from maslam.mas.output.fused_map import fused, write_map
     from maslam.mas.output.run_folder import later
-    from maslam.mas.sequence import load_agent
     from maslam.mas.state.pose_graph import own_graph
     from maslam.mas.state.trajectories import frame_trajectory, keyframe_trajectory
 
     state = agent.state
-    manifest, entry = entry_of(sequences, state.me)
-    sequence = load_agent(sequences / entry.name, entry, manifest)
     start_ns = sequence.start_ns if state.config.times == "images" else 0
     write_tum(out / "trajectory.tum", later(frame_trajectory(state, sequence), start_ns))
     write_tum(out / "trajectory_keyframes.tum", later(keyframe_trajectory(state), start_ns))
