@@ -37,7 +37,10 @@ def make_team(folder: Path, team: str, agents: Sequence[int]) -> list[Path]:
         key, name = _new_key(), _subject("authority", team)
         made = _signed(name, name, key, key, x509.BasicConstraints(ca=True, path_length=0))
         _write(own, key, made, made)
-    authority = x509.load_pem_x509_certificate(read_file(own / CERTIFICATE))
+    try:
+        authority = x509.load_pem_x509_certificate(read_file(own / CERTIFICATE))
+    except ValueError as error:
+        raise CredentialsError(f"{own / CERTIFICATE}: no certificate (PEM): damaged?") from error
     of_team = _team_of(authority)
     if of_team != team:
         raise CredentialsError(f"{own}: the authority of team {of_team!r}, not {team!r}")
@@ -49,7 +52,11 @@ def _add_agent(folder: Path, own: Path, authority: Certificate, agent: int) -> P
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import ec
 
-    signer, key = serialization.load_pem_private_key(read_file(own / KEY), None), _new_key()
+    key = _new_key()
+    try:
+        signer = serialization.load_pem_private_key(read_file(own / KEY), None)
+    except (ValueError, TypeError) as error:
+        raise CredentialsError(f"{own / KEY}: no key (PEM, without a password): damaged?") from error
     if not isinstance(signer, ec.EllipticCurvePrivateKey):
         raise CredentialsError(f"{own / KEY}: a key of another kind than `maslam keys` makes")
     subject = _subject(name_of_agent(agent), _team_of(authority))

@@ -65,6 +65,11 @@ class Session:
         """Whether a long message is on its way, or a phase not acknowledged."""
         return self._sender.busy or self._notice is not None
 
+    @property
+    def awaits_answer(self) -> bool:
+        """Whether the last announcement is not acknowledged."""
+        return self._notice is not None
+
     def outgoing(self, now_ns: int) -> list[bytes]:
         """Frames to send now."""
         frames: list[Frame] = [*self._answers, *bundled(self._short)]
