@@ -11,7 +11,9 @@ from pathlib import Path
 from .text_tables import read_text
 
 _COMMENTS = ("#", "%", "//")
-_DAY, _CLOCK = re.compile(r"\d{4}-\d\d-\d\d"), re.compile(r"\d\d:\d\d:\d\d")
+_DAY = re.compile(r"\d{4}[-/]\d\d[-/]\d\d|\d\d\.\d\d\.\d{4}")
+_CLOCK = re.compile(r"\d\d?:\d\d:\d\d")
+_DECIMAL_COMMA = re.compile(r"([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 
@@ -29,7 +31,8 @@ class HeadedTable:
 
 
 def read_headed_table(path: Path) -> HeadedTable:
-    """Rows separated by commas, semicolons, tabs or blanks; a date and its time of day are one cell.
+    """Rows separated by semicolons, commas, tabs or blanks; a date and its time of day are one cell. Commas within
+    numbers that others separate are decimal ones.
 
     The heading is the first row, where no cell of it is a number, or else the last comment before the first row that
     has as many cells. Empty lines and comments (``#``, ``%``, ``//``) are passed over. :class:`FrontendError` for a
@@ -63,19 +66,33 @@ def is_number(text: str) -> bool:
 
 
 def _is_value(cell: str) -> bool:
-    return is_number(cell) or _DAY.match(cell) is not None or bool(re.search(r"\d{3,}", cell))
+    return is_number(cell) or bool(_DAY.match(cell) or _CLOCK.match(cell) or re.search(r"\d{3,}", cell))
+
+
+def decimal_points(cells: list[str]) -> list[str]:
+    """Cells with the decimal commas that some countries write as points, of a row that other marks separate."""
+    return [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
 
 
 def _splitter(line: str) -> Callable[[str], list[str]]:
-    for mark in (",", ";"):
-        if mark in line:
-            return lambda text: _joined([cell.strip().strip('"') for cell in text.rstrip(mark).split(mark)])
-    return lambda text: _joined([cell.strip('"') for cell in text.split()])
+    cells = line.split()
+    commas = [_DECIMAL_COMMA.fullmatch(cell) is not None for cell in cells]
+    decimal = len(cells) > 1 and any(commas) and all(map(is_number, decimal_points(cells)))
+    mark = ";" if ";" in line else "," if "," in line and not decimal else ""
+    if mark == ",":
+        return lambda text: _joined(_cells(text, mark))
+    if mark:
+        return lambda text: _joined(decimal_points(_cells(text, mark)))
+    return lambda text: _joined(decimal_points([cell.strip('"') for cell in text.split()]))
+
+
+def _cells(text: str, mark: str) -> list[str]:
+    return [cell.strip().strip('"') for cell in text.rstrip(mark).split(mark)]
 
 
 def _joined(cells: list[str]) -> list[str]:
     """Cells, a day and the time of day behind it as one."""
     for i, (one, two) in enumerate(pairwise(cells)):
-        if "-" in one and _DAY.fullmatch(one) and _CLOCK.match(two):
+        if len(one) == 10 and _DAY.fullmatch(one) and _CLOCK.match(two):
             return [*cells[:i], f"{one} {two}", *cells[i + 2 :]]
     return cells
