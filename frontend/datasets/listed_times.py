@@ -70,7 +70,7 @@ def read_listed_times(path: Path) -> ListedTimes:
         stamps = _in_two_parts(path, table, _column(table, whole), _column(table, rest), unit)
         return in_order(ListedTimes(stamps, names))
     column = _time_column(path, table, name)
-    heading = unit_of_heading(table.headings[column]) if table.headings else None
+    heading = unit_of_heading(table.headings[column]) if column < len(table.headings) else None
     try:
         times = parse_times(_column(table, column), heading)
     except NotATime as error:

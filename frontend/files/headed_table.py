@@ -35,29 +35,42 @@ def read_headed_table(path: Path) -> HeadedTable:
     numbers that others separate are decimal ones.
 
     The heading is the first row, where no cell of it is a number, or else the last comment before the first row that
-    has as many cells. Empty lines and comments (``#``, ``%``, ``//``) are passed over. :class:`FrontendError` for a
-    file that cannot be read.
+    has as many cells. Words before numbers that are no heading of these are a title, and passed over, and so are empty
+    lines and comments (``#``, ``%``, ``//``). :class:`FrontendError` for a file that cannot be read.
     """
     comment = ""
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    split: Callable[[str], list[str]] | None = None
+    found: list[tuple[int, str]] = []
     for number, raw in enumerate(read_text(path).splitlines(), 1):
         line = raw.strip()
         if not line or line.startswith(_COMMENTS):
-            comment = line.lstrip("#%/ ") if line and not rows else comment
-            continue
-        split = split or _splitter(line)
-        rows.append(split(line))
-        lines.append(number)
+            comment = line.lstrip("#%/ ") if line and not found else comment
+        else:
+            found.append((number, line))
     headings: list[str] = []
-    if split is not None and not any(_is_value(cell) for cell in rows[0]):
-        headings = rows.pop(0)
-        lines.pop(0)
-    elif split is not None and comment:
-        splits = (split, _splitter(comment))
-        headings = next((cells for cells in (one(comment) for one in splits) if len(cells) == len(rows[0])), [])
+    while len(found) > 1 and _is_title(found[0][1], found[1][1]):
+        title = found.pop(0)[1]
+        headings = [title] if len(_split(found[0][1])) == 1 else []
+    if found and not headings:
+        first = _split(found[0][1])
+        if not any(map(_is_value, first)):
+            headings = first
+            found.pop(0)
+        elif comment:
+            cells = (_splitter(line)(comment) for line in (found[0][1], comment))
+            headings = next((one for one in cells if len(one) == len(first)), [])
+    split = _splitter(found[0][1]) if found else _split
+    rows, lines = [split(line) for _, line in found], [number for number, _ in found]
     return HeadedTable(tuple(cell.lower() for cell in headings), rows, lines)
+
+
+def _split(line: str) -> list[str]:
+    return _splitter(line)(line)
+
+
+def _is_title(line: str, below: str) -> bool:
+    """Whether ``line`` begins with a word and has another number of cells than the numbers ``below``."""
+    cells, others = _split(line), _split(below)
+    return not _is_value(cells[0]) and len(cells) != len(others) and all(map(is_number, others))
 
 
 def is_number(text: str) -> bool:

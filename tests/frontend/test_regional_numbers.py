@@ -67,3 +67,37 @@ def test_times_of_day_go_on_over_midnight_and_are_said(tmp_path: Path) -> None:
 def test_no_time_of_day_is_none(text: str) -> None:
     with pytest.raises(NotATime):
         parse_times(["12:00:00", text])
+
+
+@pytest.mark.parametrize(
+    "title", ["ground truth of run 7", "Exported by a program, version 2.1"], ids=["words", "commas"]
+)
+@pytest.mark.parametrize("mark", [" ", ",", ";"], ids=["blank", "comma", "semicolon"])
+def test_a_title_is_no_row_of_the_table(tmp_path: Path, title: str, mark: str) -> None:
+    rows = "".join(mark.join(f"{v}" for v in (k / 10, k, 0, 0, 0, 0, 0, 1)) + "\n" for k in range(COUNT))
+    (tmp_path / "gt.txt").write_text(f"{title}\n{rows}")
+    found = read_poses(tmp_path / "gt.txt")
+    assert found.poses[:, 0, 3].tolist() == list(range(COUNT))
+    assert found.stamps_ns is not None and found.stamps_ns[1] == 100_000_000
+
+
+def test_a_heading_may_be_separated_otherwise_than_its_columns(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 10},0,0,0,1,{k},0,0\n" for k in range(COUNT))
+    (tmp_path / "gt.csv").write_text("time qx qy qz qw x y z\n" + rows)
+    assert read_poses(tmp_path / "gt.csv").poses[:, 0, 3].tolist() == list(range(COUNT))
+
+
+@pytest.mark.parametrize(
+    ("head", "unit_ns"), [("timestamp [us]", 1_000), ("time in ns", 1), ("recorded on monday", 10**9)]
+)
+def test_a_heading_of_several_words_over_one_column_is_whole(tmp_path: Path, head: str, unit_ns: int) -> None:
+    rows = "".join(f"{100_000_000 * (k + 7) / unit_ns:.9g}\n" for k in range(COUNT))
+    sequence = opened(tmp_path, "times.txt", f"{head}\n{rows}")
+    assert sequence.stamps_ns.tolist() == [(k + 7) * 100_000_000 for k in range(COUNT)]
+    assert sequence.problems == ()
+
+
+def test_more_words_than_columns_are_no_error_of_the_program(tmp_path: Path) -> None:
+    rows = "".join(f"min_keyframes: {k / 10}\n" for k in range(COUNT))
+    sequence = opened(tmp_path, "times.txt", "odometry:\n" + rows)
+    assert sequence.stamps_ns.tolist() == [k * 100_000_000 for k in range(COUNT)]
