@@ -106,8 +106,10 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
     model = find_colmap_images(folder)
     if model is None:
         return None
-    problems.warning(f"{model}: taken as the ground truth, which COLMAP has estimated; move it away to do without")
-    return read_truth(model, images, problems)
+    truth = read_truth(model, images, problems)
+    if truth is not None:
+        problems.warning(f"{model}: taken as the ground truth, which COLMAP has estimated; move it away to do without")
+    return truth
 
 
 def _of_unread_forms(folder: Path) -> list[str]:

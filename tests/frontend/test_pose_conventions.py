@@ -177,3 +177,17 @@ def timed_scene() -> Scene:
     scene = make_scene(start_ns=1_700_000_000_000_000_000, step_ns=100_000_000)
     assert len(scene.images) == COUNT and seconds(int(scene.stamps_ns[1])).endswith(".100000000")
     return scene
+
+
+@pytest.mark.parametrize("mark", [",", " "], ids=["comma", "blank"])
+def test_euroc_columns_without_a_heading_are_no_matrices(tmp_path: Path, mark: str) -> None:
+    """Time, position, ``qw qx qy qz``, velocity and two biases: 17 numbers, as a time and a 4x4 matrix have."""
+    poses = PATHS["by hand"]
+    rest = np.random.default_rng(2).normal(size=(len(poses), 9))
+    q = quat_wxyz_from_rotation(poses[:, :3, :3])
+    rows = np.column_stack([100 + STEP_S * np.arange(len(poses)), poses[:, :3, 3], q, rest])
+    path = tmp_path / "data.csv"
+    path.write_text("".join(mark.join(f"{v:.9f}" for v in row) + "\n" for row in rows))
+    found = read_poses(path)
+    np.testing.assert_allclose(found.poses, poses, atol=1e-6)
+    assert "qw qx qy qz" in found.notes[0]
