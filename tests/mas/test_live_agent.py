@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -170,7 +171,7 @@ def test_a_key_frame_is_in_the_journal_before_the_agent_acts_on_it(team: LiveTea
     keyframes = again.inputs.agent.state.keyframes
     assert [k.index for k in keyframes] == list(range(len(keyframes))) and len(keyframes) > seen
     assert {k.track for k in keyframes} == {0, 1}
-    assert all(a.stamp_ns < b.stamp_ns for a, b in zip(keyframes, keyframes[1:], strict=False))
+    assert all(a.stamp_ns < b.stamp_ns for a, b in pairwise(keyframes))
     again.write_results()
     rows = (again.out / "trajectory.tum").read_text().splitlines()
     assert len(rows) >= seen and (again.out / "map.ply").is_file() and (again.out / "live.json").is_file()
