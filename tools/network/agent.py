@@ -166,9 +166,10 @@ def _shown(progress: Progress, neighbours: Neighbours, connected: Callable[[], b
 
     def show(now: LiveProgress) -> None:
         nonlocal said
-        if not task:
+        if not task and now.seen < now.keyframes:  # of a live camera nobody knows how many come
             task.append(progress.start("key-frames", now.keyframes))
-        progress.advance(task[0], now.seen)
+        if task:
+            progress.advance(task[0], now.seen)
         if not said and not now.neighbours and time.monotonic() - began > _NOBODY_S and not neighbours.refusals():
             said = True
             reason = (
