@@ -23,6 +23,7 @@ from ._links import check_links
 check_links()
 
 if TYPE_CHECKING:
+    from .api.agent import Agent
     from .api.datasets import open_dataset
     from .api.evaluation import evaluate
     from .api.graphs import optimise, optimise_distributed, read_g2o, write_g2o
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from .frontend.odometry import FrameResult, OdometryResult
     from .mas.config import MasConfig
     from .mas.evaluation.summary import Summary
+    from .mas.live.team_pose import TeamMap, TeamPose
     from .mas.policies.base import Outlook, Policy
     from .mas.policies.presets import preset
     from .mas.protocol.messages import Bid
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Agent",
     "AgentResult",
     "AgentState",
     "Bid",
@@ -91,6 +94,8 @@ __all__ = [
     "Sequences",
     "Sim3",
     "Summary",
+    "TeamMap",
+    "TeamPose",
     "Trajectory",
     "TrajectoryError",
     "Transport",
@@ -111,6 +116,7 @@ __all__ = [
 ]
 
 _PLACES = {
+    "api.agent": ("Agent",),
     "api.datasets": ("open_dataset",),
     "api.evaluation": ("evaluate",),
     "api.graphs": ("optimise", "optimise_distributed", "read_g2o", "write_g2o"),
@@ -136,6 +142,7 @@ _PLACES = {
     "frontend.odometry": ("FrameResult", "OdometryResult"),
     "mas.config": ("MasConfig",),
     "mas.evaluation.summary": ("Summary",),
+    "mas.live.team_pose": ("TeamMap", "TeamPose"),
     "mas.policies.base": ("Outlook", "Policy"),
     "mas.policies.presets": ("preset",),
     "mas.protocol.messages": ("Bid",),

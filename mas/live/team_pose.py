@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from maslam.backend.geometry import Array, se3_inverse
 
 from ..protocol.ids import FrameId
@@ -24,6 +27,16 @@ class TeamPose:
     frame: FrameId
     members: frozenset[int]
     metric: bool
+
+
+@dataclass(frozen=True, eq=False)
+class TeamMap:
+    """The points ``(n, 3)`` of an agent's own map and of its copies of others', each once, in ``frame``; ``owners``
+    ``(n,)``: whose they are (of several: the first)."""
+
+    frame: FrameId
+    points: Array
+    owners: NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)

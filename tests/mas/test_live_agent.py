@@ -12,6 +12,7 @@ import pytest
 from memory_links import MemoryNetwork
 from test_agent_process import Clock
 
+import maslam
 from maslam._replaced import replaced
 from maslam.backend.geometry import se3_inverse
 from maslam.descriptors.inference import NetVlad
@@ -19,12 +20,15 @@ from maslam.frontend.config import OdometryConfig
 from maslam.frontend.datasets import ImageSequence, open_dataset
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
 from maslam.mas.live import process as process_module
+from maslam.mas.live.authority import make_team
 from maslam.mas.live.config import LINKS, LiveConfig
 from maslam.mas.live.credentials import Credentials
+from maslam.mas.live.framing import DrivePhase
 from maslam.mas.live.journal import JournalError
 from maslam.mas.live.process import LiveProgress
 from maslam.mas.live.team_pose import TeamPose
 from maslam.mas.policies.presets import preset
+from maslam.tools.common.errors import ToolError
 from maslam.tools.live.agent import JOURNAL, LiveAgent, LiveSetup
 from maslam.tools.live.sources import stored_frame
 
@@ -53,8 +57,6 @@ class LiveTeam:
     poses: dict[int, list[TeamPose]] = field(default_factory=lambda: {0: [], 1: []})
 
     def __post_init__(self) -> None:
-        from maslam.mas.live.authority import make_team
-
         self.network = MemoryNetwork()
         self.credentials = [Credentials(place) for place in make_team(self.folder / "keys", "ours", [0, 1])]
         self.model, self.vocabulary = NetVlad.load(), Vocabulary.load(None)
@@ -132,8 +134,9 @@ def test_agents_join_while_they_drive_and_know_where_they_are(team: LiveTeam) ->
     apart = se3_inverse(here[0].T_F_C) @ here[1].T_F_C
     true = se3_inverse(true_pose(team.sequences[0], here[0].stamp_ns)) @ true_pose(team.sequences[1], here[1].stamp_ns)
     assert np.linalg.norm(apart[:3, 3] - true[:3, 3]) < 0.3
-    points, owners = second.map()
-    assert set(owners.tolist()) == {0, 1} and len(points) == len(owners)
+    shared = second.map()
+    assert shared.frame == here[1].frame and set(shared.owners.tolist()) == {0, 1}
+    assert shared.points.shape == (len(shared.owners), 3)
     for agent in (first, second):
         figures = agent.figures
         assert (figures.received, figures.tracked, figures.dropped, figures.lost) == (20, 20, 0, 0)
@@ -198,15 +201,13 @@ def test_an_agent_runs_in_two_threads_until_its_drive_is_over(team: LiveTeam, mo
     for index in range(20):
         agent.push(stored_frame(team.sequences[0], index))
     agent.end()
-    maps = []
-
-    def look(_: LiveProgress) -> None:
-        maps.append(agent.inputs.seen)
-
-    agent.run(look)
+    with pytest.raises(ToolError, match="no map yet"):
+        agent.map()
+    steps: list[LiveProgress] = []
+    agent.run(steps.append)
     figures = agent.figures
     assert figures.received == 20 and figures.dropped == 19 and figures.tracked + figures.lost == 1
-    assert agent.drive.over and maps
+    assert agent.drive.over and steps[-1].phase is DrivePhase.RESTING
 
 
 def test_an_error_of_the_odometry_ends_the_agent(team: LiveTeam, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,3 +220,36 @@ def test_an_error_of_the_odometry_ends_the_agent(team: LiveTeam, monkeypatch: py
     with pytest.raises(ZeroDivisionError):
         agent.run()
     assert agent.drive.over and agent.frames.over
+
+
+def test_the_face_has_an_agent_that_takes_frames(town_stereo: Path, tmp_path: Path) -> None:
+    """``maslam.Agent``: frames in; pose, map and figures at any time; results at the end of the block."""
+    (keys,) = make_team(tmp_path / "keys", "ours", [0])
+    sequence = open_dataset(town_stereo).sequences[0]
+    settings = {"odometry": {"mapping.window": 6, "mapping.fixed": 2}}
+    poses: list[maslam.TeamPose] = []
+    agent = maslam.Agent(
+        sequence.rig,
+        tmp_path / "out",
+        keys,
+        settings=settings,
+        on_pose=poses.append,
+        live=LiveConfig(settle_s=0.0, alone_s=0.0),
+        link=MemoryNetwork().link(0),
+    )
+    with pytest.raises(RuntimeError, match="in a `with` block"):
+        agent.pose()
+    with agent:
+        with pytest.raises(maslam.MaslamError, match="no map yet"):
+            agent.map()
+        for index in range(20):
+            assert agent.push(sequence.read(index))
+            while agent.figures.tracked <= index:
+                time.sleep(0.002)
+        pose = agent.pose()
+        assert pose is not None and pose.stamp_ns == sequence.stamps_ns[19] and pose.members == {0}
+        agent.end()
+        agent.wait(60)
+        one = agent.map()
+        assert len(one.points) > 1000 and set(one.owners.tolist()) == {0}
+    assert len(poses) >= 8 and (tmp_path / "out" / "trajectory.tum").is_file()

@@ -40,6 +40,8 @@ ESSENTIAL: dict[str, tuple[str, ...]] = {
         "--credentials",
         "--listen",
         "--connect",
+        "--live",
+        "--rig",
         "--link",
         "--speed",
         "--preset",

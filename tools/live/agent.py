@@ -7,10 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from maslam._atomic import write_atomically
 from maslam.errors import MaslamError
@@ -26,7 +23,7 @@ from maslam.mas.live.one_agent import check_live, digest_of, inputs_of
 from maslam.mas.live.process import AgentProcess, LiveProgress
 from maslam.mas.live.recorded_agent import AgentInputs, RecordedAgent
 from maslam.mas.live.restart import resume
-from maslam.mas.live.team_pose import LatestFrame, PlacedKeyFrames, TeamPose
+from maslam.mas.live.team_pose import LatestFrame, PlacedKeyFrames, TeamMap, TeamPose
 from maslam.mas.sequence import AgentEntry, AgentSequence, CameraEntry, Manifest
 
 from ..common.errors import ToolError
@@ -132,7 +129,7 @@ class LiveAgent:
         self.on_pose = on_pose
         self._latest: LatestFrame | None = None
         self._placed = PlacedKeyFrames(self.inputs.agent.state)
-        self._asked: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
+        self._asked: SimpleQueue[Future[TeamMap]] = SimpleQueue()
         self._running = False
 
     def __enter__(self) -> LiveAgent:
@@ -160,15 +157,14 @@ class LiveAgent:
         latest = self._latest
         return None if latest is None else self._placed.place(latest)
 
-    def map(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """Points ``(n, 3)`` of the agent's own map and of the copies that it has of others', in the frame of its own,
-        each point once; and whose they are ``(n,)``. Answered between two steps of the agent."""
+    def map(self) -> TeamMap:
+        """The agent's own map with the copies that it has of others', as it is between two steps of the agent.
+        ``ToolError`` before the first key-frame is passed on."""
         if not self._running:
             return self._map()
-        future: Future[Any] = Future()
-        self._asked.put((self._map, future))
-        points, owners = future.result(_MAP_S)
-        return points, owners
+        future: Future[TeamMap] = Future()
+        self._asked.put(future)
+        return future.result(_MAP_S)
 
     @property
     def figures(self) -> LiveFigures:
@@ -196,11 +192,11 @@ class LiveAgent:
         self._placed = PlacedKeyFrames(self.inputs.agent.state)
         while True:
             try:
-                call, future = self._asked.get_nowait()
+                future = self._asked.get_nowait()
             except Empty:
                 return
             try:
-                future.set_result(call())
+                future.set_result(self._map())
             except MaslamError as error:  # for the thread that asked
                 future.set_exception(error)
 
@@ -222,7 +218,7 @@ class LiveAgent:
         if pose is not None:
             self.on_pose(pose)
 
-    def _map(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    def _map(self) -> TeamMap:
         from maslam.mas.map_exchange.full_map import own_map
         from maslam.mas.output.fused_map import fused
 
@@ -230,4 +226,4 @@ class LiveAgent:
         if not agent.state.keyframes:
             raise ToolError("no map yet: the agent has no key-frame")
         one = fused([own_map(agent.state), *(copy for _, copy in sorted(agent.maps.copies.items()))])
-        return one.points, one.owners
+        return TeamMap(agent.state.frame, one.points, one.owners)

@@ -185,7 +185,7 @@ def _opened(folder: Path, rig: RigKind | None, wait_s: float) -> ImageSequence:
             (sequence,) = open_dataset(folder, rig, strict=False).sequences
             return sequence
         except (FrontendError, ValueError, OSError) as error:
-            if time.monotonic() > until:
+            if time.monotonic() >= until:
                 raise ToolError(f"{folder}: no images came within {wait_s:.0f} s: {error}") from error
             time.sleep(10 * _POLL_S)
 

@@ -163,9 +163,10 @@ def _shown(progress: Progress, neighbours: Neighbours, nobody: NobodyThere) -> C
     task: list[int] = []
 
     def show(now: LiveProgress) -> None:
-        if not task:
+        if not task and now.seen < now.keyframes:  # of a live camera nobody knows how many come
             task.append(progress.start("key-frames", now.keyframes))
-        progress.advance(task[0], now.seen)
+        if task:
+            progress.advance(task[0], now.seen)
         if (wrong := nobody.check(now.neighbours, bool(neighbours.refusals()))) is not None:
             progress.say(f"warning: {wrong}")
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from maslam.mas.live.config import LiveConfig
     from maslam.mas.live.neighbours import Neighbours
     from maslam.mas.live.process import LiveProgress
+    from maslam.mas.state.agent_state import AgentState
 
     from ..live.frames import CameraFrame
     from ..live.sources import FrameSource
@@ -76,6 +77,7 @@ def run_live(
             agent.run(shown(agent.neighbours, lambda: link.connected))
         agent.write_results()
     progress.say(figures_line(agent.figures))
+    progress.say(joined_line(agent.inputs.agent.state))
 
 
 @contextmanager
@@ -87,10 +89,10 @@ def fed(
     stop = Event()
 
     def interrupted(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
         progress.say("the drive ends here; the agent settles what it knows (Ctrl-C again: at once)")
         stop.set()
         end()
-        signal.signal(signal.SIGINT, before)
 
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, interrupted)
@@ -139,4 +141,12 @@ def figures_line(figures: LiveFigures) -> str:
         f"{figures.received} frames: {figures.tracked} tracked, {figures.lost} lost, {figures.dropped} dropped, "
         f"{figures.unreadable} unreadable; {figures.keyframes} key-frames; from image to pose "
         f"{1e3 * figures.lag_mean_s:.0f} ms on average, {1e3 * figures.lag_most_s:.0f} ms at most"
+    )
+
+
+def joined_line(state: AgentState) -> str:
+    """Whose frame the agent's poses are in, and who else is in it as far as it knows."""
+    others = ", ".join(str(a) for a in sorted(state.group - {state.me})) or "nobody"
+    return (
+        f"joined with agents: {others}; poses are in the frame of agent {state.frame.agent}, track {state.frame.track}"
     )
