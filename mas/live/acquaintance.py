@@ -14,6 +14,7 @@ from .neighbour import Session
 
 _ANSWER_NS = 3_000_000_000
 """A process that does not answer for so long, while another of its agent does, is taken for dead."""
+_CHECKS_A_SECOND = 5
 _MOST_PROCESSES = 64
 """Processes of one agent: those that have shown a greeting, and those that the link names at once."""
 TWICE = "two of its processes run at once, with one certificate (a copied folder?): only the first is talked to"
@@ -29,13 +30,14 @@ class _Process:
     """``proven``: it has sent something sealed, which only the owner of its keys can."""
 
     session: Session
+    serial: int
     proven: bool = False
 
 
 @dataclass
 class Acquaintance:
     """``refused``: what was wrong with it, said once; ``greeted_ns``: when it was last shown who I am; ``looked_at``:
-    when its last greetings were checked; ``twice``: two of its processes have proven that they run at once."""
+    when its last signatures were checked; ``twice``: two of its processes have proven that they run at once."""
 
     refused: str = ""
     greeted_ns: int | None = None
@@ -46,6 +48,14 @@ class Acquaintance:
     _current: bytes = b""
     _newest: bytes = b""
     _asked_ns: int | None = None
+
+    def may_look(self, now_ns: int) -> bool:
+        """Whether one more of its signatures may be checked: a few each second, each takes a tenth of a millisecond."""
+        self.looked_at = [at for at in self.looked_at if now_ns - at < 1_000_000_000]
+        if len(self.looked_at) >= _CHECKS_A_SECOND:
+            return False
+        self.looked_at.append(now_ns)
+        return True
 
     # -- what the link says -------------------------------------------------------------------------------------------
 
@@ -86,9 +96,9 @@ class Acquaintance:
         """Whether no more processes of it are taken."""
         return len(self._processes) >= _MOST_PROCESSES
 
-    def add(self, public: bytes, session: Session) -> None:
-        """A process has shown a greeting."""
-        self._processes[public] = _Process(session)
+    def add(self, public: bytes, session: Session, serial: int) -> None:
+        """A process has shown a greeting with the certificate of this serial number."""
+        self._processes[public] = _Process(session, serial)
         self._newest = public
 
     def greets(self, public: bytes) -> None:
@@ -130,11 +140,16 @@ class Acquaintance:
         self.refused = ""
         return True
 
-    def forget(self) -> None:
-        """Talk to none of its processes any more, and believe none again."""
-        self._processes.clear()
-        self._current = self._newest = b""
-        self._asked_ns = None
+    def forget(self, serials: frozenset[int]) -> bool:
+        """Believe no process with one of these certificates any more; whether there was one."""
+        gone = {public for public, one in self._processes.items() if one.serial in serials}
+        for public in gone:
+            del self._processes[public]
+        if gone & {self._current, self._newest}:
+            self._asked_ns = None
+        self._current = b"" if self._current in gone else self._current
+        self._newest = b"" if self._newest in gone else self._newest
+        return bool(gone)
 
     def _judge(self, now_ns: int) -> None:
         """Whether the process talked to has answered since another of its agent proved itself."""

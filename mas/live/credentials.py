@@ -19,6 +19,7 @@ import msgspec
 from ..errors import MasError
 from ..protocol.ids import MAX_AGENTS
 from ..protocol.messages import VERSION
+from .revocation import Revocations
 from .seals import SessionKey
 
 if TYPE_CHECKING:
@@ -36,6 +37,10 @@ log = logging.getLogger(__name__)
 
 class CredentialsError(MasError):
     """Certificates that are missing, of another team, or another's."""
+
+
+class RevokedCertificateError(CredentialsError):
+    """Another agent's certificate that the authority has taken back."""
 
 
 class Greeting(msgspec.Struct, frozen=True, array_like=True):
@@ -57,6 +62,7 @@ class Stranger:
     public: bytes
     version: int
     language: int
+    serial: int
 
 
 def name_of_agent(number: int) -> str:
@@ -66,7 +72,7 @@ def name_of_agent(number: int) -> str:
 
 class Credentials:
     """The certificate of one agent, read from the folder that ``maslam keys`` made for it: ``ca.pem``, ``cert.pem``,
-    ``key.pem``. ``number``, ``team``: who it says that the agent is."""
+    ``key.pem``, and ``revoked.pem`` where there is one. ``number``, ``team``: who it says that the agent is."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -75,15 +81,16 @@ class Credentials:
             from cryptography.hazmat.primitives import serialization
         except ImportError as error:
             raise CredentialsError(INSTALL) from error
-        read = {name: read_file(folder / name) for name in (AUTHORITY, CERTIFICATE, KEY)}
-        self._authority = _certificate_of(folder / AUTHORITY, read[AUTHORITY])
-        self._certificate = _certificate_of(folder / CERTIFICATE, read[CERTIFICATE])
+        self._authority = certificate_of(folder / AUTHORITY)
+        self._certificate = certificate_of(folder / CERTIFICATE)
+        key = read_file(folder / KEY)
         try:
-            self._key = serialization.load_pem_private_key(read[KEY], None)
+            self._key = serialization.load_pem_private_key(key, None)
         except (ValueError, TypeError, UnsupportedAlgorithm) as error:
             log.info("%s: %s", folder / KEY, error)
             raise CredentialsError(f"{folder / KEY}: no key (PEM, without a password) {_MADE}") from error
         self._check_own(folder)
+        self.revocations = Revocations(folder, self._authority, self._certificate.serial_number)
         self.number, self.team = self._names(self._certificate, "its own certificate")
 
     def _check_own(self, folder: Path) -> None:
@@ -136,13 +143,15 @@ class Credentials:
         except (msgspec.MsgspecError, ValueError, TypeError) as error:
             log.info("greeting: %s", error)
             raise CredentialsError("a greeting that cannot be read: of another version of maslam?") from error
+        if certificate.serial_number in self.revocations.newest.serials:
+            raise RevokedCertificateError("its certificate was revoked")
         wrong = _not_now(certificate)
         if wrong:
             raise CredentialsError(f"its certificate {wrong}")
         number, team = self._names(certificate, "a certificate")
         if team != self.team:
             raise CredentialsError(f"agent {number} is of team {team!r}, not {self.team!r}")
-        return Stranger(number, greeting.public, greeting.version, greeting.language)
+        return Stranger(number, greeting.public, greeting.version, greeting.language, certificate.serial_number)
 
     def _names(self, certificate: Certificate, what: str) -> tuple[int, str]:
         from cryptography.x509.oid import NameOID
@@ -169,9 +178,11 @@ def issued_by(certificate: Certificate, authority: Certificate) -> bool:
     return True
 
 
-def _certificate_of(path: Path, data: bytes) -> Certificate:
+def certificate_of(path: Path) -> Certificate:
+    """The certificate in a file; :class:`CredentialsError` where there is none."""
     from cryptography import x509
 
+    data = read_file(path)
     try:
         return x509.load_pem_x509_certificate(data)
     except ValueError as error:

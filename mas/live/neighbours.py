@@ -9,16 +9,15 @@ from dataclasses import dataclass
 from ..protocol.messages import VERSION
 from ..transport.link import Arrived, Link, Presence
 from .acquaintance import TWICE, Acquaintance, process_code
-from .credentials import Credentials, CredentialsError, Stranger
-from .framing import DrivePhase, FrameError, unpack_frame
+from .credentials import Credentials, CredentialsError, RevokedCertificateError, Stranger
+from .framing import DrivePhase, FrameError, RevokedNotice, RevokedReceived, unpack_frame
 from .neighbour import FrameCount, Session
 from .own_name import GREETING, OwnName
+from .revocation import UnsignedListError
 from .seals import SealError, SessionKey
 
-SEALED = b"\1"
+SEALED, REVOKED = b"\1", b"\3"
 _GREET_AGAIN_NS = 1_000_000_000
-# Greetings of one agent that are looked at, each second: a signature takes a tenth of a millisecond.
-_GREETINGS_A_SECOND = 5
 log = logging.getLogger(__name__)
 
 
@@ -90,6 +89,8 @@ class Neighbours:
         """Send what is due."""
         now_ns = time.monotonic_ns()
         self._own_name.flush()
+        if self._credentials.revocations.refresh():
+            self._revoke()
         for other, known in self._known.items():
             if not known.here:
                 continue
@@ -116,6 +117,9 @@ class Neighbours:
         if came.data[:1] == GREETING:
             self._greeted(came, known)
             return []
+        if came.data[:1] == REVOKED:
+            self._refused_by(came, known)
+            return []
         return list(self._opened(came, known)) if came.data[:1] == SEALED else []
 
     def _take_own(self, came: Arrived | Presence) -> None:
@@ -124,6 +128,38 @@ class Neighbours:
             self._own_name.changed(came.process, came.here)
         else:
             self._own_name.take(came.data)
+
+    def _revoke(self) -> None:
+        """There is a newer list of revoked certificates: pass it on, and talk no more to those it names."""
+        newest = self._credentials.revocations.newest
+        for other, known in self._known.items():
+            for session in known.sessions():
+                session.pass_on(newest.number, newest.der)
+            if known.forget(newest.serials):
+                known.refused = "its certificate was revoked"
+                log.warning("agent %d is not talked to any more: %s", other, known.refused)
+                self._link.send(other, REVOKED + newest.der)
+
+    def _take_list(self, sender: int, der: bytes) -> None:
+        """Another agent passes a list on."""
+        revocations = self._credentials.revocations
+        session = self._known[sender].session
+        newer = revocations.take(der)
+        if session is not None:
+            session.answer(RevokedReceived(revocations.newest.number))
+        if newer:
+            self._revoke()
+
+    def _refused_by(self, came: Arrived, known: Acquaintance) -> None:
+        """Whoever does not talk to me any more shows why: the authority's word counts, whoever brings it."""
+        if not known.may_look(time.monotonic_ns()):
+            return
+        try:
+            if self._credentials.revocations.take(came.data[1:]):
+                self._revoke()
+        except UnsignedListError as error:
+            self.refused += 1
+            log.info("agent %d: %s", came.sender, error)
 
     # -- greetings and seals ------------------------------------------------------------------------------------------
 
@@ -149,10 +185,8 @@ class Neighbours:
     def _greeted(self, came: Arrived, known: Acquaintance) -> None:
         """A process says who it is. It is believed once it sends something sealed, which only it can."""
         now_ns = time.monotonic_ns()
-        known.looked_at = [t for t in known.looked_at if now_ns - t < 1_000_000_000]
-        if len(known.looked_at) >= _GREETINGS_A_SECOND:
+        if not known.may_look(now_ns):
             return
-        known.looked_at.append(now_ns)
         try:
             stranger = self._checked(came)
             if known.knows(stranger.public):
@@ -167,12 +201,17 @@ class Neighbours:
             if str(error) != known.refused:
                 log.warning("agent %d is not talked to: %s", came.sender, error)
             known.refused = str(error)
+            if isinstance(error, RevokedCertificateError):
+                self._link.send(came.sender, REVOKED + self._credentials.revocations.newest.der)
             return
         self._greet(came.sender, known, now_ns)
         # What is sealed first says how far I am, until it is acknowledged; so it proves who I am.
         session = Session(seals, self._limit)
         session.announce(self.phase)
-        known.add(stranger.public, session)
+        newest = self._credentials.revocations.newest
+        if newest.number:
+            session.pass_on(newest.number, newest.der)
+        known.add(stranger.public, session, stranger.serial)
 
     def _checked(self, came: Arrived) -> Stranger:
         stranger = self._credentials.check(came.data[1:])
@@ -196,8 +235,11 @@ class Neighbours:
         count.frames += len(came.data)
         count.count += 1
         try:
-            messages = known.session.incoming(unpack_frame(opened), time.monotonic_ns())
-        except FrameError as error:
+            frame = unpack_frame(opened)
+            messages = known.session.incoming(frame, time.monotonic_ns())
+            if isinstance(frame, RevokedNotice):
+                self._take_list(came.sender, frame.der)
+        except (FrameError, UnsignedListError) as error:
             self.refused += 1
             log.warning("agent %d: %s", came.sender, error)
             return met

@@ -115,6 +115,8 @@ class Relay:
                     for end in (came, made):
                         selector.register(end, selectors.EVENT_READ)
                     continue
+                if one not in other:  # its other end was closed just now
+                    continue
                 try:
                     data = one.recv(_LARGEST)
                 except ConnectionError:

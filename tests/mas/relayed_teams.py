@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -33,7 +34,7 @@ from maslam.mas.sequence import load_sequences
 from maslam.tools import cli
 
 FILES = ("journal.bin", "trajectory.tum", "trajectory_keyframes.tum", "graph.g2o", "map.ply")
-_START_S, _END_S = 180.0, 300.0
+_START_S, _END_S = 420.0, 420.0
 
 
 def say(text: str) -> None:
@@ -68,7 +69,7 @@ class RelayedTeam:
     def __init__(
         self, folder: Path, count: int, over: str, reaches: Callable[[int, int], bool] = lambda a, b: True
     ) -> None:
-        self.folder, self.count, self.over, self.reaches = folder, count, over, reaches
+        self.folder, self.count, self.over = folder, count, over
         for k in range(count):
             write_sequence(folder / "vo" / f"robot_{k}", k)
         with contextlib.redirect_stdout(sys.stderr):
@@ -79,7 +80,13 @@ class RelayedTeam:
         self.ports = free_ports(count)
         self._stack = contextlib.ExitStack()
 
+    relays: dict[tuple[int, int], Relay]
+    direct = False
+
     def __enter__(self) -> RelayedTeam:
+        if self.direct:
+            self.relays = {}
+            return self
         protocol = "udp" if self.over == "quic" else "tcp"
         self.relays = {
             (a, b): self._stack.enter_context(Relay(protocol, self.ports[b], faults, seed=100 * a + b))
@@ -99,7 +106,10 @@ class RelayedTeam:
 
     def start(self, me: int, speed: float) -> None:
         mine = f"{self.over}/127.0.0.1:{self.ports[me]}"
-        others = [f"{self.over}/127.0.0.1:{r.port}" for (a, _), r in self.relays.items() if a == me]
+        ports = {pair: relay.port for pair, relay in self.relays.items()} or {
+            pair: self.ports[pair[1]] for pair in self.faults
+        }
+        others = [f"{self.over}/127.0.0.1:{port}" for (a, _), port in ports.items() if a == me]
         words = [str(self.folder / "seqs"), str(self.out(me)), "--credentials", str(self.keys[me])]
         words += ["--json", "--speed", str(speed), "--listen", mine, *(w for o in others for w in ("--connect", o))]
         process = subprocess.Popen(
@@ -247,7 +257,44 @@ def late(folder: Path) -> None:
         team.end()
 
 
-SCENARIOS = {one.__name__: one for one in (loss, delay, black_hole, black_hole_tls, killed, killed_tls, chain, late)}
+def twenty(folder: Path) -> None:
+    """Twenty agents over TLS, all connected to all, without relays: bytes, memory and CPU time of each."""
+    team = RelayedTeam(folder, 20, "tls")
+    team.direct = True
+    with team:
+        team.meet(0.04)
+        begun = [used(a.process.pid) for a in team.agents.values()]
+        joining = [(int(a.steps[-1][1]["greeting_bytes"]), int(a.steps[-1][1]["seen"])) for a in team.agents.values()]
+        took_s = 0.0
+        last = begun
+        while any(a.process.poll() is None for a in team.agents.values()) and took_s < _END_S:
+            time.sleep(1.0)
+            took_s += 1.0
+            last = [used(a.process.pid) or before for a, before in zip(team.agents.values(), last, strict=True)]
+        seen = 10 - sum(count for _, count in joining) / len(joining)
+        cpu_s = [after[0] - before[0] for after, before in zip(last, begun, strict=True) if after and before]
+        megabytes = [one[1] for one in last if one]
+        say(
+            f"  CPU time an agent {sum(cpu_s) / len(cpu_s):.2f} s for {seen:.1f} key-frames; memory {max(megabytes)} MB"
+        )
+        say(f"  greetings {sum(count for count, _ in joining) / len(joining):.0f} bytes an agent")
+        team.end()
+
+
+def used(pid: int) -> tuple[float, int] | None:
+    """CPU time of a process, seconds, and its memory now, MB."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK"), int(words[21]) * os.sysconf(
+            "SC_PAGE_SIZE"
+        ) // 2**20
+    except (OSError, IndexError):
+        return None
+
+
+SCENARIOS = {
+    one.__name__: one for one in (loss, delay, black_hole, black_hole_tls, killed, killed_tls, chain, late, twenty)
+}
 
 
 def main(names: list[str]) -> None:
