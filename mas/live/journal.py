@@ -42,6 +42,8 @@ class EntryKind(IntEnum):
     """Nobody present has anything new to see."""
     REFUSE = 7
     """Bytes of another agent that are no message of its own; data: its number, and what is wrong."""
+    SIGNED = 8
+    """Signatures of maps in the message that follows."""
 
 
 @dataclass(frozen=True)

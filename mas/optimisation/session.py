@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from maslam.backend.distributed.elected import ElectedNode
 from maslam.backend.distributed.methods import SolverNode, node_for
 from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.distributed.wire import SolverMessage
@@ -131,6 +132,7 @@ class OptimisationSession:
             "sweeps": outcome.rotation_sweeps + outcome.pose_sweeps,
             "improved": outcome.accepted,
             "reason": outcome.reason,
+            "solver": self.node.leader if isinstance(self.node, ElectedNode) else None,
             "cost_before": outcome.cost_before,
             "cost_after": outcome.cost_after,
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from .nobody import NobodyThere
 if TYPE_CHECKING:
     from maslam.mas.live.config import LiveConfig
     from maslam.mas.live.neighbours import Neighbours
-    from maslam.mas.live.process import LiveProgress
+    from maslam.mas.live.process import AgentProcess, LiveProgress
 
 JOURNAL = "journal.bin"
 
@@ -132,7 +133,7 @@ def main(arguments: argparse.Namespace) -> None:
             agent.begin(digest_of(inputs), earlier.now_ns)
             process = AgentProcess(agent, neighbours, config, live, earlier.now_ns)
             nobody = NobodyThere(arguments.connect, arguments.credentials, lambda: link.connected)
-            shown = _shown_as_json(neighbours, nobody) if arguments.json else _shown(progress, neighbours, nobody)
+            shown = _shown_as_json(process, nobody) if arguments.json else _shown(progress, neighbours, nobody)
             process.run(shown)
         write_own_results(arguments.out, inputs.agent, arguments.sequences)
 
@@ -151,12 +152,15 @@ def _shown(progress: Progress, neighbours: Neighbours, nobody: NobodyThere) -> C
     return show
 
 
-def _shown_as_json(neighbours: Neighbours, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
+def _shown_as_json(process: AgentProcess, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
+    neighbours = process.neighbours
+
     def show(now: LiveProgress) -> None:
         sent = {
             "message_bytes": sum(c.messages for c in neighbours.out.values()),
             "frame_bytes": sum(c.frames for c in neighbours.out.values()),
             "greeting_bytes": neighbours.greeting_bytes,
+            "signature_bytes": process.signatures.sent_bytes,
         }
         line = {
             "time_s": now.now_ns / 1e9,
@@ -165,6 +169,7 @@ def _shown_as_json(neighbours: Neighbours, nobody: NobodyThere) -> Callable[[Liv
             "phase": now.phase.name.lower(),
             "neighbours": now.neighbours,
             **sent,
+            "cpu_s": time.process_time(),
         }
         if (wrong := nobody.check(now.neighbours, bool(neighbours.refusals()))) is not None:
             line["warning"] = wrong
