@@ -22,6 +22,7 @@ from ..transport.transport import TrafficCount, Transport
 from .coverage import coverage_of, one_frame
 from .graph_fit import graph_figures
 from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, of_same_image
+from .load_figures import load_of
 from .map_copies import map_copies
 from .odometry_error import odometry_error
 from .reputation_figures import fault_figures, reputations
@@ -103,6 +104,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         graphs=graph_figures(agents),
         truths=truth_figures(sequences),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
+        load=load_of(len(agents), transport, run.events),
         refused_messages=sum(r.refused for a in agents for r in a.context.reputation.records.values()),
         reputation=reputations(agents),
         faults=fault_figures(agents, transport),

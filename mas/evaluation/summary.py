@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from ..sequence import LeftOutEntry, LostEntry, MissingEntry
+from .load_figures import LoadFigures
 
 
 class _Figures(BaseModel):
@@ -236,10 +237,12 @@ class FaultFigures(_Figures):
 
 class Timing(_Figures):
     """Measured times of a run on this machine, no result of it: ``timing.json``. Seconds of wall time, and how many
-    times as fast as the sequences were recorded."""
+    times as fast as the sequences were recorded. ``agents_cpu_s``: CPU time of each agent's process, None where all
+    were in one, or one was killed on the way."""
 
     wall_s: float
     realtime_factor: float
+    agents_cpu_s: list[float] | None = None
 
 
 class Summary(_Figures):
@@ -281,6 +284,7 @@ class Summary(_Figures):
     graphs: list[GraphFigures] = Field(default=[], description="of each group; empty: a run before they were checked")
     truths: list[TruthFigures] = Field(default=[], description="of each agent with ground truth that tells")
     map_copies: list[MapCopyFigures]
+    load: list[LoadFigures] = Field(default=[], description="of each agent; empty: a run before it was written")
     positions: PositionFigures | None = Field(default=None, description="None: no agent had any")
     refused_messages: int
     reputation: list[ReputationFigures] = Field(

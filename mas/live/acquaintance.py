@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from .credentials import Stranger
 from .framing import DrivePhase
 from .neighbour import Session
 
@@ -30,7 +31,7 @@ class _Process:
     """``proven``: it has sent something sealed, which only the owner of its keys can."""
 
     session: Session
-    serial: int
+    stranger: Stranger
     proven: bool = False
 
 
@@ -96,10 +97,15 @@ class Acquaintance:
         """Whether no more processes of it are taken."""
         return len(self._processes) >= _MOST_PROCESSES
 
-    def add(self, public: bytes, session: Session, serial: int) -> None:
-        """A process has shown a greeting with the certificate of this serial number."""
-        self._processes[public] = _Process(session, serial)
-        self._newest = public
+    def add(self, stranger: Stranger, session: Session) -> None:
+        """A process has shown a greeting."""
+        self._processes[stranger.public] = _Process(session, stranger)
+        self._newest = stranger.public
+
+    @property
+    def certificate(self) -> bytes:
+        """That of the process that is talked to (DER), empty where there is none."""
+        return self._processes[self._current].stranger.certificate if self._current else b""
 
     def greets(self, public: bytes) -> None:
         """A known process goes on greeting: it lacks my own greeting, or what I sealed first."""
@@ -142,7 +148,7 @@ class Acquaintance:
 
     def forget(self, serials: frozenset[int]) -> bool:
         """Believe no process with one of these certificates any more; whether there was one."""
-        gone = {public for public, one in self._processes.items() if one.serial in serials}
+        gone = {public for public, one in self._processes.items() if one.stranger.serial in serials}
         for public in gone:
             del self._processes[public]
         if gone & {self._current, self._newest}:

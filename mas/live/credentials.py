@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 AUTHORITY, CERTIFICATE, KEY = "ca.pem", "cert.pem", "key.pem"
 """Files of an agent's folder."""
 _SIGNED = b"maslam greeting 1"
+_SIGNED_DATA = b"maslam signed 1"
 _MOST_BYTES = 8192
 _MADE = "that `maslam keys` made: damaged, or of something else"
 INSTALL = "agents on a network need the extra 'network': pip install 'maslam[network]'"
@@ -63,6 +64,7 @@ class Stranger:
     version: int
     language: int
     serial: int
+    certificate: bytes
 
 
 def name_of_agent(number: int) -> str:
@@ -151,7 +153,45 @@ class Credentials:
         number, team = self._names(certificate, "a certificate")
         if team != self.team:
             raise CredentialsError(f"agent {number} is of team {team!r}, not {self.team!r}")
-        return Stranger(number, greeting.public, greeting.version, greeting.language, certificate.serial_number)
+        return Stranger(
+            number,
+            greeting.public,
+            greeting.version,
+            greeting.language,
+            certificate.serial_number,
+            greeting.certificate,
+        )
+
+    def sign(self, digest: bytes) -> bytes:
+        """This agent's signature, in its own name."""
+        from cryptography.hazmat.primitives import hashes
+        from cryptography.hazmat.primitives.asymmetric import ec
+
+        assert isinstance(self._key, ec.EllipticCurvePrivateKey)
+        return self._key.sign(_SIGNED_DATA + digest, ec.ECDSA(hashes.SHA256()))
+
+    def signed_by(self, agent: int, certificate: bytes, signature: bytes, digest: bytes) -> bool:
+        """Whether an agent signed this, by its certificate (DER); :class:`CredentialsError` where that is not one of
+        this agent. One that has expired or was revoked since still says who signed."""
+        from cryptography import x509
+        from cryptography.exceptions import InvalidSignature
+        from cryptography.hazmat.primitives import hashes
+        from cryptography.hazmat.primitives.asymmetric import ec
+
+        try:
+            shown = x509.load_der_x509_certificate(certificate)
+            key = shown.public_key()
+        except (ValueError, TypeError) as error:
+            raise CredentialsError("a certificate that cannot be read") from error
+        if not issued_by(shown, self._authority) or not isinstance(key, ec.EllipticCurvePublicKey):
+            raise CredentialsError("a certificate of another authority")
+        if self._names(shown, "a certificate") != (agent, self.team):
+            raise CredentialsError("the certificate of another agent")
+        try:
+            key.verify(signature, _SIGNED_DATA + digest, ec.ECDSA(hashes.SHA256()))
+        except InvalidSignature:
+            return False
+        return True
 
     def _names(self, certificate: Certificate, what: str) -> tuple[int, str]:
         from cryptography.x509.oid import NameOID

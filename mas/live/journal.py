@@ -44,6 +44,8 @@ class EntryKind(IntEnum):
     """Bytes of another agent that are no message of its own; data: its number, and what is wrong."""
     SEE = 8
     """The next key-frame of a live camera; data: the key-frame itself."""
+    SIGNED = 9
+    """Signatures of maps in the message that follows."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class Neighbours:
         self.into: dict[int, FrameCount] = {}
         self.greeting_bytes = 0
         self.refused = 0
-        self._credentials = credentials
+        self.credentials = credentials
         self._link = link
         self._limit = max_message_bytes
         self._language = language
@@ -85,11 +85,15 @@ class Neighbours:
         """Why agents that are there are not talked to."""
         return {a: k.refused for a, k in sorted(self._known.items()) if k.here and k.refused and k.session is None}
 
+    def certificate(self, other: int) -> bytes:
+        """That of another agent that is talked to (DER)."""
+        return self._known[other].certificate if other in self._known else b""
+
     def flush(self) -> None:
         """Send what is due."""
         now_ns = time.monotonic_ns()
         self._own_name.flush()
-        if self._credentials.revocations.refresh():
+        if self.credentials.revocations.refresh():
             self._revoke()
         for other, known in self._known.items():
             if not known.here:
@@ -131,7 +135,7 @@ class Neighbours:
 
     def _revoke(self) -> None:
         """There is a newer list of revoked certificates: pass it on, and talk no more to those it names."""
-        newest = self._credentials.revocations.newest
+        newest = self.credentials.revocations.newest
         for other, known in self._known.items():
             for session in known.sessions():
                 session.pass_on(newest.number, newest.der)
@@ -142,7 +146,7 @@ class Neighbours:
 
     def _take_list(self, sender: int, der: bytes) -> None:
         """Another agent passes a list on."""
-        revocations = self._credentials.revocations
+        revocations = self.credentials.revocations
         session = self._known[sender].session
         newer = revocations.take(der)
         if session is not None:
@@ -155,7 +159,7 @@ class Neighbours:
         if not known.may_look(time.monotonic_ns()):
             return
         try:
-            if self._credentials.revocations.take(came.data[1:]):
+            if self.credentials.revocations.take(came.data[1:]):
                 self._revoke()
         except UnsignedListError as error:
             self.refused += 1
@@ -202,19 +206,19 @@ class Neighbours:
                 log.warning("agent %d is not talked to: %s", came.sender, error)
             known.refused = str(error)
             if isinstance(error, RevokedCertificateError):
-                self._link.send(came.sender, REVOKED + self._credentials.revocations.newest.der)
+                self._link.send(came.sender, REVOKED + self.credentials.revocations.newest.der)
             return
         self._greet(came.sender, known, now_ns)
         # What is sealed first says how far I am, until it is acknowledged; so it proves who I am.
         session = Session(seals, self._limit)
         session.announce(self.phase)
-        newest = self._credentials.revocations.newest
+        newest = self.credentials.revocations.newest
         if newest.number:
             session.pass_on(newest.number, newest.der)
-        known.add(stranger.public, session, stranger.serial)
+        known.add(stranger, session)
 
     def _checked(self, came: Arrived) -> Stranger:
-        stranger = self._credentials.check(came.data[1:])
+        stranger = self.credentials.check(came.data[1:])
         if stranger.number != came.sender:
             raise CredentialsError(f"it shows the certificate of agent {stranger.number}")
         if stranger.version != VERSION:

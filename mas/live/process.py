@@ -21,7 +21,8 @@ from .drive import Drive, RecordedDrive
 from .durations import arrived, departing
 from .framing import DrivePhase
 from .neighbours import Met, Neighbours, Received
-from .recorded_agent import RecordedAgent
+from .recorded_agent import RecordedAgent, signatures_in
+from .signed_maps import MapSignatures, split_signed
 
 # So many messages are handled before time goes on.
 _AT_ONCE = 256
@@ -58,6 +59,8 @@ class AgentProcess:
         self.config = config
         self.live = live
         self.drive = drive or RecordedDrive(agent)
+        kept = signatures_in(agent.journal.path)
+        self.signatures = MapSignatures(neighbours.credentials, agent.agent, kept)
         self._began_ns = began_ns
         self._step_ns = round(config.step_s * 1e9)
         self._next_tick = -(-began_ns // self._step_ns)
@@ -135,24 +138,29 @@ class AgentProcess:
                 self.agent.meet(came.other, now_ns)
             return
         try:
-            message = arrived(decode(came.data, self.agent.inputs.max_message_bytes), now_ns)
+            signed = split_signed(came.data)
+            message = arrived(decode(signed.message, self.agent.inputs.max_message_bytes), now_ns)
             if message.recipient != self.neighbours.me:
                 raise MessageError(f"a message for agent {message.recipient}")
             if message.sender != came.sender:
                 raise MessageError(f"a message in the name of agent {message.sender}")
+            # Contracts are judged by the time at which their messages come.
+            if now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
+                self._remind(now_ns)
+            kept = self.signatures.check(message, signed.signatures, self.neighbours.certificate(came.sender))
         except MessageError as error:
             self._warn(came.sender, str(error))
             self._send(self.agent.refuse(came.sender, str(error), now_ns), now_ns)
             return
         self._still_since = None
-        # Contracts are judged by the time at which their messages come.
-        if now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
-            self._remind(now_ns)
+        if kept:
+            self.agent.keep_signatures(kept, now_ns)
         self._send(self.agent.handle(message, now_ns), now_ns)
 
     def _send(self, effects: Effects, now_ns: int) -> None:
         for message in effects.messages:
-            self.neighbours.send(message.recipient, encode(departing(message, now_ns)))
+            data = encode(departing(message, now_ns))
+            self.neighbours.send(message.recipient, self.signatures.seal(message, data))
 
     # -- the end ------------------------------------------------------------------------------------------------------
 

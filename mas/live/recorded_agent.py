@@ -61,7 +61,7 @@ class AgentInputs:
                 self.seen += 1
             case EntryKind.FINISH:
                 agent.finish()
-            case EntryKind.BEGIN:
+            case EntryKind.BEGIN | EntryKind.SIGNED:
                 pass
         return NOTHING
 
@@ -97,6 +97,10 @@ class RecordedAgent:
     def handle(self, message: Message, now_ns: int) -> Effects:
         """A message that the link has delivered."""
         return self._enter(EntryKind.MESSAGE, now_ns, encode(message))
+
+    def keep_signatures(self, data: bytes, now_ns: int) -> None:
+        """Signatures of maps in the message that is handled next."""
+        self._enter(EntryKind.SIGNED, now_ns, data)
 
     def refuse(self, sender: int, reason: str, now_ns: int) -> Effects:
         """The link brought bytes of an agent that are no message, or one in another's name."""
@@ -143,6 +147,11 @@ def replay(inputs: AgentInputs, entries: Iterable[JournalEntry], name: str) -> I
         except (IndexError, struct.error) as error:
             raise JournalError(f"{name}: entry {number}: {entry.kind.name.lower()} of what is not there") from error
         yield Replayed(entry, effects)
+
+
+def signatures_in(journal: Path) -> list[bytes]:
+    """Signatures of maps that the agent of a journal has bought."""
+    return [e.data for e in read_journal(journal) if e.kind is EntryKind.SIGNED] if journal.exists() else []
 
 
 def met_in(journal: Path) -> set[int]:

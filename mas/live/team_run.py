@@ -45,9 +45,11 @@ def record_team(
     journals: Sequence[Path],
     out: Path,
     wall_s: float,
+    agents_cpu_s: list[float] | None = None,
 ) -> Summary:
     """Write the RUN folder ``out`` from the journals of all agents, in the order of the sequences. Times are each
-    agent's own: they began when their recordings did. ``wall_s``: how long the agents' processes ran."""
+    agent's own: they began when their recordings did. ``wall_s``: how long the agents' processes ran;
+    ``agents_cpu_s``: CPU time of each."""
     pairs = enumerate(zip(manifest.agents, sequences, strict=True))
     inputs = [inputs_of(me, manifest, entry, sequence, config) for me, (entry, sequence) in pairs]
     agents = [one.agent for one in inputs]
@@ -68,7 +70,8 @@ def record_team(
         recorder.step(timeline_row(rows, rows * step_ns, agents, transport, evaluator))
         finished = FinishedRun(agents, sequences, config, transport, events, rows + 1, manifest.left_out)
         summary = record_run(recorder, manifest, finished, evaluator)
-        recorder.timing(Timing(wall_s=wall_s, realtime_factor=summary.duration_s / wall_s))
+        factor = summary.duration_s / wall_s
+        recorder.timing(Timing(wall_s=wall_s, realtime_factor=factor, agents_cpu_s=agents_cpu_s))
     return summary
 
 

@@ -45,6 +45,8 @@ class Publisher:
 
     state: AgentState
     published: MapVersion | None = None
+    recent: dict[int, QuantisedMap] = field(default_factory=dict)
+    """The last two versions."""
     _at_version: int = -1
     _sold: set[int] = field(default_factory=set)
 
@@ -73,6 +75,7 @@ class Publisher:
         patch = make_patch(continued, made, bits)
         known = self.published.patches if self.published is not None and continued is not None else ()
         self.published = MapVersion(made, (*known, patch) if continued is not None else ())
+        self.recent = {**dict(list(self.recent.items())[-1:]), made.version: made}
         return self.published
 
     def _same_coordinates(self, base: QuantisedMap) -> bool:

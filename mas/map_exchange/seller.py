@@ -11,6 +11,7 @@ from ..protocol.map_messages import MapDelivery, MapOrder, Parcel, Runs, SubMap
 from ..protocol.messages import Offer
 from ..protocol.tensors import pack_sim3, pack_sim3s
 from ..state.agent_state import AgentState
+from .coding.quantised_map import QuantisedMap
 from .full_map import fresh_rows, own_submap
 from .full_map_increments import without
 from .map_copy import MapCopy, submap_of
@@ -30,6 +31,11 @@ class Seller:
         self._publisher = Publisher(state)
         self._full: SubMap | None = None
         self._points: list[int] = []
+
+    @property
+    def sold(self) -> dict[int, QuantisedMap]:
+        """The last versions of the agent's own map, in the compact form."""
+        return self._publisher.recent
 
     @property
     def _compact(self) -> bool:

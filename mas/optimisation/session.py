@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from maslam.backend.distributed.elected import ElectedNode
 from maslam.backend.distributed.methods import SolverNode, node_for
 from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.distributed.wire import SolverMessage
@@ -138,6 +139,7 @@ class OptimisationSession:
             "sweeps": outcome.rotation_sweeps + outcome.pose_sweeps,
             "improved": outcome.accepted,
             "reason": outcome.reason,
+            "solver": self.node.leader if isinstance(self.node, ElectedNode) else None,
             "cost_before": outcome.cost_before,
             "cost_after": outcome.cost_after,
         }

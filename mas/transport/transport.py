@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from ..protocol.accounting import Traffic
 from ..protocol.ids import ContractId
-from ..protocol.messages import Message, decode, encode
+from ..protocol.messages import Award, Message, decode, encode
+from ..protocol.tasks import OwnerQuery
 from ..protocol.tensors import MessageError
 
 MAX_MESSAGE_BYTES = 64 * 2**20
@@ -82,6 +83,7 @@ class Transport(ABC):
         self.by_operation: dict[Traffic, TrafficCount] = {t: TrafficCount() for t in Traffic}
         self.by_pair: dict[tuple[int, int], TrafficCount] = {}
         self.by_contract: dict[ContractId, TrafficCount] = {}
+        self.owner_queries: dict[int, int] = {}
         self.refused = 0
         self._record = record
 
@@ -99,6 +101,8 @@ class Transport(ABC):
         sent = Sent(*ends, body.traffic, body.kind, body.payload_bytes, len(data))
         self.by_operation[sent.operation].add(sent)
         self.by_pair.setdefault((sender, message.recipient), TrafficCount()).add(sent)
+        if isinstance(body, Award) and isinstance(body.task, OwnerQuery):
+            self.owner_queries[message.recipient] = self.owner_queries.get(message.recipient, 0) + 1
         if message.contract is not None:
             self.by_contract.setdefault(message.contract, TrafficCount()).add(sent)
         if self._record is not None:

@@ -282,14 +282,13 @@ def twenty(folder: Path) -> None:
 
 
 def used(pid: int) -> tuple[float, int] | None:
-    """CPU time of a process, seconds, and its memory now, MB."""
+    """CPU time of a process, seconds, and its memory now, MB; None where it has ended."""
     try:
         words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK"), int(words[21]) * os.sysconf(
-            "SC_PAGE_SIZE"
-        ) // 2**20
-    except (OSError, IndexError):
+    except OSError:
         return None
+    ticks, pages = int(words[11]) + int(words[12]), int(words[21])
+    return (ticks / os.sysconf("SC_CLK_TCK"), pages * os.sysconf("SC_PAGE_SIZE") // 2**20) if pages else None
 
 
 SCENARIOS = {

@@ -77,9 +77,9 @@ def test_only_the_authority_takes_back(folders: list[Path], clock: Clock, tmp_pa
     (folders[0] / REVOKED).write_bytes(second)
     one, liar = started(network, Credentials(folders[0])), started(network, Credentials(folders[1]))
     talk([one, liar], clock, 3.0)
-    known = one._credentials.revocations
+    known = one.credentials.revocations
     assert known.newest.number == 2 and len(known.newest.serials) == 2
-    assert liar._credentials.revocations.newest == known.newest
+    assert liar.credentials.revocations.newest == known.newest
     long_ones = sum(len(data) > 200 for *_, data in network.sent)
     talk([one, liar], clock, 3.0)
     assert sum(len(data) > 200 for *_, data in network.sent) == long_ones  # both have it: it is not sent again

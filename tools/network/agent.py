@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,7 @@ from .nobody import NobodyThere
 if TYPE_CHECKING:
     from maslam.mas.live.config import LiveConfig
     from maslam.mas.live.neighbours import Neighbours
-    from maslam.mas.live.process import LiveProgress
+    from maslam.mas.live.process import AgentProcess, LiveProgress
 
 JOURNAL = "journal.bin"
 
@@ -147,15 +148,15 @@ def main(arguments: argparse.Namespace) -> None:
             agent = RecordedAgent(inputs, journal)
             agent.begin(digest_of(inputs), earlier.now_ns)
             process = AgentProcess(agent, neighbours, config, live, earlier.now_ns)
-            process.run(_shower(arguments, progress, neighbours, lambda: link.connected))
+            process.run(_shower(arguments, progress, process, lambda: link.connected))
         write_own_results(arguments.out, inputs.agent, own_sequence(arguments.sequences, me))
 
 
 def _shower(
-    arguments: argparse.Namespace, progress: Progress, neighbours: Neighbours, connected: Callable[[], bool]
+    arguments: argparse.Namespace, progress: Progress, process: AgentProcess, connected: Callable[[], bool]
 ) -> Callable[[LiveProgress], None]:
     nobody = NobodyThere(arguments.connect, arguments.credentials, connected)
-    return _shown_as_json(neighbours, nobody) if arguments.json else _shown(progress, neighbours, nobody)
+    return _shown_as_json(process, nobody) if arguments.json else _shown(progress, process.neighbours, nobody)
 
 
 def _shown(progress: Progress, neighbours: Neighbours, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
@@ -173,12 +174,15 @@ def _shown(progress: Progress, neighbours: Neighbours, nobody: NobodyThere) -> C
     return show
 
 
-def _shown_as_json(neighbours: Neighbours, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
+def _shown_as_json(process: AgentProcess, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
+    neighbours = process.neighbours
+
     def show(now: LiveProgress) -> None:
         sent = {
             "message_bytes": sum(c.messages for c in neighbours.out.values()),
             "frame_bytes": sum(c.frames for c in neighbours.out.values()),
             "greeting_bytes": neighbours.greeting_bytes,
+            "signature_bytes": process.signatures.sent_bytes,
         }
         line = {
             "time_s": now.now_ns / 1e9,
@@ -187,6 +191,7 @@ def _shown_as_json(neighbours: Neighbours, nobody: NobodyThere) -> Callable[[Liv
             "phase": now.phase.name.lower(),
             "neighbours": now.neighbours,
             **sent,
+            "cpu_s": time.process_time(),
         }
         if (wrong := nobody.check(now.neighbours, bool(neighbours.refusals()))) is not None:
             line["warning"] = wrong

@@ -19,15 +19,14 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.mas.config import MasConfig
     from maslam.mas.live.config import LiveConfig
-    from maslam.mas.live.neighbours import Neighbours
-    from maslam.mas.live.process import LiveProgress
+    from maslam.mas.live.process import AgentProcess, LiveProgress
     from maslam.mas.state.agent_state import AgentState
 
     from ..live.frames import CameraFrame
     from ..live.sources import FrameSource
     from ..live.tracker import LiveFigures
 
-Shown = Callable[["Neighbours", Callable[[], bool]], Callable[["LiveProgress"], None]]
+Shown = Callable[["AgentProcess", Callable[[], bool]], Callable[["LiveProgress"], None]]
 
 
 def run_live(
@@ -74,7 +73,7 @@ def run_live(
         if agent.earlier.begun:
             progress.say(f"goes on from its journal at {agent.earlier.now_ns / 1e9:.1f} s, in a new track")
         with fed(source, agent.push, agent.end, progress):
-            agent.run(shown(agent.neighbours, lambda: link.connected))
+            agent.run(shown(agent.process, lambda: link.connected))
         agent.write_results()
     progress.say(figures_line(agent.figures))
     progress.say(joined_line(agent.inputs.agent.state))

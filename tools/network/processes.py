@@ -58,6 +58,7 @@ class _Child:
     readers: list[threading.Thread]
     restarts: int = 0
     last_line: str = ""
+    cpu_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,10 @@ class _Line:
     is_error: bool
 
 
-def run_together(commands: Sequence[AgentCommand], keyframes: Sequence[int], progress: Progress) -> None:
+def run_together(commands: Sequence[AgentCommand], keyframes: Sequence[int], progress: Progress) -> list[float] | None:
     """Run all agents to their end. One that is killed is started again, and goes on from its journal; ``ToolError``
-    where one fails. Whatever ends this ends them, too."""
+    where one fails. Whatever ends this ends them, too. Returns the CPU time of each, seconds; None where one was
+    killed."""
     ports = _free_ports(len(commands))
     lines: queue.SimpleQueue[_Line] = queue.SimpleQueue()
     task = progress.start("agents", sum(keyframes))
@@ -86,6 +88,8 @@ def run_together(commands: Sequence[AgentCommand], keyframes: Sequence[int], pro
                 if children[command.number].process.poll():
                     children[command.number] = _again(command, children, ports, lines, seen, progress)
         progress.advance(task, sum(keyframes))
+        in_order = [children[command.number] for command in commands]
+        return None if any(child.restarts for child in in_order) else [child.cpu_s for child in in_order]
     finally:
         _end([child.process for child in children.values()])
 
@@ -131,7 +135,8 @@ def _take(lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: li
             if "warning" in line.text:
                 progress.say(f"agent {line.agent}: {line.text}")
         else:
-            seen[line.agent] = int(json.loads(line.text)["seen"])
+            step = json.loads(line.text)
+            seen[line.agent], children[line.agent].cpu_s = int(step["seen"]), float(step["cpu_s"])
 
 
 def _again(

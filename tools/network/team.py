@@ -117,11 +117,11 @@ def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over:
             for number in numbers
         ]
         started = time.perf_counter()
-        run_together(commands, [len(s.keyframe_stamps_ns) for s in loaded], progress)
+        cpu_s = run_together(commands, [len(s.keyframe_stamps_ns) for s in loaded], progress)
         wall_s = time.perf_counter() - started
     journals = [folder / JOURNAL for folder in folders]
     for number, journal in zip(numbers, journals, strict=True):
         never = sorted(set(numbers) - {number} - met_in(journal))
         if never:
             progress.say(f"warning: agent {number} never met {', '.join(f'agent {a}' for a in never)}")
-    record_team(manifest, loaded, config, journals, out, wall_s)
+    record_team(manifest, loaded, config, journals, out, wall_s, cpu_s)

@@ -27,6 +27,7 @@ from .charts import (
 from .coverage_table import coverage_sections, in_one_frame, percent_text
 from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
+from .load_table import load_table
 from .match_images import sample_images
 from .measured import frames_read, measured_on, table_note
 from .run_data import AgentData, RunData
@@ -221,7 +222,8 @@ def _bytes(run: RunData) -> Section:
     chart = bytes_chart(times, bands) if len(times) else ""
     note = "Payload is counted as in published tables; wire bytes are the exact length of every encoded message."
     parts = table(["operation", "messages", "payload bytes", "wire bytes"], rows, total=True)
-    return Section("Bytes by operation", note, f'<div class="columns"><div>{key}{chart}</div><div>{parts}</div></div>')
+    columns = f'<div class="columns"><div>{key}{chart}</div><div>{parts}{load_table(run)}</div></div>'
+    return Section("Bytes by operation", note, columns)
 
 
 def _exploration(run: RunData) -> Section:
