@@ -87,7 +87,8 @@ def parse_times(texts: Sequence[str], unit: TimeUnit | None = None) -> Times:
 
 def _of_day(texts: Sequence[str]) -> NDArray[np.int64]:
     """Nanoseconds since the first midnight; where they begin anew, another day has begun."""
-    stamps, days = [], 0
+    stamps: list[int] = []
+    days = 0
     for i, text in enumerate(texts):
         found = _CLOCK.fullmatch(text)
         if not found or int(found[1]) > 23 or max(int(found[2]), int(found[3])) > 59:
