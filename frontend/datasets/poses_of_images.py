@@ -32,7 +32,7 @@ class GivenPoses:
 
 def given_poses(path: Path, table: PoseTable, images: TimedImages) -> GivenPoses:
     """The poses in time. :class:`FrontendError` where it is not known which image's they are."""
-    trajectory = _of_numbers(table, images)
+    trajectory = _of_numbers(path, table, images)
     if trajectory is not None:
         notes = [note for note in table.notes if note != table.doubt]
         counts = "its first column counts and is no time of the images: taken as their numbers"
@@ -47,25 +47,25 @@ def given_poses(path: Path, table: PoseTable, images: TimedImages) -> GivenPoses
         raise FrontendError(
             f"{path}: {table.count} poses without times for {len(images.files)} images: which is whose?"
         )
-    return GivenPoses(_at_images(table, rows, images), f"{table.form}, one an image", False, table.notes)
+    return GivenPoses(_at_images(path, table, rows, images), f"{table.form}, one an image", False, table.notes)
 
 
-def _at_images(table: PoseTable, rows: NDArray[np.int64], images: TimedImages) -> Trajectory:
+def _at_images(path: Path, table: PoseTable, rows: NDArray[np.int64], images: TimedImages) -> Trajectory:
     """Poses of the ``rows`` ``(N,)`` of the file that belong to the images; -1, or a row without a pose: none."""
     place = np.full(table.count, -1)
     place[table.rows] = np.arange(len(table.rows))
     found = np.where(rows >= 0, place[rows], -1)
     known = found >= 0
-    return _in_order(images.stamps_ns[known], table.poses[found[known]])
+    return _in_order(path, images.stamps_ns[known], table.poses[found[known]])
 
 
-def _in_order(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory:
+def _in_order(path: Path, stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory:
     if (np.diff(stamps_ns) <= 0).any():
-        raise FrontendError("the images' times do not go on, so that their poses have no order")
+        raise FrontendError(f"{path}: the images' times do not go on, so that their poses have no order")
     return Trajectory(stamps_ns, poses)
 
 
-def _of_numbers(table: PoseTable, images: TimedImages) -> Trajectory | None:
+def _of_numbers(path: Path, table: PoseTable, images: TimedImages) -> Trajectory | None:
     """Poses whose times count 0, 1, 2 …, or from 1, and as seconds are not the images': they are the numbers of the
     images in order, or in their names. None where they are times, or fit no image."""
     stamps = table.stamps_ns
@@ -87,7 +87,7 @@ def _of_numbers(table: PoseTable, images: TimedImages) -> Trajectory | None:
     row = {int(number): k for k, number in enumerate(numbers)}
     rows = np.array([row.get(int(number), -1) for number in own])
     known = rows >= 0
-    return _in_order(images.stamps_ns[known], table.poses[rows[known]]) if known.any() else None
+    return _in_order(path, images.stamps_ns[known], table.poses[rows[known]]) if known.any() else None
 
 
 def _of_named(path: Path, table: PoseTable, images: TimedImages) -> GivenPoses:
@@ -96,7 +96,9 @@ def _of_named(path: Path, table: PoseTable, images: TimedImages) -> GivenPoses:
     if (rows < 0).all() and all(map(str.isdecimal, table.names)):
         rows = _by_number([int(name) for name in table.names], images)
     if (rows >= 0).any():
-        return GivenPoses(_at_images(table, rows, images), f"{table.form}, by the images' names", False, table.notes)
+        return GivenPoses(
+            _at_images(path, table, rows, images), f"{table.form}, by the images' names", False, table.notes
+        )
     timed = _by_time(table, images)
     if timed is None:
         raise FrontendError(f"{path}: names no image here (first: {table.names[0]!r})")

@@ -292,7 +292,7 @@ def test_kitti_raw_before_rectification(tmp_path: Path) -> None:
         (
             "image_00/timestamps.txt",
             "2014-06-25",
-            "25.06.2014",
+            "someday",
             r"timestamps.txt:2: 1 columns, but the rows before have 2",
         ),
         ("../calib_cam_to_cam.txt", "P_rect_00: 8", "P_rect_00: -8", "P_rect_00: focal lengths -80.0"),

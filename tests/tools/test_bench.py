@@ -135,6 +135,9 @@ def test_wrong_trajectories_are_said_in_a_line(tmp_path: Path, content: str, sai
     path.write_text(content)
     with pytest.raises((ToolError, FrontendError)) as caught:
         read_other(path, straight(30).stamps_ns)
+    path.write_text("".join(f"{k:06d}.png {k} 0 0 0 0 0 1\n" for k in range(30)))
+    with pytest.raises(ToolError, match=r"poses by names of images \(000000\.png"):
+        read_other(path, straight(30).stamps_ns)
     assert said in str(caught.value) and "\n" not in str(caught.value) and str(path) in str(caught.value)
 
 

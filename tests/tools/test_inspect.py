@@ -89,7 +89,8 @@ def test_depth_of_another_size_is_one_line_with_the_count(tmp_path: Path) -> Non
     [sequence] = inspect_dataset(tmp_path).sequences
     [line] = [problem.message for problem in sequence.problems if problem.severity == "error"]
     assert line == (
-        f"{tmp_path / 'depth_0' / '000000.png'}: 48x32 pixels, but this sequence has 96x64 (and 5 more of 6 looked at)"
+        f"{tmp_path / 'depth_0' / '000000.png'}: 48x32 pixels, but this sequence has 96x64; resize depth that is "
+        "registered to the image, by the nearest pixel (and 5 more of 6 looked at)"
     )
 
 

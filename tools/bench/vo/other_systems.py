@@ -26,6 +26,11 @@ def read_other(path: Path, stamps_ns: NDArray[np.int64]) -> tuple[Trajectory, st
     if table.stamps_ns is not None:
         trajectory, notes = table.in_time()
         return _in_time(path, trajectory, stamps_ns), "; ".join(f"{path}: {note}" for note in (*table.notes, *notes))
+    if table.names:
+        raise ToolError(
+            f"{path}: poses by names of images ({table.names[0]} …), in any order; times, or a row for each frame, are "
+            "compared"
+        )
     if table.count < len(stamps_ns):
         raise ToolError(
             f"{path}: {table.count} poses for {len(stamps_ns)} frames: without times, row k is frame k; "
