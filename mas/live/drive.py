@@ -25,7 +25,7 @@ class Drive(ABC):
     @property
     @abstractmethod
     def keyframes(self) -> int:
-        """How many there are, as far as is known."""
+        """How many there are, as far as is known: of a camera that goes on those that the agent has."""
 
 
 class RecordedDrive(Drive):
@@ -81,4 +81,4 @@ class LiveDrive(Drive):
     @property
     def keyframes(self) -> int:
         """See :attr:`Drive.keyframes`."""
-        return self._agent.inputs.seen + self._come.qsize()
+        return self._agent.inputs.seen
