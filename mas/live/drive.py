@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
-from threading import Lock
+from queue import SimpleQueue
+from threading import Event
 
 from .observed import Observed
 from .recorded_agent import RecordedAgent
@@ -25,7 +25,7 @@ class Drive(ABC):
     @property
     @abstractmethod
     def keyframes(self) -> int:
-        """How many there are, as far as is known."""
+        """How many there are, as far as is known: of a camera that goes on those that the agent has."""
 
 
 class RecordedDrive(Drive):
@@ -57,35 +57,28 @@ class LiveDrive(Drive):
 
     def __init__(self, agent: RecordedAgent) -> None:
         self._agent = agent
-        self._lock = Lock()
-        self._waiting: deque[Observed] = deque()
-        self._ended = False
+        self._come: SimpleQueue[Observed] = SimpleQueue()
+        self._ended = Event()
 
     def put(self, observed: Observed) -> None:
         """A key-frame for the agent; from any thread."""
-        with self._lock:
-            self._waiting.append(observed)
+        self._come.put(observed)
 
     def end(self) -> None:
-        """No more key-frames come; from any thread."""
-        with self._lock:
-            self._ended = True
+        """No more key-frames come; from any thread, after the last of them."""
+        self._ended.set()
 
     def observe(self, now_ns: int) -> None:
         """See :meth:`Drive.observe`."""
-        with self._lock:
-            come = list(self._waiting)
-            self._waiting.clear()
-        for observed in come:
-            self._agent.see(observed, now_ns)
+        while not self._come.empty():
+            self._agent.see(self._come.get(), now_ns)
 
     @property
     def over(self) -> bool:
         """See :attr:`Drive.over`."""
-        with self._lock:
-            return self._ended and not self._waiting
+        return self._ended.is_set() and self._come.empty()
 
     @property
     def keyframes(self) -> int:
         """See :attr:`Drive.keyframes`."""
-        return self._agent.inputs.seen + len(self._waiting)
+        return self._agent.inputs.seen

@@ -21,7 +21,8 @@ from maslam.tools.live.front_end import Beginning, LiveFrontEnd, TrackedLive
 from maslam.tools.pipeline.tracking import Tracked, track
 
 DEFAULT = OdometryConfig()
-SMALL = replaced(DEFAULT, mapping=replaced(DEFAULT.mapping, window=6, fixed=2))
+SMALL = replaced(DEFAULT, mapping=replaced(DEFAULT.mapping, window=6, fixed=2, min_found_ratio=0.4))
+FRAMES = 17
 
 
 @cache
@@ -102,7 +103,7 @@ def test_the_points_are_those_of_preprocessing_but_for_what_later_views_change(t
         T_C_T = se3_inverse(whole.poses[k])
         expected = np.stack([T_C_T[:3, :3] @ theirs[d] + T_C_T[:3, 3] for d in both])
         off = np.linalg.norm(np.stack([mine[d] for d in both]) - expected, axis=1) / expected[:, 2]
-        assert np.median(off) < 5e-3 and np.mean(off < 0.02) > 0.9
+        assert np.median(off) < 5e-3 and np.mean(off < 0.05) > 0.95
         if one in live.end:
             assert theirs.keys() == mine.keys() and off.max() < 1e-6
             assert keyframe.depth == pytest.approx(np.median(expected[:, 2]), rel=1e-6)
@@ -125,16 +126,41 @@ def test_each_frame_is_placed_by_the_latest_key_frame_passed_on(town_stereo: Pat
 
 
 def test_key_frames_may_be_passed_on_sooner(town_stereo: Path) -> None:
-    """By one newer key-frame: sooner, and each step is as good as it was then."""
-    soon, final = driven(town_stereo, after=1), driven(town_stereo)
-    assert len(soon.end) < len(final.end)
-    assert [o.keyframe.stamp_ns for o in soon.observed] == [o.keyframe.stamp_ns for o in final.observed]
-    mine, theirs = (np.stack([o.keyframe.T_T_C for o in one.observed]) for one in (soon, final))
-    steps_of = [se3_inverse(poses[:-1]) @ poses[1:] for poses in (mine, theirs)]
-    assert not np.array_equal(mine, theirs)
-    np.testing.assert_allclose(*steps_of, rtol=0, atol=0.02)
+    """By one newer key-frame: sooner, and each step from one to the next is the map's at that time."""
+    sequence, final = sequence_in(town_stereo), driven(town_stereo)
+    front_end = LiveFrontEnd(sequence.rig, SMALL, Vocabulary.load(None), NetVlad.load(), sequence.name, 1)
+    given: list[Observed] = []
+    for index in range(len(sequence)):
+        for one in front_end.process(sequence.read(index)).observed:
+            keyframes = front_end.odometry.maps[-1].keyframes.values()
+            now = {k.stamp_ns: k.T_W_C for k in keyframes}
+            if given:
+                before, this = given[-1].keyframe, one.keyframe
+                step = se3_inverse(before.T_T_C) @ this.T_T_C
+                expected = se3_inverse(now[before.stamp_ns]) @ now[this.stamp_ns]
+                np.testing.assert_allclose(step, expected, rtol=0, atol=1e-12)
+            given.append(one)
+    end, _ = front_end.finish()
+    assert len(end) < len(final.end)
+    given += end
+    assert [o.keyframe.stamp_ns for o in given] == [o.keyframe.stamp_ns for o in final.observed]
+    assert not np.array_equal(given[-1].keyframe.T_T_C, final.observed[-1].keyframe.T_T_C)
     with pytest.raises(ValueError, match="waits for 1 newer one"):
         driven(town_stereo, after=0)
+
+
+def test_frames_after_the_last_key_frame_are_passed_on(town_stereo: Path) -> None:
+    """Also where the latest key-frames are such as only support the window."""
+    sequence = sequence_in(town_stereo)
+    front_end = LiveFrontEnd(sequence.rig, SMALL, Vocabulary.load(None), NetVlad.load(), sequence.name, 1)
+    observed: list[Observed] = []
+    for index in range(FRAMES):
+        observed += front_end.process(sequence.read(index)).observed
+    (latest,) = (list(map_.keyframes.values())[-1] for map_ in front_end.odometry.maps)
+    assert not latest.stays
+    observed += front_end.finish()[0]
+    stamps = np.concatenate([one.frames.stamps_ns for one in observed])
+    np.testing.assert_array_equal(stamps, sequence.stamps_ns[:FRAMES] - sequence.stamps_ns[0])
 
 
 def test_a_key_frame_survives_the_journals_bytes(town_stereo: Path) -> None:

@@ -59,7 +59,7 @@ class LiveSetup:
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     model_name: str = "default"
     after: int | None = None
-    waiting: int = 1
+    waiting: int = 2
 
     def sequence(self, me: int, journal: Path | None = None) -> AgentSequence:
         """Agent ``me``'s sequence by its journal; without one as it is before the first frame."""
@@ -135,6 +135,7 @@ class LiveAgent:
     def __enter__(self) -> LiveAgent:
         self._journal.__enter__()
         self._recorded.begin(digest_of(self.inputs), self.earlier.now_ns)
+        self.tracker.front_end.warm_up()
         return self
 
     def __exit__(self, *_: object) -> None:

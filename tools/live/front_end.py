@@ -96,6 +96,12 @@ class LiveFrontEnd:
         self._index, self._track = self.beginning.index, -1
         self._first_point = self._next_point = self.beginning.point
 
+    def warm_up(self) -> None:
+        """Have the descriptor ready before the first frame: its first image takes longer than others."""
+        camera = self.odometry.rig.camera
+        shape = (camera.height, camera.width, 3) if self._model.colour else (camera.height, camera.width)
+        self._model.look([np.zeros(shape, dtype=np.uint8)])
+
     def process(self, frame: Frame, colour: Colour | None = None) -> TrackedLive:
         """Track a frame. ``colour``: gives its image ``(H, W, 3)`` BGR, for a descriptor that uses colours."""
         if self.start_ns is None:
