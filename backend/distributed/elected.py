@@ -23,7 +23,7 @@ from . import contribution as parcel
 from .condense import Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
-from .gathered import Gathered, cost_between, cost_of_priors, solve
+from .gathered import Gathered, cost_between, cost_of_priors, expected_gain, solve
 from .rounding import encode_remainder, finer, rounding_cost
 from .settled import Settled
 from .share import Share, SolverOutcome, anchor_of
@@ -39,6 +39,10 @@ NO_SURE_GAIN = "no gain beyond the rounding of what is sent"
 # A gain that rounding hides: up to this share of the cost the poses are as good as the result.
 _SMALL_GAIN = 1e-3
 """Begins the reason of a result that is not taken although its cost seems lower: poses stay as good as they were."""
+# A fall of the cost by less than this share is none.
+_NO_GAIN = 1e-5
+# How many times finer a solution is sent that gains little: as F rises with the square of what is rounded off.
+_NEAR = 4.0
 # Messages of a member that are kept until it is known who is elected.
 _EARLY = 16
 # How often what was rounded off is asked for: each time it is 128 times less.
@@ -67,7 +71,8 @@ class ElectedNode:
         self._costs: dict[int, float] = {}
         self._left_out: set[int] = set()
         self._gathered: Gathered | None = None
-        self._sent: Contribution
+        self._body = b""
+        self._sent: Contribution | None = None
         self._remainders = 0
         self._coarse: set[int] = set()
         self._known = Known()
@@ -197,9 +202,9 @@ class ElectedNode:
         me = self.share.robot
         if self.leader != me:
             assert self.leader is not None
-            body = parcel.encode(self._mine(self.leader))
-            self._sent = parcel.decode(body, me, self.share.scaled)
-            return self._say(self._to([self.leader], Kind.CONTRIBUTION, body))
+            self._body = parcel.encode(self._mine(self.leader))
+            self._sent = None
+            return self._say(self._to([self.leader], Kind.CONTRIBUTION, self._body))
         self._contributions = {me: self._mine(me)}
         return self._try_solve()
 
@@ -267,10 +272,15 @@ class ElectedNode:
         given = {r: self._contributions[r] for r in self._members()}
         found = solve(self._believed(given), self.share.arbitrary_scale, self.share.length_sigma)
         rounded = sum(rounding_cost(c) for r, c in given.items() if r != me)
-        if rounded > self._config.elected_rounding * found.cost and self._remainders < _MOST_REMAINDERS:
+        gain, doubt = expected_gain(list(given.values()), found, set(given) <= self.share.arbitrary_scale)
+        # Whether there is a gain, which rounding may hide when it is weighed.
+        hidden = _NO_GAIN * found.total < gain < 2.0 * doubt + rounded
+        coarse = rounded > self._config.elected_rounding * found.cost
+        if self._remainders < _MOST_REMAINDERS and (coarse or hidden):
             return self._ask_for_remainders()
         self._gathered = found
-        fineness = self._config.elected_fineness * self._gathered.exactness
+        near = 0.0 <= gain < _SMALL_GAIN * found.total
+        fineness = self._config.elected_fineness * self._gathered.exactness * (_NEAR if near else 1.0)
         self._known = Known()
         out = []
         for robot, c in given.items():
@@ -308,13 +318,18 @@ class ElectedNode:
         self._coarse = set(self._members()) - {self.share.robot}
         return self._say(self._to(sorted(self._coarse), Kind.FINER, bytes([self._remainders])))
 
+    def _as_sent(self) -> Contribution:
+        """What the elected robot has of this one: read when it is needed, as nothing else in a member is as large."""
+        return self._sent or parcel.decode(self._body, self.share.robot, self.share.scaled)
+
     def _give_remainder(self, body: bytes) -> list[ElectedMessage]:
         """As a member: what was rounded off, if it was not given before."""
         if body != bytes([self._remainders + 1]):
             return []
         self._remainders += 1
-        remainder = encode_remainder(self._mine(self.leader), self._sent)
-        self._sent = finer(self._sent, remainder)
+        sent = self._as_sent()
+        remainder = encode_remainder(self._mine(self.leader), sent)
+        self._sent = finer(sent, remainder)
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.REMAINDER, body + remainder))
 
@@ -335,7 +350,7 @@ class ElectedNode:
         return self._own_cost(poses, log_units)
 
     def _finish_own(self, body: bytes) -> list[ElectedMessage]:
-        self._known = decode_solution(self._take_verdicts(body), self._sent.graph, self.share.scaled)
+        self._known = decode_solution(self._take_verdicts(body), self._as_sent().graph, self.share.scaled)
         cost = self._complete(self._known)
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
