@@ -16,9 +16,10 @@ from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from ..robust.undecided import Undecided, undecided_edges
 from .envelope import Envelope
-from .messages import Coded, Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values
+from .messages import Coded, Decision, Deltas, NodeMessage, SeparatorState, Values
 from .methods import node_for
 from .share import JudgedEdge, Share, SolverOutcome, shares
+from .solver_stage import SolverStage
 from .wire import from_whole, whole
 from .with_priors.in_run import InRun
 
