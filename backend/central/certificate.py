@@ -72,7 +72,7 @@ def certify(graph: PoseGraph, convention: Literal["F", "U"] = "F", tolerance: fl
     rounding = _ROUNDING * _worst(a, kappa, tau)
     if not len(a.ends) or cost <= rounding:
         return Certificate(convention, True, cost, max(cost - rounding, 0.0), 0.0, 0.0)
-    M = connection_laplacian(a.ends, a.measured, kappa, tau, len(a.poses), d)
+    M = connection_laplacian(a.ends, a.measured, kappa, tau, len(a.poses), d).tocsr()
     held = anchors(a)
     near = newton(a.ends, a.measured, (kappa, tau), a.poses, held).poses
     poses = best_translations(near, M, held, d)

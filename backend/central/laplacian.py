@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.sparse.linalg import splu
 
 from ..geometry import Array
 
 
-def connection_laplacian(ends: NDArray[np.intp], T_ij: Array, kappa: Array, tau: Array, n: int, d: int) -> csr_array:
+def connection_laplacian(ends: NDArray[np.intp], T_ij: Array, kappa: Array, tau: Array, n: int, d: int) -> bsr_array:
     """``M`` ``(n (d + 1), n (d + 1))`` of edges ``ends`` ``(m, 2)``, measured ``(m, 4, 4)``, weights ``(m,)``."""
     m, w = len(ends), d + 1
     # The translation residual is X times this vector over the columns of i and then of j.
@@ -28,9 +28,16 @@ def connection_laplacian(ends: NDArray[np.intp], T_ij: Array, kappa: Array, tau:
     blocks[:, w + 1 :, w + 1 :] += kappa[:, None, None] * np.eye(d)
     blocks[:, 1:w, w + 1 :] -= R
     blocks[:, w + 1 :, 1:w] -= np.swapaxes(R, 1, 2)
-    at = (ends[:, :, None] * w + np.arange(w)).reshape(m, 2 * w)
-    rows, columns = np.broadcast_to(at[:, :, None], blocks.shape), np.broadcast_to(at[:, None, :], blocks.shape)
-    return coo_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(n * w, n * w)).tocsr()
+    # Pairs of nodes, not of numbers, are indexed: of large graphs the indices were most of the memory.
+    pairs, slot = np.unique(ends[:, :, None].astype(np.int64) * n + ends[:, None, :], return_inverse=True)
+    data, slot, by_pair = np.empty((len(pairs), w, w)), slot.ravel(), blocks.reshape(m, 2, w, 2, w)
+    for r in range(w):
+        for c in range(w):
+            data[:, r, c] = np.bincount(slot, by_pair[:, :, r, :, c].ravel(), len(pairs))
+    rows, columns = np.divmod(pairs, n)
+    starts = np.searchsorted(rows, np.arange(n + 1))
+    indices = (columns.astype(np.int32), starts.astype(np.int32))
+    return bsr_array((data, *indices), shape=(n * w, n * w))
 
 
 def stacked(poses: Array, d: int) -> Array:

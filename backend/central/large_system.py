@@ -10,7 +10,7 @@ from ..geometry import Array
 from .linear import LARGE, BlockSystem, pose_blocks
 
 # Edges whose blocks are in memory at a time.
-_EDGES = 4096
+_EDGES = 1024
 
 
 def pose_system(

@@ -21,8 +21,8 @@ _GENERATORS = skew(np.eye(3))
 LARGE = 60_000
 """Equations beyond which memory counts, and a Cholesky factor in blocks is made: compiling it takes longer than smaller
 ones to solve."""
-# Edges whose derivatives are in memory at a time.
-_EDGES = 4096
+# Edges whose derivatives are in memory at a time: a few kB each.
+_EDGES = 1024
 # Eigenvalues below this share of the largest are rounding (files hold about 6 digits, conditions of 1e11 occur).
 _ROUNDING = 1e-12
 
@@ -75,10 +75,10 @@ def _eigenvalues(matrices: Array) -> Array:
 
 def edge_costs(T_i: Array, T_j: Array, T_ij: Array, kappa: Array, tau: Array) -> Array:
     """Each edge's share of F ``(m,)``, from poses ``(m, 4, 4)`` of its ends and measurements ``(m, 4, 4)``."""
-    predicted = T_i @ T_ij
-    rotation = ((T_j - predicted)[:, :3, :3] ** 2).sum(axis=(1, 2))
-    translation = ((T_j - predicted)[:, :3, 3] ** 2).sum(axis=1)
-    return kappa * rotation + tau * translation
+    off = T_i @ T_ij
+    np.subtract(T_j, off, out=off)
+    np.square(off, out=off)
+    return kappa * off[:, :3, :3].sum(axis=(1, 2)) + tau * off[:, :3, 3].sum(axis=1)
 
 
 def rotation_blocks(R_ij: Array, kappa: Array) -> tuple[Array, Array]:
@@ -174,7 +174,8 @@ class BlockSystem:
         self.solved, self.width = solved, width
         position = np.full(int(max(ends.max(initial=-1), solved.max(initial=-1))) + 1, -1)
         position[solved] = np.arange(len(solved))
-        ends, hessian, rhs = ends[used], hessian[used], rhs[used]
+        if not used.all():
+            ends, hessian, rhs = ends[used], hessian[used], rhs[used]
         own = position[ends]
         size = len(solved) * width
         self._constant = np.zeros((len(solved), width, rhs.shape[2]))

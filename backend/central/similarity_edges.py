@@ -51,10 +51,13 @@ class SimilarityEdges:
 
     def and_also(self, other: SimilarityEdges) -> SimilarityEdges:
         """These, then the other's; ``ends`` as they are."""
-        mine = (self.measured, self.log_scale, self.kappa, self.tau, self.precision)
-        more = (other.measured, other.log_scale, other.kappa, other.tau, other.precision)
-        together = [np.concatenate(pair) for pair in zip(mine, more, strict=True)]
-        return SimilarityEdges(np.concatenate([self.ends, other.ends]), *together)
+        return SimilarityEdges.together([self, other])
+
+    @staticmethod
+    def together(groups: Sequence[SimilarityEdges]) -> SimilarityEdges:
+        """All of the groups, one after the other, at least one; ``ends`` as they are."""
+        by_group = [(g.ends, g.measured, g.log_scale, g.kappa, g.tau, g.precision) for g in groups]
+        return SimilarityEdges(*(np.concatenate(column) for column in zip(*by_group, strict=True)))
 
     def moved_to(self, rows: NDArray[np.intp]) -> SimilarityEdges:
         """The same edges between other rows: node k of theirs is ``rows[k]``."""

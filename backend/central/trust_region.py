@@ -28,6 +28,8 @@ _SMALL_STEP = 1e-6
 _CONJUGATE_STEPS = 200
 # With more conjugate steps than this the preconditioner is worth making anew where the poses are now.
 _TOO_MANY = 20
+# Edges whose poses are copied at a time.
+_EDGES = 4096
 
 Hessian = Callable[[Array], Array]
 
@@ -119,8 +121,13 @@ class _Model:
         self._gauss_newton = pose_system(self._ends, poses[:, :3, :3], self._measured, self._weights, self._free)
 
     def cost(self, poses: Array) -> float:
-        i, j = self._ends.T
-        return float(edge_costs(poses[i], poses[j], self._measured, *self._weights).sum())
+        kappa, tau = self._weights
+        costs = np.empty(len(self._ends))
+        for at in range(0, len(costs), _EDGES):
+            part = slice(at, at + _EDGES)
+            i, j = self._ends[part].T
+            costs[part] = edge_costs(poses[i], poses[j], self._measured[part], kappa[part], tau[part])
+        return float(costs.sum())
 
     def size(self, step: Array) -> float:
         shift, turn = np.abs(step[:, :3]).max(initial=0.0), np.abs(step[:, 3:]).max(initial=0.0)

@@ -16,9 +16,9 @@ from ..central.linear import BlockSystem, pose_blocks
 from ..central.similarity_edges import SimilarityEdges, newton_step
 from ..geometry import Array
 from .local import LocalProblem
-from .messages import as_sent
 from .places import SCALED, Places, move, moved, places_of
 from .placing import Pieces
+from .solver_stage import as_sent
 
 # Steps of one byte.
 _LARGEST_STEP = 127

@@ -16,12 +16,13 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..robust.schedule import settled
 from .descent import BlockDescent, stepped
-from .messages import Decision, Deltas, Round, SolverStage, Values, as_sent, number_type
+from .messages import Decision, Deltas, Values
 from .mixing import Mixer, MixingRule
 from .places import Places, places_of
 from .rounds import Separators
 from .selection import Selection
 from .share import Share, SolverOutcome
+from .solver_stage import Round, SolverStage, as_sent, number_type
 from .staged import StagedNode
 from .vote import PieceVote, elected_places
 

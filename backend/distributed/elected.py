@@ -11,8 +11,7 @@ over.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -23,63 +22,47 @@ from . import contribution as parcel
 from .condense import Known, OwnGraph
 from .contribution import Contribution
 from .elected_messages import ElectedMessage, Kind
-from .gathered import Gathered, cost_between, cost_of_priors, solve
+from .elected_terms import ElectedTerms, unpack
+from .gathered import Gathered, cost_between, cost_of_priors, expected_gain, solve
 from .rounding import encode_remainder, finer, rounding_cost
 from .settled import Settled
 from .share import Share, SolverOutcome, anchor_of
 from .solution import decode_solution, encode_solution
 
-_SIZE = struct.Struct("<I")
 _COST = struct.Struct("<d")
 _DECISION = struct.Struct("<?ddHB")
 _POSITIONS, _LENGTHS = 1, 2
 """In the last byte of a decision: what had a say, or was found."""
-_WAIT = struct.Struct("<B")
 NO_SURE_GAIN = "no gain beyond the rounding of what is sent"
+"""Begins the reason of a result that is not taken although its cost seems lower: poses stay as good as they were."""
 # A gain that rounding hides: up to this share of the cost the poses are as good as the result.
 _SMALL_GAIN = 1e-3
-"""Begins the reason of a result that is not taken although its cost seems lower: poses stay as good as they were."""
-# Messages of a member that are kept until it is known who is elected.
-_EARLY = 16
+# A fall of the cost by less than this share is none.
+_NO_GAIN = 1e-5
+# How many times finer a solution is sent that gains little: as F rises with the square of what is rounded off.
+_NEAR = 4.0
 # How often what was rounded off is asked for: each time it is 128 times less.
 _MOST_REMAINDERS = 3
 
 
-class ElectedNode:
-    """Call ``start()`` once, then ``handle`` with every message addressed to it, in any order; send what they return.
-
-    ``outcome`` is None while it works. ``tick()`` asks for what has not come, which its sender then sends again: a few
-    bytes instead of a whole graph. And it counts: after ``elected_patience`` ticks without a word the elected robot
-    leaves silent members out; after twice as many the members turn to the next robot. Members left out keep their
-    poses.
-    """
+class ElectedNode(ElectedTerms):
+    """What travels once it is known who is elected, and what both sides do with it; used as :class:`ElectedTerms`."""
 
     def __init__(self, share: Share, config: SolverConfig) -> None:
-        self.share = share
-        self.outcome: SolverOutcome | None = None
-        self._config = config
+        super().__init__(share, config)
         self._own = OwnGraph(share)
         self._fineness = config.elected_fineness * self._own.exactness()
-        self._sizes = {share.robot: len(parcel.encode(self._mine(None)))}
-        self._order: list[int] = []
-        self._term = self._silent = 0
+        self._sizes[share.robot] = len(parcel.encode(self._mine(None)))
         self._contributions: dict[int, Contribution] = {}
         self._costs: dict[int, float] = {}
-        self._left_out: set[int] = set()
         self._gathered: Gathered | None = None
-        self._sent: Contribution
+        self._body = b""
+        self._sent: Contribution | None = None
         self._remainders = 0
         self._coarse: set[int] = set()
         self._known = Known()
         self._completed: tuple[Array, Array] | None = None
         self._reached = np.zeros(len(self._own.nodes), dtype=bool)
-        self._said: list[ElectedMessage] = []
-        self._early: list[ElectedMessage] = []
-
-    @property
-    def leader(self) -> int | None:
-        """The elected robot; None until it is known."""
-        return self._order[self._term % len(self._order)] if self._order else None
 
     @property
     def settled(self) -> Settled:
@@ -87,61 +70,7 @@ class ElectedNode:
         given = {r: self._contributions[r] for r in self._members()} if self.leader == self.share.robot else {}
         return Settled(-1 if self.leader is None else self.leader, self._known, given)
 
-    def start(self) -> list[ElectedMessage]:
-        """Return the first messages."""
-        out = self._sizes_to_all()
-        return [*out, *self._elect()] if len(self.share.members) == 1 else out
-
-    def handle(self, message: ElectedMessage) -> list[ElectedMessage]:
-        """Receive a message; returns the messages to send because of it."""
-        if not isinstance(message, ElectedMessage):
-            raise BackendError(f"robot {self.share.robot} was handed a message of another method")
-        if message.receiver != self.share.robot or message.sender not in self.share.members:
-            raise BackendError(
-                f"robot {self.share.robot} was handed a message from {message.sender} for {message.receiver}"
-            )
-        if message.kind is Kind.WAIT and (self.outcome is not None or message.term <= self._term):
-            return self._answer(message)
-        if self.outcome is not None:
-            return []
-        if message.kind is Kind.SIZE:
-            self._sizes[message.sender] = _unpack(_SIZE, message.body)[0]
-            if not self._order:
-                return self._elect() if len(self._sizes) == len(self.share.members) else []
-        elif not self._order and message.term == self._term:
-            if sum(m.sender == message.sender for m in self._early) < _EARLY:
-                self._early.append(message)
-            return []
-        out = self._join(message.term) if message.term > self._term else []
-        if message.term < self._term:
-            return out
-        return [*out, *self._take(message)]
-
-    def tick(self) -> list[ElectedMessage]:
-        """Ask for what has not come; with patience at its end, return the messages that leave silent members out."""
-        if self.outcome is not None:
-            return []
-        self._silent += 1
-        waits = [wait for kind, members in self._awaited() for wait in self._wait(members, kind)]
-        if self._silent < self._config.elected_patience:
-            return waits
-        if not self._order:
-            return [*waits, *self._elect_without()]
-        if self.leader == self.share.robot:
-            return [*waits, *self._go_on_without()]
-        if self._silent < 2 * self._config.elected_patience:
-            return waits
-        return self._join(self._term + 1)
-
-    def again(self, message: ElectedMessage) -> list[ElectedMessage]:
-        """What the sender of a message that came before may have missed: it asks for that, nothing else tells."""
-        asks = isinstance(message, ElectedMessage) and message.kind is Kind.WAIT
-        return self._answer(message) if asks else []
-
-    def _awaited(self) -> list[tuple[Kind, list[int]]]:
-        """What has not come, and from whom."""
-        if not self._order:
-            return [(Kind.SIZE, [r for r in self._others() if r not in self._sizes])]
+    def _awaited_in_term(self) -> list[tuple[Kind, list[int]]]:
         if self.leader != self.share.robot:
             assert self.leader is not None
             return [(Kind.SOLUTION if self._completed is None else Kind.DECISION, [self.leader])]
@@ -152,56 +81,26 @@ class ElectedNode:
             return [(Kind.CONTRIBUTION, [r for r in members if r not in self._contributions])]
         return [(Kind.COST, [r for r in members if r not in self._costs])]
 
-    def _answer(self, message: ElectedMessage) -> list[ElectedMessage]:
-        """To a member that waits for something of this robot's: that, or the decision. Where this robot cannot give it
-        yet, it asks for what it lacks in its own time."""
-        asker, wanted = message.sender, _unpack(_WAIT, message.body)[0]
-        said = [m for m in self._said if m.receiver == asker]
-        decision = [m for m in said if m.kind is Kind.DECISION]
-        if decision:
-            return decision
-        if wanted == Kind.SIZE or message.term < self._term:
-            return self._to([asker], Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
-        return [m for m in said if m.kind == wanted or (m.kind is Kind.FINER and asker in self._coarse)]
-
-    def _wait(self, members: list[int], kind: Kind) -> list[ElectedMessage]:
-        return self._to(members, Kind.WAIT, _WAIT.pack(kind))
-
-    def _sizes_to_all(self) -> list[ElectedMessage]:
-        return self._to(self._others(), Kind.SIZE, _SIZE.pack(self._sizes[self.share.robot]))
-
-    def _elect(self) -> list[ElectedMessage]:
-        """Most to send first; a robot not yet received from comes last."""
-        self._order = sorted(self.share.members, key=lambda r: (-self._sizes.get(r, -1), r))
-        out = self._join(self._term)
-        early, self._early = self._early, []
-        return [*out, *(reply for message in early for reply in self.handle(message))]
-
-    def _elect_without(self) -> list[ElectedMessage]:
-        """Out of patience with members from which nothing has come: an elected robot goes on without them."""
-        silent = {r for r in self._others() if r not in self._sizes}
-        out = self._elect()
-        if self.leader == self.share.robot and self._gathered is None:
-            self._left_out |= silent - set(self._contributions)
-            out += self._try_solve()
-        return out
-
-    def _join(self, term: int) -> list[ElectedMessage]:
-        """Begin a term: contribute to its elected robot, or begin to gather."""
-        if not self._order:
-            self._order = sorted(self.share.members, key=lambda r: (-self._sizes.get(r, -1), r))
-        self._term, self._silent, self._said = term, 0, []
+    def _begin(self) -> list[ElectedMessage]:
         self._costs, self._gathered, self._completed = {}, None, None
         self._remainders, self._coarse = 0, set()
-        self._left_out = {r for r in self._order[: min(term, len(self._order))] if r != self.leader}
         me = self.share.robot
         if self.leader != me:
             assert self.leader is not None
-            body = parcel.encode(self._mine(self.leader))
-            self._sent = parcel.decode(body, me, self.share.scaled)
-            return self._say(self._to([self.leader], Kind.CONTRIBUTION, body))
+            self._body = parcel.encode(self._mine(self.leader))
+            self._sent = None
+            return self._say(self._to([self.leader], Kind.CONTRIBUTION, self._body))
         self._contributions = {me: self._mine(me)}
         return self._try_solve()
+
+    def _begin_without(self, silent: set[int]) -> list[ElectedMessage]:
+        if self._gathered is not None:
+            return []
+        self._left_out |= silent - set(self._contributions)
+        return self._try_solve()
+
+    def _is_for(self, said: ElectedMessage, wanted: int) -> bool:
+        return super()._is_for(said, wanted) or (said.kind is Kind.FINER and said.receiver in self._coarse)
 
     def _mine(self, leader: int | None) -> Contribution:
         return parcel.contribution(self.share, self._own, leader, self._config.elected_longest, self._fineness)
@@ -217,7 +116,7 @@ class ElectedNode:
                 return self._take_remainder(message)
             if message.kind is Kind.COST:
                 self._silent = 0 if message.sender not in self._costs else self._silent
-                self._costs[message.sender] = _unpack(_COST, message.body)[0]
+                self._costs[message.sender] = unpack(_COST, message.body)[0]
                 return self._try_decide()
             if message.sender not in self._contributions:
                 given = parcel.decode(message.body, message.sender, self.share.scaled)
@@ -233,7 +132,7 @@ class ElectedNode:
         if message.kind is Kind.SOLUTION and self._completed is None:
             return self._finish_own(message.body)
         if message.kind is Kind.DECISION:
-            self._end(*_unpack(_DECISION, message.body))
+            self._end(*unpack(_DECISION, message.body))
         return []
 
     def _check_own_edges(self, given: Contribution) -> None:
@@ -242,21 +141,6 @@ class ElectedNode:
             other = j.robot if i.robot == given.robot else i.robot
             if other == self.share.robot or other < given.robot or other not in self.share.members:
                 raise BackendError(f"robot {given.robot} states an edge that is not its own to state: {i} - {j}")
-
-    def _others(self) -> list[int]:
-        return [r for r in self.share.members if r != self.share.robot]
-
-    def _members(self) -> list[int]:
-        """The robots that take part."""
-        return [r for r in self.share.members if r not in self._left_out]
-
-    def _to(self, receivers: Iterable[int], kind: Kind, body: bytes) -> list[ElectedMessage]:
-        return [ElectedMessage(kind, self._term, self.share.robot, r, body) for r in receivers]
-
-    def _say(self, messages: list[ElectedMessage]) -> list[ElectedMessage]:
-        """Send, and keep for retransmission until a newer message replaces it."""
-        self._said = messages
-        return list(messages)
 
     def _try_solve(self) -> list[ElectedMessage]:
         """As the elected robot: once everyone has contributed."""
@@ -267,10 +151,15 @@ class ElectedNode:
         given = {r: self._contributions[r] for r in self._members()}
         found = solve(self._believed(given), self.share.arbitrary_scale, self.share.length_sigma)
         rounded = sum(rounding_cost(c) for r, c in given.items() if r != me)
-        if rounded > self._config.elected_rounding * found.cost and self._remainders < _MOST_REMAINDERS:
+        gain, doubt = expected_gain(list(given.values()), found, set(given) <= self.share.arbitrary_scale)
+        # Whether there is a gain, which rounding may hide when it is weighed.
+        hidden = _NO_GAIN * found.total < gain < 2.0 * doubt + rounded
+        coarse = rounded > self._config.elected_rounding * found.cost
+        if self._remainders < _MOST_REMAINDERS and (coarse or hidden):
             return self._ask_for_remainders()
         self._gathered = found
-        fineness = self._config.elected_fineness * self._gathered.exactness
+        near = 0.0 <= gain < _SMALL_GAIN * found.total
+        fineness = self._config.elected_fineness * self._gathered.exactness * (_NEAR if near else 1.0)
         self._known = Known()
         out = []
         for robot, c in given.items():
@@ -286,10 +175,8 @@ class ElectedNode:
         self._say(out)
         return [*out, *self._try_decide()]
 
-    # What a node that selects among edges does besides: elected_selection.py.
-
     def _believed(self, given: Mapping[int, Contribution]) -> Mapping[int, Contribution]:
-        """What of the contributions is solved with."""
+        """What of the contributions is solved with; this and the next two: see elected_selection.py."""
         return given
 
     def _to_say(self, robot: int, solution: bytes) -> bytes:
@@ -308,13 +195,18 @@ class ElectedNode:
         self._coarse = set(self._members()) - {self.share.robot}
         return self._say(self._to(sorted(self._coarse), Kind.FINER, bytes([self._remainders])))
 
+    def _as_sent(self) -> Contribution:
+        """What the elected robot has of this one: read when it is needed, as nothing else in a member is as large."""
+        return self._sent or parcel.decode(self._body, self.share.robot, self.share.scaled)
+
     def _give_remainder(self, body: bytes) -> list[ElectedMessage]:
         """As a member: what was rounded off, if it was not given before."""
         if body != bytes([self._remainders + 1]):
             return []
         self._remainders += 1
-        remainder = encode_remainder(self._mine(self.leader), self._sent)
-        self._sent = finer(self._sent, remainder)
+        sent = self._as_sent()
+        remainder = encode_remainder(self._mine(self.leader), sent)
+        self._sent = finer(sent, remainder)
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.REMAINDER, body + remainder))
 
@@ -335,7 +227,7 @@ class ElectedNode:
         return self._own_cost(poses, log_units)
 
     def _finish_own(self, body: bytes) -> list[ElectedMessage]:
-        self._known = decode_solution(self._take_verdicts(body), self._sent.graph, self.share.scaled)
+        self._known = decode_solution(self._take_verdicts(body), self._as_sent().graph, self.share.scaled)
         cost = self._complete(self._known)
         assert self.leader is not None
         return self._say(self._to([self.leader], Kind.COST, _COST.pack(cost)))
@@ -406,10 +298,3 @@ class ElectedNode:
             positions=bool(flags & _POSITIONS),
             length=own.length(poses, log_units) if mine and flags & _LENGTHS else 1.0,
         )
-
-
-def _unpack(layout: struct.Struct, body: bytes) -> tuple[Any, ...]:
-    try:
-        return layout.unpack(body)
-    except struct.error as error:
-        raise BackendError(f"an elected solver's message of {len(body)} bytes does not fit its kind") from error

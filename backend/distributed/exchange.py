@@ -11,13 +11,15 @@ import numpy as np
 
 from ..central.origin import OriginPriors, origin_of
 from ..components import parts
-from ..config import SolverConfig
+from ..config import RobustConfig, SolverConfig
 from ..errors import BackendError
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
+from ..robust.undecided import Undecided, undecided_edges
 from .envelope import Envelope
-from .messages import Coded, Decision, Deltas, NodeMessage, SeparatorState, SolverStage, Values
+from .messages import Coded, Decision, Deltas, NodeMessage, SeparatorState, Values
 from .methods import node_for
 from .share import JudgedEdge, Share, SolverOutcome, shares
+from .solver_stage import SolverStage
 from .wire import from_whole, whole
 from .with_priors.in_run import InRun
 
@@ -56,13 +58,25 @@ class GroupTraffic:
 class GroupResult:
     """Result of a group of nodes: ``graph`` in one unit of length, that of the anchor's first node, or the metre;
     ``units``: the size of each node's own unit there, 1 for metric robots; ``lengths``: what odometry of these robots
-    was found to have to be multiplied by, none where lengths were not asked for or are right."""
+    was found to have to be multiplied by, none where lengths were not asked for or are right; ``confidence`` of robust
+    selection, None: there was none."""
 
     graph: PoseGraph
     outcomes: Mapping[int, SolverOutcome]
     traffic: GroupTraffic
     units: Mapping[NodeId, float] = field(default_factory=dict)
     lengths: Mapping[int, float] = field(default_factory=dict)
+    confidence: float | None = None
+
+    @property
+    def undecided(self) -> tuple[Undecided, ...]:
+        """What selection leaves open, by rows of ``graph.edges``: rejected edges with as many behind them as the kept
+        ones that they contradict. Found anew each time it is asked for; rigid graphs only."""
+        if self.confidence is None:
+            return ()
+        weights = [0.0 if verdict is not None and verdict.rejected else 1.0 for verdict in self.judged]
+        kept = self.graph.with_weights(np.array(weights))
+        return undecided_edges(kept, RobustConfig(confidence=self.confidence))
 
     @property
     def judged(self) -> tuple[JudgedEdge | None, ...]:
@@ -174,7 +188,8 @@ def optimise_distributed(
         if all(outcomes[robot].accepted for robot in group):
             solved = in_frame_of_priors(solved, units, outcomes, group, group <= arbitrary_scale)
     lengths = {robot: outcome.length for robot, outcome in outcomes.items() if outcome.length != 1.0}
-    return GroupResult(solved, outcomes, traffic, units, lengths)
+    judges = config.robust != "none" and not arbitrary_scale
+    return GroupResult(solved, outcomes, traffic, units, lengths, config.gnc_confidence if judges else None)
 
 
 def joined_robots(graph: PoseGraph) -> list[frozenset[int]]:

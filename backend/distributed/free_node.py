@@ -15,20 +15,10 @@ from ..config import SolverConfig
 from ..errors import BackendError
 from ..geometry import Array
 from .descent_node import DescentNode
-from .messages import (
-    Decision,
-    NodeMessage,
-    Round,
-    RoundWait,
-    SeparatorState,
-    SolverStage,
-    Standing,
-    Status,
-    Wanted,
-    number_type,
-)
+from .messages import Decision, NodeMessage, RoundWait, SeparatorState, Standing, Status, Wanted
 from .places import Places, moved, places_of
 from .share import Share
+from .solver_stage import Round, SolverStage, number_type
 
 # Ticks between sending again what nobody has confirmed.
 _PATIENCE = 3

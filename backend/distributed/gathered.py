@@ -10,6 +10,7 @@ import numpy as np
 from ..central.lengths import steps_of, with_lengths
 from ..central.minimum import minimum
 from ..central.origin import NO_PRIORS, OriginPriors, origin_of, with_origin
+from ..central.similarity_edges import SimilarityEdges
 from ..components import parts
 from ..pose_graph.graph import NodeId
 from .condense import Known, freedom_of, noise_of
@@ -25,7 +26,7 @@ class Gathered:
     """The group's solution: ``places`` of the nodes that are joined to the anchor; ``iterations`` of the solver;
     ``between``: edges between members, as each sent them; ``exactness``: how many times finer than the deviations
     stated poses are to be sent; ``cost``: F of the edges, or what counts as none; ``priors``: those that were used;
-    ``lengths``: whether factors of odometry were found.
+    ``lengths``: whether factors of odometry were found; ``total``: F of the contributed edges at ``places``.
     """
 
     places: Known
@@ -35,6 +36,7 @@ class Gathered:
     cost: float = float("inf")
     priors: OriginPriors = NO_PRIORS
     lengths: bool = False
+    total: float = 0.0
 
     def of(self, nodes: Sequence[NodeId]) -> Known:
         """Those of a member's nodes that have a place."""
@@ -70,9 +72,7 @@ def solve(
     first = np.cumsum([0, *(len(g.nodes) for g in graphs)])
     placed = [g.edges.moved_to(np.arange(a, b)) for g, a, b in zip(graphs, first[:-1], first[1:], strict=True)]
     placed += [b.edges.moved_to(np.array([row[n] for pair in b.nodes for n in pair], dtype=np.intp)) for b in between]
-    edges = placed[0]
-    for more in placed[1:]:
-        edges = edges.and_also(more)
+    edges = SimilarityEdges.together(placed)
     anchor = contributions[anchor_of(members, arbitrary_scale)]
     poses, log_units = np.tile(np.eye(4), (len(nodes), 1, 1)), np.zeros(len(nodes))
     anchored = row[anchor.graph.nodes[0]]
@@ -103,12 +103,25 @@ def solve(
     better = with_origin(edges, solved, log_units, anchored, fixed, priors, row) if len(priors) else None
     if better is not None:
         solved, log_units, taken, joined = better.poses, better.log_units, taken + better.steps, better.joined
+    total = float(edges.costs(solved, log_units).sum())
     reached = [(n, k) for n, k in row.items() if joined[k]]
     places = Known({n: solved[k] for n, k in reached}, {n: float(log_units[k]) for n, k in reached})
     # Without loops nothing is left of F, and rounding costs nothing.
     cost = max(cost, freedom * noise**2) if freedom > 0 else float("inf")
     used = priors if better is not None else NO_PRIORS
-    return Gathered(places, taken, between, exactness, cost, used, lengthened)
+    return Gathered(places, taken, between, exactness, cost, used, lengthened, total)
+
+
+def expected_gain(given: Sequence[Contribution], found: Gathered, free_unit: bool) -> tuple[float, float]:
+    """By how much F falls from where members are to the solution, and how much of that rounding may feign or hide."""
+    start = Known()
+    for c in given:
+        start = start.also(c.start)
+    now, doubt = cost_between(found.between, start)
+    more_doubt = cost_between(found.between, start.also(found.places))[1]
+    now += sum(c.cost for c in given) + cost_of_priors(found.priors, start, free_unit)
+    then = found.total + cost_of_priors(found.priors, start.also(found.places), free_unit)
+    return now - then, doubt + more_doubt
 
 
 def priors_of(contributions: Mapping[int, Contribution], row: Mapping[NodeId, int]) -> OriginPriors:

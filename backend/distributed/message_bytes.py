@@ -11,23 +11,19 @@ from .compact import CompactReader, CompactWriter
 from .messages import (
     STANDING,
     USED,
-    WIDTH,
     Coded,
     Decision,
     Deltas,
     NodeMessage,
     Report,
-    Round,
     RoundWait,
     SeparatorState,
-    SolverStage,
     Standing,
     Status,
     Values,
     Wanted,
-    number_type,
-    width_of,
 )
+from .solver_stage import WIDTH, Round, SolverStage, number_type, width_of
 
 # kind, stage, step, sweep, sender, receiver
 _HEADER = struct.Struct("<BBHHHH")

@@ -9,60 +9,15 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BackendError
 from ..geometry import Array
-
-
-class SolverStage(IntEnum):
-    """Unknowns that a sweep works on, in this order."""
-
-    START = 0
-    SCALE = 1
-    ROTATION = 2
-    POSE = 3
-    FREE = 4
-    VOTE = 5
-    DESCENT = 6
-    TWO_LEVEL = 7
-    COST = 8
-
-
-# Numbers that one separator pose costs each sweep.
-WIDTH = {
-    SolverStage.START: 6,
-    SolverStage.SCALE: 1,
-    SolverStage.ROTATION: 9,
-    SolverStage.POSE: 6,
-    SolverStage.VOTE: 9,
-    SolverStage.DESCENT: 6,
-    SolverStage.FREE: 6,
-    SolverStage.TWO_LEVEL: 0,
-    SolverStage.COST: 0,
-}
-
-
-_WITH_UNIT = (SolverStage.START, SolverStage.POSE, SolverStage.FREE, SolverStage.DESCENT)
-
-
-def width_of(stage: SolverStage, scaled: bool) -> int:
-    """Numbers of a separator; ``scaled``: with one more for its unit of length."""
-    return WIDTH[stage] + (scaled and stage in _WITH_UNIT)
-
-
-@dataclass(frozen=True, order=True)
-class Round:
-    """One synchronous round: a sweep of a stage; ``step`` counts Gauss-Newton steps, or changes of weights."""
-
-    stage: SolverStage
-    step: int = 0
-    sweep: int = 0
+from .solver_stage import Round, SolverStage, check_rows, check_sums, number_type
 
 
 class _SolverMessage(ABC):
@@ -120,7 +75,7 @@ class Values(_SolverMessage):
         return np.dtype(number_type(self.round.stage)).itemsize * int(self.values.size)
 
     def check(self) -> None:
-        _check_rows(self.values, self.round.stage)
+        check_rows(self.values, self.round.stage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +145,7 @@ class Report(_SolverMessage):
     def check(self) -> None:
         if np.isnan(self.change) or not np.isfinite(self.cost) or self.cost < 0 or self.change < 0:
             raise BackendError("a report of NaN, or of a cost that is infinite or below 0")
-        _check_sums(self.numbers, self.round.stage)
+        check_sums(self.numbers, self.round.stage)
 
 
 @dataclass(frozen=True)
@@ -219,7 +174,7 @@ class Decision(_SolverMessage):
     def check(self) -> None:
         if np.isnan(self.cost) or (np.isinf(self.cost) and self.round.stage is not SolverStage.DESCENT):
             raise BackendError("a decision of an infinite cost or NaN")
-        _check_sums(self.numbers, self.round.stage)
+        check_sums(self.numbers, self.round.stage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +203,7 @@ class SeparatorState(_SolverMessage):
     def check(self) -> None:
         if self.round != Round(SolverStage.FREE):
             raise BackendError("separators without rounds, of a round")
-        _check_rows(self.values, SolverStage.FREE)
+        check_rows(self.values, SolverStage.FREE)
 
 
 STANDING = struct.Struct("<HHH?B")
@@ -335,34 +290,3 @@ def wanted_as(message: NodeMessage) -> Wanted:
         case Decision():
             return Wanted.DECISION
     return Wanted.SEPARATORS
-
-
-def number_type(stage: SolverStage) -> str:
-    """Format of the numbers in :class:`Values`: single precision for block descent, which sends steps afterwards, else
-    double."""
-    return "<f4" if stage in (SolverStage.VOTE, SolverStage.DESCENT, SolverStage.FREE) else "<f8"
-
-
-def as_sent(numbers: Iterable[float]) -> tuple[float, ...]:
-    """``numbers`` as the receiver reads them: single precision."""
-    return tuple(float(np.float32(x)) for x in numbers)
-
-
-# More sums than any method needs are a mistake.
-_MOST_SUMS = 64
-# A vote collects what every two robots say of each other.
-_MOST_IN_A_VOTE = 1 << 22
-
-
-def _check_rows(values: Array, stage: SolverStage) -> None:
-    """Rows of a width that the stage has, without infinity; NaN stands for what has no estimate yet."""
-    if values.size and values.shape[1] not in (width_of(stage, False), width_of(stage, True)):
-        raise BackendError(f"rows of {values.shape[1]} numbers, not {WIDTH[stage]}")
-    if np.isinf(values).any():
-        raise BackendError("an infinite value")
-
-
-def _check_sums(numbers: tuple[float, ...], stage: SolverStage) -> None:
-    most = _MOST_IN_A_VOTE if stage is SolverStage.VOTE else _MOST_SUMS
-    if len(numbers) > most or not np.isfinite(numbers).all():
-        raise BackendError(f"{len(numbers)} sums: more than {most}, or not finite")

@@ -45,9 +45,8 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
     """One robot's part in the method that ``config`` names: start, handle, tick, outcome."""
     if config.robust != "none" and config.method not in ("rbcd", "elected"):
         raise BackendError(f"robust selection ({config.robust}) works with rbcd and elected, not {config.method}")
-    if (share.priors or share.positions) and config.method not in USE_PRIORS:
-        known = ", ".join(("central", *USE_PRIORS))
-        raise BackendError(f"priors (GPS) are used by the methods {known}, not by {config.method}")
+    if share.priors or share.positions:
+        check_priors(config.method)
     if share.length_sigma and config.method != "elected":
         raise BackendError(
             f"lengths as unknowns (length_sigma) are known to central and elected, not to {config.method}"
@@ -57,6 +56,13 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
     if share.positions and config.method != "elected":
         return PriorNode(share, config, _plain_node)
     return _plain_node(share, config)
+
+
+def check_priors(method: str) -> None:
+    """:class:`BackendError` where a method, by the name that its user gave it, uses no priors."""
+    if method not in USE_PRIORS:
+        known = ", ".join(("central", *USE_PRIORS))
+        raise BackendError(f"priors (GPS) are used by the methods {known}, not by {method}")
 
 
 def _plain_node(share: Share, config: SolverConfig) -> SolverNode:

@@ -13,8 +13,8 @@ import itertools
 import numpy as np
 
 from ..geometry import Array
-from .messages import as_sent
 from .places import Places, move, moved
+from .solver_stage import as_sent
 
 # Inner products travel in single precision: what they cannot tell apart is not to be mixed.
 _REGULARISATION = 1e-6

@@ -10,8 +10,9 @@ import numpy as np
 
 from ..central.relaxation import Relaxation
 from ..geometry import Array
-from .messages import Decision, Round, SolverStage, Values
+from .messages import Decision, Values
 from .rounds import Separators
+from .solver_stage import Round, SolverStage
 from .staged import StagedNode
 
 # Gauss-Newton steps where units of length are variables.

@@ -12,20 +12,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 from ..errors import BackendError
-from .messages import (
-    Coded,
-    Decision,
-    Deltas,
-    NodeMessage,
-    Report,
-    Round,
-    RoundWait,
-    Values,
-    Wanted,
-    wanted_as,
-    width_of,
-)
+from .messages import Coded, Decision, Deltas, NodeMessage, Report, RoundWait, Values, Wanted, wanted_as
 from .share import Share, SolverOutcome
+from .solver_stage import Round, width_of
 
 Separators = Values | Deltas | Coded
 

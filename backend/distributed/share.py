@@ -155,15 +155,25 @@ def shares(
 ) -> dict[int, Share]:
     """Cut a whole graph into its robots' shares, all in one group."""
     members = tuple(graph.robots)
+    poses: dict[int, dict[NodeId, Array]] = {robot: {} for robot in members}
+    edges: dict[int, list[Edge]] = {robot: [] for robot in members}
+    priors: dict[int, list[Prior]] = {robot: [] for robot in members}
+    for n in graph.nodes:
+        poses[n.robot][n] = graph.poses[n]
+    for e in graph.edges:
+        for robot in {e.i.robot, e.j.robot}:
+            edges[robot].append(e)
+    for p in graph.priors:
+        priors[p.node.robot].append(p)
     return {
         robot: Share(
             robot=robot,
             members=members,
-            poses={n: graph.poses[n] for n in graph.nodes if n.robot == robot},
-            edges=tuple(e for e in graph.edges if robot in (e.i.robot, e.j.robot)),
+            poses=poses[robot],
+            edges=tuple(edges[robot]),
             arbitrary_scale=arbitrary_scale,
             dimension=graph.dimension,
-            priors=tuple(p for p in graph.priors if p.node.robot == robot),
+            priors=tuple(priors[robot]),
             positions=bool(graph.priors),
             length_sigma=length_sigma,
         )

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from ..config import SolverConfig
 from .local import LocalProblem
-from .messages import Decision, Round, SolverStage, Values
+from .messages import Decision, Values
 from .rounds import Rounds, Separators
 from .share import Share, SolverOutcome
+from .solver_stage import Round, SolverStage
 
 
 class StagedNode(Rounds):

@@ -14,6 +14,7 @@ from maslam.backend.central.optimise import OptimisationResult
 from maslam.backend.config import CentralConfig, RobustConfig
 from maslam.backend.distributed import exchange
 from maslam.backend.distributed.exchange import GroupResult
+from maslam.backend.distributed.methods import check_priors
 from maslam.backend.pose_graph import g2o
 from maslam.backend.pose_graph.fixed import laid_on_fixed, not_held, not_held_text
 from maslam.backend.pose_graph.graph import PoseGraph
@@ -142,7 +143,8 @@ def optimise_distributed(
 
     Returns:
         ``graph``, with its own information, in one unit throughout; ``units`` of the nodes in it; ``outcomes`` by
-        robot; ``traffic``: messages, payload and wire bytes.
+        robot; ``traffic``: messages, payload and wire bytes; with selection among edges (the setting ``robust``),
+        ``judged`` has each edge's outcome, and ``undecided`` what nothing in the graph decides.
 
     Raises:
         MaslamError: an unknown method or setting, a graph that has no odometry, no such robot.
@@ -150,7 +152,10 @@ def optimise_distributed(
     _check_known("method", method, [name for name in METHODS if name != CENTRAL])
     _check_known("weights", weights, WEIGHTS)
     unit = takes_unit_weights(weights, graph)
-    config = changed(solver_of(method), nested(settings))
+    named = solver_of(method)
+    config = changed(named, nested(settings))
+    if graph.priors and config.method == named.method:
+        check_priors(method)
     weighted = graph.with_unit_weights() if unit else graph
     for line in not_held_text(graph, method):
         log.warning("%s", line)

@@ -14,23 +14,11 @@ from maslam.backend.central.optimise import optimise, two_stage
 from maslam.backend.config import CentralConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.message_bytes import decode, encode
-from maslam.backend.distributed.messages import (
-    WIDTH,
-    Decision,
-    Deltas,
-    Report,
-    Round,
-    SeparatorState,
-    SolverStage,
-    Standing,
-    Status,
-    Values,
-    as_sent,
-    number_type,
-)
+from maslam.backend.distributed.messages import Decision, Deltas, Report, SeparatorState, Standing, Status, Values
 from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.node import Node
 from maslam.backend.distributed.share import shares
+from maslam.backend.distributed.solver_stage import WIDTH, Round, SolverStage, as_sent, number_type
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3_exp, se3_inverse
 from maslam.backend.pose_graph.graph import EdgeKind, NodeId

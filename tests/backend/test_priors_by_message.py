@@ -10,6 +10,7 @@ import pytest
 from graphs import drifting, loops, ring, town, with_wrong_edges
 from transports import faulty
 
+import maslam
 from maslam.backend.central.costs import cost
 from maslam.backend.central.optimise import optimise
 from maslam.backend.central.origin import OriginPriors
@@ -299,6 +300,9 @@ def test_the_command_uses_them_and_says_who_can(tmp_path, capsys) -> None:
         assert cli.main(["pgo", str(path), str(tmp_path / f"{method}.g2o"), "--method", method, "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["cost"]["F"] < best * 1.001
         assert len(read_g2o(tmp_path / f"{method}.g2o").priors) == 10
-    assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", "sor"]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "central, elected, multifrontal, two-level, rbcd, not by sor" in line
+    for method in ("sor", "quick"):
+        assert cli.main(["pgo", str(path), str(tmp_path / "out.g2o"), "--method", method]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.endswith(f"central, elected, multifrontal, two-level, rbcd, not by {method}")
+    with pytest.raises(maslam.MaslamError, match="not by quick"):
+        maslam.optimise_distributed(read_g2o(path), method="quick")

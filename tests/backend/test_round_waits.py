@@ -10,17 +10,10 @@ from graphs import loops
 
 from maslam.backend.config import SolverConfig
 from maslam.backend.distributed.exchange import solve_group
-from maslam.backend.distributed.messages import (
-    Decision,
-    Report,
-    Round,
-    RoundWait,
-    SolverStage,
-    Values,
-    Wanted,
-)
+from maslam.backend.distributed.messages import Decision, Report, RoundWait, Values, Wanted
 from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.share import shares
+from maslam.backend.distributed.solver_stage import Round, SolverStage
 from maslam.backend.distributed.wire import pack, unpack
 from maslam.backend.errors import BackendError
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from graphs import constant_units, loops, ring
+from graphs import constant_units, loops, ring, town
 from transports import until_ended
 
 from maslam.backend.central.costs import cost
@@ -18,6 +18,7 @@ from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.rounding import FINER, encode_remainder, finer, rounding_cost
 from maslam.backend.distributed.share import shares
 from maslam.backend.errors import BackendError
+from maslam.backend.geometry import se3_exp
 
 
 def under(graph, what):
@@ -47,6 +48,26 @@ def test_one_loop_of_two_thousand_edges_does_not_bear_the_rounding_of_all(seed):
     graph = ring(20, 100, seed)
     result = optimise_distributed(graph, SolverConfig(method="elected"))
     assert cost(result.graph, "F") < optimise(graph, CentralConfig()).cost_after * (1 + 3e-5)
+
+
+@pytest.mark.parametrize("above", [3e-5, 3e-4])
+def test_a_gain_that_rounding_hides_is_looked_at_more_finely(above):
+    """Near an optimum it was refused, as what was rounded off the matches may be as much."""
+    graph, _ = town(np.random.default_rng(0), robots=6, length=60)
+    best = optimise(graph, CentralConfig())
+    rng = np.random.default_rng(1)
+    moves = {n: rng.normal(size=6) for n in graph.nodes}
+    off = [cost(_moved(best.graph, moves, 1e-4 * k), "F") / best.cost_after - 1.0 for k in (1.0, 2.0)]
+    assert off[1] == pytest.approx(4.0 * off[0], rel=0.1)
+    near = _moved(best.graph, moves, 1e-4 * (above / off[0]) ** 0.5)
+    assert cost(near, "F") == pytest.approx(best.cost_after * (1.0 + above), rel=0.2 * above)
+    result = optimise_distributed(near, SolverConfig(method="elected"))
+    assert all(o.accepted for o in result.outcomes.values()), result.outcomes[0].reason
+    assert cost(result.graph, "F") < best.cost_after * (1.0 + 1e-5)
+
+
+def _moved(graph, moves, by):
+    return graph.with_poses({n: T @ se3_exp(by * moves[n]) for n, T in graph.poses.items()})
 
 
 def test_what_rounding_costs_is_known_before():

@@ -12,9 +12,10 @@ from maslam.backend.central.costs import cost, edge_cost
 from maslam.backend.central.optimise import optimise
 from maslam.backend.config import CentralConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed, solve_group
-from maslam.backend.distributed.messages import Decision, Report, Round, SolverStage, Values
+from maslam.backend.distributed.messages import Decision, Report, Values
 from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.share import shares
+from maslam.backend.distributed.solver_stage import Round, SolverStage
 from maslam.backend.errors import BackendError
 from maslam.backend.geometry import se3_exp, se3_inverse
 from maslam.backend.pose_graph.graph import EdgeKind, NodeId, PoseGraph

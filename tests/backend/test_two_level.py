@@ -13,10 +13,11 @@ from maslam.backend.config import CentralConfig, SolverConfig
 from maslam.backend.distributed import exchange
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.message_bytes import decode, encode
-from maslam.backend.distributed.messages import Coded, Round, SolverStage
+from maslam.backend.distributed.messages import Coded
 from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.places import SCALED, Places
 from maslam.backend.distributed.share import shares
+from maslam.backend.distributed.solver_stage import Round, SolverStage
 from maslam.backend.distributed.two_level.answers import CoarseAnswer, Then, differences, nearest_before, summed
 from maslam.backend.distributed.two_level.coded_places import CodedPlaces
 from maslam.backend.distributed.two_level.codes import read_steps, write_steps

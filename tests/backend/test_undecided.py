@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from maslam.backend.config import RobustConfig
+from maslam.backend.config import RobustConfig, SolverConfig
+from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.geometry import se3, se3_exp, se3_inverse, so3_exp
 from maslam.backend.pose_graph.g2o import write_g2o
 from maslam.backend.pose_graph.graph import Edge, EdgeKind, NodeId, PoseGraph
@@ -99,6 +100,16 @@ def test_a_smaller_group_does_not_stay_where_a_larger_one_would_hold(monkeypatch
     found = optimise_robustly(graph, "gnc")
     np.testing.assert_array_equal(found.weights > 0.5, ~wrong)
     assert found.undecided == ()
+
+
+@pytest.mark.parametrize("method", ["elected", "rbcd"])
+@pytest.mark.parametrize("wrong", [4, 0], ids=["as many", "none"])
+def test_the_result_of_a_group_says_it(method, wrong):
+    graph, bad = team([(0, 1, 4)], [(0, 1, wrong)])
+    found = optimise_distributed(graph, SolverConfig(method=method, robust="gnc"))
+    assert [(len(u.kept), len(u.rejected)) for u in found.undecided] == [(4, 4)] * bool(wrong)
+    assert all(set(u.kept) | set(u.rejected) >= set(np.flatnonzero(bad).tolist()) for u in found.undecided)
+    assert optimise_distributed(graph, SolverConfig(method=method)).undecided == ()
 
 
 @pytest.mark.parametrize("method", ["central", "elected", "rbcd"])

@@ -11,8 +11,9 @@ from saboteurs import Liar, Saboteur
 
 from maslam.backend.distributed.elected import ElectedNode
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
-from maslam.backend.distributed.messages import Decision, Report, SolverStage, Values
+from maslam.backend.distributed.messages import Decision, Report, Values
 from maslam.backend.distributed.solution import encode_solution
+from maslam.backend.distributed.solver_stage import SolverStage
 from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.contracts.effects import Effects
 from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, OperationKind

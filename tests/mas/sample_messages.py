@@ -5,17 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
-from maslam.backend.distributed.messages import (
-    Decision,
-    Deltas,
-    Report,
-    Round,
-    SeparatorState,
-    SolverStage,
-    Standing,
-    Status,
-    Values,
-)
+from maslam.backend.distributed.messages import Decision, Deltas, Report, SeparatorState, Standing, Status, Values
+from maslam.backend.distributed.solver_stage import Round, SolverStage
 from maslam.backend.distributed.update_messages import UpdateKind, UpdateMessage
 from maslam.backend.distributed.wire import GroupMessage
 from maslam.backend.geometry import Sim3

@@ -14,7 +14,8 @@ from saboteurs import live
 from sample_messages import examples
 
 from maslam.backend.distributed.elected_messages import ElectedMessage, Kind
-from maslam.backend.distributed.messages import Decision, SolverStage
+from maslam.backend.distributed.messages import Decision
+from maslam.backend.distributed.solver_stage import SolverStage
 from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
 from maslam.mas.contracts.contract import ContractState

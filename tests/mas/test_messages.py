@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_messages import examples, optimise_task, parcel, submap, verify_answer, verify_task
 
-from maslam.backend.distributed.messages import Deltas, Report, Round, SolverStage, Values
+from maslam.backend.distributed.messages import Deltas, Report, Values
+from maslam.backend.distributed.solver_stage import Round, SolverStage
 from maslam.backend.geometry import Sim3, se3_exp
 from maslam.mas.protocol.ids import ContractId, FrameId, MatchId
 from maslam.mas.protocol.map_messages import MapOrder

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from sample_messages import examples, submap, verify_task
 
-from maslam.backend.distributed.messages import Round, SolverStage, Values
+from maslam.backend.distributed.messages import Values
+from maslam.backend.distributed.solver_stage import Round, SolverStage
 from maslam.mas.protocol.accounting import Traffic
 from maslam.mas.protocol.messages import Award, Bid, Result, encode
 from maslam.mas.protocol.solver_messages import SolverBody

@@ -15,6 +15,7 @@ from maslam.backend.components import parts
 from maslam.backend.config import CentralConfig, LinkModel, RobustConfig, SolverConfig
 from maslam.backend.distributed.exchange import optimise_distributed
 from maslam.backend.distributed.incremental.one_by_one import matches_one_by_one
+from maslam.backend.distributed.methods import check_priors
 from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.geometry import Array
 from maslam.backend.pose_graph.graph import NodeId, PoseGraph
@@ -120,6 +121,8 @@ def check(method: str, robust: str, monocular: bool = False, one_by_one: bool = 
 def solve(graph: PoseGraph, request: Request, tick: Callable[[int, int], None] = lambda done, total: None) -> Solution:
     """Run the method; ``tick`` is called with what is done, and of how much, where matches come one by one."""
     check(request.method, request.robust, bool(request.monocular), request.link is not None)
+    if graph.priors and request.method != CENTRAL:
+        check_priors(request.method)
     if request.central.length_sigma > 0 and (request.method != CENTRAL or request.monocular):
         raise UsageError(
             "--central.length-sigma works with --method central without --monocular; --solver.length-sigma with elected"

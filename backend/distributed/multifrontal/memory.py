@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry import Array
-from ..messages import as_sent
 from ..places import Places, moved
+from ..solver_stage import as_sent
 
 # What sums cannot tell apart is not to be mixed.
 _REGULARISATION = 1e-4

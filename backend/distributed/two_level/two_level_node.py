@@ -22,9 +22,10 @@ from ...config import SolverConfig
 from ...errors import BackendError
 from ..compact import CompactReader
 from ..descent_node import DescentNode
-from ..messages import Coded, Decision, Round, SolverStage
+from ..messages import Coded, Decision
 from ..rounds import Separators
 from ..share import Share, SolverOutcome
+from ..solver_stage import Round, SolverStage
 from .answers import Then, sums_as_bytes, sums_from
 from .coded_places import CodedPlaces, close_to, deviations_of, firm_edges
 from .leading import Leading
