@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from pydantic import BaseModel
 
 try:
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # tests import onnxruntime on their own, too
 
-# The same examples each run; other ones with --hypothesis-profile=random.
-settings.register_profile("random")
-settings.register_profile("repeatable", derandomize=True)
+# The same examples each run, however busy the machine is; other ones with --hypothesis-profile=random.
+settings.register_profile("random", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("repeatable", settings.get_profile("random"), derandomize=True)
 settings.load_profile("repeatable")
 
 Rendered = Callable[[str, "RenderConfig"], Path]
