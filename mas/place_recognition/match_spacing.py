@@ -111,7 +111,7 @@ def _compared(one: Match, other: Match, config: OptimisationConfig) -> tuple[Arr
 
 
 def _covariance(match: Match) -> Array:
-    return np.linalg.pinv(match.information, hermitian=True)
+    return np.asarray(np.linalg.pinv(match.information, hermitian=True), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,8 @@
 """The end of a stretch that two agents share: what comes after it hangs on its last match.
 
 While they drive, a candidate close to an accepted match is skipped: the next one may be as good. At the end there is no
-next one. So of what was skipped with each agent the one farthest from all matches is verified, where odometry may have
-drifted by more than a match is off since then.
+next one. So of what was skipped with each agent the pair since whose nearest matches odometry has drifted most, by what
+is measured of it, is verified, and the next, as long as that is worth it.
 """
 
 from __future__ import annotations
