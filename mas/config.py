@@ -87,8 +87,8 @@ class PlacesConfig(Settings):
     )
     closing_ends: bool = Field(
         default=False,
-        description="once all is seen, verify with each agent the skipped pair farthest from all matches, where "
-        "odometry may have drifted since",
+        description="once all is seen, verify with each agent skipped pairs, one after the other, where odometry is "
+        "expected to have drifted since the nearest matches",
     )
     gap_m: float = Field(
         default=0.0, ge=0, description="likewise travel, metres (own unit if monocular); the predecessor's is 10"

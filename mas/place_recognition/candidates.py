@@ -14,7 +14,10 @@ from ..protocol.ids import MatchId
 from ..state.agent_state import AgentState
 from ..state.keyframe import KeyFrame
 from ..state.place_match import MatchOutcome, SkipReason
-from .match_spacing import worth_after
+from .match_spacing import WORTH, DriftAlong, MeasuredDrift
+
+# Matches with another agent before their spacing follows the drift.
+_ENOUGH = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +55,7 @@ class Candidate:
 @dataclass
 class Candidates:
     """Candidates of the agent's own queries, and when it was last matched with whom. ``by_id``: all candidates;
-    ``gaps``: own key-frames until a next match with that agent is worth it; ``ways``: the same without bounds.
+    ``gaps``: own key-frames until a next match with that agent is worth it.
 
     ``recalled``: own key-frames that were sent to others later than they were made. ``lengths``: how many key-frames
     another agent has said that it has.
@@ -67,12 +70,15 @@ class Candidates:
     by_id: dict[MatchId, Candidate] = field(default_factory=dict)
     last_matched: dict[int, int] = field(default_factory=dict)
     gaps: dict[int, int] = field(default_factory=dict)
-    ways: dict[int, float] = field(default_factory=dict)
     verified: dict[int, list[int]] = field(default_factory=dict)
     recalled: set[int] = field(default_factory=set)
     lengths: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.measured = MeasuredDrift(self.state.config.optimisation)
+        self._along: dict[int, DriftAlong | None] = {}
+        self._along_of: set[MatchId] = set()
+        self._share = 0.0
         if self.state.profile.coder.whole:
             self.kept = self.whole
 
@@ -152,25 +158,37 @@ class Candidates:
         self.last_matched[other] = max(mine, self.last_matched.get(other, mine))
         self.gaps[other] = self._gap_after(match)
 
+    def drift_along(self, other: int) -> DriftAlong | None:
+        """Expected drift along the own path since the matches with another agent; None without one."""
+        if self._along_of != self.state.accepted:
+            self._along_of, self._along = set(self.state.accepted), {}
+            self._share = self.measured.share(self.state.accepted_matches(), self.state.me)
+        if other not in self._along:
+            self._along[other] = self._made_along(other)
+        return self._along[other]
+
+    def _made_along(self, other: int) -> DriftAlong | None:
+        state, me = self.state, self.state.me
+        matches = [m for m in state.accepted_matches() if other in m.id.agents]
+        if not matches:
+            return None
+        ends = sorted((m.id.end_of(me)[0], m.id.end_of(other)[0]) for m in matches)
+        noise = float(np.median([self.measured.noise(m, me) for m in matches]))
+        step = state.travelled[-1] / max(len(state.keyframes) - 1, 1)
+        depth, scaled = state.keyframes[ends[-1][0]].depth, matches[-1].scale_sigma is not None
+        return DriftAlong(ends, noise, self._share, step, depth, state.config.optimisation, scaled)
+
     def _gap_after(self, match: MatchId) -> int:
-        """What the last two matches with the same track of the other say about odometry decides how soon the next is
-        worth it."""
-        config, latest = self.state.config.places, self.state.verified[match]
-        mine, other = match.end_of(self.state.me)
+        """Own key-frames until odometry is expected to have drifted so far that the next match is worth it."""
+        config, other = self.state.config.places, match.end_of(self.state.me)[1]
         least = config.gap_keyframes if config.gap_least_keyframes is None else config.gap_least_keyframes
         most = config.gap_keyframes if config.gap_most_keyframes is None else config.gap_most_keyframes
         if least == most or other == self.state.me:
             return config.gap_keyframes
-        same = (m for m in self.state.accepted_matches() if set(m.tracks) == set(latest.tracks))
-        before = [m for m in same if m.id.end_of(self.state.me)[0] < mine]
-        if not before:
+        drift = self.drift_along(other)
+        if drift is None or len(drift.matched) < _ENOUGH:
             return config.gap_keyframes
-        last = max(before, key=lambda m: (m.id.end_of(self.state.me)[0], m.id))
-        way = mine - last.id.end_of(self.state.me)[0]
-        worth = worth_after(last, latest, self.state.config.optimisation)
-        self.ways[other] = way * worth
-        # Only drift that shows is a reason for matches closer than usual.
-        return min(max(round(way * worth), config.gap_keyframes if worth >= 1.0 else least), most)
+        return next((gap for gap in range(least, most) if drift.over(gap, gap) >= WORTH), most)
 
     def outcome_of(self, candidate: Candidate) -> tuple[MatchOutcome, str]:
         """The outcome of a candidate, and why, as it stands now."""
