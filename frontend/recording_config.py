@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from maslam._settings import Settings
 
 _MOST_S = 1e9
 
 
-class RecordingConfig(BaseModel):
+class RecordingConfig(Settings):
     """Which images of a source are read. Topics are of bags; the others serve any source."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     start_s: float = Field(
         default=0.0, ge=0.0, le=_MOST_S, allow_inf_nan=False, description="begin so many seconds after the first image"

@@ -170,14 +170,14 @@ class Agent:
     def _pending(self) -> set[MatchId]:
         """Matches accepted or withdrawn since the last optimisation and its updates; none when it failed too often at
         the end."""
-        if self.context.closing and self.optimisation.attempts.hopeless:
+        if self.context.closing and self.optimisation.running.attempts.hopeless:
             return set()
-        return self.pending.matches - self.optimisation.updates.considered
+        return self.pending.matches - self.optimisation.running.updates.considered
 
     def _new_positions(self) -> bool:
         """Whether no optimisation has used its latest positions, and it is time: alone, or at the end."""
         state = self.state
-        if not (self.context.closing or len(state.group) == 1) or self.optimisation.attempts.hopeless:
+        if not (self.context.closing or len(state.group) == 1) or self.optimisation.running.attempts.hopeless:
             return False
         if self.context.closing and not state.lengths_settled:
             return True
@@ -196,7 +196,7 @@ class Agent:
         sellers = self.policy.buy(self.state, outlook)
         if not self.context.closing:
             return effects + (self.maps.buy(sellers) if sellers else NOTHING)
-        return effects + (self.final_round.buy(sellers) if self.optimisation.updates.settled else NOTHING)
+        return effects + (self.final_round.buy(sellers) if self.optimisation.running.updates.settled else NOTHING)
 
     # -- messages -----------------------------------------------------------------------------------------------------
 
@@ -294,7 +294,7 @@ class Agent:
         """One operation did something that others act on."""
         if isinstance(change, MembersMissed):
             again = self.pending.call_again()
-            return self.optimisation.updates.end("a member missed the optimisation") if again else NOTHING
+            return self.optimisation.running.updates.end("a member missed the optimisation") if again else NOTHING
         if isinstance(change, TrustChange):
             return self._trust(change)
         if isinstance(change, Adoption) and change.borne_out:

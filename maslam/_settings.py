@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
@@ -21,6 +21,17 @@ class Settings(BaseModel):
     in a number that no computer holds, or in a run that never ends."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_boolean_number(cls, value: Any, info: ValidationInfo) -> Any:
+        """YAML takes yes, no, on and off for true and false, and pydantic true for 1."""
+        if isinstance(value, bool) and info.field_name is not None:
+            meant = cls.model_fields[info.field_name].annotation
+            kinds = {meant, *get_args(meant)}
+            if kinds & {int, float} and bool not in kinds:
+                raise PydanticCustomError("no_number", "A number is meant, not true or false (yes and no are these)")
+        return value
 
     @field_validator("*")
     @classmethod

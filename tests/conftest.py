@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import settings
 from pydantic import BaseModel
 
 try:
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
     from maslam.tools.worlds.config import RenderConfig
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # tests import onnxruntime on their own, too
+
+# The same examples each run; other ones with --hypothesis-profile=random.
+settings.register_profile("random")
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
 
 Rendered = Callable[[str, "RenderConfig"], Path]
 

@@ -6,6 +6,7 @@ from pydantic import ValidationError
 from maslam.backend.config import CentralConfig, RobustConfig, SolverConfig
 from maslam.descriptors.config import NetVladConfig, ProjectionConfig, TrainingConfig
 from maslam.frontend.config import OdometryConfig
+from maslam.frontend.recording_config import RecordingConfig
 from maslam.mas.config import MasConfig
 from maslam.mas.policies.presets import PRESETS, preset
 from maslam.tools import cli
@@ -65,3 +66,12 @@ def test_the_command_says_so_in_one_line(tmp_path, capsys, value):
     assert cli.main(["slam", str(tmp_path), str(tmp_path / "out"), "--config", str(config)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"maslam: {config}:2: ") and "unexpected" not in line
+
+
+def test_yes_is_no_number():
+    """YAML reads yes, no, on and off as true and false, which pydantic takes for 1 and 0."""
+    for model, path in ((RecordingConfig, "stride"), (RecordingConfig, "end_s"), (CentralConfig, "iterations")):
+        for value in (True, False):
+            with pytest.raises(ValidationError, match="A number is meant, not true or false"):
+                made(model, path, value)
+    assert made(RecordingConfig, "stride", "2").stride == 2

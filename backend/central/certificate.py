@@ -10,7 +10,7 @@ eigenvalue of S is negative. There is no such certificate for cost E.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -62,11 +62,11 @@ def certify(graph: PoseGraph, convention: Literal["F", "U"] = "F", tolerance: fl
 
     The multipliers are taken at the stationary point that Newton's method finds from the poses (for poses at an optimum
     it only removes rounding); the bound holds for any. Edges of any weight, several connected parts, planar graphs
-    (certified in 2-D), and priors are handled.
+    (certified in 2-D), and priors are handled. Fixed nodes are taken as free: no poses whatever cost less than that.
     """
     if convention not in ("F", "U"):
         raise BackendError(f"there is no certificate for cost {convention}: only F and U have a dual bound")
-    a, d = graph.arrays(), graph.dimension
+    a, d = replace(graph, fixed=frozenset()).arrays(), graph.dimension
     kappa, tau = frobenius_weights(a, convention, d)
     cost = _cost(a, a.poses, kappa, tau)
     rounding = _ROUNDING * _worst(a, kappa, tau)

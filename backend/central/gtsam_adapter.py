@@ -54,6 +54,7 @@ def levenberg_marquardt(graph: PoseGraph, config: CentralConfig) -> tuple[PoseGr
     if a.origin is not None:
         # The origin stood fixed but for rounding; put it back exactly.
         moved = se3_inverse(moved[a.origin]) @ moved
+    moved[list(a.fixed)] = a.poses[list(a.fixed)]
     return graph.with_poses(a.named(moved)), optimiser.iterations()
 
 
@@ -61,7 +62,9 @@ def _factors(graph: PoseGraph, a: EdgeArrays, config: CentralConfig) -> Any:
     gtsam = _gtsam()
     factors = gtsam.NonlinearFactorGraph()
     tight = gtsam.noiseModel.Isotropic.Sigma(6, _PRIOR_SIGMA)
-    for k in anchors(a):
+    for k in a.fixed:
+        factors.add(gtsam.NonlinearEqualityPose3(k, gtsam.Pose3(a.poses[k])))
+    for k in sorted(set(anchors(a)) - set(a.fixed)):
         factors.add(gtsam.PriorFactorPose3(k, gtsam.Pose3(a.poses[k]), tight))
     kappa, tau = frobenius_weights(a, config.cost, graph.dimension)
     geodesic = config.cost == "E"

@@ -47,7 +47,8 @@ class OptimisationResult:
 def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
     """Optimise all poses of ``graph``; the cost never ends higher than it began.
 
-    In each connected part the first node keeps its pose, unless priors determine the part's place.
+    Fixed nodes keep their poses; in each connected part without any the first one does, unless priors determine the
+    part's place.
     """
     if config.length_sigma > 0:
         return _with_lengths(graph, config)
@@ -89,6 +90,8 @@ def _with_positions(graph: PoseGraph, config: CentralConfig) -> OptimisationResu
     ``BackendError`` for the other costs, which know neither."""
     if config.cost != "F" or config.loss != "none":
         raise BackendError("priors with a lever or a bound (GPS) are used with cost F without a loss only")
+    if graph.fixed:
+        raise BackendError("priors with a lever or a bound (GPS) do not go with fixed nodes")
     free = two_stage(replace(graph, priors=()))
     free, _, _ = polished(free, steps=config.iterations)
     a = replace(graph, priors=()).arrays()
@@ -148,11 +151,12 @@ def two_stage(graph: PoseGraph, unit_weights: bool = False, newton_steps: int = 
 
 
 def _placed(a: EdgeArrays, poses: Array, graph: PoseGraph) -> Array:
-    """Each connected part moved rigidly to where its priors want it: the best of what one prior alone or all their
-    positions together say.
+    """Each connected part without fixed nodes moved rigidly to where its priors want it: the best of what one prior
+    alone or all their positions together say.
     """
     row, part, poses = {n: k for k, n in enumerate(a.nodes)}, named_parts(a), poses.copy()
-    for label in sorted({int(part[row[p.node]]) for p in graph.priors}):
+    held = {int(part[k]) for k in a.fixed}
+    for label in sorted({int(part[row[p.node]]) for p in graph.priors} - held):
         priors = [p for p in graph.priors if part[row[p.node]] == label]
         estimates = poses[[row[p.node] for p in priors]]
         wanted = np.array([p.T_O_i for p in priors])

@@ -38,14 +38,14 @@ def named_parts(a: EdgeArrays) -> NDArray[np.intp]:
 
 
 def anchors(a: EdgeArrays) -> list[int]:
-    """The first node of each connected part, or the origin where priors tie it: what is held so that the others have
-    a place.
+    """What is held: all fixed nodes, the origin of priors, and of each connected part without any of these the first
+    node, so that the others have a place.
     """
     part = named_parts(a)
     first: NDArray[np.intp] = np.unique(part, return_index=True)[1]
-    if a.origin is not None:
-        first[part[a.origin]] = a.origin
-    return sorted(first.tolist())
+    held = [*a.fixed, *([] if a.origin is None else [a.origin])]
+    taken = {int(part[row]) for row in held}
+    return sorted({*held, *(int(row) for row in first if int(part[row]) not in taken)})
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,8 @@ _NUMBER, _ROUGH, _POSE = struct.Struct("<d"), struct.Struct("<f"), struct.Struct
 _START = struct.Struct("<6f")
 # Bits of a whole number, at most.
 _LONGEST = 63
+# Steps stay below this, so that they fit with their sign.
+_TOO_FAR = 2.0**62
 
 
 class CompactWriter:
@@ -70,8 +72,10 @@ class CompactWriter:
         self._out += np.ascontiguousarray(values, dtype=kind).tobytes()
 
     def steps(self, values: Iterable[float]) -> None:
-        """Whole numbers that come as floating-point ones."""
+        """Whole numbers that come as floating-point ones; :class:`BackendError` for one that is none."""
         for value in values:
+            if not abs(value) < _TOO_FAR:
+                raise BackendError(f"a step of {value:.3g} is too long for a message")
             self.signed(int(value))
 
 

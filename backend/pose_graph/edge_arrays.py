@@ -17,7 +17,7 @@ class EdgeArrays:
     ``(m, 4, 4)``, weighted ``information`` ``(m, 6, 6)`` and the ``weight`` ``(m,)`` itself.
 
     Priors are edges from the origin frame, after the others; the origin is then a node of its own: the identity in
-    row ``origin``, the last one, which has no name in ``nodes``.
+    row ``origin``, the last one, which has no name in ``nodes``. ``fixed``: rows of nodes that keep their poses.
     """
 
     nodes: list[NodeId]
@@ -27,6 +27,7 @@ class EdgeArrays:
     information: Array
     weight: Array
     origin: int | None = None
+    fixed: tuple[int, ...] = ()
 
     def named(self, poses: Array) -> dict[NodeId, Array]:
         """Rows of ``poses`` by node, the origin left out."""

@@ -19,7 +19,6 @@ from maslam._atomic import replacing
 from ..errors import BackendError
 from ..geometry import Array, quat_wxyz_from_rotation, so3_log
 from .g2o_copies import check_given_once, copies
-from .g2o_fixed import pinned_lines
 from .g2o_ids import Ids, symbol
 from .g2o_landmarks import needs_offset, sighting_lines, vertex_lines
 from .g2o_lines import PLANAR, G2oLine, Remarks, measurement_of, pose_of, read_lines
@@ -65,9 +64,11 @@ def read_g2o(
         skipped += map(str, errors)
     graph = reading.graph(files[0])
     landmarks, of_landmarks = remarks.landmarks.landmarks(reading.ids, {line.file for line in lines}, graph)
-    graph = replace(graph, landmarks=landmarks)
+    fixed = [(reading.ids.node(*one), one[2]) for one in remarks.fixed]
+    held = frozenset(node for node, _ in fixed if node in graph.poses)
+    found += [f"{where}: FIX of {node}, of which there is no pose" for node, where in fixed if node not in graph.poses]
+    graph = replace(graph, landmarks=landmarks, fixed=held)
     found += of_landmarks + remarks.lines() + reading.shared.lines() + reading.conflicts() + reading.without_vertex()
-    found += pinned_lines({reading.ids.node(*one): one[2] for one in remarks.fixed}, graph)
     if notes is None:
         for note in found:
             log.warning("%s: %s", files[0] if len(files) == 1 else f"{len(files)} files", note)
@@ -196,6 +197,7 @@ def write_g2o(path: Path, graph: PoseGraph, plain_ids: bool = False) -> None:
         for node, pose in zip(graph.nodes, _pose_texts([graph.poses[n] for n in graph.nodes], flat), strict=True):
             out.write(f"{tag} {_id(node, plain_ids)} {pose}\n")
         out.writelines(f"{line}\n" for line in vertex_lines(graph, plain_ids))
+        out.writelines(f"FIX {_id(node, plain_ids)}\n" for node in sorted(graph.fixed))
         tag = "EDGE_SE2" if flat else "EDGE_SE3:QUAT"
         for e, pose in zip(graph.edges, _pose_texts([e.T_i_j for e in graph.edges], flat), strict=True):
             pair = f"{_id(e.i, plain_ids)} {_id(e.j, plain_ids)}"

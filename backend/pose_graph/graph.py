@@ -99,6 +99,7 @@ class PoseGraph:
     """Poses ``T_O_i`` ``(4, 4)`` by node, edges, and priors (which fix the frame O: without any it is free).
     ``dimension`` is 2 for planar data held in 3-D (z, roll, pitch zero). ``symbols``: robots are letters of gtsam's
     symbols in the file that this was read from, also where there is one robot only. ``landmarks``: kept along.
+    ``fixed``: nodes that keep their poses in any solution.
     """
 
     poses: Mapping[NodeId, Array]
@@ -107,8 +108,11 @@ class PoseGraph:
     priors: tuple[Prior, ...] = ()
     symbols: bool = False
     landmarks: tuple[Landmark, ...] = ()
+    fixed: frozenset[NodeId] = frozenset()
 
     def __post_init__(self) -> None:
+        for node in sorted(self.fixed - set(self.poses)):
+            raise BackendError(f"there is no pose for the fixed node {node}")
         for edge in self.edges:
             for node in (edge.i, edge.j):
                 if node not in self.poses:
@@ -141,6 +145,7 @@ class PoseGraph:
             information=weight[:, None, None] * information,
             weight=weight,
             origin=len(nodes) if self.priors else None,
+            fixed=tuple(row[n] for n in sorted(self.fixed)),
         )
 
     @property
@@ -201,7 +206,8 @@ class PoseGraph:
         seen = (mark.seen_by(own, self.poses) for mark in self.landmarks)
         landmarks = tuple(mark for mark in seen if mark is not None)
         poses = {n: self.poses[n] for n in sorted(kept)}
-        return replace(self, poses=poses, edges=edges, priors=priors, landmarks=landmarks)
+        fixed = frozenset(n for n in self.fixed if n.robot == robot)
+        return replace(self, poses=poses, edges=edges, priors=priors, landmarks=landmarks, fixed=fixed)
 
     def partitioned(self, robots: int) -> PoseGraph:
         """A graph of one robot cut into ``robots`` blocks of consecutive nodes, equally long (the last may be
@@ -222,7 +228,8 @@ class PoseGraph:
         priors = tuple(replace(p, node=new[p.node]) for p in self.priors)
         landmarks = tuple(mark.renamed(new) for mark in self.landmarks)
         poses = {new[n]: T for n, T in self.poses.items()}
-        return replace(self, poses=poses, edges=tuple(edges), priors=priors, landmarks=landmarks)
+        fixed = frozenset(new[n] for n in self.fixed)
+        return replace(self, poses=poses, edges=tuple(edges), priors=priors, landmarks=landmarks, fixed=fixed)
 
     def rescaled(self, scales: Mapping[int, float]) -> PoseGraph:
         """Robots' units of length multiplied out: translations of robot r times ``scales[r]`` (1 where not named).

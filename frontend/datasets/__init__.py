@@ -75,7 +75,7 @@ def open_dataset(
     recognised = path.is_file() or any(reader.recognises(path) for reader in tried)
     if agents:
         dataset = _open_folders(path, agents, how)
-        others = [p.name for p in sub_folders(path, tried).robots if p not in agents]
+        others = ["its own images"] * recognised + [p.name for p in sub_folders(path, tried).robots if p not in agents]
         note = f"{_names(others)} beside {agents[0].name}: not read; where folders agent_<n> are, only these are robots"
         dataset = replace(dataset, notes=(note,) if others else ())
     elif recognised and not reading.robots:

@@ -67,6 +67,9 @@ class Problems:
         self.found.append(Problem(Severity.WARNING, message))
 
 
+_RESIZE = "; resize depth that is registered to the image, by the nearest pixel"
+
+
 @dataclass(frozen=True)
 class ImageSequence:
     """The images of one agent, in order of time, with a calibrated and rectified camera.
@@ -184,7 +187,7 @@ class ImageSequence:
     def _depth(self, i: int) -> NDArray[np.float32]:
         sensor = None if self.registration is None else self.registration.depth_camera
         size = self.stored_size if sensor is None else (sensor.width, sensor.height)
-        depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i], size)
+        depth = self._sized(read_depth(self.depth[i], self.depth_unit_m), self.depth[i], size, _RESIZE)
         if self.registration is not None:
             depth = self.registration.register(depth)
         elif self.rectifier is not None:
@@ -196,12 +199,14 @@ class ImageSequence:
         """Used pixels of the rectified image and right image of frame ``i``; None: all."""
         return (None, None) if self.masks is None else (self.masks.of_left(i), self.masks.of_right(i))
 
-    def _sized(self, image: NDArray[Pixel], stored: ImageRef, size: tuple[int, int] | None = None) -> NDArray[Pixel]:
-        """The image, where it has the sequence's size, or this."""
+    def _sized(
+        self, image: NDArray[Pixel], stored: ImageRef, size: tuple[int, int] | None = None, cure: str = ""
+    ) -> NDArray[Pixel]:
+        """The image, where it has the sequence's size, or this; ``cure``: what to do where it has another."""
         width, height = size or self.stored_size
         if image.shape[:2] != (height, width):
             raise ImageSizeError(
-                f"{stored}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}"
+                f"{stored}: {image.shape[1]}x{image.shape[0]} pixels, but this sequence has {width}x{height}{cure}"
             )
         return image
 

@@ -17,13 +17,13 @@ from ..cameras.calibration_files import (
 )
 from ..cameras.calibration_files.registry import CalibrationFormat, format_of
 from ..errors import FrontendError
+from ..files.colmap_poses import MODELS
 
 _SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".npz")
 _NOT_CAMERAS = ("metadata.yaml",)  # of a ROS 2 bag
 _OFTEN_OTHERS = (".json", ".xml", ".npz")  # passed over where they hold no camera
 _USUAL = ("camera", "calibration", "camera_info", "camchain", "calib")
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("camera0", "camera1"))
-_MODELS = (".", "sparse", "sparse/0", "colmap/sparse/0")  # folders where COLMAP's cameras lie beside images
 _MANY = 30  # files of one suffix in a folder: more are of the images
 _ONE_CAMERA = ("OpenCV or ROS", "EuRoC")  # forms of which two files make a pair
 
@@ -102,7 +102,7 @@ def _chosen(folder: Path, known: _Known, refused: dict[Path, FrontendError]) -> 
 
 
 def _colmaps(folder: Path) -> Path | None:
-    return next((p for inside in _MODELS for name in colmap.FILES if (p := folder / inside / name).is_file()), None)
+    return next((p for inside in MODELS for name in colmap.FILES if (p := folder / inside / name).is_file()), None)
 
 
 def _numbers(folder: Path) -> Path | None:

@@ -11,12 +11,13 @@ from ..errors import FrontendError
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import find_camera_file, numbers_files
+from .depth_files import FLOAT_SUFFIXES
 from .depth_unit import unit_of_depth
 from .guessed_camera import guess_camera, guess_text
 from .image_times import TimedImages, timed_images
 from .other_calibrations import calibrations_of_others
 from .pairing import with_partners
-from .second_images import SortedImages, has_images, sort_images
+from .second_images import SortedImages, has_images, sort_images, unread_depth
 from .shared_camera import find_shared_camera
 from .truth import find_truth
 from .unnamed_depth import UnnamedDepth, find_unnamed_depth, floating_point_beside
@@ -61,6 +62,7 @@ class FolderReader(Reader):
             found = _with_depth_if_known(folder, unnamed, images, raw, source, rig, problems)
         elif not found.depth and not found.right and rig is None:
             _say_floating_point(folder, found, problems)
+            _say_unread_depth(folder, problems)
         kind = choose_rig(_rigs(folder, found, raw, source, rig, problems), rig, folder)
         if kind is RigKind.STEREO:
             images, right = with_partners(folder, images, found.right, "right image", problems)
@@ -145,6 +147,16 @@ def _say_floating_point(folder: Path, found: SortedImages, problems: Problems) -
         problems.warning(
             f"{place}: pictures of floating-point numbers beside the images, which are not used: "
             "call the folder depth if they are depth in metres"
+        )
+
+
+def _say_unread_depth(folder: Path, problems: Problems) -> None:
+    place = unread_depth(folder)
+    if place is not None:
+        kinds = ", ".join(sorted({path.suffix or path.name for path in place.iterdir() if path.is_file()})[:4])
+        problems.warning(
+            f"{place}: depth in files that are not read ({kinds}), read as one camera: 16-bit images, or metres in "
+            f"{', '.join(sorted(FLOAT_SUFFIXES))} or TIFF, are"
         )
 
 

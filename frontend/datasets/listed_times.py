@@ -20,6 +20,7 @@ from ..files.time_units import (
     NotATime,
     TimeUnit,
     is_date,
+    is_time_of_day,
     is_unix_s,
     parse_times,
     unit_of_heading,
@@ -69,7 +70,7 @@ def read_listed_times(path: Path) -> ListedTimes:
         stamps = _in_two_parts(path, table, _column(table, whole), _column(table, rest), unit)
         return in_order(ListedTimes(stamps, names))
     column = _time_column(path, table, name)
-    heading = unit_of_heading(table.headings[column]) if table.headings else None
+    heading = unit_of_heading(table.headings[column]) if column < len(table.headings) else None
     try:
         times = parse_times(_column(table, column), heading)
     except NotATime as error:
@@ -175,7 +176,11 @@ def _time_column(path: Path, table: HeadedTable, name: int | None) -> int:
     headed = table.column(lambda h: any(word in h for word in _TIME_WORDS) or h.strip() in ("t", "ns", "[ns]"))
     if headed is not None:
         return headed
-    usable = [i for i, cell in enumerate(table.rows[0]) if i != name and (is_number(cell) or is_date(cell))]
+    usable = [
+        i
+        for i, cell in enumerate(table.rows[0])
+        if i != name and (is_number(cell) or is_date(cell) or is_time_of_day(cell))
+    ]
     if not usable:
         raise _no_time(path, table, 0)
     counting = [i for i in usable if _counts_rows([cells[i] for cells in table.rows])]

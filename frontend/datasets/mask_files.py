@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from ..cameras.rectification import Rectifier
 from ..errors import FrontendError
-from .images import read_grey
+from .images import header_of, read_grey, read_numbers
+
+_BRIGHT = 128
+"""From here on a JPEG's pixel is white: black is a little off after compression."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,8 @@ class FrameMasks:
         return used if self.rectifier is None else self.rectifier.rectify_right(_white(used)) == 255
 
     def stored(self, path: Path) -> NDArray[np.bool_]:
-        """Which pixels ``(H, W)`` of the stored image the mask leaves: all that are not black."""
+        """Which pixels ``(H, W)`` of the stored image the mask leaves: all that are not black; of a lossy JPEG those of
+        the brighter half, of a mask that is transparent somewhere those that are not transparent."""
         stored = _read(path, path.stat().st_mtime_ns if path.is_file() else 0)
         if stored.shape != self.size[::-1]:
             found = f"{stored.shape[1]}x{stored.shape[0]}"
@@ -55,8 +59,15 @@ class FrameMasks:
 
 @lru_cache(maxsize=4)
 def _read(path: Path, changed_ns: int) -> NDArray[Any]:
-    """The mask as stored; one for all images is decoded once, unless it ``changed_ns``."""
-    return read_grey(path)
+    """The mask, 0 where nothing is used; one for all images is decoded once, unless it ``changed_ns``."""
+    grey = read_grey(path)
+    header = header_of(path)
+    if header.format == "JPEG" and grey.max(initial=0) >= _BRIGHT:
+        return np.where(grey >= _BRIGHT, grey, 0)
+    if header.format == "PNG" and header.channels in (2, 4):
+        alpha = read_numbers(path)[..., -1]
+        return alpha if (alpha == 0).any() else grey
+    return grey
 
 
 def _white(used: NDArray[np.bool_]) -> NDArray[np.uint8]:

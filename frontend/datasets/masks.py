@@ -19,7 +19,7 @@ _FOUND = ("masks", "mask", *MASK_FILES)
 """What masks are called where nobody says."""
 
 _SAMPLES = 8
-_FEW = 0.1
+_FEW = 0.4
 """Share of pixels used below which masks may be inverted."""
 
 
@@ -57,8 +57,7 @@ def with_masks(sequence: ImageSequence, folder: Path, given: Path | None, proble
     used = _used(masks, problems)
     if used is None:
         return sequence
-    if used < _FEW:
-        problems.warning(f"{source}: {100 * used:.1f} % of the pixels are used: white is used; are the masks inverted?")
+    _say_doubts(str(source), masks, used, problems)
     note = f"{said}; {100 * (1 - used):.1f} % of the pixels give no points; place descriptors see the whole images"
     return replace(sequence, masks=masks, notes=(*sequence.notes, note))
 
@@ -74,14 +73,18 @@ def with_named_masks(
     used = _used(masks, problems)
     if used is None:
         return replace(sequence, problems=tuple(dict.fromkeys((*sequence.problems, *problems.found))))
-    if used < _FEW:
-        problems.warning(
-            f"{source}: mask_path leaves {100 * used:.1f} % of the pixels: white is used; are they inverted?"
-        )
+    _say_doubts(f"{source}: mask_path", masks, used, problems)
     said = f"{source}: mask_path masks {sum(map(bool, left))} of {len(sequence)} images"
     note = f"{said}; {100 * (1 - used):.1f} % of the pixels give no points; place descriptors see the whole images"
     found = tuple(dict.fromkeys((*sequence.problems, *problems.found)))
     return replace(sequence, masks=masks, notes=(*sequence.notes, note), problems=found)
+
+
+def _say_doubts(source: str, masks: FrameMasks, used: float, problems: Problems) -> None:
+    if used < _FEW:
+        problems.warning(f"{source}: {100 * used:.1f} % of the pixels are used: white is used; are the masks inverted?")
+    if used == 1.0 and len(set(masks.left)) <= _SAMPLES:  # of many, those that were not looked at may mask something
+        problems.warning(f"{source}: nothing is masked: black is, and there is none")
 
 
 def _of_all(sequence: ImageSequence, left: tuple[Path | None, ...], right: tuple[Path | None, ...]) -> FrameMasks:

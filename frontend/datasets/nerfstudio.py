@@ -15,6 +15,8 @@ from ..cameras.calibration import RawRig
 from ..cameras.calibration_files import Fields, load_fields, nerfstudio, read_calibration
 from ..cameras.models import RigKind
 from ..errors import FrontendError
+from ..files.pose_conventions import OPENGL
+from ..files.pose_entries import OPENGL_NOTE
 from .assemble import FoundSequence, assemble, available_rigs
 from .base import ImageSequence, Problems, Reader, choose_rig
 from .camera_file import usual_camera_file
@@ -28,11 +30,7 @@ from .truth import Truth, frame_truth
 
 _FILE = "transforms.json"
 _MILLIMETRE = 0.001
-_TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera: y up, looking along -z
-_TRUTH_NOTE = (
-    f"ground truth: transform_matrix of {_FILE}, the camera's axes turned from OpenGL's; in the unit of whatever made "
-    "it, which need not be metres"
-)
+_TRUTH_NOTE = f"ground truth: {OPENGL_NOTE}"
 
 
 class NerfstudioReader(Reader):
@@ -177,5 +175,5 @@ def _truth(data: Fields, frames: Sequence[Fields], stamps_ns: NDArray[np.int64],
     if scale <= 0.0:
         raise data.fail("applied_scale", "a number above 0")
     given[:, :3, 3] /= scale
-    trajectory = frame_truth(stamps_ns[known], product(given, _TURNED))
+    trajectory = frame_truth(stamps_ns[known], product(given, OPENGL))
     return None if trajectory is None else Truth(trajectory, data.path)

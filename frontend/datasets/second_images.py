@@ -68,6 +68,14 @@ def sort_images(folder: Path) -> SortedImages | None:
     return SortedImages(inside, tuple(files), tuple(right), tuple(depth), unused)
 
 
+def unread_depth(folder: Path) -> Path | None:
+    """A folder called depth whose files are none that depth is read from; None without one, or with such files."""
+    places = [place for name in _DEPTH_FOLDERS if (place := folder / name).is_dir()]
+    if any(map(list_depth, places)):
+        return None
+    return next((p for p in places if any(f.is_file() and not f.name.startswith(".") for f in p.iterdir())), None)
+
+
 def _by_names(every: Sequence[Path]) -> tuple[list[Path], list[Path], list[Path]]:
     """The camera's, right and depth images of one folder."""
     depth = [path for path in every if _is_depth(path)]

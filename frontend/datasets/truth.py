@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import product
 
 from ..errors import FrontendError
+from ..files.colmap_poses import find_colmap_images
 from ..files.pose_arrays import ARRAY_SUFFIXES
 from ..files.pose_table import read_poses
 from ..files.timestamps import span_text
@@ -21,7 +22,7 @@ from ..files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
 from .base import Problems
 from .image_times import TimedImages
 from .images import natural_key
-from .truth_rows import LEFT_OUT, frame_truth, truth_of_images, truth_of_numbers
+from .poses_of_images import given_poses
 
 _SUFFIXES = (".txt", ".tum", ".csv")
 _UNREAD = frozenset(
@@ -37,6 +38,7 @@ _ESTIMATED = re.compile(
     r"((camera|key_?frame|frame|est(imated)?)_?)?traj(ectory)?(_est(imated?)?)?|odom(etry)?|vo|slam"
 )
 _LOOKS_TRUE = re.compile(r"ground.?truth|(?:^|[^a-z])gt(?:[^a-z]|$)")
+LEFT_OUT = "ground truth left out, errors cannot be known"
 _MANY, _AHEAD = 10, 0.9  # poses, and the share of their path ahead, from which axes are a body's
 
 
@@ -60,7 +62,8 @@ def as_truth(trajectory: Trajectory | None, source: Path) -> Truth | None:
 
 def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth | None:
     """The ground truth beside the images of ``folder``, under a usual name, in any form that
-    :func:`~maslam.frontend.files.pose_table.read_poses` knows, or one file an image in ``poses``; None without.
+    :func:`~maslam.frontend.files.pose_table.read_poses` knows, one file an image in ``poses``, or a model of COLMAP;
+    None without.
 
     A file that is damaged or does not fit is named in ``problems`` and left out, and so is one that looks like ground
     truth and is not read.
@@ -98,7 +101,15 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
             "it groundtruth if it is true (`maslam import` takes estimates)"
         )
     inside = next((folder / name for name in POSE_FOLDERS if (folder / name).is_dir()), None)
-    return None if inside is None else _of_single_files(inside, images, problems)
+    if inside is not None:
+        return _of_single_files(inside, images, problems)
+    model = find_colmap_images(folder)
+    if model is None:
+        return None
+    truth = read_truth(model, images, problems)
+    if truth is not None:
+        problems.warning(f"{model}: taken as the ground truth, which COLMAP has estimated; move it away to do without")
+    return truth
 
 
 def _of_unread_forms(folder: Path) -> list[str]:
@@ -116,23 +127,19 @@ def read_truth(path: Path, images: TimedImages, problems: Problems, wxyz: bool =
     """The ground truth in ``path``; poses without times are those of the images, in order or by the numbers in the
     names. None, and a warning, where it cannot be used. ``wxyz``: see :func:`read_poses`."""
     try:
-        table = read_poses(path, wxyz)
+        given = given_poses(path, read_poses(path, wxyz), images)
     except FrontendError as error:
         problems.warning(f"{error}: {LEFT_OUT}")
         return None
-    notes = [*table.notes]
-    trajectory = truth_of_numbers(table, images)
-    if trajectory is not None:
-        notes = [note for note in notes if note != table.doubt]
-        notes += ["its first column counts and is no time of the images: taken as their numbers"]
-    elif table.stamps_ns is None:
-        trajectory = truth_of_images(path, table, images, problems)
-    else:
-        trajectory, more = table.in_time()
-        notes += more
-    for note in notes:
+    for note in given.notes:
         problems.warning(f"{path}: {note}")
-    return None if trajectory is None else Truth(trajectory, path)
+    return Truth(given.trajectory, path)
+
+
+def frame_truth(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Trajectory | None:
+    """Ground truth from ``poses`` ``(N, 4, 4)`` ``T_W_C``, one per frame, at ``stamps_ns`` ``(N,)``; None where the
+    stamps do not ascend, which is listed as a problem of its own."""
+    return Trajectory(stamps_ns, poses) if (np.diff(stamps_ns) > 0).all() else None
 
 
 def check_cover(truth: Truth, stamps_ns: NDArray[np.int64], problems: Problems) -> None:

@@ -14,7 +14,7 @@ from maslam._bounded import Unreadable, open_npz
 from maslam.backend.geometry import se3_inverse
 
 from ..errors import FrontendError
-from .pose_entries import INVERSE_KEYS, MATRIX_KEYS, TIME_KEYS
+from .pose_entries import AS_XYZW, INVERSE_KEYS, MATRIX_KEYS, TIME_KEYS
 
 Array = NDArray[np.float64]
 _WIDTHS = (7, 8, 12, 13, 16, 17)
@@ -118,7 +118,7 @@ def _of_parts(arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, tuple[str, ...
                 return np.concatenate([arrays[name], t[:, :, None]], axis=2).reshape(-1, 12).astype(np.float64), ()
         for name in _named(arrays, _QUATERNIONS):
             if arrays[name].shape == (len(t), 4):
-                note = f"its {name} are taken as x, y, z, w"
+                note = f"its {name} are {AS_XYZW}"
                 return np.hstack([t, arrays[name]]).astype(np.float64), (note,)
     return None
 

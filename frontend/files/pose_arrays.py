@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import FrontendError
 from .headed_table import HeadedTable, is_number
 from .pose_archives import cells_of_arrays, has_columns, read_archive, read_times_archive, rows_of_array
-from .pose_entries import NAME_KEYS, POSES_MEANT, TIME_KEYS, first_of, flat_cells, pose_of_entry
+from .pose_entries import NAME_KEYS, POSES_MEANT, TIME_KEYS, first_of, flat_cells, in_opencv, pose_of_entry
 from .text_tables import read_text
 
 ARRAY_SUFFIXES = (".json", ".npy", ".npz")
@@ -48,6 +48,8 @@ def read_pose_cells(path: Path) -> PoseCells:
     if len(entries) in (3, 4) and all(len(flat_cells(entry)) == 4 for _, entry in entries):
         return PoseCells(_table([[cell for _, row in entries for cell in flat_cells(row)]]))
     read = [pose_of_entry(f"{path}: pose {k + 1}", name, entry) for k, (name, entry) in enumerate(entries)]
+    if isinstance(data, Mapping) and _LISTS[1] in data:
+        read = [in_opencv(one, str(data.get("applied_scale", "1"))) for one in read]
     if len({(one.headings, len(one.cells)) for one in read}) > 1:
         raise FrontendError(f"{path}: poses in several forms; {POSES_MEANT}")
     timed, named = (bool(read) and all(getattr(one, what) for one in read) for what in ("time", "name"))

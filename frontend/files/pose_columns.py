@@ -77,6 +77,9 @@ def find_columns(where: str, headings: Sequence[str], values: Array, wxyz: bool)
             return _other_seven(where, values, first)
         quaternion = [first + 3 + i for i in ((0, 1, 2, 3) if wxyz else (3, 0, 1, 2))]
         return PoseColumns(0 if timed else None, (first, first + 1, first + 2), quaternion), []
+    if width == 17 and _is_euroc(values):
+        order = "a time, a position, qw qx qy qz, and what is not used (EuRoC's columns)"
+        return PoseColumns(0, (1, 2, 3), [4, 5, 6, 7]), [f"its 17 columns are taken as {order}"]
     if width in (12, 13, 16, 17):
         return PoseColumns(0 if timed else None, matrix=tuple(range(first, first + 12))), []
     if width == 6:
@@ -84,6 +87,13 @@ def find_columns(where: str, headings: Sequence[str], values: Array, wxyz: bool)
     forms = ", ".join(f"{n} ({form})" for n, form in FORMS.items())
     what = "positions without rotations" if width in (3, 4) else "no form of poses that is known"
     raise FrontendError(f"{where}: {width} columns: {what}; known are {forms}, or headings")
+
+
+def _is_euroc(values: Array) -> bool:
+    """Whether rows of 17 numbers are no time and matrix, whose bottom row would be known, but have a quaternion."""
+    bottoms = (values[:, 13:17], values[:, [4, 8, 12, 16]])
+    matrices = any((bottom == (0.0, 0.0, 0.0, 1.0)).all(axis=1).mean() >= _SOME for bottom in bottoms)
+    return not matrices and _are_quaternions(values[:, 4:8])
 
 
 def _are_quaternions(cells: Array) -> bool:

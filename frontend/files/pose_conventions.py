@@ -14,6 +14,12 @@ AS_DEGREES = (
     "x and y look like degrees of latitude and longitude (as metres they hardly move); metres are meant: as positions, "
     "put time, lat, lon and alt into gps.csv with a header"
 )
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""OpenGL's camera, y up and looking along -z, in the axes of OpenCV's."""
+ORDERS = ("qx qy qz qw", "qw qx qy qz")
+"""Of a quaternion: with the real part at the end, in front."""
+_ROWS = 3  # of one pose alone nothing is known
+_AT_IDENTITY_DEG, _NEAR_IDENTITY_DEG = 2.0, 30.0  # of a first pose: taken for a start there, or doubted
 _FEW, _MOST = 8, 400  # steps of a path: fewer tell nothing, more nothing new
 _AHEAD, _FAR = 0.05, 0.25
 _ASTRAY, _TIMES = 0.03, 10.0
@@ -27,20 +33,33 @@ _OFFSET = 30.0  # a place's degrees over the spread about it; metres mostly begi
 _GOES_ON = 0.5  # correlation of neighbouring steps of a path; that of noise is negative
 
 
-def reads_as_other_order(cells: Array, positions: Array, wxyz: bool) -> bool:
-    """Whether rotations follow the path only if the other end of each quaternion is its real part.
+def real_part_first(cells: Array, positions: Array, wxyz: bool, named: bool = False) -> tuple[bool, str]:
+    """Whether the real part stands in front in quaternions ``cells`` ``(N, 4)`` as written, and what to say where that
+    is not what is expected (``wxyz``), or in doubt.
 
-    ``cells`` ``(N, 4)`` quaternions as written, about to be read with the real part in front (``wxyz``) or at the end;
     ``positions`` ``(N, 3)``, in order of time. A body moves ahead along an axis of its own; with the order mixed up its
-    steps go any way. False where the path is straight, and where neither order says anything: a camera in a hand.
+    steps go any way. Where the path is straight, or says nothing (a camera in a hand), a start at the identity counts,
+    unless the order is ``named``. How far poses turn tells nothing: it is the same in either order.
     """
+    if len(cells) < _ROWS:
+        return wxyz, ""
     rows, ahead = _steps(positions)
-    if not len(rows):
-        return False
-    written = cells[rows]
-    first, last = (_astray(rotation_from_quat_wxyz(q), ahead) for q in (written, written[:, [3, 0, 1, 2]]))
-    read, other = (first, last) if wxyz else (last, first)
-    return contradicts(read, other)
+    if len(rows):
+        written = cells[rows]
+        first, last = (_astray(rotation_from_quat_wxyz(q), ahead) for q in (written, written[:, [3, 0, 1, 2]]))
+        read, other = (first, last) if wxyz else (last, first)
+        if contradicts(read, other):
+            return not wxyz, f"rotations follow the path as {ORDERS[not wxyz]}, and not as {ORDERS[wxyz]}"
+        if contradicts(other, read):
+            return wxyz, ""
+    if named:
+        return wxyz, ""
+    turned = np.degrees(2.0 * np.arccos(np.clip(np.abs(cells[0]) / np.linalg.norm(cells[0]), 0.0, 1.0)))
+    here, there = (turned[0], turned[3]) if wxyz else (turned[3], turned[0])
+    says = f"its first quaternion is {there:.0f} degrees from the identity as {ORDERS[not wxyz]}, {here:.0f} as"
+    if there < _AT_IDENTITY_DEG:
+        return not wxyz, f"{says} {ORDERS[wxyz]}"
+    return wxyz, f"{says} {ORDERS[wxyz]}, as which it is taken" if there < _NEAR_IDENTITY_DEG else ""
 
 
 def contradicts(read: float, other: float) -> bool:
@@ -80,13 +99,14 @@ def in_columns(cells: Array) -> NDArray[np.bool_]:
     return np.asarray((bottom == (0.0, 0.0, 0.0, 1.0)).all(axis=1) & (cells[:, 12:15] != 0.0).any(axis=1))
 
 
-def order_note(wxyz: bool, named: bool) -> str:
-    """What to say where :func:`reads_as_other_order`; an order that a heading has ``named`` is believed."""
-    here, there = ("qw qx qy qz", "qx qy qz qw") if wxyz else ("qx qy qz qw", "qw qx qy qz")
-    why = f"rotations follow the path as {there}, and not as {here}"
+def order_note(first: bool, why: str, expected: bool, named: bool) -> str:
+    """What to say of quaternions whose real part stands in front (``first``) or at the end by what ``why`` says, where
+    it was ``expected`` in front or not; an order that a heading has ``named`` is believed."""
     if named:
         return f"{why}, which the heading says and which is taken: is the heading right?"
-    return f"{why}: they are taken so; a first line '# time tx ty tz {there}' settles it"
+    if first == expected:
+        return f"{why}; a first line '# time tx ty tz {ORDERS[not first]}' says otherwise"
+    return f"{why}: they are taken so; a first line '# time tx ty tz {ORDERS[first]}' settles it"
 
 
 def _astray(rotations: Array, ahead: Array) -> float:

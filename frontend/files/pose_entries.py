@@ -12,6 +12,7 @@ from maslam.backend.geometry import se3_inverse
 
 from ..errors import FrontendError
 from .headed_table import is_number
+from .pose_conventions import OPENGL
 
 NAME_KEYS = ("name", "file", "file_name", "filename", "file_path", "image", "image_name", "image_path", "path")
 _NUMBER_KEYS = ("id", "image_id", "frame_id", "frame", "index", "frame_index", "idx")
@@ -28,6 +29,12 @@ _ORDERED_KEYS = tuple(
 )
 _WHOLE = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _AXES = ("x", "y", "z")
+_NERFSTUDIO = {"transform_matrix", "file_path"}  # of each frame in transforms.json
+OPENGL_NOTE = (
+    "transform_matrix of its frames: the camera's axes turned from OpenGL's; in the unit of whatever made it, which "
+    "need not be metres"
+)
+AS_XYZW = "taken as x, y, z, w"
 _DEEPEST = 3  # ROS: pose.pose.position
 POSES_MEANT = (
     "a list of 4x4 matrices T_W_C, or one by each image's name or number, is read, or entries with position and "
@@ -38,13 +45,15 @@ POSES_MEANT = (
 @dataclass(frozen=True)
 class PoseEntry:
     """``cells`` of a row as a text file would have it, with ``headings`` or none; the image's ``name`` or number and
-    the ``time`` as written, or empty; ``notes``: what to know of all like it."""
+    the ``time`` as written, or empty; ``notes``: what to know of all like it; ``opengl``: in the axes of OpenGL's
+    camera."""
 
     cells: tuple[str, ...]
     headings: tuple[str, ...] = ()
     name: str = ""
     time: str = ""
     notes: tuple[str, ...] = ()
+    opengl: bool = False
 
 
 def pose_of_entry(where: str, name: str, entry: Any) -> PoseEntry:
@@ -56,7 +65,18 @@ def pose_of_entry(where: str, name: str, entry: Any) -> PoseEntry:
     own = name or str(first_of(entry, NAME_KEYS) or "")
     number = first_of(entry, _NUMBER_KEYS)
     own = own or (number if isinstance(number, str) else "")
-    return replace(found, name=own, time=_time_of(entry))
+    opengl = set(entry) >= _NERFSTUDIO
+    return replace(found, name=own, time=_time_of(entry), opengl=opengl)
+
+
+def in_opencv(pose: PoseEntry, scale: str) -> PoseEntry:
+    """A pose of ``transforms.json``, in the axes of OpenGL's camera and times ``applied_scale``, in OpenCV's axes and
+    the unit before that; others as they are."""
+    if not pose.opengl or not is_number(scale) or not float(scale) > 0:
+        return pose
+    T = np.array([float(cell) for cell in pose.cells]).reshape(-1, 4)[:3] @ OPENGL
+    T[:, 3] /= float(scale)
+    return replace(pose, cells=tuple(map(repr, T.ravel().tolist())), notes=(*pose.notes, OPENGL_NOTE), opengl=False)
 
 
 def first_of(entry: Mapping[str, Any], keys: Sequence[str]) -> Any:
@@ -122,11 +142,7 @@ def _of_parts(where: str, position: Sequence[str], rotation: Any, key: str) -> P
     if len(cells) == 4 and (key == "qvec" or key.endswith("_wxyz")):
         return PoseEntry((*position, *cells[1:], cells[0]), _WHOLE)
     if len(cells) == 4:
-        note = (
-            ()
-            if key.endswith("_xyzw")
-            else (f"its {key} of four numbers is taken as x, y, z, w; {key}_wxyz says otherwise",)
-        )
+        note = () if key.endswith("_xyzw") else (f"its {key} of four numbers is {AS_XYZW}; {key}_wxyz says otherwise",)
         return PoseEntry((*position, *cells), _WHOLE if key.endswith("_xyzw") else (), notes=note)
     if len(cells) == 9:
         return PoseEntry(tuple(cell for k in range(3) for cell in (*cells[3 * k : 3 * k + 3], position[k])))

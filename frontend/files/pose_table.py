@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import rotation_from_quat_wxyz, se3
 
 from ..errors import FrontendError
+from .colmap_poses import NOTE, is_colmap_images, read_colmap_poses
 from .headed_table import HeadedTable, is_number, read_headed_table
 from .pose_arrays import ARRAY_SUFFIXES, PoseCells, read_pose_cells
 from .pose_columns import FORMS, PoseColumns, find_columns, turns_of_angles
-from .pose_conventions import AS_DEGREES, in_columns, look_like_degrees, order_note, reads_as_other_order
+from .pose_conventions import AS_DEGREES, ORDERS, in_columns, look_like_degrees, order_note, real_part_first
+from .pose_entries import AS_XYZW
 from .time_units import NotATime, TimeUnit, parse_times, unit_of_heading
 from .trajectory import Trajectory, rigid_rotations
 
 Array = NDArray[np.float64]
 _QUATERNION_TOLERANCE = 0.05  # of its length: rounded digits are fine, a column mixed up is not
+_NO_VALUE = ("", "-", "--", "null", "none", "na", "n/a")
 _NAME = re.compile(r"\.(png|jpe?g|bmp|tiff?|pgm|ppm|webp)$", re.IGNORECASE)
 
 
@@ -29,7 +32,8 @@ _NAME = re.compile(r"\.(png|jpe?g|bmp|tiff?|pgm|ppm|webp)$", re.IGNORECASE)
 class PoseTable:
     """``poses`` ``(N, 4, 4)`` ``T_W_C``, in the order of the file; ``stamps_ns`` ``(N,)`` their times as they are, or
     None where the file has none; ``rows`` ``(N,)`` of the file, lost ones left out; ``notes``: what to know; ``names``:
-    the image of each row as written, or none; ``doubt``: which of the notes is of the times' unit, else empty."""
+    the image of each row as written, or none; ``doubt``: which of the notes is of the times' unit, else empty;
+    ``form``: what was read, for people."""
 
     poses: Array
     stamps_ns: NDArray[np.int64] | None
@@ -38,6 +42,7 @@ class PoseTable:
     notes: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     doubt: str = ""
+    form: str = ""
 
     def in_time(self) -> tuple[Trajectory, tuple[str, ...]]:
         """The poses in order of time, the first of each time kept, and notes that count what was changed.
@@ -58,13 +63,17 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
     """Poses ``T_W_C`` of a text file, or of ``.json``, ``.npy`` or ``.npz`` (:mod:`.pose_arrays`), whose form its
     columns tell: 8 (time, position, quaternion: TUM; also 7, without a time; or the quaternion in front of the
     position), 12 (KITTI: 3x4) or 13 (with a time in front), 16 or 17 (4x4), four lines of four (4x4); with headings any
-    columns among which a position and a quaternion, or roll, pitch and yaw, are found by name.
+    columns among which a position and a quaternion, or roll, pitch and yaw, are found by name. Or of COLMAP's
+    ``images.txt`` or ``images.bin``.
 
     The quaternion's order is that of the headings, else ``qx qy qz qw``, or ``qw`` first with ``wxyz``, or the other
-    one where rotations follow the path in that alone, which is noted. Times are in ``unit``, or that which they must be
-    in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose. :class:`FrontendError` with the line
-    for anything else that is no pose, and for degrees of latitude and longitude.
+    one where rotations follow the path, or start at the identity, in that alone, which is noted. Times are in ``unit``,
+    or that which they must be in. Rows that hold NaN, or a quaternion of zeros, are moments without a pose.
+    :class:`FrontendError` with the line for anything else that is no pose, and for degrees of latitude and longitude.
     """
+    if is_colmap_images(path):
+        named, of_images = read_colmap_poses(path)
+        return PoseTable(of_images, None, np.arange(len(named)), len(named), (NOTE,), named, form="COLMAP")
     array = path.suffix.lower() in ARRAY_SUFFIXES
     cells = read_pose_cells(path) if array else PoseCells(read_headed_table(path))
     table, names = cells.table, cells.names
@@ -77,6 +86,8 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
         names = _image_names(table)
         columns = replace(columns, time=None) if names else columns
     known = np.isfinite(values[:, columns.all]).all(axis=1)
+    if len(values) == len(table.rows):
+        _check_cells(path, table, columns.all, np.flatnonzero(~known))
     if columns.quaternion is not None:
         known &= np.abs(values[:, columns.quaternion]).max(axis=1, initial=0.0) > 0
     rows = np.flatnonzero(known)
@@ -89,12 +100,26 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
         stamps = stamps[rows]
         notes += [doubt] if doubt else []
     values, turned = _by_rows(values, columns)
-    columns, said = _ordered(values[rows], columns, stamps)
-    said = [*cells.notes, *found, *turned, *said]
+    columns, order = _ordered(values[rows], columns, stamps)
+    listed = [note for note in cells.notes if not (order and AS_XYZW in note)]
+    said = [*listed, *found, *turned, *order]
     poses = _poses(path, values[rows], columns, [lines[i] for i in rows])
     if look_like_degrees(poses[_order(stamps, len(rows)), :3, 3], None if stamps is None else np.sort(stamps)):
         raise FrontendError(f"{path}: {AS_DEGREES}")
-    return PoseTable(poses, stamps, rows, len(values), (*notes, *said), names, doubt)
+    form = _form(path, columns, values.shape[1])
+    return PoseTable(poses, stamps, rows, len(values), (*notes, *said), names, doubt, form)
+
+
+def _form(path: Path, columns: PoseColumns, width: int) -> str:
+    """What the columns were taken for, in words."""
+    if path.suffix.lower() in ARRAY_SUFFIXES:
+        return f"{path.suffix[1:].lower()} of {'matrices' if columns.matrix else 'positions and rotations'}"
+    if columns.matrix:
+        return ("KITTI" if width in (12, 13) else "4x4 matrices") + (" with times" if columns.time is not None else "")
+    if columns.angles:
+        return "positions and angles by name"
+    last = columns.quaternion is not None and columns.quaternion[0] == max(columns.quaternion)
+    return f"{'columns by name' if columns.named else FORMS.get(width, 'EuRoC')}, {ORDERS[not last]}"
 
 
 def _by_rows(values: Array, columns: PoseColumns) -> tuple[Array, list[str]]:
@@ -123,10 +148,13 @@ def _ordered(values: Array, columns: PoseColumns, stamps: NDArray[np.int64] | No
     rows = _order(stamps, len(values))
     cells = sorted(columns.quaternion)
     wxyz = columns.quaternion[0] == cells[0]
-    if not reads_as_other_order(values[rows][:, cells], values[rows][:, columns.position], wxyz):
+    positions = values[rows][:, columns.position]
+    first, why = real_part_first(values[rows][:, cells], positions, wxyz, columns.named)
+    if not why:
         return columns, []
-    other = replace(columns, quaternion=cells if not wxyz else [cells[-1], *cells[:-1]])
-    return columns if columns.named else other, [order_note(wxyz, columns.named)]
+    taken = wxyz if columns.named else first
+    ordered = replace(columns, quaternion=cells if taken else [cells[-1], *cells[:-1]])
+    return ordered, [order_note(first, why, wxyz, columns.named)]
 
 
 def _values(path: Path, table: HeadedTable) -> Array:
@@ -142,6 +170,15 @@ def _values(path: Path, table: HeadedTable) -> Array:
         return np.array(table.rows, dtype=object).astype(np.float64).reshape(-1, width)
     except ValueError:
         return np.array([[_number(cell) for cell in cells] for cells in table.rows])
+
+
+def _check_cells(path: Path, table: HeadedTable, columns: Sequence[int], rows: NDArray[np.intp]) -> None:
+    """:class:`FrontendError` with the line for a cell of a pose that is neither a number nor one of the words for
+    none."""
+    for row in rows:
+        for cell in (table.rows[row][k] for k in columns):
+            if not is_number(cell) and cell.strip().lower() not in _NO_VALUE:
+                raise FrontendError(f"{path}:{table.lines[row]}: not a number: {cell[:40]!r}")
 
 
 def _image_names(table: HeadedTable) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import FrontendError
 from .geodetic_fixes import UP
+from .headed_table import decimal_points
 from .position_units import in_metres_and_degrees
 from .text_tables import read_bytes
 from .time_units import TimeUnit, date_ns, is_date, unit_of_heading
@@ -49,7 +50,6 @@ MEANT = "columns with a header: time, then lat lon alt (degrees, metres) or east
 _UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6))
 """Sizes from which a time of today's clock is in nano-, micro- or milliseconds, and nanoseconds a unit."""
 _TIMES = ("time", "stamp", "stamp_s", "stamp_ns")
-_DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$", re.ASCII)
 _HEAD = 2000  # characters in which a file says what it is
 
 
@@ -157,8 +157,7 @@ def _mark(heading: str) -> str:
 
 def _fields(line: str, mark: str) -> list[str]:
     if mark:
-        fields = [field.strip().strip("\"'") for field in line.split(mark)]
-        return [_DECIMAL_COMMA.sub(r"\1.\2", field) for field in fields]
+        return decimal_points([field.strip().strip("\"'") for field in line.split(mark)])
     return [f.strip().strip("\"'") for f in re.split(r"[,;]", line)] if re.search("[,;]", line) else line.split()
 
 

@@ -18,8 +18,12 @@ from .timestamps import NS_PER_S
 _DECIMAL = re.compile(r"([+-]?)(\d{1,40})(?:\.(\d*))?", re.ASCII)
 _FLOAT = re.compile(r"[+-]?(?:\d{1,40}\.?\d{0,40}|\.\d{1,40})[eE][+-]?\d{1,2}", re.ASCII)
 _DATE = re.compile(
-    r"(\d{4})-?(\d\d)-?(\d\d)[ T_-](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?:[.,_](\d{1,9}))?(?:Z|([+-])(\d\d):?(\d\d))?", re.ASCII
+    r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[ T_-](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?:[.,_](\d{1,9}))?(?:Z|([+-])(\d\d):?(\d\d))?",
+    re.ASCII,
 )
+_DAY_FIRST = re.compile(r"(\d\d)\.(\d\d)\.(\d{4})(?=[ T])", re.ASCII)
+_CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d{1,9}))?", re.ASCII)
+_DAY_S = 86400
 _UNIX_S = (6e8, 5e9)  # 1989 to 2128: what is Unix time in one unit is so in no other
 _POSSIBLE_HZ = (0.01, 1000.0)  # of a camera
 _USUAL_HZ = (0.5, 500.0)  # a factor of 1000: exactly one unit brings any rate here
@@ -70,7 +74,9 @@ def parse_times(texts: Sequence[str], unit: TimeUnit | None = None) -> Times:
     only, nearly always. Digits count as written, not as a float64 holds them. :class:`NotATime` for the first text
     that is none, and for times beyond 64 bits of nanoseconds.
     """
-    if texts and _DATE.fullmatch(texts[0]):
+    if texts and is_time_of_day(texts[0]):
+        return Times(_of_day(texts), "times of day without a date: counted from the first midnight")
+    if texts and is_date(texts[0]):
         return Times(_bounded([date_ns(text, i) for i, text in enumerate(texts)]))
     numbers = [_billionths(text, i) for i, text in enumerate(texts)]
     doubt = ""
@@ -79,10 +85,26 @@ def parse_times(texts: Sequence[str], unit: TimeUnit | None = None) -> Times:
     return Times(_bounded([number * unit.ns // NS_PER_S for number in numbers]), doubt, unit)
 
 
+def _of_day(texts: Sequence[str]) -> NDArray[np.int64]:
+    """Nanoseconds since the first midnight; where they begin anew, another day has begun."""
+    stamps: list[int] = []
+    days = 0
+    for i, text in enumerate(texts):
+        found = _CLOCK.fullmatch(text)
+        if not found or int(found[1]) > 23 or max(int(found[2]), int(found[3])) > 59:
+            raise NotATime(i)
+        seconds = (int(found[1]) * 60 + int(found[2])) * 60 + int(found[3])
+        stamp = (days * _DAY_S + seconds) * NS_PER_S + int(((found[4] or "") + "0" * 9)[:9])
+        if stamps and stamp < stamps[-1] - _DAY_S * NS_PER_S // 2:
+            days, stamp = days + 1, stamp + _DAY_S * NS_PER_S
+        stamps.append(stamp)
+    return np.array(stamps, dtype=np.int64)
+
+
 def date_ns(text: str, index: int = 0) -> int:
-    """Nanoseconds since 1970 of ``2011-09-26 13:02:25.964389445``, ``20110926_130225_964`` and the like; UTC where no
-    zone is named."""
-    found = _DATE.fullmatch(text)
+    """Nanoseconds since 1970 of ``2011-09-26 13:02:25.964389445``, ``20110926_130225_964``, ``26.09.2011 13:02:25``
+    and the like; UTC where no zone is named."""
+    found = _DATE.fullmatch(_DAY_FIRST.sub(r"\3-\2-\1", text))
     if not found:
         raise NotATime(index)
     *parts, fraction, sign, hours, minutes = found.groups()
@@ -96,12 +118,17 @@ def date_ns(text: str, index: int = 0) -> int:
     except ValueError:
         raise NotATime(index) from None
     since = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return (since.days * 86400 + since.seconds) * NS_PER_S + int(((fraction or "") + "0" * 9)[:9])
+    return (since.days * _DAY_S + since.seconds) * NS_PER_S + int(((fraction or "") + "0" * 9)[:9])
 
 
 def is_date(text: str) -> bool:
     """Whether the whole text is a date with a time of day."""
-    return _DATE.fullmatch(text) is not None
+    return _DATE.fullmatch(_DAY_FIRST.sub(r"\3-\2-\1", text)) is not None
+
+
+def is_time_of_day(text: str) -> bool:
+    """Whether the whole text is hours, minutes and seconds."""
+    return _CLOCK.fullmatch(text) is not None
 
 
 def unit_of_heading(heading: str) -> TimeUnit | None:

@@ -40,6 +40,6 @@ def fault_figures(agents: Sequence[Agent], transport: Transport) -> FaultFigures
     """Counts of messages lost and doubled on purpose, and of repeats; None without such faults."""
     if not isinstance(transport, FaultyTransport):
         return None
-    solvers = sum(a.optimisation.repeated + a.optimisation.updates.repeated for a in agents)
+    solvers = sum(a.optimisation.running.repeated + a.optimisation.running.updates.repeated for a in agents)
     repeated = solvers + sum(a.context.retransmitter.repeated for a in agents)
     return FaultFigures(lost=transport.lost, doubled=transport.doubled, repeated=repeated)

@@ -8,7 +8,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .credentials import AUTHORITY, CERTIFICATE, INSTALL, KEY, CredentialsError, name_of_agent, read_file
+from maslam._atomic import write_atomically
+
+from .credentials import (
+    AUTHORITY,
+    CERTIFICATE,
+    INSTALL,
+    KEY,
+    CredentialsError,
+    certificate_of,
+    name_of_agent,
+    read_file,
+)
+from .revocation import REVOKED, RevokedList, read_list
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
@@ -37,25 +49,71 @@ def make_team(folder: Path, team: str, agents: Sequence[int]) -> list[Path]:
         key, name = _new_key(), _subject("authority", team)
         made = _signed(name, name, key, key, x509.BasicConstraints(ca=True, path_length=0))
         _write(own, key, made, made)
-    authority = x509.load_pem_x509_certificate(read_file(own / CERTIFICATE))
+    authority, signer = _authority_of(own)
     of_team = _team_of(authority)
     if of_team != team:
         raise CredentialsError(f"{own}: the authority of team {of_team!r}, not {team!r}")
-    return [_add_agent(folder, own, authority, agent) for agent in agents]
+    return [_add_agent(folder, authority, signer, agent) for agent in agents]
 
 
-def _add_agent(folder: Path, own: Path, authority: Certificate, agent: int) -> Path:
+def revoke(folder: Path, agent: int) -> list[Path]:
+    """Take back the certificate of an agent of the team in ``folder``: the list in ``authority/`` gets its number, and
+    so do those in the agents' folders that are still there. Returns the files written."""
     from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+
+    own, name = folder / AUTHORITY_FOLDER, name_of_agent(agent)
+    authority, key = _authority_of(own)
+    kept = own / f"{name}.pem"
+    certificate = certificate_of(kept if kept.exists() else folder / name / CERTIFICATE)
+    before = read_list(read_file(own / REVOKED), authority) if (own / REVOKED).exists() else RevokedList()
+    if certificate.serial_number in before.serials:
+        raise CredentialsError(f"{own / REVOKED}: the certificate of {name} was revoked already")
+    now = dt.datetime.now(dt.UTC)
+    builder = (
+        x509.CertificateRevocationListBuilder()
+        .issuer_name(authority.subject)
+        .last_update(now - _BEFORE)
+        .next_update(now + dt.timedelta(days=_DAYS))
+        .add_extension(x509.CRLNumber(before.number + 1), critical=False)
+    )
+    for serial in sorted({*before.serials, certificate.serial_number}):
+        one = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(now).build()
+        builder = builder.add_revoked_certificate(one)
+    text = builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+    places = [own, *sorted(p for p in folder.glob("agent_*") if (p / CERTIFICATE).is_file())]
+    for place in places:
+        write_atomically(place / REVOKED, text)  # a running agent reads it whole or not at all
+    return [place / REVOKED for place in places]
+
+
+def _authority_of(own: Path) -> tuple[Certificate, EllipticCurvePrivateKey]:
+    """The authority's certificate and key."""
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import ec
 
-    signer, key = serialization.load_pem_private_key(read_file(own / KEY), None), _new_key()
-    if not isinstance(signer, ec.EllipticCurvePrivateKey):
+    try:
+        key = serialization.load_pem_private_key(read_file(own / KEY), None)
+    except (ValueError, TypeError) as error:
+        raise CredentialsError(f"{own / KEY}: no key (PEM, without a password): damaged?") from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise CredentialsError(f"{own / KEY}: a key of another kind than `maslam keys` makes")
+    return certificate_of(own / CERTIFICATE), key
+
+
+def _add_agent(folder: Path, authority: Certificate, signer: EllipticCurvePrivateKey, agent: int) -> Path:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import serialization
+
+    key, place, own = _new_key(), folder / name_of_agent(agent), folder / AUTHORITY_FOLDER
     subject = _subject(name_of_agent(agent), _team_of(authority))
     certificate = _signed(subject, authority.subject, key, signer, x509.BasicConstraints(ca=False, path_length=None))
-    _write(folder / name_of_agent(agent), key, certificate, authority)
-    return folder / name_of_agent(agent)
+    _write(place, key, certificate, authority)
+    # What is revoked later is known by its certificate.
+    (own / f"{place.name}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    if (own / REVOKED).exists():
+        (place / REVOKED).write_bytes((own / REVOKED).read_bytes())
+    return place
 
 
 def _new_key() -> EllipticCurvePrivateKey:

@@ -8,6 +8,8 @@ make, over any number of relays. Frames are not encrypted end to end: on the lin
 
 from __future__ import annotations
 
+import datetime as dt
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +19,7 @@ import msgspec
 from ..errors import MasError
 from ..protocol.ids import MAX_AGENTS
 from ..protocol.messages import VERSION
+from .revocation import Revocations
 from .seals import SessionKey
 
 if TYPE_CHECKING:
@@ -26,11 +29,18 @@ AUTHORITY, CERTIFICATE, KEY = "ca.pem", "cert.pem", "key.pem"
 """Files of an agent's folder."""
 _SIGNED = b"maslam greeting 1"
 _MOST_BYTES = 8192
+_MADE = "that `maslam keys` made: damaged, or of something else"
 INSTALL = "agents on a network need the extra 'network': pip install 'maslam[network]'"
+
+log = logging.getLogger(__name__)
 
 
 class CredentialsError(MasError):
     """Certificates that are missing, of another team, or another's."""
+
+
+class RevokedCertificateError(CredentialsError):
+    """Another agent's certificate that the authority has taken back."""
 
 
 class Greeting(msgspec.Struct, frozen=True, array_like=True):
@@ -52,6 +62,7 @@ class Stranger:
     public: bytes
     version: int
     language: int
+    serial: int
 
 
 def name_of_agent(number: int) -> str:
@@ -61,23 +72,43 @@ def name_of_agent(number: int) -> str:
 
 class Credentials:
     """The certificate of one agent, read from the folder that ``maslam keys`` made for it: ``ca.pem``, ``cert.pem``,
-    ``key.pem``. ``number``, ``team``: who it says that the agent is."""
+    ``key.pem``, and ``revoked.pem`` where there is one. ``number``, ``team``: who it says that the agent is."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         try:
-            from cryptography import x509
+            from cryptography.exceptions import UnsupportedAlgorithm
             from cryptography.hazmat.primitives import serialization
         except ImportError as error:
             raise CredentialsError(INSTALL) from error
-        read = {name: read_file(folder / name) for name in (AUTHORITY, CERTIFICATE, KEY)}
+        self._authority = certificate_of(folder / AUTHORITY)
+        self._certificate = certificate_of(folder / CERTIFICATE)
+        key = read_file(folder / KEY)
         try:
-            self._authority = x509.load_pem_x509_certificate(read[AUTHORITY])
-            self._certificate = x509.load_pem_x509_certificate(read[CERTIFICATE])
-            self._key = serialization.load_pem_private_key(read[KEY], None)
-        except (ValueError, TypeError) as error:
-            raise CredentialsError(f"{folder}: not certificates that `maslam keys` made: {error}") from error
+            self._key = serialization.load_pem_private_key(key, None)
+        except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+            log.info("%s: %s", folder / KEY, error)
+            raise CredentialsError(f"{folder / KEY}: no key (PEM, without a password) {_MADE}") from error
+        self._check_own(folder)
+        self.revocations = Revocations(folder, self._authority, self._certificate.serial_number)
         self.number, self.team = self._names(self._certificate, "its own certificate")
+
+    def _check_own(self, folder: Path) -> None:
+        """The files belong together, and are valid now."""
+        from cryptography.hazmat.primitives.asymmetric import ec
+
+        own, of_key = self._certificate.public_key(), self._key.public_key()
+        if not isinstance(self._key, ec.EllipticCurvePrivateKey) or own != of_key:
+            raise CredentialsError(f"{folder / KEY}: not the key of {folder / CERTIFICATE}")
+        if not issued_by(self._certificate, self._authority):
+            raise CredentialsError(
+                f"{folder / CERTIFICATE}: not signed by the authority in {folder / AUTHORITY}: of another team, "
+                "or made anew?"
+            )
+        for name, certificate in ((AUTHORITY, self._authority), (CERTIFICATE, self._certificate)):
+            wrong = _not_now(certificate)
+            if wrong:
+                raise CredentialsError(f"{folder / name}: the certificate {wrong}")
 
     def greeting(self, session: SessionKey, language: int) -> bytes:
         """What to show to another agent."""
@@ -102,18 +133,25 @@ class Credentials:
             greeting = msgspec.msgpack.decode(data, type=Greeting)
             certificate = x509.load_der_x509_certificate(greeting.certificate)
             key = certificate.public_key()
-            certificate.verify_directly_issued_by(self._authority)
+            if not issued_by(certificate, self._authority):
+                raise CredentialsError("a certificate of another authority")
             if not isinstance(key, ec.EllipticCurvePublicKey):
                 raise CredentialsError("a certificate with a key of another kind")
             key.verify(greeting.signature, _SIGNED + greeting.public, ec.ECDSA(hashes.SHA256()))
         except InvalidSignature as error:
-            raise CredentialsError("a certificate of another authority, or a signature that is not its own") from error
+            raise CredentialsError("a signature that is not its own") from error
         except (msgspec.MsgspecError, ValueError, TypeError) as error:
-            raise CredentialsError(f"a greeting that cannot be read: {error}") from error
+            log.info("greeting: %s", error)
+            raise CredentialsError("a greeting that cannot be read: of another version of maslam?") from error
+        if certificate.serial_number in self.revocations.newest.serials:
+            raise RevokedCertificateError("its certificate was revoked")
+        wrong = _not_now(certificate)
+        if wrong:
+            raise CredentialsError(f"its certificate {wrong}")
         number, team = self._names(certificate, "a certificate")
         if team != self.team:
             raise CredentialsError(f"agent {number} is of team {team!r}, not {self.team!r}")
-        return Stranger(number, greeting.public, greeting.version, greeting.language)
+        return Stranger(number, greeting.public, greeting.version, greeting.language, certificate.serial_number)
 
     def _names(self, certificate: Certificate, what: str) -> tuple[int, str]:
         from cryptography.x509.oid import NameOID
@@ -129,9 +167,46 @@ class Credentials:
         return int(digits[:9]), names[1]
 
 
+def issued_by(certificate: Certificate, authority: Certificate) -> bool:
+    """Whether this authority signed the certificate."""
+    from cryptography.exceptions import InvalidSignature
+
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (InvalidSignature, ValueError, TypeError):
+        return False
+    return True
+
+
+def certificate_of(path: Path) -> Certificate:
+    """The certificate in a file; :class:`CredentialsError` where there is none."""
+    from cryptography import x509
+
+    data = read_file(path)
+    try:
+        return x509.load_pem_x509_certificate(data)
+    except ValueError as error:
+        log.info("%s: %s", path, error)
+        raise CredentialsError(f"{path}: no certificate (PEM) {_MADE}") from error
+
+
+def _not_now(certificate: Certificate) -> str:
+    """Why a certificate is not valid now, empty where it is."""
+    now = dt.datetime.now(dt.UTC)
+    if now > certificate.not_valid_after_utc:
+        return f"expired on {certificate.not_valid_after_utc:%Y-%m-%d}, by this machine's clock"
+    if now < certificate.not_valid_before_utc:
+        return (
+            f"is valid from {certificate.not_valid_before_utc:%Y-%m-%d} on; this machine's clock shows {now:%Y-%m-%d}"
+        )
+    return ""
+
+
 def read_file(path: Path) -> bytes:
-    """A file of a team's; :class:`CredentialsError` where it is missing."""
+    """A file of a team's; :class:`CredentialsError` where it is missing or cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
         raise CredentialsError(f"{path}: missing; `maslam keys` makes the certificates of a team") from error
+    except OSError as error:
+        raise CredentialsError(f"{path}: {error.strerror or error}") from error

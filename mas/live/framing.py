@@ -17,6 +17,7 @@ _PIECE = struct.Struct("<BIHH")
 _RECEIVED = struct.Struct("<BIHI")
 _PHASE = struct.Struct("<BHB")
 _PHASE_RECEIVED = struct.Struct("<BH")
+_LIST_RECEIVED = struct.Struct("<BI")
 
 
 class FrameError(MasError):
@@ -31,6 +32,8 @@ class FrameKind(IntEnum):
     RECEIVED = 2
     PHASE = 3
     PHASE_RECEIVED = 4
+    REVOKED = 5
+    REVOKED_RECEIVED = 6
 
 
 class DrivePhase(IntEnum):
@@ -88,7 +91,21 @@ class PhaseReceived:
     number: int
 
 
-Frame = MessageBundle | MessagePiece | PiecesReceived | PhaseNotice | PhaseReceived
+@dataclass(frozen=True)
+class RevokedNotice:
+    """The newest list of revoked certificates that the sender has (DER)."""
+
+    der: bytes
+
+
+@dataclass(frozen=True)
+class RevokedReceived:
+    """The sender has the list of this number, or a newer one."""
+
+    number: int
+
+
+Frame = MessageBundle | MessagePiece | PiecesReceived | PhaseNotice | PhaseReceived | RevokedNotice | RevokedReceived
 
 
 def pack_frame(frame: Frame) -> bytes:
@@ -107,6 +124,10 @@ def pack_frame(frame: Frame) -> bytes:
             return _PHASE.pack(FrameKind.PHASE, number, phase)
         case PhaseReceived(number):
             return _PHASE_RECEIVED.pack(FrameKind.PHASE_RECEIVED, number)
+        case RevokedNotice(der):
+            return bytes([FrameKind.REVOKED]) + der
+        case RevokedReceived(number):
+            return _LIST_RECEIVED.pack(FrameKind.REVOKED_RECEIVED, number)
 
 
 def unpack_frame(data: bytes) -> Frame:
@@ -125,6 +146,10 @@ def unpack_frame(data: bytes) -> Frame:
             return PhaseNotice(number, DrivePhase(phase))
         if kind == FrameKind.PHASE_RECEIVED:
             return PhaseReceived(_PHASE_RECEIVED.unpack(data)[1])
+        if kind == FrameKind.REVOKED:
+            return RevokedNotice(data[1:])
+        if kind == FrameKind.REVOKED_RECEIVED:
+            return RevokedReceived(_LIST_RECEIVED.unpack(data)[1])
     except (struct.error, ValueError) as error:
         raise FrameError(f"frame of {len(data)} bytes cannot be read: {error}") from error
     raise FrameError(f"frame of {len(data)} bytes: there is no kind {kind}")

@@ -13,6 +13,8 @@ from .framing import (
     PhaseNotice,
     PhaseReceived,
     PiecesReceived,
+    RevokedNotice,
+    RevokedReceived,
     bundled,
     pack_frame,
 )
@@ -47,6 +49,8 @@ class Session:
         self._notice: PhaseNotice | None = None
         self._notice_ns: int | None = None
         self._notices = 0
+        self._list: tuple[int, bytes] | None = None
+        self._list_ns: int | None = None
 
     def put(self, message: bytes) -> None:
         """Take a message on its way."""
@@ -60,10 +64,23 @@ class Session:
         self._notice, self._notice_ns = PhaseNotice(self._notices % 2**16, phase), None
         self._notices += 1
 
+    def pass_on(self, number: int, der: bytes) -> None:
+        """Send a list of revoked certificates, until the other side has it."""
+        self._list, self._list_ns = (number, der), None
+
+    def answer(self, frame: Frame) -> None:
+        """Send a frame with the next ones."""
+        self._answers.append(frame)
+
     @property
     def busy(self) -> bool:
         """Whether a long message is on its way, or a phase not acknowledged."""
         return self._sender.busy or self._notice is not None
+
+    @property
+    def awaits_answer(self) -> bool:
+        """Whether the last announcement is not acknowledged."""
+        return self._notice is not None
 
     def outgoing(self, now_ns: int) -> list[bytes]:
         """Frames to send now."""
@@ -72,6 +89,9 @@ class Session:
         if self._notice is not None and (self._notice_ns is None or now_ns - self._notice_ns >= _REPEAT_NS):
             self._notice_ns = now_ns
             frames.append(self._notice)
+        if self._list is not None and (self._list_ns is None or now_ns - self._list_ns >= _REPEAT_NS):
+            self._list_ns = now_ns
+            frames.append(RevokedNotice(self._list[1]))
         frames += self._sender.due(now_ns)
         return [pack_frame(frame) for frame in frames]
 
@@ -94,4 +114,9 @@ class Session:
             case PhaseReceived(number):
                 if self._notice is not None and self._notice.number == number:
                     self._notice = None
+            case RevokedReceived(number):
+                if self._list is not None and number >= self._list[0]:
+                    self._list = None
+            case RevokedNotice():
+                pass  # for all neighbours, not for this one alone
         return []

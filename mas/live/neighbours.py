@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ..protocol.messages import VERSION
 from ..transport.link import Arrived, Link, Presence
-from .credentials import Credentials, CredentialsError, Stranger
-from .framing import DrivePhase, FrameError, unpack_frame
+from .acquaintance import TWICE, Acquaintance, process_code
+from .credentials import Credentials, CredentialsError, RevokedCertificateError, Stranger
+from .framing import DrivePhase, FrameError, RevokedNotice, RevokedReceived, unpack_frame
 from .neighbour import FrameCount, Session
+from .own_name import GREETING, OwnName
+from .revocation import UnsignedListError
 from .seals import SealError, SessionKey
 
-GREETING, SEALED = b"\0", b"\1"
+SEALED, REVOKED = b"\1", b"\3"
 _GREET_AGAIN_NS = 1_000_000_000
-# Greetings of one agent that are looked at, each second: a signature takes a tenth of a millisecond.
-_GREETINGS_A_SECOND = 5
 log = logging.getLogger(__name__)
 
 
@@ -35,25 +36,6 @@ class Met:
     other: int
 
 
-@dataclass
-class _Acquaintance:
-    """``here``: the link says so; ``session``: with the process that last proved itself; ``candidate``: with one that
-    has sent a greeting, and nothing sealed yet; ``refused``: what was wrong with it, said once."""
-
-    here: bool = False
-    session: Session | None = None
-    candidate: tuple[bytes, Session] | None = None
-    public: bytes = b""
-    greeted_ns: int | None = None
-    looked_at: list[int] = field(default_factory=list)
-    refused: str = ""
-
-    def sessions(self) -> list[Session]:
-        """With whom it may be: what is sealed for both reaches whoever it is."""
-        both = self.session, self.candidate[1] if self.candidate else None
-        return [session for session in both if session is not None]
-
-
 class Neighbours:
     """The link as an agent uses it. ``out``, ``into``: bytes by the other agent's number."""
 
@@ -70,7 +52,9 @@ class Neighbours:
         self._language = language
         self._key = SessionKey()
         self._greeting = credentials.greeting(self._key, language)
-        self._known: dict[int, _Acquaintance] = {}
+        self._known: dict[int, Acquaintance] = {}
+        self._own_name = OwnName(credentials, self._key, link, self._greeting)
+        link.appear(process_code(self._key.public))
 
     # -- what an agent does -------------------------------------------------------------------------------------------
 
@@ -104,9 +88,13 @@ class Neighbours:
     def flush(self) -> None:
         """Send what is due."""
         now_ns = time.monotonic_ns()
+        self._own_name.flush()
+        if self._credentials.revocations.refresh():
+            self._revoke()
         for other, known in self._known.items():
             if not known.here:
                 continue
+            self._choose(other, known, now_ns)
             if known.session is None:
                 self._greet(other, known, now_ns)
             for session in known.sessions():
@@ -118,24 +106,75 @@ class Neighbours:
         came = self._link.receive(wait_s)
         if came is None:
             return None
-        known = self._known.setdefault(came.other if isinstance(came, Presence) else came.sender, _Acquaintance())
-        if isinstance(came, Presence):
-            known.here = came.here
-            if not came.here:
-                known.session = known.candidate = known.greeted_ns = None
-                known.public = b""
+        sender = came.other if isinstance(came, Presence) else came.sender
+        if sender == self.me:
+            self._take_own(came)
             return []
+        known = self._known.setdefault(sender, Acquaintance())
+        if isinstance(came, Presence):
+            known.changed(came.process, came.here)
+            return [Met(sender)] if self._choose(sender, known, time.monotonic_ns()) else []
         if came.data[:1] == GREETING:
             self._greeted(came, known)
             return []
+        if came.data[:1] == REVOKED:
+            self._refused_by(came, known)
+            return []
         return list(self._opened(came, known)) if came.data[:1] == SEALED else []
+
+    def _take_own(self, came: Arrived | Presence) -> None:
+        """Another process of this agent: one of the two ends."""
+        if isinstance(came, Presence):
+            self._own_name.changed(came.process, came.here)
+        else:
+            self._own_name.take(came.data)
+
+    def _revoke(self) -> None:
+        """There is a newer list of revoked certificates: pass it on, and talk no more to those it names."""
+        newest = self._credentials.revocations.newest
+        for other, known in self._known.items():
+            for session in known.sessions():
+                session.pass_on(newest.number, newest.der)
+            if known.forget(newest.serials):
+                known.refused = "its certificate was revoked"
+                log.warning("agent %d is not talked to any more: %s", other, known.refused)
+                self._link.send(other, REVOKED + newest.der)
+
+    def _take_list(self, sender: int, der: bytes) -> None:
+        """Another agent passes a list on."""
+        revocations = self._credentials.revocations
+        session = self._known[sender].session
+        newer = revocations.take(der)
+        if session is not None:
+            session.answer(RevokedReceived(revocations.newest.number))
+        if newer:
+            self._revoke()
+
+    def _refused_by(self, came: Arrived, known: Acquaintance) -> None:
+        """Whoever does not talk to me any more shows why: the authority's word counts, whoever brings it."""
+        if not known.may_look(time.monotonic_ns()):
+            return
+        try:
+            if self._credentials.revocations.take(came.data[1:]):
+                self._revoke()
+        except UnsignedListError as error:
+            self.refused += 1
+            log.info("agent %d: %s", came.sender, error)
 
     # -- greetings and seals ------------------------------------------------------------------------------------------
 
     def _sessions(self) -> list[Session]:
         return [k.session for k in self._known.values() if k.here and k.session is not None]
 
-    def _greet(self, other: int, known: _Acquaintance, now_ns: int) -> None:
+    def _choose(self, other: int, known: Acquaintance, now_ns: int) -> bool:
+        """Choose the process of another agent that is talked to, and say once if two of them run."""
+        before = known.twice
+        chosen = known.choose(self.phase, now_ns)
+        if known.twice and not before:
+            log.warning("agent %d: %s", other, TWICE)
+        return chosen
+
+    def _greet(self, other: int, known: Acquaintance, now_ns: int) -> None:
         """Show who I am, unless that was done just now."""
         if known.greeted_ns is not None and now_ns - known.greeted_ns < _GREET_AGAIN_NS:
             return
@@ -143,30 +182,36 @@ class Neighbours:
         self.greeting_bytes += len(self._greeting) + 1
         self._link.send(other, GREETING + self._greeting)
 
-    def _greeted(self, came: Arrived, known: _Acquaintance) -> None:
+    def _greeted(self, came: Arrived, known: Acquaintance) -> None:
         """A process says who it is. It is believed once it sends something sealed, which only it can."""
         now_ns = time.monotonic_ns()
-        known.looked_at = [t for t in known.looked_at if now_ns - t < 1_000_000_000]
-        if len(known.looked_at) >= _GREETINGS_A_SECOND:
+        if not known.may_look(now_ns):
             return
-        known.looked_at.append(now_ns)
         try:
             stranger = self._checked(came)
-            if stranger.public in (known.public, known.candidate[0] if known.candidate else b""):
+            if known.knows(stranger.public):
+                known.greets(stranger.public)
                 self._greet(came.sender, known, now_ns)  # it goes on asking: mine was lost
                 return
+            if known.full:
+                raise CredentialsError("it has begun too often: start this agent anew to meet it")
             seals = self._key.seals(self.me, came.sender, stranger.public)
         except (CredentialsError, SealError) as error:
             self.refused += 1
             if str(error) != known.refused:
                 log.warning("agent %d is not talked to: %s", came.sender, error)
             known.refused = str(error)
+            if isinstance(error, RevokedCertificateError):
+                self._link.send(came.sender, REVOKED + self._credentials.revocations.newest.der)
             return
         self._greet(came.sender, known, now_ns)
         # What is sealed first says how far I am, until it is acknowledged; so it proves who I am.
         session = Session(seals, self._limit)
         session.announce(self.phase)
-        known.candidate = (stranger.public, session)
+        newest = self._credentials.revocations.newest
+        if newest.number:
+            session.pass_on(newest.number, newest.der)
+        known.add(stranger.public, session, stranger.serial)
 
     def _checked(self, came: Arrived) -> Stranger:
         stranger = self._credentials.check(came.data[1:])
@@ -178,33 +223,28 @@ class Neighbours:
             raise CredentialsError("it has another descriptor model, or another place code (places.code)")
         return stranger
 
-    def _opened(self, came: Arrived, known: _Acquaintance) -> list[Received | Met]:
+    def _opened(self, came: Arrived, known: Acquaintance) -> list[Received | Met]:
         """The messages in a sealed frame; none where nobody sealed it."""
-        met: list[Received | Met] = []
-        opened = self._unsealed(known.session, came.data)
-        if opened is None and known.candidate is not None:
-            opened = self._unsealed(known.candidate[1], came.data)
-            if opened is not None:
-                known.public, known.session = known.candidate
-                known.candidate, known.refused = None, ""
-                met = [Met(came.sender)]
+        before = known.session
+        opened = known.open(came.data[1:], self.phase, time.monotonic_ns())
         if opened is None or known.session is None:
             self.refused += 1
             return []
+        met: list[Received | Met] = [] if known.session is before else [Met(came.sender)]
         count = self.into.setdefault(came.sender, FrameCount())
         count.frames += len(came.data)
         count.count += 1
         try:
-            messages = known.session.incoming(unpack_frame(opened), time.monotonic_ns())
-        except FrameError as error:
+            frame = unpack_frame(opened)
+            messages = known.session.incoming(frame, time.monotonic_ns())
+            if isinstance(frame, RevokedNotice):
+                self._take_list(came.sender, frame.der)
+        except (FrameError, UnsignedListError) as error:
             self.refused += 1
             log.warning("agent %d: %s", came.sender, error)
             return met
         count.messages += sum(len(m) for m in messages)
         return [*met, *(Received(came.sender, m) for m in messages)]
-
-    def _unsealed(self, session: Session | None, data: bytes) -> bytes | None:
-        return None if session is None else session.seals.open(data[1:])
 
     def _send_sealed(self, other: int, session: Session, frame: bytes) -> None:
         data = SEALED + session.seals.seal(frame)

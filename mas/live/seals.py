@@ -30,18 +30,23 @@ class SessionKey:
 
     def seals(self, me: int, other: int, public: bytes) -> Seals:
         """What protects the frames between me and another, whose public key of its session is given."""
+        return self._of(public, struct.pack("<II", me, other), struct.pack("<II", other, me))
+
+    def seals_of_twin(self, public: bytes) -> Seals:
+        """The same between two processes of one agent."""
+        return self._of(public, self.public, public)
+
+    def _of(self, public: bytes, out: bytes, into: bytes) -> Seals:
+        """``out``, ``into``: what tells the two directions apart."""
         from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PublicKey
 
         try:
             shared = self._private.exchange(X25519PublicKey.from_public_bytes(public))
         except ValueError as error:
-            raise SealError(f"agent {other}: no public key: {error}") from error
+            raise SealError(f"no public key: {error}") from error
         both = b"".join(sorted((self.public, public)))
-        ways = [
-            hashlib.blake2b(both + struct.pack("<II", *ends), key=shared, digest_size=32).digest()
-            for ends in ((me, other), (other, me))
-        ]
-        return Seals(*ways)
+        out_key, into_key = (hashlib.blake2b(both + ends, key=shared, digest_size=32).digest() for ends in (out, into))
+        return Seals(out_key, into_key)
 
 
 class Seals:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from maslam.backend.distributed.methods import SolverNode, node_for
 from maslam.backend.distributed.share import SolverOutcome
 from maslam.backend.distributed.wire import SolverMessage
@@ -97,7 +99,12 @@ class OptimisationSession:
     def receive(self, message: SolverMessage, now_ns: int, rtt: RttEstimator) -> SolverReply:
         """Hand a message to the node; :class:`~maslam.backend.errors.BackendError` where it makes no sense."""
         self.received_ns[message.sender] = now_ns
-        out = self.node.handle(message)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is judged, and refused
+                out = self.node.handle(message)
+        except (ArithmeticError, AssertionError, LookupError, TypeError, ValueError) as error:
+            # Each number was in its bounds, and yet they lead nowhere: no message ends an agent.
+            raise BackendError(f"what it sent leads nowhere: {type(error).__name__}: {error}") from error
         if message.asks:  # an answer is larger than the question, and brings this node no further
             return SolverReply(again=tuple(self.link.answered(message.sender, out, now_ns, rtt)))
         if out:

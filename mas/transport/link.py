@@ -16,14 +16,20 @@ class Arrived:
 
 @dataclass(frozen=True)
 class Presence:
-    """Agent ``other`` can be reached now, or cannot any more."""
+    """Process ``process`` of agent ``other`` can be reached now, or cannot any more."""
 
     other: int
     here: bool
+    process: str
 
 
 class Link(ABC):
     """Carries bytes as they are, at most once each, in any order, or not at all."""
+
+    @abstractmethod
+    def appear(self, process: str) -> None:
+        """Be there, for all others to notice, as this process of the agent: once, before anything is sent. What another
+        process of the same agent sends to its own number comes here, too."""
 
     @abstractmethod
     def send(self, other: int, data: bytes) -> None:

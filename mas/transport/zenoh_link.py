@@ -44,8 +44,8 @@ class LinkAddresses:
 
 
 class ZenohLink(Link):
-    """``with ZenohLink(me, team, addresses) as link``: the keys ``TEAM/m/TO/FROM`` are bytes, ``TEAM/here/NUMBER``
-    says that an agent is there."""
+    """``with ZenohLink(me, team, addresses) as link``: the keys ``TEAM/m/TO/FROM`` are bytes,
+    ``TEAM/here/NUMBER/PROCESS`` says that a process of an agent is there."""
 
     def __init__(self, me: int, team: str, addresses: LinkAddresses) -> None:
         self.me = me
@@ -66,13 +66,6 @@ class ZenohLink(Link):
             self._session = zenoh.open(_settings(zenoh, self._addresses))
         except zenoh.ZError as error:
             raise LinkError(_in_words(str(error), self._addresses)) from error
-        here, session = f"{self._root}/here", self._session
-        # Callbacks run in the library's threads: they only put what came where the agent takes it.
-        self._kept = [
-            session.declare_subscriber(f"{self._root}/m/{self.me}/*", self._came),
-            session.liveliness().declare_token(f"{here}/{self.me}"),
-            session.liveliness().declare_subscriber(f"{here}/*", self._changed, history=True),
-        ]
         return self
 
     def __exit__(
@@ -85,6 +78,15 @@ class ZenohLink(Link):
                 self._session.close()
             except self._error as error:  # nothing is left to send
                 log.info("the link did not close in time: %s", error)
+
+    def appear(self, process: str) -> None:
+        here, session = f"{self._root}/here", self._session
+        # Callbacks run in the library's threads: they only put what came where the agent takes it.
+        self._kept = [
+            session.declare_subscriber(f"{self._root}/m/{self.me}/*", self._came),
+            session.liveliness().declare_token(f"{here}/{self.me}/{process}"),
+            session.liveliness().declare_subscriber(f"{here}/*/*", self._changed, history=True),
+        ]
 
     def send(self, other: int, data: bytes) -> None:
         self._session.put(f"{self._root}/m/{other}/{self.me}", data)
@@ -101,13 +103,14 @@ class ZenohLink(Link):
 
     def _came(self, sample: Any) -> None:
         sender = _number(str(sample.key_expr))
-        if sender is not None and sender != self.me:
+        if sender is not None:
             self._arrivals.put(Arrived(sender, sample.payload.to_bytes()))
 
     def _changed(self, sample: Any) -> None:
-        other = _number(str(sample.key_expr))
-        if other is not None and other != self.me:
-            self._arrivals.put(Presence(other, "PUT" in str(sample.kind)))
+        key, _, process = str(sample.key_expr).rpartition("/")
+        other = _number(key)
+        if other is not None:
+            self._arrivals.put(Presence(other, "PUT" in str(sample.kind), process))
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from maslam.backend.config import CentralConfig, RobustConfig
 from maslam.backend.distributed import exchange
 from maslam.backend.distributed.exchange import GroupResult
 from maslam.backend.pose_graph import g2o
+from maslam.backend.pose_graph.fixed import laid_on_fixed, not_held, not_held_text
 from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.backend.robust.select import RobustMethod, RobustResult, optimise_robustly
 from maslam.tools.common.errors import UnknownName
@@ -22,6 +24,7 @@ from maslam.tools.pgo.methods import CENTRAL, METHODS, ROBUST, WEIGHTS, own_unit
 
 from .common import PathLike, Settings, changed, nested, on_one_thread
 
+log = logging.getLogger(__name__)
 Cost = Literal["auto", "F", "U", "E"]
 Weights = Literal["auto", "information", "unit"]
 Loss = Literal["none", "huber", "cauchy"]
@@ -82,7 +85,8 @@ def optimise(
     never ends higher than it began.
 
     Args:
-        graph: the graph; in each connected part the first node stays where it is, unless priors say where it lies.
+        graph: the graph; fixed nodes keep their poses. In each connected part without any the first node stays where
+            it is, unless priors say where it lies.
         cost: F: chordal, by the edges' information (SE-Sync's); U: the same with unit weights; E: geodesic (gtsam's);
             auto: U where every edge's information is the identity, else F.
         robust: what is done about wrong loops and edges between robots. ``pcm``: only the largest set that agrees
@@ -121,7 +125,8 @@ def optimise_distributed(
     """Optimise the graph of several robots, each of which knows only its own poses and edges, by message alone.
 
     Args:
-        graph: nodes named by robot; ``graph.partitioned(n)`` cuts one robot's graph into ``n``.
+        graph: nodes named by robot; ``graph.partitioned(n)`` cuts one robot's graph into ``n``. One fixed node of each
+            connected part without priors keeps its pose; others do not, which is logged.
         method: ``dgs``, ``jor``, ``sor``: two-stage sweeps; ``quick``: fewest bytes, within 1 % on the published sets
             of 2 to 25 robots, far off on long loops; ``rbcd``: block-coordinate descent towards the optimum;
             ``rbcd-async``: the same without rounds; ``multifrontal``: exact elimination along an agreed order, to the
@@ -147,8 +152,13 @@ def optimise_distributed(
     unit = takes_unit_weights(weights, graph)
     config = changed(solver_of(method), nested(settings))
     weighted = graph.with_unit_weights() if unit else graph
-    found = exchange.optimise_distributed(weighted, config, own_units(graph, monocular))
-    return replace(found, graph=graph.in_one_unit(found.graph.poses, found.units))
+    for line in not_held_text(graph, method):
+        log.warning("%s", line)
+    free = replace(weighted, fixed=frozenset())
+    found = exchange.optimise_distributed(free, config, own_units(graph, monocular))
+    poses = laid_on_fixed(graph, found.graph.poses) if graph.fixed else found.graph.poses
+    kept = graph.fixed - frozenset(not_held(graph))
+    return replace(found, graph=replace(graph.in_one_unit(poses, found.units), fixed=kept))
 
 
 def _check_known(what: str, name: str, there: Sequence[str]) -> None:

@@ -122,8 +122,9 @@ def import_sequence(
     """Turn another system's trajectory and its images into agent sequences; the poses stay as they are.
 
     Args:
-        poses: TUM, KITTI, EuRoC csv, matrices, a bag; for several agents a folder with one named after each. With
-            ``images`` None: a folder of the predecessor's five files with ``netvlad_feats.bin``.
+        poses: TUM, KITTI, EuRoC csv, matrices, arrays, JSON, a COLMAP model, a bag; for several agents a folder with
+            one named after each. With ``images`` None: a folder of the predecessor's five files with
+            ``netvlad_feats.bin``.
         images: a folder of images, as :func:`maslam.open_dataset` reads it.
         out: folder for the agent sequences.
         scale: ``"arbitrary"`` where the poses have a unit of their own (one camera).

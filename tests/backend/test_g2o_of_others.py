@@ -231,21 +231,19 @@ def test_an_edge_twice_in_one_file_counts_twice_and_is_said_with_the_count(ring,
     assert notes == [], "another look at the place is another edge"
 
 
-def test_fix_of_what_does_not_stay_is_said(ring, tmp_path):
+def test_fix_lines_are_read_and_written_back(ring, tmp_path):
     path, lines = tmp_path / "fixed.g2o", lines_of(ring)
-    assert noted(path, [*lines, "FIX 0"])[1] == [] == noted(path, [*lines, "FIX 99"])[1]
-    [note] = noted(path, [*lines, "FIX 5"])[1]
-    assert note.startswith(f"{path}:28: FIX of 0:5 is not held") and "shape and cost are the same" in note
-    [note] = noted(path, [*lines, "FIX 0 5", "FIX 7"])[1]
-    assert "FIX of 0:5 and 1 more is not held" in note and "EDGE_SE3_PRIOR" in note
+    graph, notes = noted(path, [*lines, "FIX 0 5", "FIX 7"])
+    assert notes == [] and graph.fixed == {NodeId(0, 0), NodeId(0, 5), NodeId(0, 7)}
+    write_g2o(tmp_path / "again.g2o", graph, plain_ids=True)
+    assert read_g2o(tmp_path / "again.g2o").fixed == graph.fixed
+    cut = graph.partitioned(3)
+    assert cut.fixed == {node for node in cut.poses if node.index in (0, 5, 7)}
+    assert cut.of_robot(cut.robots[0]).fixed == {node for node in cut.fixed if node.robot == cut.robots[0]}
+    graph, [note] = noted(path, [*lines, "FIX 99"])
+    assert note == f"{path}:28: FIX of 0:99, of which there is no pose" and not graph.fixed
     with pytest.raises(BackendError, match=r"g2o:28: 'x' is not a node id"):
         noted(path, [*lines, "FIX x"])
-
-
-def test_fix_beside_priors_is_said(ring, tmp_path):
-    prior = f"EDGE_SE3_PRIOR 5 0 0 0 0 0 0 0 1 {WEIGHTS}"
-    [note] = noted(tmp_path / "fixed.g2o", [*lines_of(ring), "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1", prior, "FIX 0"])[1]
-    assert "FIX of 0:0 is not held: priors say where the graph lies" in note
 
 
 def test_landmarks_are_kept_beside_and_a_missing_matrix_is_the_identity_and_both_are_said(ring, tmp_path, capsys):

@@ -154,6 +154,24 @@ def test_steps_of_no_kind_and_too_long_ones_are_refused():
             Step.decode(bytes([code]) + data[1:], Unknowns.POSE, 0, False)
 
 
+def test_numbers_that_have_no_finite_solution_are_refused():
+    rows = np.arange(2)
+    for huge in (1e308, np.inf):
+        blocks = [(rows[None], huge * np.ones((1, 2, 2))), (rows[None], huge * np.eye(2)[None])]
+        with pytest.raises(BackendError, match="no finite solution"):
+            Elimination(blocks, rows[:1], rows[1:], 2, 1)
+    sound = Elimination([(rows[None], 2.0 * np.eye(2)[None])], rows[:1], rows[1:], 2, 1)
+    with pytest.raises(BackendError, match="no finite solution"):
+        sound.pushed(np.array([[[np.inf]], [[0.0]]]))
+    with pytest.raises(BackendError, match="too long for a message"):
+        CompactWriter().steps([float("nan")])
+
+
+def test_second_derivatives_of_a_linear_problem_are_no_step():
+    with pytest.raises(BackendError, match="second derivatives"):
+        Step.decode(bytes([1 + Unknowns.UNIT | Matrices.EXACT << 3]), Unknowns.POSE, 0, False)
+
+
 # -- the parts ---------------------------------------------------------------------------------------------------------
 
 

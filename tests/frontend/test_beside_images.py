@@ -41,7 +41,7 @@ JSON_FORMS: dict[str, Any] = {
     "flat": [[v for row in pose for v in row] for pose in LISTED],
     "by name": dict(zip(NAMES, LISTED, strict=True)),
     "by stem, in another order": {name[:-4]: pose for name, pose in reversed(list(zip(NAMES, LISTED, strict=True)))},
-    "entries with names": {"frames": in_parts("transform_matrix", lambda i: {"file_path": f"images/{NAMES[i]}"})},
+    "entries with names": {"frames": in_parts("c2w", lambda i: {"file_path": f"images/{NAMES[i]}"})},
     "entries with times": {"poses": in_parts("c2w", lambda i: {"timestamp": SCENE.stamps_ns[i] / 1e9})},
 }
 
@@ -151,3 +151,10 @@ def test_films_of_one_folder_are_robots_which_is_said(tmp_path: Path) -> None:
     assert len(dataset.sequences) == 2
     assert dataset.notes[0].startswith("a robot for each of 2 films: ride, walk; name one to read it alone")
     assert open_dataset(tmp_path / "ride.mp4").notes == ()
+
+
+def test_depth_in_files_that_are_not_read_is_named(folder: Path) -> None:
+    (folder / "depth").mkdir()
+    for name in NAMES:
+        np.savez(folder / "depth" / name.replace(".png", ".npz"), depth=np.ones((4, 4)))
+    assert "depth: depth in files that are not read (.npz), read as one camera" in opened(folder)[1]

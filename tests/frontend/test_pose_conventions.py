@@ -11,7 +11,6 @@ from dataset_makers import COUNT, Scene, make_scene, own_camera, seconds, write_
 from maslam.backend.geometry import Array, quat_wxyz_from_rotation, se3, so3_exp
 from maslam.frontend.datasets import open_dataset
 from maslam.frontend.errors import FrontendError
-from maslam.frontend.files.other_trajectories import read_other_trajectory
 from maslam.frontend.files.pose_table import read_poses
 
 STEP_S = 0.1
@@ -54,34 +53,75 @@ PATHS = {"ahead": drive(), "first": in_axes_of_the_first(drive()), "left": sidew
 
 
 @pytest.mark.parametrize("kind", ["ahead", "first", "left"])
-@pytest.mark.parametrize("read", [read_poses, read_other_trajectory])
-def test_qw_in_front_is_seen_by_the_path(tmp_path: Path, kind: str, read: object) -> None:
+def test_qw_in_front_is_seen_by_the_path(tmp_path: Path, kind: str) -> None:
     poses = PATHS[kind]
-    path = write(tmp_path / "gt.txt", poses, wxyz=True)
-    found = read_poses(path) if read is read_poses else read_other_trajectory(path)
-    np.testing.assert_allclose(getattr(found, "trajectory", found).poses, poses, atol=1e-6)
+    found = read_poses(write(tmp_path / "gt.txt", poses, wxyz=True))
+    np.testing.assert_allclose(found.poses, poses, atol=1e-6)
     [note] = found.notes
     assert "follow the path as qw qx qy qz" in note and "# time tx ty tz qw qx qy qz" in note
 
 
-def test_qw_at_the_end_of_a_comma_table_is_seen_where_it_stands_in_front_as_a_rule(tmp_path: Path) -> None:
+def test_qw_at_the_end_is_seen_where_it_stands_in_front_as_a_rule(tmp_path: Path) -> None:
     path = write(tmp_path / "poses.csv", PATHS["left"], wxyz=False, mark=",")
-    found = read_other_trajectory(path)
-    np.testing.assert_allclose(found.trajectory.poses, PATHS["left"], atol=1e-6)
-    assert "qx qy qz qw" in found.notes[0]
+    for expected in (True, False):
+        found = read_poses(path, wxyz=expected)
+        np.testing.assert_allclose(found.poses, PATHS["left"], atol=1e-6)
+        assert len(found.notes) == expected and all("follow the path as qx qy qz qw" in note for note in found.notes)
+
+
+def turned_at_first(degrees: float) -> Array:
+    """A straight path of a camera that wavers, from a pose turned so far about an axis of no meaning."""
+    axis = np.radians(degrees) * np.array([0.48, 0.6, 0.64])
+    wavers = [so3_exp([0.02 * np.sin(k), 0.03 * np.sin(0.7 * k), 0.0]) for k in range(40)]
+    return np.array([se3(so3_exp(axis) @ R, [0.0, 0.0, 0.5 * k]) for k, R in enumerate(wavers)])
+
+
+@pytest.mark.parametrize("wxyz", [True, False])
+@pytest.mark.parametrize("rows", ["hand", "straight"])
+def test_a_start_at_the_identity_says_which_end_is_real_where_the_path_does_not(
+    tmp_path: Path, rows: str, wxyz: bool
+) -> None:
+    poses = in_axes_of_the_first(by_hand()) if rows == "hand" else turned_at_first(0.0)
+    path = write(tmp_path / "gt.txt", poses, wxyz)
+    for expected in (True, False):
+        found = read_poses(path, wxyz=expected)
+        np.testing.assert_allclose(found.poses, poses, atol=1e-6)
+        order = "qw qx qy qz" if wxyz else "qx qy qz qw"
+        assert len(found.notes) == (wxyz != expected)
+        assert all(f"0 degrees from the identity as {order}, 180 as" in note for note in found.notes)
+
+
+def test_a_start_near_the_identity_in_the_other_order_is_a_doubt(tmp_path: Path) -> None:
+    poses = turned_at_first(20.0)
+    found = read_poses(write(tmp_path / "gt.txt", poses, wxyz=True))
+    assert not np.allclose(found.poses, poses, atol=0.1)
+    [note] = found.notes
+    assert "20 degrees from the identity as qw qx qy qz, 167 as qx qy qz qw, as which it is taken" in note
+    assert "'# time tx ty tz qw qx qy qz' says otherwise" in note
+    for sound in (turned_at_first(90.0), poses):
+        assert read_poses(write(tmp_path / "gt.txt", sound, wxyz=False)).notes == ()
+
+
+def test_a_start_half_a_turn_from_the_identity_counts_less_than_the_path(tmp_path: Path) -> None:
+    """Of a world whose y points up and z back; its first quaternion is ``1 0 0 0`` with qw at the end."""
+    flipped = se3(np.diag([1.0, -1.0, -1.0]), np.zeros(3)) @ in_axes_of_the_first(PATHS["ahead"])
+    found = read_poses(write(tmp_path / "gt.txt", flipped, wxyz=False))
+    np.testing.assert_allclose(found.poses, flipped, atol=1e-6)
+    assert found.notes == ()
 
 
 @pytest.mark.parametrize("kind", PATHS)
 @pytest.mark.parametrize("head", ["", "# time tx ty tz qx qy qz qw\n"])
 def test_sound_files_are_read_as_they_are(tmp_path: Path, kind: str, head: str) -> None:
     path = write(tmp_path / "gt.txt", PATHS[kind], wxyz=False, head=head)
-    for found in (read_poses(path), read_other_trajectory(path)):
-        np.testing.assert_allclose(getattr(found, "trajectory", found).poses, PATHS[kind], atol=1e-6)
-        assert found.notes == ()
+    found = read_poses(path)
+    np.testing.assert_allclose(found.poses, PATHS[kind], atol=1e-6)
+    assert found.notes == ()
 
 
 def test_a_straight_path_tells_nothing(tmp_path: Path) -> None:
     straight = np.array([se3(so3_exp([0.0, 0.01, 0.0]), [0.0, 0.0, 0.5 * k]) for k in range(40)])
+    straight = straight @ se3(so3_exp([0.0, np.pi / 2, 0.0]), np.zeros(3))
     assert read_poses(write(tmp_path / "gt.txt", straight, wxyz=True)).notes == ()
 
 
@@ -89,7 +129,6 @@ def test_a_heading_is_believed_and_doubted(tmp_path: Path) -> None:
     path = write(tmp_path / "gt.txt", PATHS["ahead"], wxyz=True, head="# time tx ty tz qx qy qz qw\n")
     assert not np.allclose(read_poses(path).poses, PATHS["ahead"], atol=0.1)
     assert "is the heading right?" in read_poses(path).notes[0]
-    assert "is the heading right?" in read_other_trajectory(path).notes[0]
 
 
 def degrees(poses: Array, lat: float = 49.01, lon: float = 8.43) -> Array:
@@ -105,9 +144,8 @@ def test_degrees_are_no_metres(tmp_path: Path, swapped: bool) -> None:
     poses = degrees(drive(), lat=49.01, lon=-122.3)
     poses[:, :2, 3] = poses[:, [1, 0], 3] if swapped else poses[:, :2, 3]
     path = write(tmp_path / "gt.txt", poses, wxyz=False)
-    for read in (read_poses, read_other_trajectory):
-        with pytest.raises(FrontendError, match=r"gt\.txt: x and y look like degrees of latitude and longitude.*gps"):
-            read(path)
+    with pytest.raises(FrontendError, match=r"gt\.txt: x and y look like degrees of latitude and longitude.*gps"):
+        read_poses(path)
 
 
 def test_what_stands_or_creeps_is_in_metres(tmp_path: Path) -> None:
@@ -139,3 +177,17 @@ def timed_scene() -> Scene:
     scene = make_scene(start_ns=1_700_000_000_000_000_000, step_ns=100_000_000)
     assert len(scene.images) == COUNT and seconds(int(scene.stamps_ns[1])).endswith(".100000000")
     return scene
+
+
+@pytest.mark.parametrize("mark", [",", " "], ids=["comma", "blank"])
+def test_euroc_columns_without_a_heading_are_no_matrices(tmp_path: Path, mark: str) -> None:
+    """Time, position, ``qw qx qy qz``, velocity and two biases: 17 numbers, as a time and a 4x4 matrix have."""
+    poses = PATHS["by hand"]
+    rest = np.random.default_rng(2).normal(size=(len(poses), 9))
+    q = quat_wxyz_from_rotation(poses[:, :3, :3])
+    rows = np.column_stack([100 + STEP_S * np.arange(len(poses)), poses[:, :3, 3], q, rest])
+    path = tmp_path / "data.csv"
+    path.write_text("".join(mark.join(f"{v:.9f}" for v in row) + "\n" for row in rows))
+    found = read_poses(path)
+    np.testing.assert_allclose(found.poses, poses, atol=1e-6)
+    assert "qw qx qy qz" in found.notes[0]

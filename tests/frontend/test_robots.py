@@ -241,3 +241,14 @@ def test_folders_beside_robots_that_are_none_cause_no_warning(tmp_path: Path, na
     (tmp_path / name).mkdir()
     (tmp_path / name / "readings.csv").write_text("1,2\n")
     assert open_dataset(tmp_path).problems == ()
+
+
+def test_images_beside_folders_of_agents_are_said_to_be_left(tmp_path: Path) -> None:
+    scene = make_scene()
+    for folder in (tmp_path, tmp_path / "agent_00", tmp_path / "agent_01"):
+        write_rendered(folder, scene, "mono")
+    dataset = open_dataset(tmp_path)
+    assert [sequence.name for sequence in dataset.sequences] == ["agent_00", "agent_01"]
+    assert dataset.notes == (
+        "its own images beside agent_00: not read; where folders agent_<n> are, only these are robots",
+    )

@@ -9,7 +9,6 @@ import pytest
 from dataset_makers import make_scene, numbered, own_camera, quaternion_wxyz, write_images
 
 from maslam.frontend.datasets import ImageSequence, open_dataset
-from maslam.frontend.files.other_trajectories import read_other_trajectory
 from maslam.frontend.files.pose_table import read_poses
 
 SCENE = make_scene()
@@ -78,4 +77,3 @@ def test_matrices_column_by_column_are_read_and_said(tmp_path: Path, timed: bool
     found = read_poses(tmp_path / "poses.txt")
     np.testing.assert_allclose(found.poses, SCENE.poses, atol=1e-9)
     assert any("column by column" in note for note in found.notes)
-    np.testing.assert_allclose(read_other_trajectory(tmp_path / "poses.txt").trajectory.poses, SCENE.poses, atol=1e-9)

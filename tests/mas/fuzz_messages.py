@@ -52,13 +52,15 @@ class Moment:
 
 @dataclass
 class Findings:
-    """What came of changed messages: how many, how many of them passed decoding, what escaped from where."""
+    """What came of changed messages: how many, how many of them passed decoding, what escaped from where, and what a
+    solver's node raised that it should have refused itself (the agent refuses it then)."""
 
     tried: int = 0
     decoded: int = 0
     slowest_s: float = 0.0
     slowest: str = ""
     escaped: Counter[str] = field(default_factory=Counter)
+    unforeseen: Counter[str] = field(default_factory=Counter)
 
 
 def moments(config: MasConfig, each: int, agents: int = 3, keyframes: int = 12) -> list[Moment]:
@@ -221,6 +223,8 @@ def handed(moment: Moment, data: bytes, findings: Findings) -> None:
         effects += agent.tick(moment.now_ns) + agent.remind(moment.now_ns + 10**7)
         for answer in effects.messages:
             decode(encode(answer), LIMIT)
+        reasons = [str(event.fields.get("reason", "")) for event in effects.events]
+        findings.unforeseen.update(f"{moment.kind}: {r}" for r in reasons if "leads nowhere" in r)
     took = time.perf_counter() - started
     if took > findings.slowest_s:
         findings.slowest_s, findings.slowest = took, moment.kind
@@ -262,7 +266,7 @@ def systems() -> dict[str, MasConfig]:
 
 def main(count: int, seed: int, until_s: float = float("inf")) -> int:
     warnings.simplefilter("ignore")
-    out, done, escaped = sys.stdout, 0, Counter[str]()
+    out, done, escaped, unforeseen = sys.stdout, 0, Counter[str](), Counter[str]()
     variants = systems()
     for number, (name, config) in enumerate(variants.items()):
         chosen = moments(config, 6)
@@ -274,9 +278,12 @@ def main(count: int, seed: int, until_s: float = float("inf")) -> int:
             f"({found.slowest}), {sum(found.escaped.values())} errors escaped\n"
         )
         escaped += found.escaped
+        unforeseen += found.unforeseen
         done += found.tried
     for what, times in escaped.most_common():
         out.write(f"  {times} x {what}\n")
+    for what, times in unforeseen.most_common():
+        out.write(f"  caught at the agent: {times} x {what}\n")
     return 1 if escaped else 0
 
 

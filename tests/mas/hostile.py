@@ -259,7 +259,7 @@ class FalseSolver(Hostile):
         return [msgspec.structs.replace(message, body=SolverBody.of(inner))]
 
     def _false(self, inner: ElectedMessage) -> bytes:
-        session = self.optimisation.session
+        session = self.optimisation.running.session
         assert session is not None and isinstance(session.node, ElectedNode)
         node, given = session.node, session.node._contributions[inner.receiver]
         assert node._gathered is not None
@@ -429,7 +429,7 @@ class SendsHeaps(Hostile):
     def raw(self) -> list[bytes]:
         kinds = [b"\xe0\x00", b"\xe1\x00", b"\xe2\x00", b"\x20"]
         identity = ContractId(0, 0)
-        session = self.optimisation.session
+        session = self.optimisation.running.session
         if session is not None and session.identity is not None:
             identity = session.identity
         bodies = [SolverBody(b"\xe1\x00" + b"\xff" * 2**20), SolverBody(b"\x20" + b"\x01" * 2**20)]

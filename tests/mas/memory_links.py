@@ -14,33 +14,51 @@ class MemoryNetwork:
     def __init__(self, lost: Callable[[int, int, bytes], bool] = lambda sender, recipient, data: False) -> None:
         self.lost = lost
         self.sent: list[tuple[int, int, bytes]] = []
-        self._links: dict[int, MemoryLink] = {}
+        self.links: list[MemoryLink] = []
 
     def link(self, me: int) -> MemoryLink:
-        """A new agent is there: all others notice."""
-        link = MemoryLink(self, me)
-        for other, known in self._links.items():
-            known.queue.append(Presence(me, True))
-            link.queue.append(Presence(other, True))
-        self._links[me] = link
-        return link
+        return MemoryLink(self, me)
 
-    def leave(self, me: int) -> None:
-        del self._links[me]
-        for known in self._links.values():
-            known.queue.append(Presence(me, False))
+    def join(self, link: MemoryLink) -> None:
+        """A process is there: all others notice, and it notices them and itself, as over a real link."""
+        self.links.append(link)
+        for known in self.links:
+            known.queue.append(Presence(link.me, True, link.process))
+            if known is not link:
+                link.queue.append(Presence(known.me, True, known.process))
+
+    def leave(self, link: MemoryLink) -> None:
+        self.links.remove(link)
+        self.cut(link)
+
+    def cut(self, link: MemoryLink) -> None:
+        """The others no longer see it, whether it is there or not."""
+        for known in self.links:
+            if known is not link:
+                known.queue.append(Presence(link.me, False, link.process))
+
+    @staticmethod
+    def seen(link: MemoryLink) -> Presence:
+        """What the others get when it is there."""
+        return Presence(link.me, True, link.process)
 
     def carry(self, sender: int, recipient: int, data: bytes) -> None:
         self.sent.append((sender, recipient, data))
-        if recipient in self._links and not self.lost(sender, recipient, data):
-            self._links[recipient].queue.append(Arrived(sender, data))
+        for link in self.links:
+            if link.me == recipient and not self.lost(sender, recipient, data):
+                link.queue.append(Arrived(sender, data))
 
 
 class MemoryLink(Link):
     def __init__(self, network: MemoryNetwork, me: int) -> None:
         self.network = network
         self.me = me
+        self.process = ""
         self.queue: deque[Arrived | Presence] = deque()
+
+    def appear(self, process: str) -> None:
+        self.process = process
+        self.network.join(self)
 
     def send(self, other: int, data: bytes) -> None:
         self.network.carry(self.me, other, data)
@@ -50,4 +68,4 @@ class MemoryLink(Link):
 
     @property
     def connected(self) -> bool:
-        return len(self.network._links) > 1
+        return len(self.network.links) > 1

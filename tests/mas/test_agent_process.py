@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from factory import town
-from memory_links import MemoryNetwork
+from memory_links import MemoryLink, MemoryNetwork
 
 from maslam._replaced import replaced
 from maslam.mas.errors import MasError
@@ -62,6 +62,7 @@ class Team:
         self.credentials = [
             Credentials(place) for place in make_team(self.folder / "keys", "ours", list(range(self.agents)))
         ]
+        self.links: dict[int, MemoryLink] = {}
         self.processes: dict[int, AgentProcess] = {}
         self.ended: dict[int, float] = {}
 
@@ -74,7 +75,7 @@ class Team:
         earlier = resume(inputs, self.journal(me))
         journal = Journal(self.journal(me))
         journal.__enter__()
-        link = self.network.link(me)
+        link = self.links[me] = self.network.link(me)
         neighbours = Neighbours(self.credentials[me], inputs.agent.state.profile.language, link, 10**7)
         agent = RecordedAgent(inputs, journal)
         agent.begin(digest_of(inputs), earlier.now_ns)
@@ -83,7 +84,7 @@ class Team:
     def kill(self, me: int) -> None:
         """As by kill -9: nobody gets a notice but by the link."""
         self.processes.pop(me).agent.journal.__exit__(None, None, None)
-        self.network.leave(me)
+        self.network.leave(self.links[me])
 
     def go_on(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         end = self.clock.now + seconds

@@ -144,9 +144,9 @@ def test_an_optimisation_that_ends_by_waiting_is_over_at_once() -> None:
     agent = make_agents(*town(2, 10), preset("maslam"))[0]
     task = SimpleNamespace(members=(0, 1))
     session = OptimisationSession(None, task, EndsByWaiting(), begun=True)  # type: ignore[arg-type]
-    agent.optimisation.session, agent.context.now_ns = session, 10**9
+    agent.optimisation.running.session, agent.context.now_ns = session, 10**9
     agent.optimisation.resend()
-    assert agent.optimisation.session is None, "its outcome is no number, so it is given up"
+    assert agent.optimisation.running.session is None, "its outcome is no number, so it is given up"
 
 
 def test_who_only_repeats_itself_does_not_shorten_the_wait() -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
-from fuzz_messages import Moment, fuzzed, moments, systems
+from fuzz_messages import Findings, Moment, copied, fuzzed, handed, moments, systems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from maslam.backend.distributed.multifrontal.frontal_node import FrontalNode
 from maslam.mas.protocol.messages import decode
 from maslam.mas.protocol.tensors import MessageError
 
@@ -26,6 +28,19 @@ def some(name: str) -> list[Moment]:
 def test_nothing_escapes(name: str, seed: int) -> None:
     found = fuzzed(some(name), 16, seed)
     assert not found.escaped and found.tried == 16
+
+
+def test_what_a_solver_raises_ends_no_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    def raising(self: FrontalNode, message: object) -> list[object]:
+        raise IndexError("index 7 is out of bounds")
+
+    chosen = [m for m in some("multifrontal") if m.kind == "SolverUpdate"]
+    monkeypatch.setattr(FrontalNode, "handle", raising)
+    found = Findings()
+    for moment in chosen:
+        handed(replace(moment, agent=copied(moment.agent)), moment.data, found)
+    assert chosen and found.tried == len(chosen)
+    assert any("IndexError: index 7" in what for what in found.unforeseen)
 
 
 def test_half_of_all_changed_messages_pass_decoding() -> None:

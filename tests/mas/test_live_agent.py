@@ -81,7 +81,7 @@ class LiveTeam:
     def kill(self, me: int) -> LiveAgent:
         agent = self.agents.pop(me)
         agent.__exit__()
-        self.network.leave(me)
+        self.network.leave(next(link for link in self.network.links if link.me == me))
         return agent
 
     def drive(self, me: int, until: int) -> None:

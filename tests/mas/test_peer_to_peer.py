@@ -94,7 +94,7 @@ def test_a_bid_peer_to_peer_offers_the_matches_with_the_manager_and_own_loops() 
     assert {m.agents for m in offered(whole)} == {(1, 0), (2, 1), (1, 1)} and not whole.peer_to_peer
     assert {m.agents for m in offered(pair)} == {(1, 0), (1, 1)} and pair.peer_to_peer
     assert pair.pieces == whole.pieces
-    made = agents[1].optimisation._estimator
+    made = agents[1].optimisation.running.estimator
     assert offered(made.bid(0)) == offered(pair) and offered(made.bid()) == offered(whole)
     assert made.bid(0).cost_bytes < made.bid().cost_bytes
 

@@ -139,20 +139,20 @@ def test_an_agent_that_is_away_for_ten_seconds_holds_nobody_up(away: int) -> Non
 def test_a_match_that_is_not_believed_any_more_counts_no_more(all_of_them: bool) -> None:
     run = lived(settings())
     agents = run.environment.agents
-    elected = next(a for a in agents if a.optimisation.updates._group.node.leads)
+    elected = next(a for a in agents if a.optimisation.running.updates._group.node.leads)
     victim = agents[(elected.state.me + 1) % 3]
-    mine = sorted(m for m in victim.optimisation.updates.matches if m.match_agent != m.query_agent)
-    before, gone = elected.optimisation.updates._group.node.optimum, mine if all_of_them else mine[-1:]
+    mine = sorted(m for m in victim.optimisation.running.updates.matches if m.match_agent != m.query_agent)
+    before, gone = elected.optimisation.running.updates._group.node.optimum, mine if all_of_them else mine[-1:]
     victim.state.accepted -= set(gone)
     for message in victim.optimisation.update().messages:
         run.environment.transport.send(message, run.environment.now_ns)
     run.environment._deliver()
     if all_of_them:
-        assert not any(a.optimisation.updates.matches for a in agents), "it is to be solved anew, without them"
+        assert not any(a.optimisation.running.updates.matches for a in agents), "it is to be solved anew, without them"
         assert victim._pending()
     else:
-        assert elected.optimisation.updates._group.node.optimum < before
-        assert all(a.optimisation.updates.matches for a in agents)
+        assert elected.optimisation.running.updates._group.node.optimum < before
+        assert all(a.optimisation.running.updates.matches for a in agents)
         assert not victim._pending() & set(gone)
 
 
@@ -211,7 +211,7 @@ def test_what_a_member_makes_of_updates_breaks_nobody(kind: type[Agent], which: 
 def test_poses_that_no_map_may_have_are_not_taken_over() -> None:
     """A correction that moves a whole agent far away costs its own edges nothing."""
     agent = lived(settings()).environment.agents[0]
-    updates, before = agent.optimisation.updates, np.array(agent.state.poses)
+    updates, before = agent.optimisation.running.updates, np.array(agent.state.poses)
     node = updates._group.node
     far_away = {n: T + 1e12 * np.eye(4, k=3) for n, T in node.poses.items()}
     node._places = replace(node._places, poses=far_away)

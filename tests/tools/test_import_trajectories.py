@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from maslam.backend.geometry import product, quat_wxyz_from_rotation, se3, se3_inverse, so3_exp, transform_points
+from maslam.frontend.datasets.poses_of_images import GivenPoses
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.files.extrinsic import read_extrinsic
-from maslam.frontend.files.other_trajectories import read_other_trajectory
 from maslam.frontend.files.timestamps import seconds_text
 from maslam.frontend.files.trajectory import read_kitti_poses, read_tum
 from maslam.frontend.files.vo_files import read_tracks
@@ -20,6 +21,7 @@ from maslam.mas.sequence import load_sequences
 from maslam.mas.state.keyframe import keyframes_of
 from maslam.tools import cli
 from maslam.tools.common.errors import ToolError
+from maslam.tools.interchange.given_files import read_given
 from maslam.tools.interchange.placed_images import PlacingRules, place_images
 
 START_NS = 1_700_000_000_123_456_789
@@ -31,6 +33,13 @@ def moments(count: int = 6) -> tuple[np.ndarray, np.ndarray]:
     """Times, nanoseconds, and poses of a camera on a curve."""
     poses = [se3(so3_exp([0.01 * k, -0.05 * k, 0.002 * k]), [0.3 * k, 0.01 * k**2, k]) for k in range(count)]
     return START_NS + 100_000_001 * np.arange(count), np.array(poses)
+
+
+def read_other_trajectory(path: Path, times: Path | None = None) -> GivenPoses:
+    """As of the images of :func:`moments`."""
+    stamps = moments()[0]
+    images: Any = SimpleNamespace(left=tuple(f"{k:06d}.png" for k in range(len(stamps))), stamps_ns=stamps)
+    return read_given(path, images, times, None)
 
 
 def rows_of(stamps: np.ndarray, poses: np.ndarray, scalar_first: bool = False) -> list[list[str]]:
@@ -85,16 +94,52 @@ def test_poses_without_times_take_those_of_a_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_other_trajectory(tmp_path / "poses.npy").trajectory.poses, poses, atol=1e-12)
 
 
+def angles_of(R: np.ndarray) -> list[float]:
+    """Roll, pitch, yaw in degrees of ``Rz Ry Rx``."""
+    x, y, z = np.arctan2(R[2, 1], R[2, 2]), -np.arcsin(R[2, 0]), np.arctan2(R[1, 0], R[0, 0])
+    return np.degrees([x, y, z]).tolist()
+
+
+@pytest.mark.parametrize(
+    "form", ["npz", "json by names", "json inverted", "angles", "quaternion in front", "by number"]
+)
+def test_what_ground_truth_may_be_a_trajectory_may_be(form: str, tmp_path: Path) -> None:
+    """The same reader; the forms themselves are tested with it."""
+    stamps, poses = moments()
+    names = [f"{k:06d}.png" for k in range(len(stamps))]
+    q = quat_wxyz_from_rotation(poses[:, :3, :3])
+    path = tmp_path / f"poses.{form[:4].strip() if form[0] in 'nj' else 'txt'}"
+    if form == "npz":
+        np.savez(path, c2w=poses, timestamps=stamps)
+    elif form[0] == "j":
+        key, T = ("w2c", se3_inverse(poses)) if "inverted" in form else ("c2w", poses)
+        path.write_text(json.dumps([{"name": n, key: one.tolist()} for n, one in zip(names, T, strict=True)]))
+    elif form == "angles":
+        rows = [" ".join(map(repr, [float(v) for v in (*T[:3, 3], *angles_of(T[:3, :3]))])) for T in poses]
+        text = "".join(f"{t} {row}\n" for t, row in zip(stamps, rows, strict=True))
+        path.write_text("# time x y z roll_deg pitch_deg yaw_deg\n" + text)
+    else:
+        front = "number" not in form
+        cells = np.hstack([q, poses[:, :3, 3]]) if front else np.hstack([poses[:, :3, 3], q[:, [1, 2, 3, 0]]])
+        first = [seconds_text(t) for t in stamps] if front else [str(k) for k in range(len(stamps))]
+        path.write_text(
+            "".join(f"{t} {' '.join(map(repr, row))}\n" for t, row in zip(first, cells.tolist(), strict=True))
+        )
+    read = read_other_trajectory(path)
+    np.testing.assert_array_equal(read.trajectory.stamps_ns, stamps)
+    np.testing.assert_allclose(read.trajectory.poses, poses, atol=1e-9)
+    assert bool(read.notes) == (form not in ("npz", "json by names"))
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("1 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n", ":3: time goes back from 3.000000000 s to 2.0"),
         ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 2\n", ":2: the quaternion's length is 2.000"),
         ("1 0 0 0 0 0 0 1\nnan 0 0 0 0 0 0 1\n", ":2: not a time: 'nan'"),
         ("1 0 0 nan 0 0 0 1\n2 0 0 0 0 0 0 0\n", "no poses"),
-        ("1 0 0 0 0 0 0 1\n2 0 0 x 0 0 0 1\n", ":2: not a pose"),
-        ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n", ":2: 7 numbers, but 8 in line 1"),
-        ("1 2 3\n", ":1: 3 numbers a row are no pose"),
+        ("1 0 0 0 0 0 0 1\n2 0 0 x 0 0 0 1\n", ":2: not a number: 'x'"),
+        ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n", r":2: 7 numbers, but the rows before \(TUM\) have 8"),
+        ("1 2 3\n", ":1: 3 columns: positions without rotations"),
         ("# nothing\n", "no poses"),
         ("1 0 0 0 1 0 0 0 2 0 0 0\n", ":1: the 3x3 part"),
     ],
@@ -120,23 +165,31 @@ def test_a_row_without_a_pose_is_a_moment_without_one(row: str, tmp_path: Path) 
     rows = ["0 0 0 0 0 0 1", "1 0 0 0 0 0 1", row, "3 0 0 0 0 0 1"]
     (tmp_path / "p.txt").write_text("".join(f"{k}.5 {one}\n" for k, one in enumerate(rows)))
     read = read_other_trajectory(tmp_path / "p.txt")
-    assert (read.lost, read.trajectory.centres[:, 0].tolist()) == (1, [0.0, 1.0, 3.0])
+    assert read.notes[0].startswith("1 of 4 rows hold no pose")
+    assert read.trajectory.centres[:, 0].tolist() == [0.0, 1.0, 3.0]
     assert read.trajectory.stamps_ns.tolist() == [500_000_000, 1_500_000_000, 3_500_000_000]
 
 
 def test_rows_without_times_stay_with_their_images_where_one_has_no_pose(tmp_path: Path) -> None:
-    rows = [f"1 0 0 {k if k != 1 else 'nan'} 0 1 0 0 0 0 1 0\n" for k in range(4)]
+    rows = [f"1 0 0 {k if k != 1 else 'nan'} 0 1 0 0 0 0 1 0\n" for k in range(6)]
     (tmp_path / "p.txt").write_text("".join(rows))
     read = read_other_trajectory(tmp_path / "p.txt")
-    images = place_images("drive", read, np.arange(4) * 100_000_000, PlacingRules())
-    assert read.lost == 1 and images.rows.tolist() == [0, 2, 3]
-    assert images.poses[:, 0, 3].tolist() == [0.0, 2.0, 3.0]
+    images = place_images("drive", read, moments()[0], PlacingRules(offset_ns=5).of(read))
+    assert "1 of 6 rows hold no pose" in read.notes[0] and images.rows.tolist() == [0, 2, 3, 4, 5]
+    assert images.poses[:, 0, 3].tolist() == [0.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_poses_out_of_order_are_sorted_and_said(tmp_path: Path) -> None:
+    (tmp_path / "p.txt").write_text("1.5 1 0 0 0 0 0 1\n3.5 3 0 0 0 0 0 1\n2.5 2 0 0 0 0 0 1\n")
+    read = read_other_trajectory(tmp_path / "p.txt")
+    assert read.trajectory.centres[:, 0].tolist() == [1.0, 2.0, 3.0]
+    assert read.notes == ("time goes back 1 times; the poses are sorted by time",)
 
 
 def test_a_time_given_twice_counts_once(tmp_path: Path) -> None:
-    (tmp_path / "p.txt").write_text("1 0 0 0 0 0 0 1\n1 5 0 0 0 0 0 1\n2 9 0 0 0 0 0 1\n")
+    (tmp_path / "p.txt").write_text("1.5 0 0 0 0 0 0 1\n1.5 5 0 0 0 0 0 1\n2.5 9 0 0 0 0 0 1\n")
     read = read_other_trajectory(tmp_path / "p.txt")
-    assert read.repeated == 1
+    assert read.notes == ("1 of 3 poses have the time of another; the first is kept",)
     assert read.trajectory.centres[:, 0].tolist() == [0.0, 9.0]
 
 
@@ -161,14 +214,13 @@ def test_an_extrinsic_in_every_form_is_the_same(tmp_path: Path) -> None:
 
 
 def placed(times_s: list[float], images_s: list[float], x: list[float] | None = None, **rules: int):  # type: ignore[no-untyped-def]
-    from maslam.frontend.files.other_trajectories import OtherTrajectory
     from maslam.frontend.files.trajectory import Trajectory
 
     ns = (1e9 * np.array(times_s)).astype(np.int64)
     poses = np.tile(np.eye(4), (len(ns), 1, 1))
     poses[:, 0, 3] = times_s if x is None else x
     poses[:, :3, :3] = so3_exp(np.outer(poses[:, 0, 3], [0.0, 0.1, 0.0]))
-    given = OtherTrajectory(Trajectory(ns, poses), "TUM", True)
+    given = GivenPoses(Trajectory(ns, poses), "TUM", True)
     return place_images("drive", given, (1e9 * np.array(images_s)).astype(np.int64), PlacingRules(**rules))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from maslam.backend.geometry import rotation_from_quat_wxyz, se3
-from maslam.frontend.files.other_trajectories import OtherTrajectory
+from maslam.frontend.datasets.poses_of_images import GivenPoses
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory
 
 from ..common.errors import ToolError
@@ -24,7 +24,7 @@ _TYPES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
 _PATH = "nav_msgs/msg/Path"
 
 
-def read_bag_poses(path: Path, topic: str | None) -> OtherTrajectory:
+def read_bag_poses(path: Path, topic: str | None) -> GivenPoses:
     """The poses on ``topic``, or on the only topic that has any. :class:`ToolError` where that is not one."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
@@ -58,7 +58,7 @@ def _row(message: Any, pose: tuple[Any, Any]) -> tuple[int, list[float]]:
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec), [p.x, p.y, p.z, q.w, q.x, q.y, q.z]
 
 
-def _trajectory(path: Path, topic: str, found: list[tuple[int, list[float]]]) -> OtherTrajectory:
+def _trajectory(path: Path, topic: str, found: list[tuple[int, list[float]]]) -> GivenPoses:
     found.sort(key=lambda row: row[0])  # messages may overtake each other
     stamps = np.array([stamp for stamp, _ in found], dtype=np.int64)
     values = np.array([row for _, row in found], dtype=np.float64)
@@ -68,4 +68,6 @@ def _trajectory(path: Path, topic: str, found: list[tuple[int, list[float]]]) ->
         raise ToolError(f"{path}: {topic}: message {row} is no pose: its quaternion's length is {lengths[row]:.3f}")
     first = np.concatenate([[True], np.diff(stamps) > 0])
     poses = se3(rotation_from_quat_wxyz(values[first, 3:] / lengths[first, None]), values[first, :3])
-    return OtherTrajectory(Trajectory(stamps[first], poses), f"bag, {topic}", True, int((~first).sum()))
+    twice = int((~first).sum())
+    notes = (f"{topic}: {twice} poses have the time of another; the first is kept",) * bool(twice)
+    return GivenPoses(Trajectory(stamps[first], poses), f"bag, {topic}", True, notes)

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 _MORE = """\
 trajectories
-  TUM, KITTI (12 columns: as many rows as images, or --times; 13: with times), EuRoC csv, 4x4 matrices, .npy of
-  matrices, bags and MCAP with odometry or poses (needs rosbags). Poses map the camera, or with --T-body-camera the
-  body that carries it, to the world, and stay as they are.
+  TUM, KITTI (12 columns: as many rows as images, or --times; 13: with times), EuRoC csv, 4x4 matrices, .npy, .npz
+  and JSON, a COLMAP model or transforms.json (by the images' names), bags and MCAP with odometry or poses (needs
+  rosbags). Poses map the camera, or with --T-body-camera the body that carries it, to the world, and stay as they are.
 points
   One camera's images get depth by --points: PLY, PCD, NPY, BIN, XYZ of the whole map; csv x,y,z,image (or time), a
   line for each image that sees a point; points3D.txt with images.txt; or a folder of scans named by their times, in

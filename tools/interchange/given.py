@@ -25,7 +25,7 @@ from .given_files import read_given, trajectory_files
 if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
     from maslam.frontend.datasets.base import Dataset, ImageSequence
-    from maslam.frontend.files.other_trajectories import OtherTrajectory
+    from maslam.frontend.datasets.poses_of_images import GivenPoses
     from maslam.mas.sequence import AgentEntry, Manifest
 
     from .given_job import GivenJob
@@ -177,7 +177,7 @@ def _job(
 
     own = settings.images
     try:
-        given = read_given(file, settings.times, settings.topic)
+        given = read_given(file, sequence, settings.times, settings.topic)
         T_B_C = np.eye(4) if settings.T_body_camera is None else read_extrinsic(settings.T_body_camera)
     except FrontendError as error:
         raise ToolError(str(error)) from error
@@ -186,7 +186,7 @@ def _job(
             f"{sequence.name}: --scale arbitrary with {sequence.rig.kind} images, whose depth is in metres: --rig mono "
             "leaves it out"
         )
-    placed = place_images(sequence.name, given, sequence.stamps_ns, settings.rules())
+    placed = place_images(sequence.name, given, sequence.stamps_ns, settings.rules().of(given))
     mounted = settings.T_body_camera is not None
     placed = replace(placed, poses=camera_poses(placed.poses, T_B_C, sequence.R_rectified_left), mounted=mounted)
     progress.say(f"{sequence.name}: {file.name}: {given.form}, {len(given.trajectory)} poses; {placed.text()}")
@@ -194,13 +194,11 @@ def _job(
     if points is not None:
         progress.say(f"{sequence.name}: {points.text}")
     job = make_job(sequence, own.odometry, own.model, own.vocabulary, out / FRONTEND, own.provider)
-    repeated = [f"{file}: {given.repeated} poses of a time given before are left out"] * bool(given.repeated)
-    rows = len(given.trajectory) + given.repeated + given.lost
-    lost = [f"{file}: {given.lost} of {rows} rows hold no pose (NaN or zeros)"] * bool(given.lost)
-    return given_job(job, placed, points, names[sequence.name]), [*repeated, *lost, *given.notes, *placed.jumps]
+    said = [f"{file}: {note}" for note in given.notes]
+    return given_job(job, placed, points, names[sequence.name]), [*said, *placed.jumps]
 
 
-def _points(settings: ImportSettings, sequence: ImageSequence, given: OtherTrajectory, single: bool) -> GivenPoints:
+def _points(settings: ImportSettings, sequence: ImageSequence, given: GivenPoses, single: bool) -> GivenPoints:
     """The given points of a sequence, each scan with its own pose."""
     from .given_points import GivenPoints, points_file, read_points, scans_of
     from .placed_images import place_images
@@ -215,7 +213,8 @@ def _points(settings: ImportSettings, sequence: ImageSequence, given: OtherTraje
     if scans is None:
         return read_points(path, sequence)
     files, stamps = scans
-    placed = place_images(f"scans in {path}", given, stamps, settings.rules())
+    rules = settings.rules() if given.timed else replace(settings.rules(), offset_ns=0)
+    placed = place_images(f"scans in {path}", given, stamps, rules)
     text = f"{path.name}: {len(placed.rows)} of {len(files)} scans with a pose"
     used = tuple(files[k] for k in placed.rows)
     return GivenPoints(text, np.zeros((0, 3)), None, used, placed.poses, stamps[placed.rows])

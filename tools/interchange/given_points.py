@@ -18,6 +18,7 @@ from maslam.frontend.cameras.models import PinholeCamera
 from maslam.frontend.datasets.stored_image import identities
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.files.cloud_files import SUFFIXES, read_cloud
+from maslam.frontend.files.colmap_poses import numbers_of_names
 from maslam.frontend.files.headed_table import is_number, read_headed_table
 from maslam.frontend.files.text_tables import read_text
 from maslam.frontend.files.time_units import NotATime, parse_times
@@ -156,15 +157,7 @@ def _observed(
 
 def _colmap(folder: Path, sequence: ImageSequence) -> GivenPoints:
     """Of ``points3D.txt`` and ``images.txt``."""
-    names, of_points = {}, False
-    for number, line in enumerate(read_text(folder / "images.txt").splitlines(), 1):
-        words = line.split()
-        if line.startswith("#") or of_points or not words:  # each image's second line, which may be empty
-            of_points = False
-            continue
-        if len(words) < 10:
-            raise ToolError(f"{folder / 'images.txt'}:{number}: not ID, pose, camera and name")
-        names[words[0]], of_points = Path(" ".join(words[9:])).stem, True
+    names = {key: Path(name).stem for key, name in numbers_of_names(folder / "images.txt").items()}
     index = _by_name(sequence)
     points: list[list[float]] = []
     row: list[int] = []

@@ -3,13 +3,13 @@ tracks that they make."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maslam.backend.geometry import Array, product, se3, se3_inverse, so3_exp, so3_log
-from maslam.frontend.files.other_trajectories import OtherTrajectory, spacing_ns
+from maslam.frontend.datasets.poses_of_images import GivenPoses
 from maslam.frontend.files.trajectory import NS_PER_S
 
 from ..common.errors import ToolError
@@ -31,6 +31,10 @@ class PlacingRules:
     offset_ns: int = 0
     bridge_ns: int = NS_PER_S // 2
     gap_ns: int = 5 * NS_PER_S
+
+    def of(self, given: GivenPoses) -> PlacingRules:
+        """Those for ``given``: what has no times of its own is not shifted, and nothing is interpolated in it."""
+        return self if given.timed else replace(self, offset_ns=0, bridge_ns=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,20 +62,12 @@ class PlacedImages:
         return ", ".join(parts) + (f", {tracks} tracks" if tracks > 1 else "")
 
 
-def place_images(name: str, given: OtherTrajectory, stamps_ns: NDArray[np.int64], rules: PlacingRules) -> PlacedImages:
+def place_images(name: str, given: GivenPoses, stamps_ns: NDArray[np.int64], rules: PlacingRules) -> PlacedImages:
     """The poses at the images' times ``stamps_ns`` ``(N,)``; :class:`ToolError` where hardly any has one.
 
-    Poses without times belong to the images one by one.
+    Poses without times of their own have those of the images that they are of: :meth:`PlacingRules.of`.
     """
     path = given.trajectory
-    if not given.timed:
-        count = len(path) + given.lost
-        if count != len(stamps_ns):
-            raise ToolError(
-                f"{name}: {count} poses without times for {len(stamps_ns)} images; --times FILE says when they are"
-            )
-        rows = path.stamps_ns  # without times they are numbers of images
-        return _tracked(name, rows, path.poses, stamps_ns[rows], np.zeros(len(path), bool), stamps_ns, rules)
     times = path.stamps_ns + rules.offset_ns
     right = np.clip(np.searchsorted(times, stamps_ns), 1, max(len(times) - 1, 1))
     right = np.minimum(right, len(times) - 1)
@@ -129,7 +125,8 @@ def _spans(stamps_ns: NDArray[np.int64], times: NDArray[np.int64]) -> str:
     def span(t: NDArray[np.int64]) -> str:
         return f"{t[0] / NS_PER_S:.3f} to {t[-1] / NS_PER_S:.3f} s"
 
-    return f"images {span(stamps_ns)}, poses {span(times)}, {spacing_ns(times) / NS_PER_S:.3g} s apart"
+    spacing_s = float(np.median(np.diff(times))) / NS_PER_S if len(times) > 1 else 1.0
+    return f"images {span(stamps_ns)}, poses {span(times)}, {spacing_s:.3g} s apart"
 
 
 def camera_poses(T_W_B: Array, T_B_C: Array, R_rectified: Array | None) -> Array:

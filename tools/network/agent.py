@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from ..common.options import build, read_settings
 from ..common.progress import Progress, progress_on
 from ..live.options import SECTION, add_camera_arguments
 from ..pipeline.run import add_run_arguments, config_from
+from .nobody import NobodyThere
 
 if TYPE_CHECKING:
     from maslam.mas.live.config import LiveConfig
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from maslam.mas.live.process import LiveProgress
 
 JOURNAL = "journal.bin"
-# A link on which nobody answers is said after this.
-_NOBODY_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -135,7 +133,7 @@ def main(arguments: argparse.Namespace) -> None:
     me = credentials.number
     with progress_on(quiet=arguments.quiet or arguments.json) as progress, writing(arguments.out):
         if arguments.live:
-            run_live(arguments, config, live, odometry, progress, partial(_shower, arguments.json, progress))
+            run_live(arguments, config, live, odometry, progress, partial(_shower, arguments, progress))
             return
         inputs = read_agent(arguments.sequences, me, config)
         compile_for(agent_kernels(2), progress)
@@ -149,41 +147,33 @@ def main(arguments: argparse.Namespace) -> None:
             agent = RecordedAgent(inputs, journal)
             agent.begin(digest_of(inputs), earlier.now_ns)
             process = AgentProcess(agent, neighbours, config, live, earlier.now_ns)
-            process.run(_shower(arguments.json, progress, neighbours, lambda: link.connected))
+            process.run(_shower(arguments, progress, neighbours, lambda: link.connected))
         write_own_results(arguments.out, inputs.agent, own_sequence(arguments.sequences, me))
 
 
 def _shower(
-    as_json: bool, progress: Progress, neighbours: Neighbours, connected: Callable[[], bool]
+    arguments: argparse.Namespace, progress: Progress, neighbours: Neighbours, connected: Callable[[], bool]
 ) -> Callable[[LiveProgress], None]:
-    return _shown_as_json(neighbours) if as_json else _shown(progress, neighbours, connected)
+    nobody = NobodyThere(arguments.connect, arguments.credentials, connected)
+    return _shown_as_json(neighbours, nobody) if arguments.json else _shown(progress, neighbours, nobody)
 
 
-def _shown(progress: Progress, neighbours: Neighbours, connected: Callable[[], bool]) -> Callable[[LiveProgress], None]:
+def _shown(progress: Progress, neighbours: Neighbours, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
     """Progress on the console, and what is wrong with the link, within seconds and once."""
     task: list[int] = []
-    began, said = time.monotonic(), False
 
     def show(now: LiveProgress) -> None:
-        nonlocal said
         if not task and now.seen < now.keyframes:  # of a live camera nobody knows how many come
             task.append(progress.start("key-frames", now.keyframes))
         if task:
             progress.advance(task[0], now.seen)
-        if not said and not now.neighbours and time.monotonic() - began > _NOBODY_S and not neighbours.refusals():
-            said = True
-            reason = (
-                "connected, but no agent of this team is there"
-                if connected()
-                else "nobody is connected: not started yet, an address or firewall in the way, or a certificate of "
-                "another authority"
-            )
-            progress.say(f"warning: {reason}")
+        if (wrong := nobody.check(now.neighbours, bool(neighbours.refusals()))) is not None:
+            progress.say(f"warning: {wrong}")
 
     return show
 
 
-def _shown_as_json(neighbours: Neighbours) -> Callable[[LiveProgress], None]:
+def _shown_as_json(neighbours: Neighbours, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
     def show(now: LiveProgress) -> None:
         sent = {
             "message_bytes": sum(c.messages for c in neighbours.out.values()),
@@ -198,6 +188,8 @@ def _shown_as_json(neighbours: Neighbours) -> Callable[[LiveProgress], None]:
             "neighbours": now.neighbours,
             **sent,
         }
+        if (wrong := nobody.check(now.neighbours, bool(neighbours.refusals()))) is not None:
+            line["warning"] = wrong
         print(json.dumps(line), flush=True)
 
     return show

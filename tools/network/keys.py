@@ -20,6 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--agents", type=at_least_one, default=2, metavar="N", help="agents 0 to N-1 (default: 2)")
     parser.add_argument("--add", type=int, metavar="NUMBER", help="add this one agent to a team instead")
+    parser.add_argument(
+        "--revoke",
+        metavar="NAME",
+        help="take back the certificate of this agent (agent_03 or 3) instead: DIR/*/revoked.pem go on the robots, one "
+        "is enough, agents pass it on",
+    )
     parser.add_argument("--team", default="team", metavar="NAME", help="the team's name (default: %(default)s)")
 
 
@@ -28,6 +34,9 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.mas.live.authority import AUTHORITY_FOLDER, make_team
     from maslam.mas.protocol.ids import MAX_AGENTS
 
+    if arguments.revoke is not None:
+        _revoke(arguments.folder, arguments.revoke)
+        return
     if arguments.add is not None and not (arguments.folder / AUTHORITY_FOLDER).is_dir():
         raise ToolError(f"{arguments.folder}: no team to add an agent to: no {AUTHORITY_FOLDER} in it")
     agents = list(range(arguments.agents)) if arguments.add is None else [arguments.add]
@@ -39,3 +48,17 @@ def main(arguments: argparse.Namespace) -> None:
     print(
         f"keep {arguments.folder / AUTHORITY_FOLDER} off the robots: who has it can add agents to team {arguments.team}"
     )
+
+
+def _revoke(folder: Path, name: str) -> None:
+    from maslam.mas.live.authority import AUTHORITY_FOLDER, revoke
+    from maslam.mas.live.revocation import REVOKED
+
+    digits = name.removeprefix("agent_")
+    if not digits.isascii() or not digits.isdigit():
+        raise UsageError(f"--revoke {name}: the name of an agent is like agent_03")
+    if not (folder / AUTHORITY_FOLDER).is_dir():
+        raise ToolError(f"{folder}: no team: no {AUTHORITY_FOLDER} in it")
+    for path in revoke(folder, int(digits[:9])):
+        print(path)
+    print(f"copy {REVOKED} into the folder of one running agent or more: they load it and pass it on")

@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         choices=METHODS,
-        help="see below (default: elected; central with huber or cauchy)",
+        help="see below (default: elected; central with huber or cauchy, or where FIX lines hold several vertices)",
     )
     parser.add_argument("--robust", choices=ROBUST, default="none", help="see below (default: %(default)s)")
     parser.add_argument(
@@ -106,14 +106,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """The command; :class:`ToolError` where robots refused the result: what was asked is not done then."""
     from maslam.backend.config import LinkModel
+    from maslam.backend.pose_graph.fixed import not_held_text
     from maslam.backend.pose_graph.g2o import read_g2o
 
     from ..common.figures import check_picture
     from .asked import settings_of
     from .files import check_free, expand, names_of, write
-    from .methods import check, default_method
+    from .methods import CENTRAL, check, default_method
 
-    if arguments.method is None:
+    by_default = arguments.method is None
+    if by_default:
         arguments.method = default_method(arguments.robust)
     one_by_one = arguments.matches_one_by_one
     check(arguments.method, arguments.robust, arguments.monocular is not None, one_by_one)
@@ -129,11 +131,16 @@ def main(arguments: argparse.Namespace) -> None:
             raise UsageError(f"{option_name(path)} is chosen by {instead}")
     inputs = expand(arguments.files)
     check_picture(arguments.plot)
-    settings = settings_of(arguments)
-    check_free(arguments.out, inputs, settings, arguments.overwrite)
     skipped: list[str] | None = [] if arguments.skip_broken_lines else None
     notes: list[str] = []
     graph = read_g2o(inputs, skipped, notes)
+    lost = not_held_text(graph, arguments.method) if arguments.method != CENTRAL or arguments.monocular else []
+    if lost and by_default and not one_by_one and arguments.monocular is None:
+        arguments.method = CENTRAL
+        lost = ["solved by central, which holds all vertices of FIX lines"]
+    notes += lost
+    settings = settings_of(arguments)
+    check_free(arguments.out, inputs, settings, arguments.overwrite)
     for line in skipped or []:
         print(f"maslam: skipped: {line}", file=sys.stderr)
     if arguments.agents is not None:
@@ -161,26 +168,35 @@ def optimise_graph(
     report, and the poses' units where they were found. ``notes`` of the reading go into the report."""
     from maslam.backend.central.graph_report import report as look_at
     from maslam.backend.central.odometry import lengthened
+    from maslam.backend.pose_graph.fixed import laid_on_fixed, not_held
     from maslam.backend.pose_graph.node import robot_name
 
     from ..common.progress import counter, progress_on
     from .asked import request_of
-    from .methods import SELECTIONS, caps_reached, solve
+    from .methods import CENTRAL, SELECTIONS, caps_reached, solve
     from .undecided import undecided_records
 
     request = request_of(graph, arguments)
     start = time.perf_counter()
+    holds = arguments.method == CENTRAL and not request.monocular
+    working = graph if holds else replace(graph, fixed=frozenset())
     if request.link is None:
-        found = solve(graph, request)
+        found = solve(working, request)
     else:
         with progress_on(quiet=arguments.quiet) as progress:
-            found = solve(graph, request, counter(progress, "matches"))
+            found = solve(working, request, counter(progress, "matches"))
+    if graph.fixed and not holds:
+        found = replace(found, poses=laid_on_fixed(graph, found.poses))
     seconds = time.perf_counter() - start
     solved = graph.in_one_unit(found.poses, found.units) if found.units else graph.with_poses(found.poses)
     if found.lengths:
         solved = lengthened(solved, found.lengths)
+    apart = frozenset(not_held(graph))  # more than a free graph's optimum can hold: it is no bound
+    if not holds:
+        solved, apart = replace(solved, fixed=graph.fixed - apart), frozenset()
     believed = solved.with_weights(found.weights)
-    proof = (None, None) if found.units or (arguments.no_certificate and not found.refused) else _proof(believed, found)
+    unproved = found.units or apart or (arguments.no_certificate and not found.refused)
+    proof = (None, None) if unproved else _proof(believed, found)
     certified, gap = (None, None) if arguments.no_certificate else proof
     sizes = [found.units[n] for n in found.units if n.robot in request.monocular]
     report = PgoReport(
@@ -249,6 +265,7 @@ def plot(graph: PoseGraph, arguments: argparse.Namespace) -> None:
     from .curves import curves
     from .picture import draw_convergence
 
+    graph = replace(graph, fixed=frozenset())
     request = replace(request_of(graph, arguments), robust="none")
     optimum = optimise(graph, CentralConfig(cost="U" if request.unit else "F")).cost_after
     with progress_on(quiet=arguments.quiet) as progress:

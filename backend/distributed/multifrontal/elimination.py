@@ -51,8 +51,7 @@ class Elimination:
             entries.append(matrices[both])
         where = (_joined(rows, np.intp), _joined(columns, np.intp))
         matrix = coo_array((_joined(entries, np.float64), where), shape=(size, size)).tocsc()
-        if not np.isfinite(matrix.data).all():
-            raise BackendError("the equations of this graph, or what was sent of them, are not finite")
+        _finite(matrix.data)
         inner = len(eliminated) * width
         self._coupling = csc_array(matrix[:inner, inner:])
         try:
@@ -97,7 +96,7 @@ class Elimination:
         if self._factor is None:
             return outer, 0.0
         inner = self._flat(b[self.rows])
-        solved = self._factor.solve(inner)
+        solved = _finite(self._factor.solve(inner))
         outer -= (self._coupling.T @ solved).reshape(outer.shape)
         return outer, float((inner * solved).sum())
 
@@ -107,10 +106,17 @@ class Elimination:
         if self._factor is None:
             return inner.copy()
         rest = self._flat(inner) - self._coupling @ self._flat(boundary)
-        return np.asarray(self._factor.solve(rest)).reshape(inner.shape)
+        return _finite(self._factor.solve(rest)).reshape(inner.shape)
 
     def _flat(self, values: Array) -> Array:
         return values.reshape(len(values) * self._width, values.shape[2])
+
+
+def _finite(numbers: Array) -> Array:
+    """Those numbers; :class:`BackendError` where what was sent has made one of them infinite or NaN."""
+    if not np.isfinite(numbers).all():
+        raise BackendError("the equations of this graph, or what was sent of them, have no finite solution")
+    return np.asarray(numbers)
 
 
 def _joined(parts: Sequence[NDArray[np.generic]], kind: type) -> NDArray[np.generic]:

@@ -174,6 +174,8 @@ class Step:
             raise BackendError(f"an eliminating robot was sent a step of no kind: {code}")
         next_problem = None if not code & 7 else Unknowns((code & 7) - 1)
         matrices, place, sent = Matrices(code >> 3 & 3), StepFrom(code >> 5 & 3), bool(code >> 7 & 1)
+        if matrices is Matrices.EXACT and next_problem is not Unknowns.POSE:
+            raise BackendError("an eliminating robot was sent a step to second derivatives of what is linear")
         cost, before, capped = 0.0, 0.0, False
         if next_problem is None:
             cost, before, capped = source.number(), source.number(), bool(source.count())
