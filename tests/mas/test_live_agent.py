@@ -206,7 +206,7 @@ def test_an_agent_runs_in_two_threads_until_its_drive_is_over(team: LiveTeam, mo
     steps: list[LiveProgress] = []
     agent.run(steps.append)
     figures = agent.figures
-    assert figures.received == 20 and figures.dropped == 19 and figures.tracked + figures.lost == 1
+    assert figures.received == 20 and figures.dropped == 18 and figures.tracked + figures.lost == 2
     assert agent.drive.over and steps[-1].phase is DrivePhase.RESTING
 
 
