@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import BackendError
 from ..geometry import Array, se3_inverse
 from .compact import CompactReader, CompactWriter, numbers_of, poses_of
 from .condense import Condensed, Known
@@ -52,8 +53,11 @@ def decode_solution(data: bytes, graph: Condensed, scaled: bool = False) -> Know
     reached = np.ones(len(graph.nodes), dtype=bool)
     some = source.count()
     if some:
+        rows = [source.count() for _ in range(min(some - 1, len(reached) + 1))]
+        if len(rows) > len(reached) or max(rows, default=0) >= len(reached):
+            raise BackendError(f"a solution for a pose beyond the {len(reached)} of its graph")
         reached[:] = False
-        reached[[source.count() for _ in range(some - 1)]] = True
+        reached[rows] = True
     known: dict[int, Place] = {}
     for k, predicted, sizes in _walk(graph, reached, known, fineness):
         if predicted is None:

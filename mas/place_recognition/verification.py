@@ -18,11 +18,7 @@ from ..policies.utility import VERIFY_ANSWER_BYTES
 from ..protocol.ids import ContractId, MatchId, OperationKind
 from ..protocol.messages import Award, Bid, Call, Confirmation, GroupNotice, Rejection, Result
 from ..protocol.tasks import VerifyAnswer, VerifyTask
-from ..protocol.tensors import (
-    unpack_information,
-    unpack_poses,
-    unpack_sim3,
-)
+from ..protocol.tensors import MessageError, unpack_information, unpack_poses, unpack_sim3
 from ..state.match_audit import judged
 from ..state.place_match import Match, MatchEnd, SkipReason
 from .candidates import Candidate, Candidates, MatchCheck
@@ -182,9 +178,9 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
                 verdict = _NO_EVIDENCE
             else:
                 verdict = verify(self.state, task.match, query, mine, bool(task.more))
-        except BackendError as error:
+            answer = answer_to(self.state, task, mine, verdict)
+        except (BackendError, MessageError) as error:  # e.g. points as far off as messages may have them
             raise WorkError(f"views that cannot be compared: {error}") from error
-        answer = answer_to(self.state, task, mine, verdict)
         self._keep(task, query if answer.wants_more else None)
         effects = self.context.send(contract, Confirmation()) + self.context.send(contract, Result(answer))
         if not verdict.accepted or verdict.T_M_Q is None or answer.information is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import resource
 from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from maslam.backend.config import SolverConfig
+from maslam.backend.distributed.compact import CompactWriter
 from maslam.backend.distributed.messages import Coded
 from maslam.backend.distributed.methods import node_for
 from maslam.backend.distributed.multifrontal.frontal_messages import FrontalMessage
 from maslam.backend.distributed.share import shares
+from maslam.backend.distributed.solution import decode_solution
 from maslam.backend.distributed.wire import pack, unpack
 from maslam.backend.errors import BackendError
 
@@ -74,3 +77,13 @@ def test_a_hostile_body_is_refused_or_taken_and_neither_fills_memory_nor_goes_on
     for node in nodes.values():
         assert node.outcome is None or set(node.outcome.poses) == set(node.share.poses)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < _MOST_KB
+
+
+@pytest.mark.parametrize("rows", [[7], [0, 1, 2, 0]], ids=["beyond the last", "more than there are"])
+def test_a_solution_of_poses_that_are_not_there_is_refused(rows):
+    out, graph = CompactWriter(), SimpleNamespace(nodes=[None] * 3)
+    out.rough(1.0)
+    for number in (1 + len(rows), *rows):
+        out.count(number)
+    with pytest.raises(BackendError, match="beyond the 3 of its graph"):
+        decode_solution(out.bytes(), graph)

@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from fuzz_messages import Findings, Moment, copied, fuzzed, handed, moments, systems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maslam.backend.distributed.multifrontal.frontal_node import FrontalNode
-from maslam.mas.protocol.messages import decode
+from maslam.backend.geometry import Sim3
+from maslam.backend.relpose.verification import Verdict
+from maslam.mas.place_recognition import verification
+from maslam.mas.protocol.messages import Failure, decode
 from maslam.mas.protocol.tensors import MessageError
 
 LIMIT = 2**24
@@ -41,6 +45,15 @@ def test_what_a_solver_raises_ends_no_agent(monkeypatch: pytest.MonkeyPatch) -> 
         handed(replace(moment, agent=copied(moment.agent)), moment.data, found)
     assert chosen and found.tried == len(chosen)
     assert any("IndexError: index 7" in what for what in found.unforeseen)
+
+
+def test_a_verdict_beyond_all_bounds_is_a_failure_and_ends_no_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    far = Sim3(np.eye(3), np.array([1e12, 0.0, 0.0]))
+    verdict = Verdict(False, "too few inliers", far, matches=9, inliers=4, rmse=0.1, full_information=None)
+    monkeypatch.setattr(verification, "verify", lambda *_: verdict)
+    moment = next(m for m in some("maslam") if m.kind == "VerifyTask")
+    effects = copied(moment.agent).handle(decode(moment.data, LIMIT))
+    assert [type(m.body) for m in effects.messages] == [Failure]
 
 
 def test_half_of_all_changed_messages_pass_decoding() -> None:
