@@ -53,7 +53,7 @@ class MeasuredDrift:
     """Drift of odometry by an agent's matches with others, as a share of the variance that the pose graph states."""
 
     config: OptimisationConfig
-    _compared: dict[tuple[MatchId, MatchId], tuple[Array, Array, Array]] = field(default_factory=dict)
+    _compared: dict[tuple[MatchId, MatchId], tuple[Array, Array]] = field(default_factory=dict)
     _noise: dict[MatchId, float] = field(default_factory=dict)
 
     def noise(self, match: Match, me: int) -> float:
@@ -72,31 +72,21 @@ class MeasuredDrift:
             same = list(group)[-_LATEST:]
             pairs = [self._pair(same[j], same[k]) for k in range(len(same)) for j in range(max(k - _BEFORE, 0), k)]
             if pairs:
-                stated, moved, apart = (np.array(column) for column in zip(*pairs, strict=True))
+                stated, apart = (np.array(column) for column in zip(*pairs, strict=True))
                 both = stated.sum(axis=1)
-                left = ((apart - self._longer(moved, apart, both) * moved) ** 2).sum(axis=1)
                 rows.append(stated / both[:, None])
-                found.append(np.minimum(left / both, _MOST))
+                found.append(np.minimum((apart**2).sum(axis=1) / both, _MOST))
         return float(max(np.linalg.lstsq(np.concatenate(rows), np.concatenate(found))[0][1], 0.0))
 
-    def _longer(self, moved: Array, apart: Array, both: Array) -> float:
-        """By which share one odometry's lengths exceed the other's, where optimisations find that: it is no drift."""
-        sigma = np.sqrt(2.0) * self.config.solver.length_sigma
-        if not sigma:
-            return 0.0
-        certain = float(((moved**2).sum(axis=1) / both).sum()) + 1.0 / sigma**2
-        return float(((moved * apart).sum(axis=1) / both).sum()) / certain
-
-    def _pair(self, one: Match, other: Match) -> tuple[Array, Array, Array]:
-        """Noise and drift that are stated of two matches, ``(2,)``; how far the query moved between them, and how far
-        they are apart, ``(3,)``."""
+    def _pair(self, one: Match, other: Match) -> tuple[Array, Array]:
+        """Noise and drift that are stated of two matches, ``(2,)``; how far they are apart, ``(3,)``."""
         key = (one.id, other.id)
         if key not in self._compared:
             self._compared[key] = _compared(one, other, self.config)
         return self._compared[key]
 
 
-def _compared(one: Match, other: Match, config: OptimisationConfig) -> tuple[Array, Array, Array]:
+def _compared(one: Match, other: Match, config: OptimisationConfig) -> tuple[Array, Array]:
     query, there = other.query.T_T_C[:3, 3], other.joins()
     moved = there @ query - there @ one.query.T_T_C[:3, 3]
     turn = 2.0 * (float(np.trace(_covariance(one)[3:, 3:])) / 3.0 + np.radians(config.match_sigma_deg) ** 2)
@@ -107,7 +97,7 @@ def _compared(one: Match, other: Match, config: OptimisationConfig) -> tuple[Arr
         stated_drift(n, abs(a.way - b.way) * unit, other.depth, config, scaled)
         for n, (a, b, unit) in zip(steps, ends, strict=True)
     )
-    return np.array([noise, drift]), moved, one.joins() @ query - there @ query
+    return np.array([noise, drift]), one.joins() @ query - there @ query
 
 
 def _covariance(match: Match) -> Array:
