@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
+from maslam._replaced import replaced
 from maslam.descriptors.choice import DescriptorLike, load_descriptor
 from maslam.frontend.cameras.models import Rig
 from maslam.frontend.config import OdometryConfig
@@ -86,7 +87,7 @@ class Agent:
             source=source,
             model=load_descriptor(descriptor),
             vocabulary=Vocabulary.load(None),
-            config=changed(base.model_copy(update={"link": LINKS[live.link]}), content),
+            config=changed(replaced(base, link=LINKS[live.link]), content),
             live=live,
             odometry=odometry,
             model_name=str(descriptor) if isinstance(descriptor, str | Path) else "default",
