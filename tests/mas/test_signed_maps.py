@@ -91,7 +91,7 @@ def test_maps_are_signed_and_counted(traders: Traders) -> None:
     assert not [entry for entry in entries if entry.kind is EntryKind.REFUSE]
     sales = sum(entry.kind is EntryKind.SIGNED for entry in entries)
     sent = sum(one.signatures.sent_bytes for one in traders.processes.values())
-    assert sales == 6 and 75 * sales < sent < 90 * sales  # a signature of 71 bytes, and no certificate
+    assert sales >= 6 and 75 * sales < sent < 90 * sales  # a signature of 71 bytes, and no certificate
 
 
 def test_a_resold_map_is_taken_after_a_restart_of_its_seller(traders: Traders) -> None:

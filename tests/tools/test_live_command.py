@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -52,7 +53,10 @@ def test_ctrl_c_ends_the_drive_and_not_the_agents_results(town_stereo: Path, tmp
     assert cli.main(["keys", str(tmp_path / "keys"), "--agents", "1"]) == 0
     source, keys, out = (str(p) for p in (town_stereo / "agent_00", tmp_path / "keys" / "agent_00", tmp_path / "out"))
     command = ["agent", source, out, "--credentials", keys, "--live", "growing", "--connect", "tls/127.0.0.1:9"]
+    # A shell's background job ignores Ctrl-C, and so would the agent: it inherits that.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     agent = subprocess.Popen([sys.executable, "-m", "maslam", *command, "--json"], stdout=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, before)
     try:
         assert agent.stdout is not None
         phases: list[str] = []

@@ -220,7 +220,7 @@ def test_mask_path_of_transforms_is_used(single: Path, where: str) -> None:
     assert not any("mask" in problem.message for problem in inspect_dataset(single).sequences[0].problems)
     assert cv2.imwrite(str(single / where / "body.png"), np.zeros_like(mask))
     found = inspect_dataset(single).sequences[0].problems
-    assert any("mask_path leaves 0.0 % of the pixels" in problem.message for problem in found)
+    assert any("mask_path: 0.0 % of the pixels are used" in problem.message for problem in found)
     frames[0]["mask_path"] = f"{where}/none.png"
     (single / "transforms.json").write_text(json.dumps(data))
     found = inspect_dataset(single).sequences[0].problems
