@@ -26,7 +26,7 @@ from maslam.mas.map_exchange.coding.quantised_map import QuantisedMap
 from maslam.mas.map_exchange.versions import make_patch
 from maslam.mas.protocol.ids import ContractId
 from maslam.mas.protocol.map_messages import MapDelivery, MapOrder, Parcel
-from maslam.mas.protocol.messages import Message, Result, encode
+from maslam.mas.protocol.messages import Message, Result, decode, encode
 from maslam.mas.protocol.tensors import MessageError
 
 pytest.importorskip("cryptography", reason="the extra 'network' is not installed")
@@ -91,7 +91,10 @@ def test_maps_are_signed_and_counted(traders: Traders) -> None:
     assert not [entry for entry in entries if entry.kind is EntryKind.REFUSE]
     sales = sum(entry.kind is EntryKind.SIGNED for entry in entries)
     sent = sum(one.signatures.sent_bytes for one in traders.processes.values())
-    assert sales >= 6 and 75 * sales < sent < 90 * sales  # a signature of 71 bytes, and no certificate
+    carried = [decode(entry.data, 2**24).body for entry in entries if entry.kind is EntryKind.MESSAGE]
+    deliveries = [one.outcome for one in carried if isinstance(one, Result) and isinstance(one.outcome, MapDelivery)]
+    assert sales == sum(bool(one.parcels) for one in deliveries) >= 6, "every delivery came with its signature"
+    assert 75 * sales < sent < 90 * sales  # a signature of 71 bytes, and no certificate
 
 
 def test_a_resold_map_is_taken_after_a_restart_of_its_seller(traders: Traders) -> None:
