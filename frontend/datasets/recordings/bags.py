@@ -18,8 +18,8 @@ from ..images import list_images
 from ..truth import Truth
 from .bag import BAG_SUFFIXES, Bag, bags_in
 from .bag_cameras import camera_of_robot, depth_use, folders_beside
-from .bag_positions import read_fixes
 from .bag_poses import read_bag_poses
+from .bag_positions import read_fixes
 from .beside import truth_beside
 from .recorded import RecordedBag, recordings
 from .robot_topics import RobotTopics
