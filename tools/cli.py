@@ -18,6 +18,8 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from maslam._temporary import delete_kept_folders
+
 from .common.errors import UnknownName, UsageError, describe
 from .common.interrupts import INTERRUPTED, TERMINATED, Interrupts, Terminated, forget_semaphores, interrupts
 from .common.logs import LEVELS, ON_CONSOLE, logs_to
@@ -70,6 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
             sys.stderr.flush()
             forget_semaphores()
+            delete_kept_folders()
             os._exit(code)
         return code
 

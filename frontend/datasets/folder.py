@@ -17,7 +17,7 @@ from .guessed_camera import guess_camera, guess_text
 from .image_times import TimedImages, timed_images
 from .other_calibrations import calibrations_of_others
 from .pairing import with_partners
-from .second_images import SortedImages, has_images, sort_images, unread_depth
+from .second_images import SortedImages, has_images, sort_images, unread_depth, unread_folders
 from .shared_camera import find_shared_camera
 from .truth import find_truth
 from .unnamed_depth import UnnamedDepth, find_unnamed_depth, floating_point_beside
@@ -83,7 +83,11 @@ class FolderReader(Reader):
             missing=images.missing,
             focal_guess=guess,
         )
-        return assemble(sequence, kind, problems)
+        said = {path.parent for one in (named, found) for files in (one.files, one.right, one.depth) for path in files}
+        others = unread_folders(folder, said | {found.unused or folder}) if rig is None else []
+        notes = [f"images in {', '.join(others)} are not read"] if others else []
+        found_sequence = assemble(sequence, kind, problems)
+        return replace(found_sequence, notes=(*found_sequence.notes, *notes))
 
 
 def _unread(folder: Path) -> str:

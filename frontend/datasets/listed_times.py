@@ -3,7 +3,6 @@ the images' names, with dates."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +14,6 @@ from ..errors import FrontendError
 from ..files.headed_table import HeadedTable, is_number, read_headed_table
 from ..files.pose_arrays import ARRAY_SUFFIXES, read_time_cells
 from ..files.time_units import (
-    SECONDS,
     UNITS,
     NotATime,
     TimeUnit,
@@ -26,17 +24,11 @@ from ..files.time_units import (
     unit_of_heading,
 )
 from ..files.timestamps import NS_PER_S
+from ..files.two_part_times import TwoParts, find_two_parts, stamps_of_parts
 from .images import IMAGE_SUFFIXES, natural_key
 
 _TIME_WORDS = ("time", "stamp")
 _NAME_WORDS = ("file", "image", "name", "path")
-_FIRST_PART = re.compile(r"(sec|secs|seconds)\b")
-_PART_OF_ONE = re.compile(r"(nano|micro|milli|[num])\s?s(ec|econd)")
-_SECOND_PARTS = {
-    UNITS[3]: re.compile(r"(nsecs?|nanosecs?|nanoseconds)\b"),
-    UNITS[2]: re.compile(r"(usecs?|microsecs?|microseconds)\b"),
-    UNITS[1]: re.compile(r"(msecs?|millisecs?|milliseconds)\b"),
-}
 _EVEN = 0.5
 """Share of the unevenness of its steps that another unit of the second column leaves: the right one leaves far less."""
 
@@ -65,10 +57,12 @@ def read_listed_times(path: Path) -> ListedTimes:
         return ListedTimes(np.zeros(0, dtype=np.int64))
     name = _name_column(table)
     names = tuple(cells[name] for cells in table.rows) if name is not None else ()
-    whole, rest, unit = _two_columns(path, table)
-    if whole is not None and rest is not None:
-        stamps = _in_two_parts(path, table, _column(table, whole), _column(table, rest), unit)
-        return in_order(ListedTimes(stamps, names))
+    parts = find_two_parts(table.headings) if table.headings else _parts_by_content(path, table)
+    if parts is not None:
+        try:
+            return in_order(ListedTimes(stamps_of_parts(table.rows, parts), names))
+        except NotATime as error:
+            raise _no_time(path, table, error.index) from None
     column = _time_column(path, table, name)
     heading = unit_of_heading(table.headings[column]) if column < len(table.headings) else None
     try:
@@ -96,21 +90,14 @@ def in_order(listed: ListedTimes) -> ListedTimes:
     return ListedTimes(stamps[order], names, f"{listed.doubt}; {how}" if listed.doubt else how)
 
 
-def _two_columns(path: Path, table: HeadedTable) -> tuple[int | None, int | None, TimeUnit]:
-    """The columns of whole seconds and of what is beyond them, and the unit of that: by their headings; without any,
-    by what makes the steps even, where the first two whole numbers of a row can be nothing else."""
-    if table.headings:
-        first = table.column(lambda h: _FIRST_PART.search(h) is not None and _PART_OF_ONE.search(h) is None)
-        for unit, words in _SECOND_PARTS.items():
-            second = table.column(lambda h, words=words: words.search(h) is not None)  # type: ignore[misc]
-            if first is not None and second is not None:
-                return first, second, unit
-        return None, None, SECONDS
+def _parts_by_content(path: Path, table: HeadedTable) -> TwoParts | None:
+    """Whole seconds and what is beyond them, by what makes the steps even, where the first two whole numbers of a row
+    can be nothing else."""
     whole = [i for i in range(len(table.rows[0])) if all(row[i].isdecimal() for row in table.rows)]
     for first, second in pairwise(whole):
         if second == first + 1 and (beyond := _unit_beyond(path, table, first, second)) is not None:
-            return first, second, beyond
-    return None, None, SECONDS
+            return TwoParts(first, second, beyond)
+    return None
 
 
 def _unit_beyond(path: Path, table: HeadedTable, first: int, second: int) -> TimeUnit | None:
@@ -148,18 +135,6 @@ def _no_time(path: Path, table: HeadedTable, row: int) -> FrontendError:
 
 def _column(table: HeadedTable, column: int) -> list[str]:
     return [cells[column] for cells in table.rows]
-
-
-def _in_two_parts(
-    path: Path, table: HeadedTable, seconds: list[str], rest: list[str], unit: TimeUnit
-) -> NDArray[np.int64]:
-    """Whole seconds, and in a column of their own nanoseconds, as ROS writes a time, or another ``unit``."""
-    stamps = []
-    for row, (one, two) in enumerate(zip(seconds, rest, strict=True)):
-        if not (one.isdecimal() and two.isdecimal() and int(one) < 2**33 and int(two) * unit.ns < NS_PER_S):
-            raise _no_time(path, table, row)
-        stamps.append(int(one) * NS_PER_S + int(two) * unit.ns)
-    return np.array(stamps, dtype=np.int64)
 
 
 def _name_column(table: HeadedTable) -> int | None:

@@ -9,6 +9,7 @@ _SURE = (
     (re.compile(r"SN\d+\.conf|.*calib.*\.conf|.*zed.*\.conf", re.IGNORECASE), "ZED's calibration"),
     (re.compile(r"camera_models(_overrides)?\.json"), "OpenSfM's cameras"),
     (re.compile(r"reconstruction(\.meshed)?\.json"), "OpenSfM's reconstruction"),
+    (re.compile(r"sfm_data.*\.json|cameras\.sfm"), "OpenMVG's or Meshroom's scene"),
     (re.compile(r"perspective\.txt|image_0[0-3]\.yaml|calib_cam_to_pose\.txt"), "KITTI-360's calibration"),
     (re.compile(r"camera\.txt|pcalib\.txt"), "DSO's calibration"),
     (

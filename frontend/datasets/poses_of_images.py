@@ -47,7 +47,14 @@ def given_poses(path: Path, table: PoseTable, images: TimedImages) -> GivenPoses
         raise FrontendError(
             f"{path}: {table.count} poses without times for {len(images.files)} images: which is whose?"
         )
-    return GivenPoses(_at_images(path, table, rows, images), f"{table.form}, one an image", False, table.notes)
+    notes = list(table.notes)
+    if table.count != len(images.files):
+        first = images.files[int(np.argmax(rows >= 0))].name
+        notes.append(
+            f"{table.count} poses for {len(images.files)} images: each image takes that of the number in its name "
+            f"({first}: row {int(rows[rows >= 0][0]) + 1})"
+        )
+    return GivenPoses(_at_images(path, table, rows, images), f"{table.form}, one an image", False, tuple(notes))
 
 
 def _at_images(path: Path, table: PoseTable, rows: NDArray[np.int64], images: TimedImages) -> Trajectory:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ LEFT_FOLDERS = (
     "image_0", "left", "images", "image", "rgb", "color", "colour",
     *(name for name in _RIGHT_OF if name not in ("image_0", "left")), ".",
 )  # fmt: skip
+_MASK = "mask"
 _DEPTH_FOLDERS = ("depth_0", "depth", "depth_images", "depths")
 _DEPTH = re.compile(r"(?:^|[^a-z])(?:depth|depthmap)(?![a-z])")
 _RIGHT, _LEFT = (re.compile(rf"(?:^|[^a-z]){side}(?![a-z])") for side in ("right", "left"))
@@ -38,39 +40,65 @@ class SortedImages:
     unused: Path | None = None
 
 
+def _places(folder: Path) -> dict[str, Path]:
+    """The sub-folders by their names in lower case, and ``folder`` itself as ``.``; of names that differ by capitals
+    alone, the one in lower case."""
+    with os.scandir(folder) as entries:
+        names = sorted((entry.name for entry in entries if entry.is_dir()), key=lambda name: name == name.lower())
+    return {**{name.lower(): folder / name for name in names}, ".": folder}
+
+
 def has_images(folder: Path) -> bool:
     """Whether :func:`sort_images` finds any; looks at no more names than it takes."""
-    places = (folder / name for name in LEFT_FOLDERS)
+    every = _places(folder)
+    places = (every[name] for name in LEFT_FOLDERS if name in every)
     return any(is_image(path) and not _is_depth(path) for place in places if place.is_dir() for path in place.iterdir())
 
 
 def sort_images(folder: Path) -> SortedImages | None:
     """The images in ``folder`` or its usual sub-folders; None where there are none. Images called depth are never the
     camera's, also beside its own; nor are those called right beside others called left."""
-    for inside in LEFT_FOLDERS:
+    places = _places(folder)
+    for name in LEFT_FOLDERS:
+        inside = places[name].name if name in places and name != "." else name
         every = list_images(folder / inside)
         files, right, depth = _by_names(every)
         if files:
             break
     else:
         return None
-    other = _RIGHT_OF.get(inside)
-    right = right or (list_images(folder / other) if other is not None else [])
+    other = places.get(_RIGHT_OF.get(name, ""))
+    right = right or (list_images(other) if other is not None else [])
     unused = None
     if not right:
         unused = next(
-            (folder / name for name in _RIGHT_OF.values() if name != inside and holds_images(folder / name)), None
+            (p for one in _RIGHT_OF.values() if one != name and (p := places.get(one)) and holds_images(p)), None
         )
     if not depth:
-        depth = next((found for name in _DEPTH_FOLDERS if (found := list_depth(folder / name))), [])
+        depth = next((found for one in _DEPTH_FOLDERS if one in places and (found := list_depth(places[one]))), [])
     if not depth:
         depth = [path for path in list_depth(folder / inside, FLOAT_SUFFIXES) if _is_depth(path)]
     return SortedImages(inside, tuple(files), tuple(right), tuple(depth), unused)
 
 
+def unread_folders(folder: Path, used: Collection[Path]) -> list[str]:
+    """Names of the sub-folders that hold images which are neither ``used`` nor masks."""
+    known = {path.resolve() for path in used}
+    return sorted(
+        path.name
+        for path in folder.iterdir()
+        if path.is_dir()
+        and not path.name.startswith(".")
+        and not path.name.lower().startswith(_MASK)
+        and path.resolve() not in known
+        and holds_images(path)
+    )
+
+
 def unread_depth(folder: Path) -> Path | None:
     """A folder called depth whose files are none that depth is read from; None without one, or with such files."""
-    places = [place for name in _DEPTH_FOLDERS if (place := folder / name).is_dir()]
+    every = _places(folder)
+    places = [every[name] for name in _DEPTH_FOLDERS if name in every]
     if any(map(list_depth, places)):
         return None
     return next((p for p in places if any(f.is_file() and not f.name.startswith(".") for f in p.iterdir())), None)

@@ -32,9 +32,11 @@ class Sides:
     names: dict[str, str]
 
 
-def sides_of(files: Sequence[Path]) -> Sides | None:
-    """The two sides, where every name has exactly one mark, of the same kind, and none comes twice; else None."""
-    return next((sides for mark in _MARKS if (sides := _marked(files, mark)) is not None), None)
+def sides_of(files: Sequence[Path], words_only: bool = False) -> Sides | None:
+    """The two sides, where every name has exactly one mark, of the same kind, and none comes twice; else None.
+    ``words_only``: by left and right, or L and R, not by numbers of cameras."""
+    marks = _MARKS[:2] if words_only else _MARKS
+    return next((sides for mark in marks if (sides := _marked(files, mark)) is not None), None)
 
 
 def pairs_of_names(files: Sequence[Path]) -> Sides | None:

@@ -17,7 +17,7 @@ from ..errors import FrontendError
 from ..files.colmap_poses import find_colmap_images
 from ..files.pose_arrays import ARRAY_SUFFIXES
 from ..files.pose_table import read_poses
-from ..files.timestamps import span_text
+from ..files.timestamps import NS_PER_S, span_text
 from ..files.trajectory import TRUTH_TOLERANCE_NS, Trajectory
 from .base import Problems
 from .image_times import TimedImages
@@ -39,6 +39,7 @@ _ESTIMATED = re.compile(
 )
 _LOOKS_TRUE = re.compile(r"ground.?truth|(?:^|[^a-z])gt(?:[^a-z]|$)")
 LEFT_OUT = "ground truth left out, errors cannot be known"
+_FASTEST_M_S = 150.0  # of what carries a camera: an airliner takes off at half of it
 _MANY, _AHEAD = 10, 0.9  # poses, and the share of their path ahead, from which axes are a body's
 
 
@@ -83,6 +84,7 @@ def find_truth(folder: Path, images: TimedImages, problems: Problems) -> Truth |
         truth = read_truth(found[0], images, problems)
         if truth is not None:
             check_axes(truth, problems)
+            _check_speed(truth, problems)
             if found[0].stem.lower() == _BY_NAME:
                 problems.warning(
                     f"{found[0]}: taken as the ground truth by its name; if it is an estimate, move it away"
@@ -177,6 +179,18 @@ def check_axes(truth: Truth, problems: Problems) -> None:
             f"{truth.source}: poses move along their own x axis ({100 * share:.0f} % of the path): axes of a body (x "
             "ahead) rather than of a camera (z ahead)? positions are compared all the same, rotations of matches are "
             "not to be relied on"
+        )
+
+
+def _check_speed(truth: Truth, problems: Problems) -> None:
+    """Warn of positions that go faster than anything with a camera: in another unit than metres, or of the times."""
+    steps = np.linalg.norm(np.diff(truth.trajectory.centres, axis=0), axis=1)
+    seconds = np.diff(truth.trajectory.stamps_ns) / NS_PER_S
+    speed = float(np.median(steps / seconds)) if len(steps) >= _MANY else 0.0
+    if speed > _FASTEST_M_S:
+        problems.warning(
+            f"{truth.source}: positions move at {speed:.0f} m/s (median), if they are metres: are they? a heading such "
+            "as 'x [mm]' says their unit; or are its times in another one?"
         )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from maslam.backend.geometry import product, so3_exp
 
 from ..errors import FrontendError
 from .pose_conventions import astray, contradicts
+from .position_units import length_unit, without_length_unit
+from .two_part_times import TwoParts, find_two_parts
 
 Array = NDArray[np.float64]
 FORMS = {
@@ -37,16 +40,19 @@ _ANGLES_CURE = (
 
 @dataclass(frozen=True)
 class PoseColumns:
-    """Column of the time; those of the position and the quaternion (w x y z), of a row-major matrix, or of roll, pitch
-    and yaw ``angles`` with their ``angle_unit`` in radians; whether they were ``named`` by headings."""
+    """Column of the time, or its two ``parts``; those of the position, with metres in one unit of each where that is
+    not 1, and the quaternion (w x y z), of a row-major matrix, or of roll, pitch and yaw ``angles`` with their
+    ``angle_unit`` in radians; whether they were ``named`` by headings."""
 
-    time: int | None
+    time: int | None = None
     position: tuple[int, ...] = ()
     quaternion: list[int] | None = None
     matrix: tuple[int, ...] = ()
     angles: tuple[int, ...] = ()
     angle_unit: float = 1.0
     named: bool = False
+    position_units: tuple[float, ...] = (1.0, 1.0, 1.0)
+    parts: TwoParts | None = None
 
     @property
     def all(self) -> list[int]:
@@ -144,9 +150,8 @@ def _named_columns(headings: Sequence[str]) -> PoseColumns | None:
     ]
     if None in position or None in turn:
         return None
-    return PoseColumns(
-        _time(bare), tuple(i for i in position if i is not None), [i for i in turn if i is not None], named=True
-    )
+    at = tuple(i for i in position if i is not None)
+    return PoseColumns(quaternion=[i for i in turn if i is not None], named=True, **_time_and_place(headings, bare, at))
 
 
 def _named_angles(where: str, headings: Sequence[str], values: Array) -> tuple[PoseColumns, list[str]] | None:
@@ -162,7 +167,8 @@ def _named_angles(where: str, headings: Sequence[str], values: Array) -> tuple[P
     unit, why = _angle_unit(where, [headings[i] for i in angles], values[:, at], values[:, angles])
     named = "degrees" if unit != 1.0 else "radians"
     note = f"roll, pitch and yaw are taken in {named}{why}, R = Rz(yaw) Ry(pitch) Rx(roll)"
-    return PoseColumns(_time(bare), at, angles=angles, angle_unit=unit, named=True), [note]
+    columns = PoseColumns(angles=angles, angle_unit=unit, named=True, **_time_and_place(headings, bare, at))
+    return columns, [note]
 
 
 def _is_planar(headings: Sequence[str]) -> bool:
@@ -201,11 +207,24 @@ def turns_of_angles(angles: Array) -> Array:
     return np.asarray(product(product(z, y), x))
 
 
+def _time_and_place(headings: Sequence[str], bare: Sequence[str], position: tuple[int, ...]) -> dict[str, Any]:
+    """The fields of :class:`PoseColumns` that are of the time and the ``position``, with the units of the headings."""
+    parts = find_two_parts(headings)
+    units = tuple(length_unit(headings[i]) or 1.0 for i in position)
+    return {
+        "time": _time(bare) if parts is None else parts.seconds,
+        "parts": parts,
+        "position": position,
+        "position_units": units,
+    }
+
+
 def _bare(headings: Sequence[str]) -> list[str]:
     return [re.sub(r"[\[(].*?[\])]", "", heading).strip().replace("-", "_") for heading in headings]
 
 
 def _position(bare: Sequence[str]) -> list[int | None]:
+    bare = [without_length_unit(heading) for heading in bare]
     return [
         _find(bare, rf"(t_?|p_?|pos_?|position[_.]?|p_.*_|.*position[_.]|.*translation[_.])?{axis}") for axis in _AXES
     ]

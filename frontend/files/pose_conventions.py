@@ -26,6 +26,10 @@ _ASTRAY, _TIMES = 0.03, 10.0
 """A vehicle's or a walker's steps keep one direction in its own axes. By how much of the path they fall short of that
 at most, and in the wrong order at least; or, of paths that bend little, at least and how many times as much."""
 _TURNED_RAD = 0.3  # of the path's direction: without a bend any order fits
+_LITTLE_RAD, _LITTLE_ASTRAY, _MANY_TIMES = 0.03, 2e-4, 20.0
+"""Of a path that bends hardly: how much at least, and by how much and how many times as much the wrong order falls
+short. It decides only where a start near the identity is in question, too."""
+_ALONG = 0.9  # of a step, along the camera's axis: ahead, or backwards
 _DEGREE_M = 111_195.0  # of a great circle
 _SPEEDS_M_S = (0.3, 150.0)  # of what carries a camera across a map
 _CREEPS_M_S = 0.002  # as metres: what is seen to move goes faster
@@ -39,15 +43,15 @@ def real_part_first(cells: Array, positions: Array, wxyz: bool, named: bool = Fa
 
     ``positions`` ``(N, 3)``, in order of time. A body moves ahead along an axis of its own; with the order mixed up its
     steps go any way. Where the path is straight, or says nothing (a camera in a hand), a start at the identity counts,
-    unless the order is ``named``. How far poses turn tells nothing: it is the same in either order.
+    unless the order is ``named``, or the camera would go backwards in that order alone. How far poses turn tells
+    nothing: it is the same in either order.
     """
     if len(cells) < _ROWS:
         return wxyz, ""
     rows, ahead = _steps(positions)
     if len(rows):
         written = cells[rows]
-        first, last = (_astray(rotation_from_quat_wxyz(q), ahead) for q in (written, written[:, [3, 0, 1, 2]]))
-        read, other = (first, last) if wxyz else (last, first)
+        read, other = (_astray(_turns(written, order), ahead) for order in (wxyz, not wxyz))
         if contradicts(read, other):
             return not wxyz, f"rotations follow the path as {ORDERS[not wxyz]}, and not as {ORDERS[wxyz]}"
         if contradicts(other, read):
@@ -56,10 +60,42 @@ def real_part_first(cells: Array, positions: Array, wxyz: bool, named: bool = Fa
         return wxyz, ""
     turned = np.degrees(2.0 * np.arccos(np.clip(np.abs(cells[0]) / np.linalg.norm(cells[0]), 0.0, 1.0)))
     here, there = (turned[0], turned[3]) if wxyz else (turned[3], turned[0])
+    if there >= _NEAR_IDENTITY_DEG:
+        return wxyz, ""
     says = f"its first quaternion is {there:.0f} degrees from the identity as {ORDERS[not wxyz]}, {here:.0f} as"
-    if there < _AT_IDENTITY_DEG:
+    bends = _by_little_bend(cells, positions, wxyz)
+    if bends is not None and bends != wxyz:
+        return bends, f"rotations follow the path as {ORDERS[bends]}, and not as {ORDERS[wxyz]}"
+    if there < _AT_IDENTITY_DEG and bends is None and not _only_then_backwards(cells, positions, wxyz):
         return not wxyz, f"{says} {ORDERS[wxyz]}"
-    return wxyz, f"{says} {ORDERS[wxyz]}, as which it is taken" if there < _NEAR_IDENTITY_DEG else ""
+    return wxyz, f"{says} {ORDERS[wxyz]}, as which it is taken"
+
+
+def _by_little_bend(cells: Array, positions: Array, wxyz: bool) -> bool | None:
+    """Whether the real part stands in front, by a path that bends too little to decide alone; None: it says nothing."""
+    rows, ahead = _steps(positions, _LITTLE_RAD)
+    if not len(rows):
+        return None
+    read, other = (_astray(_turns(cells[rows], order), ahead) for order in (wxyz, not wxyz))
+    if min(read, other) * _MANY_TIMES >= max(read, other) or max(read, other) < _LITTLE_ASTRAY:
+        return None
+    return wxyz if read < other else not wxyz
+
+
+def _only_then_backwards(cells: Array, positions: Array, wxyz: bool) -> bool:
+    """Whether a camera would go backwards in the other order, and goes ahead in this one (``wxyz``)."""
+    rows, ahead = _steps(positions, 0.0)
+    if not len(rows):
+        return False
+    here, there = (
+        float(np.einsum("ni,ni->n", _turns(cells[rows], order)[:, :, 2], ahead).mean()) for order in (wxyz, not wxyz)
+    )
+    return here > _ALONG and there < -_ALONG
+
+
+def _turns(cells: Array, wxyz: bool) -> Array:
+    """Rotations ``(n, 3, 3)`` of quaternions as written, in one order."""
+    return np.asarray(rotation_from_quat_wxyz(cells if wxyz else cells[:, [3, 0, 1, 2]]))
 
 
 def contradicts(read: float, other: float) -> bool:
@@ -74,9 +110,9 @@ def astray(rotations: Array, positions: Array) -> float:
     return _astray(rotations[rows], ahead) if len(rows) else float("nan")
 
 
-def _steps(positions: Array) -> tuple[NDArray[np.intp], Array]:
+def _steps(positions: Array, least_rad: float = _TURNED_RAD) -> tuple[NDArray[np.intp], Array]:
     """Rows ``(n,)`` from which ``positions`` ``(N, 3)`` move clearly, and the directions ``(n, 3)``; none where the
-    path is too short, or straight."""
+    path is too short, or its direction never turns by ``least_rad``."""
     nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
     if len(positions) <= _FEW:
         return nothing
@@ -87,7 +123,7 @@ def _steps(positions: Array) -> tuple[NDArray[np.intp], Array]:
     if moves.sum() < _FEW:
         return nothing
     ahead = steps[moves] / lengths[moves, None]
-    if float((ahead @ ahead[0]).min()) > np.cos(_TURNED_RAD):
+    if float((ahead @ ahead[0]).min()) > np.cos(least_rad):
         return nothing
     return chosen[:-1][moves], ahead
 

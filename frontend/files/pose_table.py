@@ -21,6 +21,7 @@ from .pose_conventions import AS_DEGREES, ORDERS, in_columns, look_like_degrees,
 from .pose_entries import AS_XYZW
 from .time_units import NotATime, TimeUnit, parse_times, unit_of_heading
 from .trajectory import Trajectory, rigid_rotations
+from .two_part_times import TwoParts, stamps_of_parts
 
 Array = NDArray[np.float64]
 _QUATERNION_TOLERANCE = 0.05  # of its length: rounded digits are fine, a column mixed up is not
@@ -84,7 +85,7 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
     columns, found = find_columns(f"{path}:{lines[0]}", table.headings, values, wxyz)
     if not names and (columns.time is None or not columns.named):
         names = _image_names(table)
-        columns = replace(columns, time=None) if names else columns
+        columns = replace(columns, time=None, parts=None) if names else columns
     known = np.isfinite(values[:, columns.all]).all(axis=1)
     if len(values) == len(table.rows):
         _check_cells(path, table, columns.all, np.flatnonzero(~known))
@@ -96,10 +97,11 @@ def read_poses(path: Path, wxyz: bool = False, unit: TimeUnit | None = None) -> 
     notes = [f"{len(values) - len(rows)} of {len(values)} rows hold no pose (NaN or zeros)"] * (len(rows) < len(values))
     stamps, doubt = None, ""
     if columns.time is not None:
-        stamps, doubt = _stamps(path, table, columns.time, unit)
+        stamps, doubt = _stamps(path, table, columns.time, columns.parts, unit)
         stamps = stamps[rows]
         notes += [doubt] if doubt else []
-    values, turned = _by_rows(values, columns)
+    values, turned = _by_rows(_in_metres(values, columns), columns)
+    found += _unit_notes(columns)
     columns, order = _ordered(values[rows], columns, stamps)
     listed = [note for note in cells.notes if not (order and AS_XYZW in note)]
     said = [*listed, *found, *turned, *order]
@@ -133,6 +135,22 @@ def _by_rows(values: Array, columns: PoseColumns) -> tuple[Array, list[str]]:
     out = values.copy()
     out[turned, first:] = values[turned, first:].reshape(-1, 4, 4).swapaxes(1, 2).reshape(-1, 16)
     return out, ["its matrices stand column by column, and are read so"]
+
+
+def _in_metres(values: Array, columns: PoseColumns) -> Array:
+    """Values with their positions in metres, whatever unit headings name."""
+    if all(unit == 1.0 for unit in columns.position_units):
+        return values
+    out = values.copy()
+    out[:, columns.position] *= columns.position_units
+    return out
+
+
+def _unit_notes(columns: PoseColumns) -> list[str]:
+    """What to say of positions in another unit than metres."""
+    units = {unit for unit in columns.position_units if unit != 1.0}
+    shown = ", ".join(f"{unit:g}" for unit in sorted(units))
+    return [f"positions are taken in units of {shown} m, as the headings say"] if units else []
 
 
 def _order(stamps: NDArray[np.int64] | None, count: int) -> NDArray[np.intp]:
@@ -204,10 +222,14 @@ def _number(cell: str) -> float:
         return float("nan")
 
 
-def _stamps(path: Path, table: HeadedTable, column: int, unit: TimeUnit | None) -> tuple[NDArray[np.int64], str]:
+def _stamps(
+    path: Path, table: HeadedTable, column: int, parts: TwoParts | None, unit: TimeUnit | None
+) -> tuple[NDArray[np.int64], str]:
     if unit is None and table.headings:
         unit = unit_of_heading(table.headings[column])
     try:
+        if parts is not None:
+            return stamps_of_parts(table.rows, parts), ""
         times = parse_times([cells[column] for cells in table.rows], unit)
     except NotATime as error:
         written = table.rows[error.index][column][:40]

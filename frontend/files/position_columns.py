@@ -18,6 +18,7 @@ from .position_units import in_metres_and_degrees
 from .text_tables import read_bytes
 from .time_units import TimeUnit, date_ns, is_date, unit_of_heading
 from .timestamps import NS_PER_S, decimal_ns
+from .two_part_times import find_two_parts
 
 _AXES = {"east": "e|east|x|lon", "north": "n|north|y|lat", "up": "u|up|z|alt"}
 _CELLS = {"east": "0|00|xx|ee|e|east|x", "north": "4|11|yy|nn|n|north|y", "up": "8|22|zz|uu|u|up|z"}
@@ -164,6 +165,9 @@ def _fields(line: str, mark: str) -> list[str]:
 def _named(path: Path, line: int, headings: list[str]) -> list[str]:
     """What each column is, "" where that is not known or another one says it better."""
     names = [_name_of(heading) for heading in headings]
+    parts = find_two_parts([heading.lower() for heading in headings])
+    if parts is not None and parts.unit.ns == 1 and "stamp" not in names:
+        names[parts.seconds], names[parts.rest] = "stamp_s", "stamp_ns"
     if "stamp" in names or {"stamp_s", "stamp_ns"} <= set(names):
         names = ["" if name == "time" else name for name in names]
     for name in filter(None, names):

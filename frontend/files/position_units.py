@@ -8,7 +8,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "feet": 0.3048}
+_LENGTHS = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("mm", "millimetres", "millimeters"), 1e-3),
+    **dict.fromkeys(("cm", "centimetres", "centimeters"), 1e-2),
+    **dict.fromkeys(("km", "kilometres", "kilometers"), 1e3),
+    **dict.fromkeys(("ft", "feet"), 0.3048),
+}
+_BEHIND = re.compile(rf"(?<=[a-z])[_ .]({'|'.join(_LENGTHS)})$")
 _ANGLES = {"rad": 180.0 / np.pi, "rads": 180.0 / np.pi, "radians": 180.0 / np.pi, "1e7": 1e-7, "e7": 1e-7}
 _PLACE = ("lat", "lon")
 _AS_THEY_ARE = ("hdop", "known", "status", "quality")
@@ -45,8 +52,22 @@ def _factor(name: str, heading: str) -> float | None:
         if words and words[-1].endswith("e7"):
             return _ANGLES["e7"]
         return next((_ANGLES[word] for word in reversed(words[1:]) if word in _ANGLES), None)
-    factor = next((_LENGTHS[word.rstrip("2")] for word in reversed(words) if word.rstrip("2") in _LENGTHS), None)
+    factor = _length_unit(words)
     return factor**2 if factor is not None and name.startswith("variance") else factor
+
+
+def length_unit(heading: str) -> float | None:
+    """Metres in the unit of length that a heading names: ``x [mm]``, ``pos_y_cm``; None where it names none."""
+    return _length_unit([word for word in re.split(r"[^a-z0-9]+", heading.lower()) if word][1:])
+
+
+def without_length_unit(heading: str) -> str:
+    """The heading without the unit of length behind it: ``x_mm`` is ``x``."""
+    return _BEHIND.sub("", heading)
+
+
+def _length_unit(words: Sequence[str]) -> float | None:
+    return next((_LENGTHS[word.rstrip("2")] for word in reversed(words) if word.rstrip("2") in _LENGTHS), None)
 
 
 def _whole(texts: Sequence[str]) -> bool:

@@ -319,6 +319,37 @@ def test_true_poses_of_a_topic_that_is_named(tmp_path: Path) -> None:
         open_dataset(tmp_path / "run.bag", recording=RecordingConfig(truth_topic="odom"))
 
 
+def test_moments_without_a_pose_and_times_twice_are_counted(tmp_path: Path) -> None:
+    """As odometry sends them that is not started yet: NaN, or a quaternion of zeros."""
+
+    def message(store: Any, i: int) -> Any:
+        one = pose_message(store, STAMPS[max(i, 1) if i < 4 else i - 1], SCENE.poses[i])
+        if i == 0:
+            one.pose.position.x = float("nan")
+        if i == 5:
+            one.pose.orientation.w = one.pose.orientation.x = one.pose.orientation.y = one.pose.orientation.z = 0.0
+        return one
+
+    poses = Channel("/car/pose", POSE, RECEIVED, message)
+    sequence = only(tmp_path / "run.bag", [*pair_of("/car"), poses], truth_topic="pose")
+    said = " ".join(problem.message for problem in sequence.problems)
+    assert f"/car/pose: 2 of {COUNT} messages hold no pose" in said and "/car/pose: 1 poses have the time" in said
+    assert sequence.groundtruth is not None
+    kept = [i for i in range(COUNT) if i not in (0, 4, 5)]
+    np.testing.assert_allclose(sequence.groundtruth.poses, SCENE.poses[kept], atol=1e-6)
+
+
+def test_a_pose_of_another_length_is_none(tmp_path: Path) -> None:
+    def message(store: Any, i: int) -> Any:
+        one = pose_message(store, STAMPS[i], SCENE.poses[i])
+        one.pose.orientation.w += 0.3 * (i == 2)
+        return one
+
+    write(tmp_path / "run.bag", [*pair_of("/car"), Channel("/car/pose", POSE, RECEIVED, message)])
+    with pytest.raises(FrontendError, match="message 2 is no pose: its quaternion's length is 1"):
+        open_dataset(tmp_path / "run.bag", recording=RecordingConfig(truth_topic="pose"))
+
+
 def test_without_the_package_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "run.bag", pair_of())
     monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)

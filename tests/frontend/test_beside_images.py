@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_makers import COUNT, make_scene, numbered, own_camera, seconds, tum_rows, write_images
+from dataset_makers import BASELINE_M, COUNT, make_scene, numbered, own_camera, seconds, tum_rows, write_images
 from recording_makers import write_film
 
 from maslam.frontend.datasets import ImageSequence, open_dataset
@@ -158,3 +158,31 @@ def test_depth_in_files_that_are_not_read_is_named(folder: Path) -> None:
     for name in NAMES:
         np.savez(folder / "depth" / name.replace(".png", ".npz"), depth=np.ones((4, 4)))
     assert "depth: depth in files that are not read (.npz), read as one camera" in opened(folder)[1]
+
+
+def test_folders_of_images_that_nobody_reads_are_named(tmp_path: Path) -> None:
+    for place in ("cam0", "cam2", "cam3", "masks"):
+        write_images(tmp_path / place, NAMES, SCENE.images)
+    (tmp_path / "camera.yaml").write_text(own_camera())
+    [sequence] = open_dataset(tmp_path).sequences
+    assert "images in cam2, cam3 are not read" in sequence.notes
+
+
+@pytest.mark.parametrize(("left", "right"), [("Left", "Right"), ("CAM0", "CAM1"), ("Image_0", "Image_1")])
+def test_capitals_in_the_names_of_folders_do_not_matter(tmp_path: Path, left: str, right: str) -> None:
+    write_images(tmp_path / left, NAMES, SCENE.images)
+    write_images(tmp_path / right, NAMES, SCENE.rights)
+    (tmp_path / "camera.yaml").write_text(own_camera() + f"baseline_m: {BASELINE_M}\n")
+    [sequence] = open_dataset(tmp_path).sequences
+    frame = sequence.read(3)
+    assert frame.right is not None
+    np.testing.assert_array_equal(frame.image, SCENE.images[3])
+    np.testing.assert_array_equal(frame.right, SCENE.rights[3])
+
+
+def test_more_poses_than_images_go_by_number_and_are_said(folder: Path) -> None:
+    rows = SCENE.poses[:, :3].reshape(-1, 12)
+    np.savetxt(folder / "poses.txt", np.vstack([rows, rows[:2]]))
+    sequence, said = opened(folder)
+    assert f"{COUNT + 2} poses for {COUNT} images" in said and sequence.groundtruth is not None
+    np.testing.assert_allclose(sequence.groundtruth.poses, SCENE.poses, atol=1e-9)

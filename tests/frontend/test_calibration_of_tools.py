@@ -6,6 +6,7 @@ import codecs
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from dataset_makers import CX, CY, FX, FY, HEIGHT, WIDTH, make_scene, numbered, own_camera, write_images
 
@@ -49,6 +50,28 @@ def test_what_is_understood(tmp_path: Path, name: str, text: str, camera: RawCam
     assert read_calibration(tmp_path / name).left == camera
     [sequence] = open_dataset(tmp_path).sequences
     assert not sequence.focal_guess and name in sequence.understood[0].sentence()
+
+
+PAIRS = {
+    "mtxL": ("mtxL", "distL", "mtxR", "distR"), "mtx_left": ("mtx_left", "dist_left", "mtx_right", "dist_right"),
+    "cameraMatrixL": ("cameraMatrixL", "distCoeffsL", "cameraMatrixR", "distCoeffsR"),
+    "K1": ("K1", "D1", "K2", "D2"), "mtx1": ("mtx1", "dist1", "mtx2", "dist2"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("keys", PAIRS.values(), ids=PAIRS)
+def test_a_pair_is_known_by_what_tutorials_call_its_matrices(tmp_path: Path, keys: tuple[str, ...]) -> None:
+    other = [[FX + 5.0, 0.0, CX], [0.0, FY, CY], [0.0, 0.0, 1.0]]
+    values = dict(zip(keys, (MATRIX, [BENT], other, [[0.0] * 5]), strict=True))
+    np.savez(tmp_path / "stereo.npz", R=np.eye(3), T=[[-0.2], [0.0], [0.0]], **values)
+    rig = read_calibration(tmp_path / "stereo.npz")
+    assert rig.left == LENS and rig.right is not None and rig.right.fx == FX + 5.0
+    assert rig.T_left_right is not None and rig.T_left_right[0, 3] == pytest.approx(0.2)
+    odd = {f"odd_{key}" if "ist" in key or key[0] == "D" else key: value for key, value in values.items()}
+    np.savez(tmp_path / "odd.npz", R=np.eye(3), T=[[-0.2], [0.0], [0.0]], **odd)
+    if keys[1] != "D1":  # nothing in odd_D1 says what it is
+        with pytest.raises(FrontendError, match=f"odd_{keys[1]}: coefficients of a lens under another name"):
+            read_calibration(tmp_path / "odd.npz")
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,9 @@ def test_kitti_cut_out_images_keep_their_rows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(sequence.stamps_ns, np.array([2, 3, 5]) * 50_000_000)
     assert sequence.groundtruth is not None
     np.testing.assert_allclose(sequence.groundtruth.poses, scene.poses[[2, 3, 5]], atol=1e-9)
-    assert [problem.severity for problem in sequence.problems] == [Severity.WARNING]
+    assert [problem.severity for problem in sequence.problems] == [Severity.WARNING] * 2
+    times, poses = (problem.message for problem in sequence.problems)
+    assert "times for 3 images" in times and "poses for 3 images" in poses and "000002.png: row 3" in poses
 
 
 def test_names_are_sorted_as_numbers(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from maslam.frontend.datasets import camera_file, depth_files, image_headers, im
 from maslam.frontend.datasets.recordings import (
     bag,
     bag_image,
-    bag_truth,
+    bag_poses,
     film,
     pixel_formats,
     transforms,
@@ -52,7 +52,7 @@ LISTS: dict[str, tuple[str, Iterable[str]]] = {
     "units of time": ("times", (unit.name for unit in time_units.UNITS)),
     "names of ground truth": ("ground truth", (*truth._NAMES, *truth.POSE_FOLDERS)),
     "suffixes of ground truth": ("ground truth", truth._SUFFIXES),
-    "topics of poses": ("ground truth", bag_truth.POSE_TYPES),
+    "topics of poses": ("ground truth", bag_poses.POSE_TYPES),
     "images": ("images and depth", images.IMAGE_SUFFIXES),
     "images that are refused": ("images and depth", image_headers.UNREAD),
     "depth": ("images and depth", depth_files.FLOAT_SUFFIXES),

@@ -216,6 +216,27 @@ class TestSeveral:
         right = dataset.sequences[0].read(4).right
         assert right is not None and difference(right, images[COUNT - 5]) < NEAR
 
+    @pytest.mark.parametrize("names", [("GX010012_L", "GX010012_R"), ("drive-right", "drive-left")])
+    def test_names_that_differ_by_left_and_right_are_a_pair(
+        self, tmp_path: Path, images: NDArray[np.uint8], names: tuple[str, str]
+    ) -> None:
+        left, right = names if names[0].endswith("L") else names[::-1]
+        write_film(tmp_path / f"{left}.avi", images, 25.0, "MJPG")
+        write_film(tmp_path / f"{right}.avi", images[::-1], 25.0, "MJPG")
+        (tmp_path / "camera.yaml").write_text(CAMERA + "baseline_m: 0.2\n")
+        [sequence] = open_dataset(tmp_path).sequences
+        frame = sequence.read(4)
+        assert frame.right is not None and difference(frame.right, images[COUNT - 5]) < NEAR
+        assert difference(frame.image, images[4]) < NEAR
+
+    def test_images_beside_a_film_that_are_not_read_are_said(self, tmp_path: Path, images: NDArray[np.uint8]) -> None:
+        write_film(tmp_path / "drive.avi", images, 25.0, "MJPG")
+        (tmp_path / "camera.yaml").write_text(CAMERA)
+        (tmp_path / "images").mkdir()
+        cv2.imwrite(str(tmp_path / "images" / "0.png"), images[0])
+        [sequence] = open_dataset(tmp_path).sequences
+        assert "images in images are not read, the film is" in messages(sequence)
+
     def test_others_are_robots(self, tmp_path: Path, images: NDArray[np.uint8]) -> None:
         write_film(tmp_path / "alice.mp4", images, 25.0)
         write_film(tmp_path / "bob.mp4", scene(12, 48, 32), 10.0)

@@ -110,6 +110,37 @@ def test_a_start_half_a_turn_from_the_identity_counts_less_than_the_path(tmp_pat
     assert found.notes == ()
 
 
+def bending_little(count: int = 40) -> Array:
+    """A camera that looks ahead on a path which bends by 4 degrees to the right, from the identity on."""
+    angles = np.linspace(0.0, np.radians(4.0), count)
+    steps = np.column_stack([np.sin(angles), 0 * angles, np.cos(angles)])
+    centres = np.cumsum(steps, axis=0) - steps[0]
+    return np.array([se3(so3_exp([0, a, 0]), c) for a, c in zip(angles, centres, strict=True)])
+
+
+@pytest.mark.parametrize("begun_deg", [0.0, 6.0])
+@pytest.mark.parametrize("wxyz", [True, False])
+def test_near_the_identity_a_little_bend_is_enough(tmp_path: Path, begun_deg: float, wxyz: bool) -> None:
+    """Half a turn about x, as OpenGL's axes have it, reads as near the identity in the other order; turns are then
+    mirrored."""
+    poses = se3(so3_exp([0.0, np.radians(begun_deg), 0.0]), np.zeros(3)) @ bending_little()
+    poses = poses if wxyz else poses @ np.diag([1.0, -1.0, -1.0, 1.0])
+    found = read_poses(write(tmp_path / "gt.txt", poses, wxyz))
+    np.testing.assert_allclose(found.poses, poses, atol=1e-6)
+    [note] = found.notes
+    assert ("follow the path as qw qx qy qz" if wxyz else "180 as qx qy qz qw, as which it is taken") in note
+
+
+def test_a_straight_way_ahead_from_half_a_turn_about_x_is_not_one_backwards_from_the_identity(tmp_path: Path) -> None:
+    """A world whose y points up and z back, as of many simulators, and a camera that looks along -z and goes there."""
+    ahead = np.array([se3(np.eye(3), [0.0, 0.0, 0.5 * k]) for k in range(40)])
+    poses = se3(np.diag([1.0, -1.0, -1.0]), np.zeros(3)) @ ahead
+    found = read_poses(write(tmp_path / "gt.txt", poses, wxyz=False))
+    np.testing.assert_allclose(found.poses, poses, atol=1e-6)
+    [note] = found.notes
+    assert "as which it is taken" in note
+
+
 @pytest.mark.parametrize("kind", PATHS)
 @pytest.mark.parametrize("head", ["", "# time tx ty tz qx qy qz qw\n"])
 def test_sound_files_are_read_as_they_are(tmp_path: Path, kind: str, head: str) -> None:

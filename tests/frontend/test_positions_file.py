@@ -213,3 +213,9 @@ def test_a_track_in_kml_is_refused_by_its_name_with_the_cure(tmp_path: Path) -> 
     path.write_text("<?xml version='1.0'?>\n<kml><Placemark/></kml>\n")
     with pytest.raises(FrontendError, match=r"a KML file, which is not read; write .* table: .*lat lon alt"):
         read_positions(path)
+
+
+def test_nanoseconds_in_a_column_of_their_own_count(tmp_path: Path) -> None:
+    path = tmp_path / "gps.csv"
+    path.write_text("sec,nsec,lat,lon,alt\n1700000000,250000000,48.0,9.0,400\n1700000001,5,48.1,9.0,400\n")
+    assert read_positions(path, 1.0).stamps_ns.tolist() == [1_700_000_000_250_000_000, 1_700_000_001_000_000_005]

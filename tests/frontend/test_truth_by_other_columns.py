@@ -256,3 +256,30 @@ def test_columns_that_nothing_tells_are_refused_by_what_they_look_like(
     (tmp_path / "gt.txt").write_text(rows(*columns))
     with pytest.raises(FrontendError, match=said):
         read_poses(tmp_path / "gt.txt")
+
+
+@pytest.mark.parametrize(
+    ("units", "factor"),
+    [(" [mm]", 1e3), ("_cm", 1e2), (" (km)", 1e-3), ("_m", 1.0), (" [ft]", 1 / 0.3048)],
+)
+def test_headings_say_the_unit_of_positions(folder: Path, units: str, factor: float) -> None:
+    head = f"time [s],x{units},y{units},z{units},qx,qy,qz,qw\n"
+    text = rows(SECONDS, CENTRES * factor, XYZW).replace(" ", ",")
+    (folder / "groundtruth.csv").write_text(head + text)
+    sequence, said = opened(folder)
+    assert sequence.groundtruth is not None
+    np.testing.assert_allclose(sequence.groundtruth.poses, SCENE.poses, atol=2e-6)
+    assert ("as the headings say" in said) == (factor != 1.0)
+
+
+@pytest.mark.parametrize("heads", ["header.stamp.sec header.stamp.nanosec", "secs nsecs", "%field.sec field.nsec"])
+def test_seconds_and_nanoseconds_in_two_columns_are_one_time(folder: Path, heads: str) -> None:
+    stamps = SCENE.stamps_ns
+    head = f"{heads} x y z qx qy qz qw\n"
+    lines = zip(stamps.tolist(), np.column_stack([CENTRES, XYZW]).tolist(), strict=True)
+    text = "".join(f"{t // 10**9} {t % 10**9} {' '.join(map(repr, line))}\n" for t, line in lines)
+    (folder / "groundtruth.txt").write_text(head + text)
+    sequence, said = opened(folder)
+    assert_true(sequence)
+    assert sequence.groundtruth is not None and sequence.groundtruth.stamps_ns.tolist() == stamps.tolist()
+    assert "groundtruth" not in said

@@ -217,3 +217,14 @@ def test_axes_of_a_body_are_said(tmp_path: Path, axis: int, body: bool) -> None:
     )
     messages = [problem.message for problem in opened(tmp_path).problems]
     assert any("along their own x axis (100 % of the path)" in message for message in messages) == body
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, False), (1000.0, True)])
+def test_positions_faster_than_anything_are_doubted(tmp_path: Path, factor: float, said: bool) -> None:
+    scene = make_scene()
+    write_named(tmp_path, scene)
+    poses = np.tile(np.eye(4), (20, 1, 1))
+    poses[:, 2, 3] = 0.1 * factor * np.arange(20)  # 2 m/s in metres
+    (tmp_path / "groundtruth.txt").write_text(tum_rows(scene.stamps_ns[0] + 50_000_000 * np.arange(20), poses))
+    messages = [problem.message for problem in opened(tmp_path).problems]
+    assert any("positions move at 2000 m/s (median)" in message for message in messages) == said

@@ -474,16 +474,16 @@ def write_bag(path: Path, kind: str, ros1: bool) -> Path:
 def test_each_kind_of_pose_in_a_bag_is_read(kind: str, ros1: bool, tmp_path: Path) -> None:
     """Those that evo takes for trajectories, and paths."""
     pytest.importorskip("rosbags")
-    from maslam.tools.interchange.bag_poses import read_bag_poses
+    from maslam.tools.interchange.given_bag import read_given_bag
     from maslam.tools.interchange.given_files import trajectory_files
 
     out = write_bag(tmp_path / "agent_00", kind, ros1)
-    read = read_bag_poses(out, None)
+    read = read_given_bag(out, None)
     stamps, poses = moments()
     np.testing.assert_array_equal(read.trajectory.stamps_ns, stamps)
     np.testing.assert_allclose(read.trajectory.poses, poses, atol=1e-9)
     with pytest.raises(ToolError, match=r"topics with poses: /pose; --topic"):
-        read_bag_poses(out, "/other")
+        read_given_bag(out, "/other")
     # Also as one of a folder of trajectories: a ROS 2 bag is a folder itself.
     write(tmp_path / "agent_01.txt", "tum")
     found = trajectory_files(tmp_path, ["agent_00", "agent_01"])

@@ -31,6 +31,7 @@ def nothing_ignored():
 
 POOL = """
 import argparse, sys
+from maslam._temporary import kept_folder
 from maslam.tools import cli
 from maslam.tools.common.logs import logs_to
 from maslam.tools.common.parallel import run_jobs
@@ -38,6 +39,7 @@ from maslam.tools.common.progress import CallbackProgress
 import jobs
 
 def work(arguments):
+    kept_folder("of-the-command-")
     run_jobs(jobs.wait, {"a": (sys.argv[1], 1), "b": (sys.argv[1], 1)}, 2, CallbackProgress(None))
 
 def run(argv, signals):
@@ -52,8 +54,10 @@ JOBS = """
 import os, time
 from pathlib import Path
 from maslam._atomic import replacing
+from maslam._temporary import kept_folder
 
 def wait(folder, advance):
+    kept_folder("of-a-worker-")
     with replacing(Path(folder) / f"result_{os.getpid()}") as part:
         part.write_text("half")
         Path(folder, f"pid_{os.getpid()}").touch()
@@ -67,7 +71,9 @@ def started(tmp_path, *, processes=2):
     (tmp_path / "jobs.py").write_text(JOBS)
     out = tmp_path / "out"
     out.mkdir()
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    environment = {
+        **os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)]), "TMPDIR": str(tmp_path)
+    }  # fmt: skip
     command = subprocess.Popen(
         [sys.executable, str(tmp_path / "pool.py"), str(out)],
         env=environment,
@@ -110,6 +116,7 @@ def test_a_signal_ends_everything_in_one_line(tmp_path, name, group, code):
     (line,) = said.strip().splitlines()
     assert line.startswith("maslam: " + ("interrupted" if code == 130 else "ended from outside"))
     assert gone(pids)
+    assert not list(tmp_path.glob("of-the-command-*"))
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes")
@@ -118,6 +125,7 @@ def test_a_killed_parent_leaves_no_workers_and_its_half_written_files_can_be_tol
     command.kill()
     command.wait()
     assert gone(pids)
+    assert not list(tmp_path.glob("of-a-worker-*"))
     assert len(list(out.glob(".*.part"))) == 2
     (out / ".not.part").touch()
     remove_parts(out)

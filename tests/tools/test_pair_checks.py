@@ -143,6 +143,13 @@ def test_a_calibration_with_one_camera_above_the_other_is_refused_by_name(tmp_pa
     assert "turn both images by 90 degrees" in problem.message
 
 
+def test_empty_files_are_counted(pair: Path) -> None:
+    for k in (5, 11, 12):
+        files(pair / "image_1")[k].write_bytes(b"")
+    said = f"{pair / 'image_1' / '000005.png'}: 3 of 20 right images are empty files; these frames cannot be read"
+    assert f"warning {said}" in messages(pair)
+
+
 def test_repeated_images_are_counted(pair: Path) -> None:
     for k in (6, 7, 13):
         shutil.copy(files(pair / "image_0")[k - 1], files(pair / "image_0")[k])

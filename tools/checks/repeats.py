@@ -1,12 +1,12 @@
-"""Images that are the one before once more: a camera or a recorder that hung."""
+"""Images that are the one before once more, of a camera or a recorder that hung, and empty files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets import ImageSequence, Problem
@@ -21,14 +21,19 @@ _PART = 4096
 
 
 def repeat_problems(sequence: ImageSequence) -> list[Problem]:
-    """A warning for each camera some of whose images are, byte for byte, the one before."""
+    """A warning for each camera some of whose images are, byte for byte, the one before, or files of no bytes."""
     from maslam.frontend.datasets import Problem, Severity
 
     problems = []
     cameras = (("image", sequence.left), ("right image", sequence.right), ("depth image", sequence.depth))
     for what, images in cameras:
         files = [image for image in images if isinstance(image, Path)]  # those of a recording have no bytes to compare
-        pairs, candidates = _alike_in_size(files)
+        sizes = np.array([_size(path) for path in files], dtype=np.int64)
+        empty = np.flatnonzero(sizes == 0)
+        if len(empty):
+            count = f"{len(empty)} of {len(files)} {what}s are empty files"
+            problems.append(Problem(Severity.WARNING, f"{files[empty[0]]}: {count}; these frames cannot be read"))
+        pairs, candidates = _alike_in_size(sizes)
         repeated = [i for i in pairs if _same_bytes(files[i], files[i + 1])]
         if repeated and not (what != "depth image" and _is_empty(sequence.values, files[repeated[0]])):
             of = f"of {len(files)}" if len(pairs) == candidates else f"of {len(pairs)} looked at"
@@ -42,9 +47,8 @@ def repeat_problems(sequence: ImageSequence) -> list[Problem]:
     return problems
 
 
-def _alike_in_size(files: Sequence[Path]) -> tuple[list[int], int]:
+def _alike_in_size(sizes: NDArray[np.int64]) -> tuple[list[int], int]:
     """Numbers of images that have the size in bytes of the next, at most some, spread evenly; how many there are."""
-    sizes = np.array([_size(path) for path in files], dtype=np.int64)
     rows = np.flatnonzero((np.diff(sizes) == 0) & (sizes[:-1] > 0)) if len(sizes) > 1 else np.zeros(0, dtype=np.int64)
     count = len(rows)
     if count > _LOOKED_AT:

@@ -11,6 +11,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from types import FrameType
 from typing import Any
 
+from maslam._temporary import delete_kept_folders
+
 _AGAIN_S = 1.0
 _IMPATIENT = 3
 INTERRUPTED, TERMINATED = 130, 143
@@ -151,6 +153,7 @@ def end_with_parent() -> None:
 
     def watch() -> None:
         connection.wait([parent.sentinel])
+        delete_kept_folders()
         os._exit(1)
 
     threading.Thread(target=watch, name="end with parent", daemon=True).start()

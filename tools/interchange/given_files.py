@@ -25,9 +25,9 @@ def read_given(file: Path, sequence: ImageSequence, times: Path | None, topic: s
     """The trajectory in a text file, an array, JSON, a model of COLMAP or a bag; ``times`` of poses without their own,
     ``topic`` in a bag. :class:`FrontendError` or :class:`ToolError` for what is none, or of other images."""
     if file.suffix in BAGS or (file.is_dir() and (file / "metadata.yaml").is_file()):
-        from .bag_poses import read_bag_poses
+        from .given_bag import read_given_bag
 
-        return read_bag_poses(file, topic)
+        return read_given_bag(file, topic)
     from maslam.frontend.datasets.image_times import TimedImages
     from maslam.frontend.datasets.poses_of_images import given_poses
     from maslam.frontend.files.pose_table import read_poses

@@ -3,6 +3,7 @@ them."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,27 @@ from .fields import Fields
 from .loading import load_fields
 from .opencv import read_one
 
-_MATRICES = ("M{}", "K{}", "cameraMatrix{}", "camera_matrix_{}", "camera_matrix{}")
-_COEFFICIENTS = ("D{}", "distCoeffs{}", "distortion_coefficients_{}", "distortion_coefficients{}", "dist_coeffs{}")
+_MATRICES = ("M{}", "K{}", "cameraMatrix{}", "camera_matrix_{}", "camera_matrix{}", "mtx{}")
+_COEFFICIENTS = (
+    "D{}", "distCoeffs{}", "distortion_coefficients_{}", "distortion_coefficients{}", "dist_coeffs{}", "dist{}",
+)  # fmt: skip
+_OF_A_LENS = re.compile(r"(dist(?!ance)|coef)(?!.*(model|type))", re.IGNORECASE)
+_SIDES = (("1", "2"), ("L", "R"), ("l", "r"), ("_left", "_right"), ("_l", "_r"), ("_L", "_R"), ("Left", "Right"))
+"""What is behind the names of matrices, of the left camera and of the right one."""
 
 
 def recognises(data: Fields) -> bool:
     """Whether this file holds the two cameras."""
-    return any(name.format(1) in data and name.format(2) in data for name in _MATRICES)
+    return _sides(data) is not None
+
+
+def _sides(data: Fields) -> tuple[str, str] | None:
+    """What distinguishes the keys of the two cameras; None where there are not two."""
+    return next((one for one in _SIDES if all(data.first(*_named(_MATRICES, side)) in data for side in one)), None)
+
+
+def _named(names: tuple[str, ...], side: str) -> list[str]:
+    return [name.format(side) for name in names]
 
 
 def says_how_they_stand(data: Fields) -> bool:
@@ -33,7 +48,7 @@ def says_how_they_stand(data: Fields) -> bool:
 
 def read(data: Fields) -> RawRig:
     """The two cameras of a file that holds how they stand, too; else the left one."""
-    left, right = (_numbered(data, number) for number in (1, 2))
+    left, right = _both(data)
     if not says_how_they_stand(data):
         return RawRig(left, contradiction="M1 and M2, but not how they stand: put the file with R and T beside it")
     return _together(left, right, data.turned_and_moved("R", "T"))
@@ -41,7 +56,7 @@ def read(data: Fields) -> RawRig:
 
 def read_with_stand(cameras: Fields, stand: Fields) -> RawRig:
     """The two cameras of one file, ``R`` and ``T`` from another: ``intrinsics.yml`` and ``extrinsics.yml``."""
-    left, right = (_numbered(cameras, number) for number in (1, 2))
+    left, right = _both(cameras)
     return _together(left, right, stand.turned_and_moved("R", "T"))
 
 
@@ -49,11 +64,20 @@ def _together(left: RawCamera, right: RawCamera, T_right_left: NDArray[np.float6
     return RawRig(left, right, se3_inverse(T_right_left), rectified=False)
 
 
-def _numbered(data: Fields, number: int) -> RawCamera:
-    matrix = data.first(*(name.format(number) for name in _MATRICES))
-    key = data.first(*(name.format(number) for name in _COEFFICIENTS))
+def _both(data: Fields) -> tuple[RawCamera, RawCamera]:
+    left, right = _sides(data) or _SIDES[0]
+    return _camera_of(data, left), _camera_of(data, right)
+
+
+def _camera_of(data: Fields, side: str) -> RawCamera:
+    matrix = data.first(*_named(_MATRICES, side))
+    key = data.first(*_named(_COEFFICIENTS, side))
     coefficients = data.numbers(key) if key in data else ()
-    xi = f"xi{number}"
+    if key not in data:
+        unknown = [one for one in map(str, data.data) if _OF_A_LENS.search(one)]
+        if unknown:
+            raise data.fail(unknown[0], f"coefficients of a lens under another name ({key})")
+    xi = f"xi{side}"
     if xi in data:
         return camera(data, camera_matrix(data, matrix), _size(data), "mei", (data.number(xi), *coefficients))
     model = "fisheye" if data.says_fisheye else ""

@@ -18,8 +18,8 @@ from ..images import list_images
 from ..truth import Truth
 from .bag import BAG_SUFFIXES, Bag, bags_in
 from .bag_cameras import camera_of_robot, depth_use, folders_beside
+from .bag_poses import read_bag_poses
 from .bag_positions import read_fixes
-from .bag_truth import read_truth
 from .beside import truth_beside
 from .recorded import RecordedBag, recordings
 from .robot_topics import RobotTopics
@@ -120,7 +120,10 @@ def _open_robot(
 
 def _truth(bag: Bag, topics: RobotTopics, name: str, alone: bool, problems: Problems) -> Truth | None:
     if topics.truth is not None:
-        return Truth(read_truth(bag, topics.truth), bag.path / topics.truth.name.strip("/"))
+        trajectory, notes = read_bag_poses(bag, topics.truth)
+        for note in notes:
+            problems.warning(f"{bag.path}: {note}")
+        return Truth(trajectory, bag.path / topics.truth.name.strip("/"))
     return truth_beside(folders_beside(bag), name, alone, problems)
 
 

@@ -18,6 +18,8 @@ from ..base import ImageSequence, Problems, Reader, choose_rig
 from ..guessed_camera import guess_text, usual_camera
 from ..images import list_images, natural_key
 from ..pairing import pair_by_time
+from ..second_images import unread_folders
+from ..sides import sides_of
 from .beside import camera_beside, truth_beside
 from .film import FILM_SUFFIXES, Film, FilmFrame, FilmIndex, index_film
 
@@ -80,7 +82,16 @@ def _pair(films: list[Path]) -> tuple[Path, Path] | None:
     by_stem = {film.stem.lower(): film for film in films}
     if len(films) != 2 or len(by_stem) != 2:
         return None
-    return next(((by_stem[a], by_stem[b]) for a, b in _PAIRS if {a, b} == set(by_stem)), None)
+    known = next(((by_stem[a], by_stem[b]) for a, b in _PAIRS if {a, b} == set(by_stem)), None)
+    return known or _called_left_and_right(films)
+
+
+def _called_left_and_right(films: Sequence[Path]) -> tuple[Path, Path] | None:
+    """Two films whose names differ by left and right, or L and R, alone: ``drive_L.mp4`` and ``drive_R.mp4``."""
+    sides = sides_of(films, words_only=True)
+    if sides is None or sides.left.keys() != sides.right.keys():
+        return None
+    return next(iter(sides.left.values())), next(iter(sides.right.values()))
 
 
 def _open_film(path: Path, right_path: Path | None, rig: RigKind | None, alone: bool) -> ImageSequence:
@@ -107,6 +118,9 @@ def _open_film(path: Path, right_path: Path | None, rig: RigKind | None, alone: 
     elif raw.right is not None and right_path is None and rig is None:
         problems.warning(f"{source}: a calibrated pair, but {path.name} is one film: read as mono")
     _check_rate(raw, source, film.index, path, problems)
+    images = unread_folders(path.parent, ()) if alone else []
+    if images:
+        problems.warning(f"{path.parent}: images in {', '.join(images)} are not read, the film is: name one of them")
     found = FoundSequence(
         kind=FilmReader.kind,
         folder=path.parent,

@@ -10,8 +10,8 @@ from pathlib import Path
 from ...errors import FrontendError
 from ...recording_config import RecordingConfig
 from .bag_image import COMPRESSED_IMAGE, IMAGE
+from .bag_poses import POSE_TYPES
 from .bag_positions import NAV_SAT_FIX, choose_fixes
-from .bag_truth import POSE_TYPES
 from .camera_info import CAMERA_INFO
 from .message_file import Topic
 from .topic_names import ImageName, by_robot, right_of

@@ -4,27 +4,40 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from functools import cache
 from pathlib import Path
+
+from maslam._temporary import delete_folder, kept_folder
 
 from ...errors import FrontendError
 
 PACKED_SUFFIXES = frozenset({".zstd", ".zst"})
+_copies: dict[Path, tuple[int, int, Path]] = {}
+"""Of each file: when it was changed, its size, and the folder of its copy."""
 
 
 def unpacked(path: Path) -> Path:
     """A copy of the file as it was before zstd compressed it, in a temporary folder, which is deleted when the process
     ends that asked first. :class:`FrontendError` where the file is damaged or the disk is full."""
     status = path.stat()
-    return Path(_unpacked(path, status.st_mtime_ns, status.st_size).name) / path.stem
+    key = path.resolve()
+    changed_ns, size, folder = _copies.get(key, (0, 0, None))
+    if folder is None or (changed_ns, size) != (status.st_mtime_ns, status.st_size):
+        if folder is not None:
+            delete_folder(folder)
+            del _copies[key]
+        folder = _unpack(path)
+        _copies[key] = status.st_mtime_ns, status.st_size, folder
+    return folder / path.stem
 
 
-@cache  # its values delete their folders when the process ends
-def _unpacked(path: Path, changed_ns: int, size: int) -> tempfile.TemporaryDirectory[str]:
-    folder = tempfile.TemporaryDirectory(prefix="maslam-bag-", ignore_cleanup_errors=True)
+def _unpack(path: Path) -> Path:
+    folder: Path | None = None
+    whole = False
     try:
-        with _zstd().open(path, "rb") as packed, open(Path(folder.name) / path.stem, "wb") as copy:
+        folder = kept_folder("maslam-bag-")
+        with _zstd().open(path, "rb") as packed, open(folder / path.stem, "wb") as copy:
             shutil.copyfileobj(packed, copy)
+        whole = True
     except OSError as error:
         raise FrontendError(
             f"{path}: cannot be unpacked to {tempfile.gettempdir()}: {error.strerror or error}; TMPDIR names another "
@@ -32,8 +45,10 @@ def _unpacked(path: Path, changed_ns: int, size: int) -> tempfile.TemporaryDirec
             "metadata.yaml"
         ) from error
     except Exception as error:  # of the library's own kinds
-        folder.cleanup()
         raise FrontendError(f"{path}: not a whole file that zstd compressed: {error}") from error
+    finally:
+        if folder is not None and not whole:
+            delete_folder(folder)
     return folder
 
 
