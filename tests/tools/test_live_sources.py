@@ -74,7 +74,7 @@ def test_what_waits_at_the_end_is_taken_and_nothing_after_it() -> None:
 def test_dropped_frames_are_said_with_their_number(caplog: pytest.LogCaptureFixture) -> None:
     """Once in a while, not at each frame."""
     frames = LatestFrames(1)
-    tracker = LiveTracker(None, frames, lambda _: None, lambda _: None)  # type: ignore[arg-type]
+    tracker = LiveTracker(None, frames, lambda *_: None, lambda _: None)  # type: ignore[arg-type]
     for k in range(4):
         frames.put(frame(k))
     tracker._say_dropped(100.0)

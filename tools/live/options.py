@@ -47,4 +47,12 @@ def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="--live growing: the drive is over after so many seconds without an image (default: at Ctrl-C)",
     )
+    parser.add_argument(
+        "--publish",
+        action="append",
+        choices=["map", "pose"],
+        default=[],
+        help="--live: give the current pose, or the team's map, out on the network as long as somebody listens; may be "
+        "given twice (default: nothing)",
+    )
     add_model_options(parser, OdometryConfig(), SECTION)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.mas.config import MasConfig
     from maslam.mas.live.config import LiveConfig
+    from maslam.mas.live.cpu_parts import CpuParts
     from maslam.mas.live.process import AgentProcess, LiveProgress
     from maslam.mas.state.agent_state import AgentState
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from ..live.sources import FrameSource
     from ..live.tracker import LiveFigures
 
+READING = "reading"
+"""Part of CPU time: images as they come."""
 Shown = Callable[["AgentProcess", Callable[[], bool]], Callable[["LiveProgress"], None]]
 
 
@@ -38,17 +41,20 @@ def run_live(
     shown: Shown,
 ) -> None:
     """Track and negotiate until the source is at its end, or until Ctrl-C; write OUT."""
+    from maslam._replaced import replaced
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.kernels import odometry_kernels
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
     from maslam.mas.kernels import agent_kernels
     from maslam.mas.live.credentials import Credentials
+    from maslam.mas.live.topics import Topic
     from maslam.mas.transport.zenoh_link import LinkAddresses, ZenohLink
 
     from ..common.compiling import compile_for
     from ..common.parallel import one_blas_thread
     from ..live.agent import LiveAgent, LiveSetup
 
+    live = replaced(live, publish=frozenset(Topic(name) for name in arguments.publish))
     credentials = Credentials(arguments.credentials)
     model = load_descriptor(arguments.model)
     source = source_of(arguments, live.speed)
@@ -72,7 +78,7 @@ def run_live(
     ):
         if agent.earlier.begun:
             progress.say(f"goes on from its journal at {agent.earlier.now_ns / 1e9:.1f} s, in a new track")
-        with fed(source, agent.push, agent.end, progress):
+        with fed(source, agent.push, agent.end, progress, agent.cpu):
             agent.run(shown(agent.process, lambda: link.connected))
         agent.write_results()
     progress.say(figures_line(agent.figures))
@@ -81,10 +87,14 @@ def run_live(
 
 @contextmanager
 def fed(
-    source: FrameSource, push: Callable[[CameraFrame], object], end: Callable[[], None], progress: Progress
+    source: FrameSource,
+    push: Callable[[CameraFrame], object],
+    end: Callable[[], None],
+    progress: Progress,
+    cpu: CpuParts,
 ) -> Iterator[None]:
     """Frames of ``source`` go to ``push`` in a thread of their own; ``end`` is called when there are no more, or at the
-    first Ctrl-C. The second one ends the program as usual."""
+    first Ctrl-C. The second one ends the program as usual. ``cpu`` takes the CPU time of reading them."""
     stop = Event()
 
     def interrupted(*_: object) -> None:
@@ -97,7 +107,7 @@ def fed(
     signal.signal(signal.SIGINT, interrupted)
     try:
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as thread:
-            feeding = thread.submit(source.run, push, stop)
+            feeding = thread.submit(_run, source, push, stop, cpu)
             feeding.add_done_callback(lambda _: end())
             try:
                 yield
@@ -106,6 +116,11 @@ def fed(
         feeding.result()
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _run(source: FrameSource, push: Callable[[CameraFrame], object], stop: Event, cpu: CpuParts) -> None:
+    with cpu.part(READING):
+        source.run(push, stop)
 
 
 def source_of(arguments: argparse.Namespace, speed: float) -> FrameSource:
