@@ -141,6 +141,13 @@ def test_agents_join_while_they_drive_and_know_where_they_are(team: LiveTeam) ->
         figures = agent.figures
         assert (figures.received, figures.tracked, figures.dropped, figures.lost) == (20, 20, 0, 0)
         assert figures.keyframes == len(agent.inputs.agent.state.keyframes) >= 6
+    # Each accepted match was one agent's query, and all are in its poses by now.
+    times = [agent.figures.revisits for agent in (first, second)]
+    asked = [sum(m.query_agent == k for m in a.inputs.agent.state.accepted) for k, a in enumerate((first, second))]
+    assert [one.revisits for one in times] == asked and sum(asked) > 0
+    for one in times:
+        assert one.uncorrected == 0 and one.passed_on_mean_s <= one.accepted_mean_s <= one.corrected_mean_s
+        assert one.corrected_mean_s <= one.corrected_most_s
 
 
 def test_poses_come_by_callback_as_the_agent_has_them(team: LiveTeam) -> None:

@@ -9,6 +9,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from maslam._atomic import write_atomically
 from maslam.errors import MaslamError
 from maslam.frontend.config import OdometryConfig
@@ -175,6 +177,14 @@ class LiveAgent:
         future: Future[TeamMap] = Future()
         self._asked.put(future)
         return future.result(_MAP_S)
+
+    @property
+    def played_until_ns(self) -> int | None:
+        """Time stamp up to which an earlier process has used its recording: that of the latest key-frame, of a drive
+        that was over the last there can be; None where nothing was."""
+        if self.inputs.agent.context.closing:
+            return int(np.iinfo(np.int64).max)
+        return self.tracker.front_end.beginning.latest_ns
 
     @property
     def figures(self) -> LiveFigures:

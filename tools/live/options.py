@@ -26,6 +26,11 @@ def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", choices=["mono", "stereo", "rgbd"], help="--live: use only this much of the sensors (default: all)"
     )
     parser.add_argument(
+        "--sequence",
+        metavar="NAME",
+        help="--live played: which sequence, where SEQS holds several (`maslam inspect` names them)",
+    )
+    parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="--live camera: its calibration, of any form that is read"
     )
     parser.add_argument(

@@ -53,6 +53,12 @@ class LiveFigures:
         """One object, times to the microsecond."""
         return json.dumps(_rounded(asdict(self)), indent=1) + "\n"
 
+    @classmethod
+    def from_json(cls, text: str) -> LiveFigures:
+        """What :meth:`as_json` wrote."""
+        content = json.loads(text)
+        return cls(**{**content, "revisits": RevisitTimes(**content["revisits"])})
+
 
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:
     rounded: dict[str, Any] = {}

@@ -76,6 +76,7 @@ def run_live(
         ZenohLink(credentials.number, credentials.team, addresses) as link,
         LiveAgent(setup, arguments.out, credentials, link) as agent,
     ):
+        source.after_ns = agent.played_until_ns
         if agent.earlier.begun:
             progress.say(f"goes on from its journal at {agent.earlier.now_ns / 1e9:.1f} s, in a new track")
         with fed(source, agent.push, agent.end, progress, agent.cpu):
@@ -142,11 +143,12 @@ def source_of(arguments: argparse.Namespace, speed: float) -> FrameSource:
             raise UsageError("--live camera needs --calibration FILE")
         device = str(given)
         return OpenCvCamera(int(device) if device.isdigit() else device, read_calibration(arguments.calibration))
-    sequences = open_dataset(given, rig).sequences
-    if len(sequences) != 1:
-        names = ", ".join(sequence.name for sequence in sequences)
-        raise UsageError(f"{given}: {len(sequences)} sequences ({names}): name the one of this agent")
-    return PlayedRecording(sequences[0], speed)
+    found = open_dataset(given, rig).sequences
+    named = [sequence for sequence in found if arguments.sequence in (None, sequence.name)]
+    if len(named) != 1:
+        names = ", ".join(sequence.name for sequence in found)
+        raise UsageError(f"{given}: {len(found)} sequences ({names}): name the one of this agent, by --sequence")
+    return PlayedRecording(named[0], speed)
 
 
 def figures_line(figures: LiveFigures) -> str:
