@@ -9,7 +9,7 @@ from pydantic import Field
 from maslam._settings import Settings
 
 from ..config import LinkConfig
-from .topics import Topic
+from .topics import LiveTopic
 
 LINKS: dict[str, LinkConfig] = {
     "cable": LinkConfig(repeat_s=0.2, repeat_max_s=3.0, silence_s=5.0),
@@ -31,7 +31,7 @@ class LiveConfig(Settings):
     settle_s: float = Field(
         default=2.0, ge=0, description="nobody has anything left to do for so long: the agent ends, seconds"
     )
-    publish: frozenset[Topic] = Field(
+    publish: frozenset[LiveTopic] = Field(
         default=frozenset(), description="topics of a live agent that are given out while somebody listens: pose, map"
     )
     map_each_s: float = Field(

@@ -8,7 +8,7 @@ import numpy as np
 
 from .credentials import Credentials, CredentialsError
 from .team_pose import TeamMap, TeamPose
-from .topics import MapPart, Topic, TopicError, TopicSample, decode_map_part, decode_pose, decode_sample
+from .topics import LiveTopic, MapPart, TopicError, TopicSample, decode_map_part, decode_pose, decode_sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class AgentMap:
 
 
 @dataclass
-class _Listened:
+class _ReadStream:
     """One topic of one agent: the certificate, the last sample's process and number, parts of the newest map."""
 
     certificate: bytes = b""
@@ -45,46 +45,46 @@ class TopicReader:
     def __init__(self, credentials: Credentials) -> None:
         self.refused, self.reason = 0, ""
         self._credentials = credentials
-        self._heard: dict[tuple[int, Topic], _Listened] = {}
+        self._received: dict[tuple[int, LiveTopic], _ReadStream] = {}
 
-    def take(self, topic: Topic, agent: int, data: bytes) -> AgentPose | AgentMap | None:
+    def take(self, topic: LiveTopic, agent: int, data: bytes) -> AgentPose | AgentMap | None:
         """What a sample says, in the name of ``agent``; None where it is not believed, came before, is not the last
         part of a map, or the agent's certificate is not known yet."""
         self._credentials.revocations.refresh()
         try:
             sample = decode_sample(data)
-            heard = self._heard.get((agent, topic), _Listened())
-            if (sample.began_ns, sample.number) <= heard.last:
+            stream = self._received.get((agent, topic), _ReadStream())
+            if (sample.began_ns, sample.number) <= stream.last:
                 return None
-            if not sample.certificate and not heard.certificate:
+            if not sample.certificate and not stream.certificate:
                 return None  # it comes within a second
-            heard.certificate = self._proven(topic, agent, sample, sample.certificate or heard.certificate)
-            heard.last = (sample.began_ns, sample.number)
-            self._heard[agent, topic] = heard
-            if topic is Topic.POSE:
+            stream.certificate = self._proven(topic, agent, sample, sample.certificate or stream.certificate)
+            stream.last = (sample.began_ns, sample.number)
+            self._received[agent, topic] = stream
+            if topic is LiveTopic.POSE:
                 return AgentPose(agent, decode_pose(sample.body))
-            return self._whole(agent, heard, sample)
+            return self._whole(agent, stream, sample)
         except (TopicError, CredentialsError) as error:
             self.refused, self.reason = self.refused + 1, f"agent {agent}: {error}"
             return None
 
-    def _proven(self, topic: Topic, agent: int, sample: TopicSample, certificate: bytes) -> bytes:
+    def _proven(self, topic: LiveTopic, agent: int, sample: TopicSample, certificate: bytes) -> bytes:
         """The certificate, with which the agent signed the sample."""
         self._credentials.check_valid(certificate)
         if not self._credentials.signed_by(agent, certificate, sample.signature, sample.digest(topic, agent)):
             raise TopicError("a signature that is not its own")
         return certificate
 
-    def _whole(self, agent: int, heard: _Listened, sample: TopicSample) -> AgentMap | None:
+    def _whole(self, agent: int, stream: _ReadStream, sample: TopicSample) -> AgentMap | None:
         """The map that a part completes. Parts of a newer version take the place of those of an older one."""
         part = decode_map_part(sample.body)
-        if heard.version != (sample.began_ns, part.version):
-            heard.version, heard.parts = (sample.began_ns, part.version), {}
-        heard.parts[part.part] = part
-        if len(heard.parts) < part.parts:
+        if stream.version != (sample.began_ns, part.version):
+            stream.version, stream.parts = (sample.began_ns, part.version), {}
+        stream.parts[part.part] = part
+        if len(stream.parts) < part.parts:
             return None
-        parts = [heard.parts[index] for index in sorted(heard.parts)]
-        heard.parts = {}
+        parts = [stream.parts[index] for index in sorted(stream.parts)]
+        stream.parts = {}
         points = np.concatenate([one.points for one in parts]).astype(np.float64)
         owners = np.concatenate([one.owners for one in parts])
         return AgentMap(agent, TeamMap(part.frame, points, owners), part.total)

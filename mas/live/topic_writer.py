@@ -10,7 +10,7 @@ import msgspec
 from ..transport.link import Link
 from .credentials import Credentials
 from .team_pose import TeamMap, TeamPose
-from .topics import Topic, TopicSample, encode_map, encode_pose
+from .topics import LiveTopic, TopicSample, encode_map, encode_pose
 
 _CERTIFICATE_EACH_S = 1.0
 
@@ -18,7 +18,7 @@ _CERTIFICATE_EACH_S = 1.0
 class _Stream:
     """The samples of one topic, for one thread."""
 
-    def __init__(self, topic: Topic, credentials: Credentials, link: Link, began_ns: int) -> None:
+    def __init__(self, topic: LiveTopic, credentials: Credentials, link: Link, began_ns: int) -> None:
         self.topic = topic
         self.sent_bytes = 0
         self._credentials, self._link, self._began_ns = credentials, link, began_ns
@@ -49,7 +49,7 @@ class TopicWriter:
     when it has changed, ``map_each_s`` after the one before at the earliest, a part at each call of
     :meth:`next_part`."""
 
-    def __init__(self, topics: frozenset[Topic], credentials: Credentials, link: Link, map_each_s: float) -> None:
+    def __init__(self, topics: frozenset[LiveTopic], credentials: Credentials, link: Link, map_each_s: float) -> None:
         began_ns = time.time_ns()
         self._streams = {topic: _Stream(topic, credentials, link, began_ns) for topic in sorted(topics)}
         self._map_each_s = map_each_s
@@ -65,14 +65,14 @@ class TopicWriter:
 
     def pose(self, pose: TeamPose) -> None:
         """Give the current pose out, if somebody listens."""
-        stream = self._streams.get(Topic.POSE)
+        stream = self._streams.get(LiveTopic.POSE)
         if stream is not None and stream.wanted:
             stream.put(encode_pose(pose))
 
     def wants_map(self, changes: int) -> bool:
         """Whether :meth:`map` should be called: somebody listens, and ``changes``, how often it has changed, is another
         number than last time."""
-        stream = self._streams.get(Topic.MAP)
+        stream = self._streams.get(LiveTopic.MAP)
         if stream is None or self._parts or changes == self._changes or not stream.wanted:
             return False
         return self._map_s is None or time.monotonic() - self._map_s >= self._map_each_s
@@ -86,4 +86,4 @@ class TopicWriter:
     def next_part(self) -> None:
         """Give the next part of the latest map out, if there is one."""
         if self._parts:
-            self._streams[Topic.MAP].put(self._parts.popleft())
+            self._streams[LiveTopic.MAP].put(self._parts.popleft())

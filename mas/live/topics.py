@@ -30,14 +30,14 @@ _HEAD = struct.Struct("<IqQ")
 _ROTATION_TOLERANCE = 1e-6
 _LARGEST_M = 1e9
 _Bounded = Annotated[float, msgspec.Meta(ge=-_LARGEST_M, le=_LARGEST_M)]
-_Row = tuple[_Bounded, _Bounded, _Bounded, _Bounded]
+_Pose = Annotated[tuple[_Bounded, ...], msgspec.Meta(min_length=12, max_length=12)]
 
 
 class TopicError(MasError):
     """A sample that cannot be read, or that nobody of the team signed."""
 
 
-class Topic(StrEnum):
+class LiveTopic(StrEnum):
     """Last word but one of a key expression: ``maslam/TEAM/pose/3`` is agent 3's."""
 
     POSE = "pose"
@@ -53,17 +53,18 @@ class TopicSample(msgspec.Struct, frozen=True, array_like=True):
     signature: Annotated[bytes, msgspec.Meta(max_length=128)]
     certificate: Annotated[bytes, msgspec.Meta(max_length=8192)] = b""
 
-    def digest(self, topic: Topic, agent: int) -> bytes:
+    def digest(self, topic: LiveTopic, agent: int) -> bytes:
         """32 bytes that stand for what the agent says on this topic."""
         head = _HEAD.pack(agent, self.began_ns, self.number)
         return hashlib.blake2b(_SIGNED_TOPIC + topic.encode() + head + self.body, digest_size=32).digest()
 
 
 class PoseBody(msgspec.Struct, frozen=True, array_like=True):
-    """``T_F_C``: upper three rows, camera to ``frame``; the rest as in :class:`~.team_pose.TeamPose`."""
+    """``T_F_C``: upper three rows one after the other, camera to ``frame``; the rest as in
+    :class:`~.team_pose.TeamPose`."""
 
     stamp_ns: Stamp
-    T_F_C: tuple[_Row, _Row, _Row]
+    T_F_C: _Pose
     frame: FrameId
     members: Members
     metric: bool
@@ -95,25 +96,25 @@ class MapPart:
     owners: NDArray[np.int32]
 
 
-_samples, _poses, _parts = (msgspec.msgpack.Decoder(kind) for kind in (TopicSample, PoseBody, MapPartBody))
+_samples = msgspec.msgpack.Decoder(TopicSample)
+_poses = msgspec.msgpack.Decoder(PoseBody)
+_parts = msgspec.msgpack.Decoder(MapPartBody)
 
 
 def encode_pose(pose: TeamPose) -> bytes:
     """The body of a pose."""
-    rows = tuple(tuple(float(x) for x in row) for row in pose.T_F_C[:3])
-    return msgspec.msgpack.encode(
-        PoseBody(pose.stamp_ns, rows, pose.frame, tuple(sorted(pose.members)), pose.metric)  # type: ignore[arg-type]
-    )
+    rows = tuple(pose.T_F_C[:3].ravel().tolist())
+    return msgspec.msgpack.encode(PoseBody(pose.stamp_ns, rows, pose.frame, tuple(sorted(pose.members)), pose.metric))
 
 
 def decode_pose(data: bytes) -> TeamPose:
     """The pose in a body; :class:`TopicError` where there is none."""
     try:
-        body: PoseBody = _poses.decode(data)
+        body = _poses.decode(data)
     except msgspec.MsgspecError as error:
         raise TopicError(f"a pose that cannot be read: {error}") from error
     T_F_C = np.eye(4)
-    T_F_C[:3] = body.T_F_C
+    T_F_C[:3] = np.reshape(body.T_F_C, (3, 4))
     rotation = T_F_C[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(rotation) < 0:
         raise TopicError("a pose whose rotation is none")
@@ -137,7 +138,7 @@ def encode_map(whole: TeamMap, version: int) -> Iterator[bytes]:
 def decode_map_part(data: bytes) -> MapPart:
     """The part in a body; :class:`TopicError` where there is none."""
     try:
-        body: MapPartBody = _parts.decode(data)
+        body = _parts.decode(data)
     except msgspec.MsgspecError as error:
         raise TopicError(f"a part of a map that cannot be read: {error}") from error
     count = len(body.owners) // 2
@@ -153,7 +154,6 @@ def decode_map_part(data: bytes) -> MapPart:
 def decode_sample(data: bytes) -> TopicSample:
     """What stands in the bytes of a sample; :class:`TopicError` where nothing does."""
     try:
-        sample: TopicSample = _samples.decode(data)
+        return _samples.decode(data)
     except msgspec.MsgspecError as error:
         raise TopicError(f"a sample that cannot be read: {error}") from error
-    return sample

@@ -11,7 +11,7 @@ from typing import Literal
 from maslam.errors import MaslamError
 from maslam.mas.live.credentials import Credentials
 from maslam.mas.live.topic_reader import AgentMap, AgentPose, TopicReader
-from maslam.mas.live.topics import Topic
+from maslam.mas.live.topics import LiveTopic
 from maslam.mas.transport.zenoh_link import LinkAddresses
 from maslam.mas.transport.zenoh_topics import ZenohTopics
 
@@ -46,7 +46,7 @@ class Watch:
         connect: Sequence[str] = (),
         topics: Sequence[Literal["pose", "map"]] = ("pose", "map"),
     ) -> None:
-        known = [topic.value for topic in Topic]
+        known = [topic.value for topic in LiveTopic]
         wrong = [topic for topic in topics if topic not in known]
         if wrong:
             raise MaslamError(f"no topic {wrong[0]}: only {', '.join(known)}")
@@ -67,7 +67,7 @@ class Watch:
         """The next pose or map that came; None when there is none after ``wait_s``, seconds."""
         until_s = time.monotonic() + wait_s
         while (came := self._topics.receive(max(until_s - time.monotonic(), 0.0))) is not None:
-            found = self._reader.take(Topic(came.topic), came.agent, came.data)
+            found = self._reader.take(LiveTopic(came.topic), came.agent, came.data)
             if found is not None:
                 return found
         return None
