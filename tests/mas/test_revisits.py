@@ -44,7 +44,7 @@ def test_times_are_those_between_a_key_frame_and_its_match() -> None:
     agent.state.keyframes = [0, 1]
     revisits.look()
     clock.now = 14.5
-    mine, others, later = MatchId(1, 1, 0, 7), MatchId(0, 9, 1, 0), MatchId(1, 0, 1, 2)
+    mine, others, later = MatchId(1, 1, 0, 7), MatchId(0, 2, 1, 0), MatchId(1, 0, 1, 2)
     agent.state.accepted = {mine, others}
     revisits.look()
     assert revisits.times().uncorrected == 1 and revisits.times().corrected_mean_s == 0.0

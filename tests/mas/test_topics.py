@@ -191,6 +191,7 @@ def test_only_the_agent_itself_speaks_in_its_name(
         assert reader.take(LiveTopic.POSE, 0, data) is None
         assert reader.refused == count and reader.reason.startswith("agent 0: ")
     assert reader.take(LiveTopic.MAP, 0, true) is None and reader.refused == len(wrong) + 1
+    assert "signature that is not its own" in reader.reason
     assert isinstance(reader.take(LiveTopic.POSE, 0, true), AgentPose)
 
 
