@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
@@ -42,6 +42,15 @@ class LiveTopic(StrEnum):
 
     POSE = "pose"
     MAP = "map"
+
+
+def topics_named(names: Collection[str]) -> frozenset[LiveTopic]:
+    """The topics of these names; :class:`TopicError` where there is none of a name."""
+    known = [topic.value for topic in LiveTopic]
+    wrong = [name for name in names if name not in known]
+    if wrong:
+        raise TopicError(f"no topic {wrong[0]!r}: only {', '.join(known)}")
+    return frozenset(LiveTopic(name) for name in names)
 
 
 class TopicSample(msgspec.Struct, frozen=True, array_like=True):

@@ -8,10 +8,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
-from maslam.errors import MaslamError
 from maslam.mas.live.credentials import Credentials
 from maslam.mas.live.topic_reader import AgentMap, AgentPose, TopicReader
-from maslam.mas.live.topics import LiveTopic
+from maslam.mas.live.topics import LiveTopic, topics_named
 from maslam.mas.transport.zenoh_link import LinkAddresses
 from maslam.mas.transport.zenoh_topics import ZenohTopics
 
@@ -46,13 +45,10 @@ class Watch:
         connect: Sequence[str] = (),
         topics: Sequence[Literal["pose", "map"]] = ("pose", "map"),
     ) -> None:
-        known = [topic.value for topic in LiveTopic]
-        wrong = [topic for topic in topics if topic not in known]
-        if wrong:
-            raise MaslamError(f"no topic {wrong[0]}: only {', '.join(known)}")
+        wanted = sorted(topics_named(topics))
         mine = Credentials(Path(credentials))
         self._reader = TopicReader(mine)
-        self._topics = ZenohTopics(mine.team, LinkAddresses(listen, connect, Path(credentials)), topics)
+        self._topics = ZenohTopics(mine.team, LinkAddresses(listen, connect, Path(credentials)), wanted)
 
     def __enter__(self) -> Watch:
         self._topics.__enter__()

@@ -235,14 +235,17 @@ def test_the_face_has_an_agent_that_takes_frames(town_stereo: Path, tmp_path: Pa
     sequence = open_dataset(town_stereo).sequences[0]
     settings = {"odometry": {"mapping.window": 6, "mapping.fixed": 2}}
     poses: list[maslam.TeamPose] = []
+    link = MemoryNetwork().link(0)
+    link.listened = {"pose", "map"}
     agent = maslam.Agent(
         sequence.rig,
         tmp_path / "out",
         keys,
         settings=settings,
         on_pose=poses.append,
+        publish=["pose"],
         live=LiveConfig(settle_s=0.0, alone_s=0.0),
-        link=MemoryNetwork().link(0),
+        link=link,
     )
     with pytest.raises(RuntimeError, match="in a `with` block"):
         agent.pose()
@@ -260,3 +263,4 @@ def test_the_face_has_an_agent_that_takes_frames(town_stereo: Path, tmp_path: Pa
         one = agent.map()
         assert len(one.points) > 1000 and set(one.owners.tolist()) == {0}
     assert len(poses) >= 8 and (tmp_path / "out" / "trajectory.tum").is_file()
+    assert [topic for topic, _ in link.published] == ["pose"] * len(poses)

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from memory_links import MemoryLink, MemoryNetwork
 
+import maslam
 from maslam.mas.live import topic_writer as topic_writer_module
 from maslam.mas.live.authority import make_team, revoke
 from maslam.mas.live.credentials import Credentials
@@ -31,6 +32,7 @@ from maslam.mas.live.topics import (
     decode_sample,
     encode_map,
     encode_pose,
+    topics_named,
 )
 from maslam.mas.protocol.ids import FrameId
 
@@ -105,6 +107,14 @@ def test_what_is_read_is_what_was_given_out(folders: list[Path], link: MemoryLin
     assert np.array_equal(found[3].map.owners, whole.owners)
     assert writer.sent_bytes == sum(len(data) for _, data in link.published)
     assert reader.refused == 0
+
+
+def test_topics_go_by_their_names(folders: list[Path]) -> None:
+    assert topics_named(["map", "pose"]) == set(LiveTopic) and topics_named([]) == frozenset()
+    with pytest.raises(TopicError, match="no topic 'poses': only pose, map"):
+        topics_named(["poses"])
+    with pytest.raises(maslam.MaslamError, match="no topic 'x'"):
+        maslam.Watch(folders[3], topics=["x"])  # type: ignore[list-item]
 
 
 def test_nothing_is_sent_where_nobody_listens(folders: list[Path], link: MemoryLink, clock: Clock) -> None:

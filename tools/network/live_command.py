@@ -47,14 +47,14 @@ def run_live(
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
     from maslam.mas.kernels import agent_kernels
     from maslam.mas.live.credentials import Credentials
-    from maslam.mas.live.topics import LiveTopic
+    from maslam.mas.live.topics import topics_named
     from maslam.mas.transport.zenoh_link import LinkAddresses, ZenohLink
 
     from ..common.compiling import compile_for
     from ..common.parallel import one_blas_thread
     from ..live.agent import LiveAgent, LiveSetup
 
-    live = replaced(live, publish=frozenset(LiveTopic(name) for name in arguments.publish))
+    live = replaced(live, publish=topics_named(arguments.publish))
     credentials = Credentials(arguments.credentials)
     model = load_descriptor(arguments.model)
     source = source_of(arguments, live.speed)
